@@ -36,7 +36,6 @@ def long_unless(quick, names):
 
 @pytest.mark.parametrize("name", long_unless(lambda name: name not in {"biofilm", "oct"}, EXAMPLES))
 def test_an_example_is_sound(name, tmp_path, capsys):
-    """The two that are left out solve for the flow as `creep` does."""
     written(name, tmp_path)
     assert "study: study.yaml is sound" in printed(capsys, "check", str(tmp_path / "study"))
 

@@ -29,10 +29,8 @@ def test_default_mesh_is_converged_against_the_fine_one():
 
 
 def test_same_inputs_same_bits_in_another_process():
-    code = (
-        "from strandline.models.biofilm.model import Biofilm;"
-        f"print(Biofilm(mesh='coarse')({INPUTS!r}).interface.points.tobytes().hex())"
-    )
+    run = f"Biofilm(mesh='coarse')({INPUTS!r}).interface.points.tobytes().hex()"
+    code = f"from strandline.models.biofilm.model import Biofilm; print({run})"
     other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     ours = Biofilm(mesh="coarse")(INPUTS).interface.points.tobytes().hex()
     assert other.stdout.strip().splitlines()[-1] == ours

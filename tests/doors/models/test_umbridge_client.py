@@ -3,7 +3,6 @@
 import contextlib
 import gzip
 import json
-import pickle
 import re
 import socket
 import time
@@ -50,9 +49,7 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_GET(self):
         body = self.rfile.read(int(self.headers.get("Content-Length", 0)))
-        sick = not body or json.loads(body).get("input", [[0.0]])[0][0] > 500
-        self.server.paths.append(self.path)
-        if sick and self.path == self.server.sick:
+        if self.path == "/Evaluate" and json.loads(body)["input"][0][0] > 500:
             self.server.reply(self, body)
         else:
             given = answer([POINTS], self.command, self.path, body)
@@ -74,17 +71,15 @@ class Handler(BaseHTTPRequestHandler):
 class Hostile(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False
-
-    def handle_error(self, request, client_address):
-        pass
+    handle_error = Handler.log_message
 
 
 @contextlib.contextmanager
-def hostile(reply, sick="/Evaluate"):
+def hostile(reply):
     server = Hostile(("127.0.0.1", 0), Handler)
-    server.reply, server.sick, server.paths = reply, sick, []
+    server.reply = reply
     with running(server) as url:
-        yield url, server.paths
+        yield url
 
 
 def model(url, **options):
@@ -102,12 +97,12 @@ def test_points_columns_and_surfaces_arrive():
         np.testing.assert_array_equal(run(model(url)).interfaces[""].points, expected)
         assert run(model(url, interface={"closed": True})).interfaces[""].closed
         assert run(with_sensitivities(model(url))).failure_kind == "no_sensitivities"
+        assert run(model(url, config={"mesh": 1})).failure_kind == "model_error"  # it takes none
     with served(COLUMNS) as url:  # several blocks, in another unit
         options = {"inputs": [["load"], ["E"]], "interface": {"shape": "columns"}, "unit": "um"}
         np.testing.assert_allclose(run(model(url, **options)).interfaces[""].points, expected, rtol=1e-14)
     with served(SURFACE) as url:
         surface = run(model(url, interface={"dim": 3})).interfaces[""]
-        assert run(model(url, interface={"dim": 3, "shape": "columns"})).failure_kind == "protocol"
     np.testing.assert_array_equal(surface.cells, np.reshape(TRIANGLES, (-1, 3)))
     assert surface.points[1, 0] == 400.0
 
@@ -119,16 +114,6 @@ def test_sensitivities(offering):
     expected = 1000 * slopes([[400.0, LOAD]])
     for number, name in enumerate(("E", "load")):
         np.testing.assert_allclose(record.sensitivities[""][name].ravel(), expected[:, number], rtol=1e-12)
-
-
-def test_the_description_is_asked_once_and_the_config_sent():
-    with hostile(lambda handler, body: None) as (url, paths):
-        forward = model(url)
-        assert run(forward).ok
-        assert run(pickle.loads(pickle.dumps(forward))).ok
-        assert run(model(url, config={"mesh": 1})).failure_kind == "model_error"
-    asked = ["/Info", "/ModelInfo", "/InputSizes", "/OutputSizes", "/Evaluate", "/Evaluate"]
-    assert paths[: len(asked)] == asked
 
 
 def sends(status, text, *headers):
@@ -145,10 +130,6 @@ def twelfth(text):
     return sends(200, f'{{"output": [[{"0.5, " * 11}{text}]]}}')
 
 
-def hangs(handler, body):
-    time.sleep(5.0)
-
-
 def drips(handler, body):
     """Send a header that never ends, a byte every tenth of a second."""
     handler.wfile.write(b"HTTP/1.1 200 OK\r\nX-Slow: ")
@@ -157,108 +138,66 @@ def drips(handler, body):
         time.sleep(0.1)
 
 
-def closes(handler, body):
+def breaks_off(handler, body):
+    handler.wfile.write(b'HTTP/1.1 200 OK\r\nContent-Length: 1000\r\n\r\n{"output": [[')
     handler.connection.shutdown(socket.SHUT_RDWR)
 
 
-def breaks_off(handler, body):
-    handler.wfile.write(b'HTTP/1.1 200 OK\r\nContent-Length: 1000\r\n\r\n{"output": [[')
-    closes(handler, body)
-
-
-def floods(handler, body):
-    """Promise a gigabyte and send as much of it as is taken."""
-    handler.wfile.write(b"HTTP/1.1 200 OK\r\nContent-Length: 1000000000\r\n\r\n")
-    for _ in range(1000):
-        handler.wfile.write(b" " * 1_000_000)
-
-
-ELSEWHERE, ZIPPED = ("Location", "http://127.0.0.1:1/Evaluate"), ("Content-Encoding", "gzip")
+ZIPPED = ("Content-Encoding", "gzip")
 BOMB = gzip.compress(b" " * (client_module.LARGEST_ANSWER + 1))
 MISHAPS = {
-    "timeout": [(hangs, "no answer of .* within 1 s"), (drips, "no answer of .* within 1 s")],
+    "timeout": [(drips, "no answer of .* within 1 s")],
     "model_error": [
         (says(500, "ModelError", "singular"), "ModelError'?: singular"),
-        (sends(500, "<html><h1>500</h1><p>Internal  error"), "HTTP 500 without a reason: 500 Internal error"),
-        (says(400, "InvalidInput"), "InvalidInput"),
-        (says(200, "X"), "X"),
+        (sends(500, "<h1>500</h1><p>Internal  error"), "HTTP 500 without a reason: 500 Internal error"),
     ],
     "protocol": [
         (says(400, "ModelNotFound"), "ModelNotFound"),
         (sends(200, "<html>Welcome</html>"), "no JSON object: Welcome"),
-        (sends(404, "nothing here"), "HTTP 404: nothing here"),
         (twelfth('"1"'), "'1' among the numbers"),
-        (twelfth("true"), "True among the numbers"),
-        (sends(200, '{"output": [[0.5'), "no JSON object"),
-        (sends(200, "[" * 100000), "no JSON object"),
         (twelfth("0.5, 0.5"), "13 numbers; expected 12"),
-        (sends(200, '{"output": []}'), "expected a list of 1 blocks"),
-        (sends(200, "{}"), "expected a list of 1 blocks"),
-        (sends(200, '{"output": [0.5]}'), "0.5; expected 12"),
-        (sends(307, "", ELSEWHERE), "redirects Evaluate to .*, which is not followed"),
-        (floods, "more than 64 MB"),
+        (sends(307, "", ("Location", "http://127.0.0.1:1/")), "redirects Evaluate to .*, which is not followed"),
         (sends(200, BOMB, ZIPPED), "more than 64 MB"),
         (sends(200, b"nonsense", ZIPPED), "cannot be unpacked"),
     ],
     "non_finite": [(twelfth(text), "1 of 12") for text in ("NaN", "nan", "-inf", "null", "1e999")],
-    "connection": [(closes, "broke off"), (breaks_off, "broke off")],
+    "connection": [(breaks_off, "broke off")],
 }
 
 
 @pytest.mark.parametrize("kind", ["timeout", *(pytest.param(k, marks=pytest.mark.smoke) for k in list(MISHAPS)[1:])])
 def test_a_server_that_misbehaves_costs_the_runs_that_it_hits(kind):
     for reply, message in MISHAPS[kind]:
-        with hostile(reply) as (url, paths):
+        with hostile(reply) as url:
             forward = model(url, timeout=1.0 if kind == "timeout" else 30.0)
             records = [run(forward, modulus) for modulus in (300.0, 600.0, 400.0)]
-            assert paths.count("/Evaluate") == 3
         assert [record.ok for record in records] == [True, False, True]
         assert records[1].failure_kind == kind
         assert records[1].state == ("timeout" if kind == "timeout" else "failed")
-        assert records[1].seconds < 4.0
         assert re.search(message, str(records[1].message)), records[1].message
         np.testing.assert_array_equal(records[2].interfaces[""].points, outline([[400.0, LOAD]]))
 
 
 def test_what_a_server_says_behind_the_first_line_is_the_log():
     said = "timeout: killed\nlast lines of its log:\n" + "a\n" * client_module.LONGEST_LOG + "Newton diverges"
-    with hostile(says(500, "ModelError", said)) as (url, _):
+    with hostile(says(500, "ModelError", said)) as url:
         record = run(model(url), 600.0)
-    assert record.failure_kind == "model_error"
     assert str(record.message).splitlines()[0] == "the server says 'ModelError': timeout: killed"
-    assert str(record.message).endswith("a\nNewton diverges")
     assert record.log.splitlines()[-2:] == ["a", "Newton diverges"]
     assert len(record.log) <= client_module.LONGEST_LOG
 
 
-def test_a_server_of_something_else_is_told():
-    for text, message in (
-        ('{"protocolVersion": 0.9, "models": ["beam"]}', "speaks version 0.9"),
-        ('{"models": ["beam"]}', "speaks version None"),
-        ('{"protocolVersion": 1.0, "models": ["bream"]}', "no model called 'beam'; it offers .*bream"),
-        ("<html>It works!</html>", "no JSON object: It works!"),
-    ):
-        with hostile(sends(200, text), "/Info") as (url, _):
-            record = run(model(url))
-        assert record.failure_kind == "protocol"
-        assert re.search(message, str(record.message)), record.message
-
-
-def test_inputs_that_are_not_the_models_are_told_and_proxies_of_the_environment_passed_by(monkeypatch):
+def test_wrong_inputs_and_no_server_are_told_and_proxies_of_the_environment_passed_by(monkeypatch):
     for name in ("HTTP_PROXY", "http_proxy", "ALL_PROXY"):
         monkeypatch.setenv(name, "http://127.0.0.1:1")
     with served(POINTS) as url:
         sizes = run(model(url, inputs=[["E"], ["load"]]))
         names = run(model(url, inputs=["E", "force"]))
+        absent = run(model(url, name="bream"))
         assert run(model(url)).ok
-    assert (sizes.failure_kind, names.failure_kind) == ("protocol", "inputs")
+    nobody = run(model(url))
+    assert (sizes.failure_kind, names.failure_kind, nobody.failure_kind) == ("protocol", "inputs", "connection")
     assert "takes blocks of [2] inputs" in str(sizes.message)
     assert "force, load" in str(names.message)
-
-
-def test_no_server():
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        record = run(model(f"http://127.0.0.1:{taken.getsockname()[1]}"))
-    assert record.failure_kind == "connection"
-    assert "no UM-Bridge server answers at http://127.0.0.1:" in str(record.message)
+    assert "no model called 'bream'; it offers" in str(absent.message)
+    assert f"no UM-Bridge server answers at {url}" in str(nobody.message)

@@ -8,14 +8,13 @@ import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 import httpx
 import pytest
 import umbridge
 from tests.doors.models.waiting import until
-from tests.unit.models.umbridge.served import AT, BARE, TOKEN, WHOLE, served, whole
+from tests.unit.models.umbridge.served import AT, BARE, TOKEN, WHOLE, served
 
 from strandline.errors import ForwardModelError, InvalidInput
 from strandline.models.umbridge.answers import ServedModel
@@ -28,18 +27,13 @@ POST = b"POST /Evaluate HTTP/1.1\r\nHost: localhost\r\n"
 NO_REQUESTS = [
     b"nonsense\r\n\r\n",
     b"GET http://[::1 HTTP/1.1\r\nHost: localhost\r\n\r\n",
-    b"GET //[::1/Info HTTP/1.1\r\nHost: localhost\r\n\r\n",
-    b"GET * HTTP/1.1\r\nHost: localhost\r\n\r\n",
     b"GET /Info HTTP/1.0\r\n\r\n",
     POST + b"Content-Length: -1\r\n\r\n",
     POST + b"Content-Length: " + b"0" * 20 + b"99999999999\r\n\r\n",
-    POST + b"Content-Length: " + b"9" * 5001 + b"\r\n\r\n",
     POST + b"Content-Length: 2\r\nContent-Length: 3\r\n\r\n{}",
     POST + "Content-Length: ²\r\n\r\n".encode("latin-1"),
     POST + b"Transfer-Encoding: chunked\r\n\r\n2\r\n{}\r\n0\r\n\r\n",
-    b"PUT /Evaluate HTTP/1.1\r\nHost: localhost\r\nContent-Length: 2\r\n\r\n{}",
     b"GET /" + b"a" * 70000 + b" HTTP/1.1\r\n\r\n",
-    b"GET /Info HTTP/99999999999999999999.1\r\n\r\n",
     b"GET /Info HTTP/1.1\r\n" + b"a: b\r\n" * 200 + b"\r\n",
 ]
 
@@ -55,42 +49,31 @@ def ours():
         yield url
 
 
-@pytest.fixture(scope="module")
-def reference():
-    """A server of the reference implementation in a process of its own."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    peer = Path(__file__).with_name("umbridge_peer.py")
-    process = subprocess.Popen([sys.executable, str(peer), str(port)], stdout=subprocess.DEVNULL)
-    url = f"http://127.0.0.1:{port}"
-
-    def answers():
-        assert process.poll() is None
-        with contextlib.suppress(httpx.TransportError):
-            return bool(httpx.get(f"{url}/Info", trust_env=False, verify=False))
-
-    try:
-        until(answers)
-        yield url
-    finally:
-        process.kill()
-        process.wait()
-
-
 @pytest.mark.smoke
 def test_it_passes_its_own_suite_over_http(ours):
     for check in {**CHECKS, **STRICT_CHECKS}.values():
-        check(ModelUnderTest(ours, "whole", AT))
-
-
-def test_so_does_the_reference_but_it_has_no_errors_for_malformed_requests(reference):
-    for check in CHECKS.values():
         for name in ("whole", "bare"):
-            check(ModelUnderTest(reference, name, AT))
-    for name in ("malformed_json", "wrong_types", "missing_keys", "large_requests"):
-        with pytest.raises(AssertionError):
-            STRICT_CHECKS[name](ModelUnderTest(reference, "whole", AT))
+            check(ModelUnderTest(ours, name, AT))
+
+
+def test_so_does_the_reference_in_a_process_of_its_own():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    peer, url = Path(__file__).with_name("umbridge_peer.py"), f"http://127.0.0.1:{port}"
+
+    def answers():
+        with contextlib.suppress(httpx.TransportError):
+            return bool(httpx.get(f"{url}/Info", trust_env=False, verify=False))
+
+    with subprocess.Popen([sys.executable, str(peer), str(port)], stdout=subprocess.DEVNULL) as process:
+        try:
+            until(answers)
+            for check in CHECKS.values():
+                for name in ("whole", "bare"):
+                    check(ModelUnderTest(url, name, AT))
+        finally:
+            process.kill()
 
 
 @pytest.mark.smoke
@@ -102,7 +85,6 @@ def test_the_reference_client_gets_the_same_numbers(ours):
     assert model(AT) == [[x * x, x * y, y]]
     assert model.gradient(0, 0, AT, [1.0, 10.0, 100.0]) == [2 * x + 10 * y, 10 * x + 100]
     assert model.apply_jacobian(0, 0, AT, [3.0, 4.0]) == [6 * x, 3 * y + 4 * x, 4.0]
-    assert not model.supports_apply_hessian()
     with pytest.raises(Exception, match="ModelError: singular: the matrix is singular"):
         model([[2.0, 0.0]])
 
@@ -129,55 +111,26 @@ def test_it_listens_on_this_machine_alone_unless_told_otherwise():
 
 def test_a_token_is_sent_by_our_client_and_by_the_reference(monkeypatch):
     with served(WHOLE, door=Door.of("127.0.0.1", token=TOKEN)) as url:
-        answer = httpx.get(f"{url}/Info", trust_env=False, verify=False)
-        assert (answer.status_code, answer.json()["error"]["type"]) == (401, "Unauthorized")
         x, y = AT[0]
         assert umbridge.HTTPModel(url.replace("//", f"//any:{TOKEN}@"), "whole")(AT) == [[x * x, x * y, y]]
         client = Client(url, "whole")
         monkeypatch.delenv(TOKEN_VARIABLE, raising=False)
-        with pytest.raises(ForwardModelError, match="needs its token") as caught:
+        with pytest.raises(ForwardModelError, match="needs its token"):
             client.describe()
-        assert caught.value.kind == "protocol"
         monkeypatch.setenv(TOKEN_VARIABLE, TOKEN)
-        assert client.describe().input_sizes == (2,)
         assert client.evaluate(AT, [3])[0].tolist() == [x * x, x * y, y]
 
 
-def test_requests_at_once_are_all_answered():
-    together = threading.Barrier(8, timeout=30)
-
-    def waits(blocks):
-        together.wait()
-        return whole(blocks)
-
-    with served(replace(BARE, evaluate=waits)) as url, ThreadPoolExecutor(8) as pool:
-        model = ModelUnderTest(url, "bare", AT)
-        answers = pool.map(lambda y: model.ask("Evaluate", input=[[0.5, y]])["output"], map(float, range(8)))
-        assert list(answers) == [[[0.25, 0.5 * y, y]] for y in range(8)]
-
-
-def test_silent_connections_take_no_more_threads_than_there_are_places_and_make_way():
-    before = threading.active_count()
-    with served(BARE, connections=4) as url, contextlib.ExitStack() as silent:
-        for _ in range(9):
-            silent.enter_context(connected(url))
-        assert ModelUnderTest(url, "bare", AT).ask("Evaluate", input=AT)
-        assert threading.active_count() <= before + 1 + 4
-
-
 def test_silent_and_dripping_connections_are_ended_in_time():
-    before, sent = threading.active_count(), 0
-    with served(BARE, connections=30, patience=0.2) as url, contextlib.ExitStack() as opened:
-        *quiet, dripping = (opened.enter_context(connected(url)) for _ in range(20))
+    sent = 0
+    with served(BARE, patience=0.2) as url, connected(url) as quiet, connected(url) as dripping:
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
             while sent < 200:
                 dripping.sendall(b"G")
                 sent += 1
                 time.sleep(0.05)
         assert sent < 200
-        for connection in quiet:
-            assert connection.recv(1) == b""
-        until(lambda: threading.active_count() <= before + 1)
+        assert quiet.recv(1) == b""
 
 
 def test_a_connection_at_work_is_not_ended():
@@ -188,8 +141,8 @@ def test_a_connection_at_work_is_not_ended():
         going.wait(10)
         return blocks
 
-    one = {"connections": 1, "patience": 0.1}
-    with served(ServedModel("slow", (2,), (2,), slow), **one) as url, ThreadPoolExecutor(1) as pool:
+    model = ServedModel("slow", (2,), (2,), slow)
+    with served(model, connections=1, patience=0.1) as url, ThreadPoolExecutor(1) as pool:
         answer = pool.submit(ModelUnderTest(url, "slow", AT).ask, "Evaluate", input=AT)
         assert begun.wait(10)
         turned_away = httpx.get(f"{url}/Info", trust_env=False, verify=False)

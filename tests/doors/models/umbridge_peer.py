@@ -1,7 +1,4 @@
-"""A small model served by the reference implementation of UM-Bridge, at the port on the command line.
-
-Two inputs x, three outputs (x0², x0 x1, x1), with all derivatives; the second model has Evaluate alone.
-"""
+"""Models served by the reference implementation of UM-Bridge, with all derivatives and with Evaluate alone."""
 
 import sys
 
@@ -9,8 +6,6 @@ import umbridge
 
 
 class Bare(umbridge.Model):
-    """Evaluate alone."""
-
     def get_input_sizes(self, config):
         return [2]
 
@@ -26,8 +21,6 @@ class Bare(umbridge.Model):
 
 
 class Whole(Bare):
-    """All four features."""
-
     def gradient(self, out_wrt, in_wrt, parameters, sens, config=None):
         x, y = parameters[0]
         return [2 * x * sens[0] + y * sens[1], x * sens[1] + sens[2]]

@@ -1,7 +1,4 @@
-"""A job's command for tests: the model comes from a pickle that the test itself has written.
-
-The product never does this in a study folder; here it lets the conformance suite use any model.
-"""
+"""A job's command for tests: the model, any one, comes from a pickle that the test itself has written."""
 
 import pickle
 import sys

@@ -5,7 +5,7 @@ from functools import partial
 
 import pytest
 from tests.doors.runs.processes import driven_by, wait_until
-from tests.unit.runs.fakes import attempts, batches, campaign, design, states
+from tests.unit.runs.fakes import campaign, design, states
 
 from strandline.errors import InvalidInput
 from strandline.runs.executors.dask import DaskCluster
@@ -26,16 +26,12 @@ def path(slurm, tmp_path, monkeypatch):
     return tmp_path / "ledger.sqlite"
 
 
-def some(number, first=300.0):
-    return design(*(first + 5.0 * k for k in range(number)))
+def some(number):
+    return design(*(300.0 + 5.0 * k for k in range(number)))
 
 
 def job_ids(slurm):
     return slurm.command("squeue", "--noheader", "--states=RUNNING", "--format=%i").split()
-
-
-def no_job_left(slurm):
-    return wait_until(lambda: not slurm.command("squeue", "--noheader"), 20)
 
 
 def test_a_cancelled_worker_is_replaced(slurm, path):
@@ -52,6 +48,7 @@ def test_a_cancelled_worker_is_replaced(slurm, path):
     assert len(cancelled) == 1
     assert states(done) == ["ok"] * 4
     assert Counter(ends) == {("ok", None): 4, ("killed", "worker_died"): 1}
+    assert wait_until(lambda: not slurm.command("squeue", "--noheader"), 20), "a job is left behind"
 
 
 def test_a_worker_goes_before_its_walltime_cuts_a_run(slurm, path):
@@ -77,31 +74,3 @@ def test_jobs_that_slurm_refuses_are_one_clear_error(slurm, path):
     with pytest.raises(InvalidInput, match=r"takes no job.*Invalid partition.*executor\.dask\.jobs"):
         list(executor(Cantilever(), requests_for(Cantilever())))
     assert not job_ids(slurm)
-
-
-def test_a_full_queue_is_waited_for_and_no_job_is_left_behind(slurm, path):
-    for _ in range(6):
-        slurm.command("sbatch", "--output=/dev/null", "--wrap=sleep 4")
-    records = IN_JOBS(workers=2)(Slow(seconds=0.1), requests_for(Slow()))
-    assert next(records).ok
-    records.close()
-    assert no_job_left(slurm)
-
-
-def test_jobs_are_kept_from_batch_to_batch(slurm, path):
-    """A job that is cancelled while the driver chooses is replaced, and no run is lost by it."""
-    jobs = []
-
-    def choose(records):
-        jobs.append(job_ids(slurm))
-        if len(jobs) == 2:
-            slurm.command("scancel", *jobs[-1])
-            assert wait_until(lambda: job_ids(slurm) and not set(job_ids(slurm)) & set(jobs[-1]), 30)
-        return [] if len(jobs) == 3 else some(4, 300.0 + 100.0 * len(jobs))
-
-    assert states(batches(path, Cantilever(), [some(4)], choose, IN_JOBS())) == ["ok"] * 12
-    assert attempts(path) == [1] * 12
-    first, second, third = jobs
-    assert len(first) == len(third) == 1
-    assert second == first != third
-    assert no_job_left(slurm)

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 
-import pytest
 from tests.doors.runs.processes import wait_until
 from tests.unit.runs.fakes import attempts
 
@@ -26,9 +25,7 @@ SMALL = {
 def test_detached_and_collected(slurm, tmp_path, capsys):
     folder = write_study(tmp_path / "study", **SMALL)
     main(["run", "--quiet", "--detach", str(folder)])
-    shown = capsys.readouterr().out
-    assert shown.startswith("7 runs are with SLURM")
-    assert f"strandline run {folder}" in shown
+    assert capsys.readouterr().out.startswith("7 runs are with SLURM")
     assert not (folder / "summary.json").exists()
     main(["status", str(folder)])
     assert "ok 0, failed 0, under way (or lost) 6" in capsys.readouterr().out
@@ -38,8 +35,6 @@ def test_detached_and_collected(slurm, tmp_path, capsys):
     here = run_study(load_study(write_study(tmp_path / "here", **SMALL)), executor=InProcess())
     assert summary["inputs"] == json.loads(json.dumps(here.summary["inputs"]))
     capsys.readouterr()
-    main(["run", "--quiet", "--detach", str(folder)])
-    assert "6 forward runs ok, 0 failed (0 new, 6 reused)" in capsys.readouterr().out, "nothing has changed"
     (folder / "summary.json").unlink()
     main(["run", "--quiet", "--detach", str(folder)])
     assert "every run of the design is done" in capsys.readouterr().out
@@ -57,12 +52,3 @@ def test_ctrl_c_says_what_goes_on(slurm, tmp_path):
     assert driver.returncode == 130
     assert "runs that go on in SLURM: 1 (`scancel --name=strandline-" in stderr
     assert len(slurm.command("squeue", "--noheader", "--array").splitlines()) == 1
-
-
-@pytest.mark.smoke
-def test_detach_wants_an_executor_that_can(tmp_path, capsys):
-    folder = write_study(tmp_path / "study", **{**SMALL, "executor": {"in_process": {}}})
-    with pytest.raises(SystemExit) as ended:
-        main(["run", "--detach", str(folder)])
-    assert ended.value.code == 2
-    assert "executor: {slurm_array: …}" in capsys.readouterr().err

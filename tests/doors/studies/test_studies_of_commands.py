@@ -1,14 +1,11 @@
-"""Simulators that are programs: one that writes surfaces as VTK, calibrated from a stack, and an example."""
-
-import shutil
-from pathlib import Path
+"""A simulator that is a program and writes surfaces as VTK, calibrated from a stack."""
 
 from tests.study.conftest import SAMPLER
 from tests.unit.discrepancy.surfaces import sphere
 from tests.unit.studies.test_stacks import RADIUS, V, loaded
 
-from strandline.runs import InProcess, LocalProcesses
-from strandline.studies import load_study, run_study
+from strandline.runs import InProcess
+from strandline.studies import run_study
 from strandline.studies.pictures.stack_files import vtu
 
 PROGRAM = """
@@ -27,17 +24,12 @@ def test_it_finds_the_radius(tmp_path):
     (tmp_path / "ball.vtu").write_text(vtu(sphere(1.0, 3)), "utf-8")
     (tmp_path / "ball.py").write_text(PROGRAM, "utf-8")
     (tmp_path / "input.txt.j2").write_text("{{ radius }}", "utf-8")
-    command = {
-        "command": ["{{ python }}", "ball.py"],
-        "templates": {"input.txt.j2": "input.txt"},
-        "files": ["ball.py", "ball.vtu"],
-        "result": {"file": "surface.vtu", "unit": "mm"},
-    }
+    files = {"templates": {"input.txt.j2": "input.txt"}, "files": ["ball.py", "ball.vtu"]}
+    result = {"file": "surface.vtu", "unit": "mm"}
     study = {
-        "model": {"command": command},
+        "model": {"command": {"command": ["{{ python }}", "ball.py"], **files, "result": result}},
         "fixed": {},
         "inputs": {"radius": {"prior": {"uniform": [0.0135, 0.0145]}}},
-        "discrepancy": {"closest_point": {}},
         "design": {"sobol": {"runs": 8}},
         "sampler": SAMPLER,
         "draft": True,
@@ -46,11 +38,3 @@ def test_it_finds_the_radius(tmp_path):
     assert abs(posterior.mean[0] - RADIUS) < 0.25 * V
     assert 0.08 * V < posterior.sd[0] < 0.25 * V
     assert (tmp_path / "figures" / "surfaces.png").exists()
-
-
-def test_the_command_example_finds_the_truth(tmp_path):
-    study = Path(shutil.copytree(Path(__file__).parents[3] / "examples" / "command", tmp_path / "command"))
-    with (study / "study.yaml").open("a", encoding="utf-8") as file:
-        file.write("\ndraft: true\nreport: none\n")
-    found = run_study(load_study(study), executor=LocalProcesses(workers=1)).summary["inputs"]["E"]
-    assert abs(found["mean"] - 400.0) < 3 * found["sd"] < 100.0

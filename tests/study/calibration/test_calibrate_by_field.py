@@ -20,11 +20,8 @@ def test_the_posterior_is_exact_and_certified(tmp_path):
     exact().assert_off(found, 0.12, 0.1)
     assert max(exact(noise=NOISE * np.sqrt(2.0)).off(found)[:2]) > 0.2
     assert found.field.certificate.converged
-    assert found.field.certificate.checked is not None
     assert len(found.records) < 60
-    assert found.field.feasible == pytest.approx(1.0)
     assert np.abs(found.field.effect.shift).max() < 0.05
-    assert found.quadrature is None
 
 
 def capricious(inputs, workdir):
@@ -39,7 +36,6 @@ def test_runs_that_fail_at_random_are_gone_round(tmp_path):
     assert 0.05 < np.mean([not record.ok for record in found.records]) < 0.4
     exact().assert_off(found, 0.12, 0.1)
     assert found.field.certificate.converged
-    assert found.field.feasible > 0.8
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,8 @@ import re
 from pathlib import Path
 from unittest.mock import Mock, call
 
-import pytest
 from tests.study.conftest import SAMPLER
-from tests.unit.cli.command_line import contents, ends, printed, refused
+from tests.unit.cli.command_line import contents, printed, refused
 
 from strandline.cli import main
 from strandline.runs import Ledger
@@ -47,68 +46,31 @@ def test_each_run_and_step_is_shown_and_logged(tmp_path, capsys):
     assert [line for line in lines if line.endswith(" …")] == [f"{stage} …" for stage in STAGES]
     assert len(re.findall(r"^  run [0-9a-f]{12} (?:ok|failed \(\S+\)) in \S+ s at ", shown.err, re.MULTILINE)) == 32
     assert len(re.findall(r"^  step to tempering exponent \S+: ESS \d+, accepted ", shown.err, re.MULTILINE)) >= 2
-    for line in ("  32 runs by InProcess", "  of the log-likelihood, kernel matern32"):
-        assert line in lines
-    assert "  1000 particles, seed 1, SMCSettings: " in shown.err
+    assert "  32 runs by InProcess" in lines
     assert [line[20:] for line in log.read_text("utf-8").splitlines()] == lines
 
 
-@pytest.fixture
-def home(tmp_path, monkeypatch):
+def test_runs_that_failed_are_made_once_more_and_the_results_anew(tmp_path, monkeypatch, capsys):
+    """At first even the synthetic observation fails, then nearly all beams, and at last none."""
     (tmp_path / "licensed.py").write_text(LICENSED)
     monkeypatch.syspath_prepend(tmp_path)
-    return tmp_path
-
-
-def licensed(home, truth, failures):
-    observation = {"synthetic": {"E": truth, "tilt": 0.02, "load": 1e-5}}
-    content = {**SMALL, "model": {"python": {"function": "licensed:simulate"}}, "observation": observation}
-    return str(write_study(home / "study", **content, failures=failures))
-
-
-def calls(home):
-    return len((home / "calls").read_text().splitlines())
-
-
-def test_runs_that_failed_are_made_once_more_and_the_results_anew(home, capsys):
-    """At first even the synthetic observation fails, then nearly all beams, and at last none."""
-    folder = licensed(home, 305, {"stop": "never"})
-    (home / "licence").write_text("250")
-    for _ in range(2):
-        line = refused(capsys, "run", folder, "--quiet")
-        assert "synthetic observation could not be made: got licence at E = 305" in line
-        assert f"strandline retry {folder} --kind licence" in line
-    assert calls(home) == 1
-    (home / "licence").write_text("310")
+    content = {**SMALL, "model": {"python": {"function": "licensed:simulate"}}, "failures": {"stop": "never"}}
+    content["observation"] = {"synthetic": {"E": 305, "tilt": 0.02, "load": 1e-5}}
+    folder, licence = str(write_study(tmp_path / "study", **content)), tmp_path / "licence"
+    licence.write_text("250")
+    line = refused(capsys, "run", folder, "--quiet")
+    assert "synthetic observation could not be made: got licence at E = 305" in line
+    assert f"strandline retry {folder} --kind licence" in line
+    licence.write_text("310")
     assert "too few successful" in refused(capsys, "retry", folder, "--kind", "licence", "--quiet")
     with Ledger.open(Path(folder) / "ledger.sqlite", model=None, read_only=True) as ledger:
         made, missing = ledger.counts().total, ledger.counts().failed
-    assert (calls(home), made) == (34, 33)
-    assert "timeout" in refused(capsys, "retry", folder, "--kind", "timeout")
-    (home / "licence").write_text("1000")
+    assert made == 33
+    licence.write_text("1000")
     printed(capsys, "retry", folder, "--kind", "licence", "--quiet")
     runs = json.loads((Path(folder) / "summary.json").read_text())["runs"]
     assert (runs["ok"], runs["failed"], runs["new"]) == (32, 0, missing)
-    assert calls(home) == 34 + missing
-
-
-@pytest.mark.parametrize(
-    ("failures", "made", "told"),
-    [
-        ({}, 21, ["stopped because 20 of 20 runs failed (20 × licence)", "the server is down"]),
-        ({"kinds": {"licence": "abort"}}, 2, ["a run ended with licence", "E = "]),
-    ],
-)
-def test_a_study_ends_early(failures, made, told, home, capsys):
-    """If all of its runs fail, with the end of a log; or at the first failure, if it says so."""
-    folder = licensed(home, 100, failures)
-    (home / "licence").write_text("200")
-    assert ends("run", folder, "--quiet") == 1
-    said = capsys.readouterr().err
-    assert [words for words in told if words not in said] == []
-    assert "Traceback" not in said
-    assert calls(home) == made
-    assert sorted(path.name for path in Path(folder).iterdir()) == ["ledger.lock", "ledger.sqlite", "study.yaml"]
+    assert len((tmp_path / "calls").read_text().splitlines()) == 34 + missing
 
 
 def test_a_study_that_has_not_changed_is_shown_and_not_run(beam, capsys):
@@ -118,14 +80,11 @@ def test_a_study_that_has_not_changed_is_shown_and_not_run(beam, capsys):
     assert "beam: 64 forward runs ok, 0 failed (0 new, 64 reused)" in shown
     for name, item in summary["inputs"].items():
         row = next(line for line in shown.splitlines() if line.split()[:1] == [name])
-        for figure in ("mean", "sd", "median", "q05", "q95", "map"):
-            assert f"{item[figure]:.4g}" in row
+        assert all(f"{item[figure]:.4g}" in row for figure in ("mean", "sd", "median", "q05", "q95", "map"))
     assert f"log-evidence {summary['log_evidence']:.3f}; effective samples {summary['sampler']['ess']:.0f}" in shown
-    assert f"report: {beam.folder}/report.html" in shown
     assert f"Nothing has changed since. To write the results again: strandline report {beam.folder}" in shown
     found = json.loads(printed(capsys, "run", str(beam.folder), "--json"))
     assert (found["inputs"], found["runs"]["new"]) == (summary["inputs"], 0)
-    assert "Nothing has changed" not in printed(capsys, "run", str(beam.folder), "--quiet")
     assert contents(beam.folder) == before
 
 
@@ -141,10 +100,8 @@ def test_both_ways_to_the_status_print_the_same(beam, capsys, monkeypatch):
     assert "beam: 64 of 64 runs of the design done\n  ok 64, failed 0, under way 0, to do 0\n" in quick[0]
     assert "results: written" in quick[0]
     found = json.loads(quick[1])
-    counts = {"planned": 64, "done": 64, "ok": 64, "failed": 0, "open": 0, "lost": 0, "to_do": 0, "failures": {}}
+    counts = {"planned": 64, "done": 64, "ok": 64, "failed": 0, "open": 0, "lost": 0, "to_do": 0, "results": "current"}
     assert counts.items() <= found.items()
-    assert (found["results"], found["seconds_left"], found["driver"]["at_work"]) == ("current", None, False)
-    assert found["runs_per_minute"] > 0
 
 
 def test_report_writes_the_results_again(beam, copy_of, capsys):
@@ -155,22 +112,18 @@ def test_report_writes_the_results_again(beam, copy_of, capsys):
     (folder / "study.yaml").write_text(text.replace('"draft": true', '"draft": true, "report": "none"'))
     assert "(0 new, 64 reused)" in printed(capsys, "report", str(folder), "--quiet")
     assert json.loads((folder / "summary.json").read_text())["inputs"] == before["inputs"]
-    assert not (folder / "report.html").exists()
 
 
 def test_run_with_other_values_runs_a_copy_that_takes_over_all_runs(beam, copy_of, capsys, monkeypatch):
     folder = copy_of(beam)
     before = contents(folder)
     monkeypatch.chdir(folder.parent)
-    words = ["run", "study", "--set", "noise.sd=0.006", "--set", "seed=3", "--set", "report=none", "--json"]
-    main(words)
+    main(["run", "study", "--set", "noise.sd=0.006", "--set", "seed=3", "--set", "report=none", "--json"])
     shown = capsys.readouterr()
     second = json.loads(shown.out)
     copy = Path("study-noise.sd-0.006-report-none-seed-3")
     assert f"noise.sd=0.006, seed=3, report=none: the study in {copy}\n" in shown.err
     assert (second["study"], second["runs"]["new"], second["runs"]["reused"]) == (copy.name, 0, 64)
     assert second["inputs"]["E"]["sd"] > 1.3 * beam.outcome.summary["inputs"]["E"]["sd"]
-    main(words)  # the same again
-    assert json.loads(capsys.readouterr().out)["runs"] == second["runs"]
     assert contents(folder) == before
     assert sorted(path.name for path in Path().iterdir()) == ["study", copy.name]

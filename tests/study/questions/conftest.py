@@ -1,7 +1,6 @@
 """Copies of finished studies for the questions about them, what an answer leaves in a folder, and how it is stopped."""
 
 import json
-import re
 import shutil
 from pathlib import Path
 
@@ -41,9 +40,11 @@ def line_by_line(finished, folder):
 
 
 def content_of(found, pictures, *words):
-    """Return the content of an answer's file; its page says some words, shows some pictures, and needs no script."""
+    """Return the content of an answer's file, which docs/reference describes; its page needs no script."""
     folder, content = found.page.parent, json.loads(found.page.with_suffix(".json").read_text("utf-8"))
     assert content == json.loads(json.dumps(found.content))
+    described = (ROOT / "docs" / "reference" / f"{found.page.stem}.md").read_text("utf-8")
+    assert [key for key in content if f"`{key}" not in described] == []
     if "study_sha256" in content:
         assert content["study_sha256"] == load_study(folder).text_digest
     assert len([*(folder / "figures").glob(f"{found.page.stem.replace('-', '_')}*.png")]) == pictures
@@ -70,28 +71,3 @@ def stops_at(number):
             raise Stopped
 
     return Observer(part=part)
-
-
-def described_in(page):
-    """Return the keys in the tables of a page in docs/reference."""
-    rows = [line.split("|")[1] for line in lines_of(ROOT / "docs" / "reference" / page) if line.startswith("| `")]
-    return {key for row in rows for key in re.findall(r"`([^`]+)`", row)}
-
-
-def keys_of(tree, named, *, whole=(), place=""):
-    """Return the dotted keys of a result.
-
-    Args:
-        tree: The result.
-        named: Placeholder of the names in a place, which may begin with a placeholder: {"inputs": "NAME"}.
-        whole: Last parts of places whose content is one value.
-        place: Where the tree is.
-    """
-    if place.endswith(whole):
-        return {place}
-    if isinstance(tree, list) and tree and isinstance(tree[0], dict):
-        return {key for one in tree for key in keys_of(one, named, whole=whole, place=f"{place}[]")}
-    if not isinstance(tree, dict):
-        return {place}
-    inner = [(f"{place}.{named.get(place, name)}" if place else name, value) for name, value in tree.items()]
-    return {key for where, value in inner for key in keys_of(value, named, whole=whole, place=where)}

@@ -1,13 +1,12 @@
 """Other assumptions of a study: files, the command, the key, and what is refused; a changed study as the oracle."""
 
 import json
-import shutil
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 from tests.study.conftest import NOISY, SAMPLER
-from tests.study.questions.conftest import content_of, described_in, keys_of, line_by_line
+from tests.study.questions.conftest import content_of, line_by_line
 
 import strandline as sl
 from strandline.calibration.alternative import present
@@ -34,11 +33,10 @@ def test_what_it_writes(field, copy_of):
     noise = {"noise half as large", "noise twice as large"}
     assert set(by_name) == priors | noise | {"tilt known to be 0.02", "measure tracked_points"}
     moving = [one["moves"] for one in content["alternatives"]]
-    assert moving == sorted(moving, reverse=True)
     assert any(moving)
+    assert moving == sorted(moving, reverse=True)
     assert "the noise" in content["conclusion"]
     assert content["surrogate"]["shift"] < 1e-9
-    assert content["remarks"] == ["The posterior is the joint one, in which the data inform the nuisance inputs too."]
     assert list(by_name["tilt known to be 0.02"]["inputs"]) == ["E"]
     assert by_name["tilt known to be 0.02"]["log_evidence_change"] is not None
     assert by_name["noise twice as large"]["log_evidence_change"] is None
@@ -74,27 +72,17 @@ def test_questions_of_the_study_come_with_the_usual_ones(field, tmp_path):
     several = by_name["tilt known to be 0.025, other noise"]
     assert (several["kind"], several["about"]) == ("several", "what is known of tilt and the noise")
     assert several["detail"].startswith("point sd 9 µm")
-    assert "other noise, measure currents" in by_name
     softer, cut = by_name["a softer beam"], 1 - np.diff(norm.cdf([300.0, 560.0], 350.0, 20.0))[0]
     assert softer["detail"] == "E: normal [350, 20]"
     assert softer["mass_cut"]["E"] == pytest.approx(cut, abs=1e-6)
-    places = ("present.inputs", "alternatives[].mass_cut", "alternatives[].inputs")
-    named = {"versions": "PACKAGE", **dict.fromkeys(places, "NAME")}
-    assert described_in("what-if.md") - {"alternatives", "surrogate"} == keys_of(content, named)
-    assert [one.alternative.name for one in what_if(study, [NARROW]).answers] == ["a softer beam"]
 
 
 def test_conditions_are_left_out(two_loads, copy_of):
     study = sl.load_study(copy_of(two_loads))
     (found,) = (one for one in what_if(study).content["alternatives"] if one["name"] == "without condition heavy")
     assert found["inputs"]["E"]["sd_ratio"] > 1.5
-    assert found["moves"]
-    for left_out, words in (
-        (["light", "heavy"], "at least one condition left"),
-        (["hvy"], r"what_if\.without: got hvy; expected one of light, heavy"),
-    ):
-        with pytest.raises(InvalidStudy, match=words):
-            what_if(study, [{"without": left_out}])
+    with pytest.raises(InvalidStudy, match="at least one condition left"):
+        what_if(study, [{"without": ["light", "heavy"]}])
 
 
 def test_a_study_that_learns_the_log_likelihood(beam, copy_of, monkeypatch):
@@ -103,7 +91,6 @@ def test_a_study_that_learns_the_log_likelihood(beam, copy_of, monkeypatch):
     found = what_if(study, [{"noise": {"sd": 0.003}}])
     assert found.content["surrogate"]["shift"] < 0.2
     assert found.answers[0].moved == ()
-    assert found.answers[0].effective > 250
 
     def refuse(*given):
         raise NoCommonPoints("interfaces", value="open and closed ones", expected="alike", remedy="None.")
@@ -113,11 +100,8 @@ def test_a_study_that_learns_the_log_likelihood(beam, copy_of, monkeypatch):
     assert {one["kind"] for one in content["alternatives"]} == {"prior"}
     words = "Only other priors were tried: there is no surrogate of the interface (open and closed ones)."
     assert words in content["remarks"]
-    assert content["surrogate"] is None
-    none = what_if(study, [{"noise": {"sd": 0.01}}])
-    assert none.content["conclusion"] == "None of the alternatives can be computed without new runs."
-    assert "`reuse: [../study]`" in none.content["remarks"][0]
-    assert "needs new runs: there is no surrogate" in none.page.read_text("utf-8")
+    none = what_if(study, [{"noise": {"sd": 0.01}}]).content
+    assert none["conclusion"] == "None of the alternatives can be computed without new runs."
 
 
 def test_the_command_prints_what_it_writes(field, copy_of, capsys):
@@ -125,31 +109,22 @@ def test_the_command_prints_what_it_writes(field, copy_of, capsys):
     main(["what-if", str(folder), "--ask", "{noise: {sd: 12, unit: um}}", "--ask", same])
     shown = capsys.readouterr()
     content = json.loads((folder / "what-if.json").read_text("utf-8"))
-    assert shown.err.splitlines() == ["surrogate …", "alternatives …", "  2 of 2", "figures and report …"]
     assert content["conclusion"] == "The posterior depends on the noise and on nothing else that was tried."
-    page = f"page: {folder / 'what-if.html'}"
-    for words in ("beam: 2 alternatives, no forward run", content["conclusion"], page):
+    for words in (content["conclusion"], f"page: {folder / 'what-if.html'}"):
         assert words in shown.out
-    noise, prior = content["alternatives"]
-    item = noise["inputs"]["tilt"]
+    item = content["alternatives"][0]["inputs"]["tilt"]
     (row,) = (line for line in shown.out.splitlines() if line.startswith("other noise"))
     assert f"tilt {item['shift']:+.2f} sd ×{item['sd_ratio']:.2f}" in row
-    (row,) = (line for line in shown.out.splitlines() if line.startswith("another prior of E"))
-    assert [one for one in ("reweighting", f"{prior['k_hat']:.2f}", "– (") if one not in row] == []
     main(["what-if", str(folder), "--ask", same, "--quiet"])
-    again = capsys.readouterr()
-    assert again.err == ""
-    assert "The posterior depends on nothing that was tried: no mean moves by more than 0.2 sd" in again.out
+    shown = capsys.readouterr()
+    assert shown.err == ""
+    assert "The posterior depends on nothing that was tried: no mean moves by more than 0.2 sd" in shown.out
 
 
 REFUSED = [
-    ({"nose": {"sd": 1}}, "unknown key: got what_if.nose; expected one of name, prior, noise,"),
     ({"name": "nothing"}, "at least one of prior, noise, measure, fix, without"),
-    ({"noise": {"sd": -1}}, "what_if.noise.sd: got -1"),
     ({"noise": {"sd": "unknown", "unit": "um"}, "measure": "tracked_points"}, "the measure TrackedPoints"),
     ({"prior": {"F": {"normal": [1, 1]}}}, "what_if: name of an input: got F; expected one of E, tilt"),
-    ({"prior": {"E": {"normal": [1]}}}, "what_if.prior.E.normal: got [1.0]"),
-    ({"prior": {"E": {"norml": [1, 1]}}}, "norml"),
     ({"prior": {"E": {"uniform": [600, 700]}}}, "keeps no mass"),
     ({"fix": {"E": 900}}, "what_if.fix.E: got 900.0; expected a value in its box, [300, 560]"),
     ({"fix": {"E": 400}}, "at least one calibrated input left"),
@@ -166,18 +141,3 @@ def test_alternatives_that_do_not_fit_are_refused(field):
         with pytest.raises(InvalidInput) as caught:
             alternative_of(require_asked(given), study, now)
         assert words in str(caught.value)
-
-
-def test_a_study_without_a_posterior_is_refused(field, copy_of):
-    study = sl.load_study(copy_of(field))
-    for wrong, words in (({"seed": -1}, "seed of what-if"), ({"alternatives": []}, "alternatives: got none")):
-        with pytest.raises(InvalidInput, match=words):
-            what_if(study, **wrong)
-    for file, words in (
-        ("posterior.nc", "the study has no posterior to compare with"),
-        ("ledger.sqlite", "the study is not finished: got 0 of 33 forward runs done"),
-    ):
-        shutil.move(study.folder / file, study.folder / "away")
-        with pytest.raises(InvalidStudy, match=words):
-            what_if(study)
-        shutil.move(study.folder / "away", study.folder / file)

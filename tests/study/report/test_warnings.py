@@ -1,7 +1,6 @@
 """Each warning is there where it is deserved, alone, and not elsewhere; the paragraph for a paper says it too."""
 
 import json
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,11 +16,9 @@ from strandline.calibration import Calibration
 from strandline.calibration.sampler_check import SamplerCheck, Split
 from strandline.cli import main
 from strandline.design.active import BatchCheck, Certificate, Step, VarianceEffect
-from strandline.discrepancy import Currents
 from strandline.posterior import laplace
 from strandline.report.field_warnings import field_warnings
-from strandline.report.methods import BIBTEX, methods_paragraph
-from strandline.report.run_figures import offsets_of_runs
+from strandline.report.methods import methods_paragraph
 from strandline.report.warnings import LOO_LIMIT, find_warnings, reason_to_doubt
 
 
@@ -77,30 +74,17 @@ def with_halves(calibration: Calibration, difference: float) -> Calibration:
 
 def of_one_draw(calibration: Calibration) -> Calibration:
     """The last weighting leaves one of many particles."""
-    posterior = calibration.posterior
-    log_weights = np.where(np.arange(posterior.number) == posterior.map_index, 0.0, -1000.0)
+    log_weights = np.full(calibration.posterior.number, -1000.0)
+    log_weights[calibration.posterior.map_index] = 0.0
     return put(replace(calibration, quadrature=None), "posterior", log_weights=log_weights)
-
-
-def far(calibration: Calibration, share: float) -> Calibration:
-    posterior = calibration.posterior
-    return put(calibration, "quadrature", mean=posterior.mean + np.array([share, 0.0]) * posterior.sd)
-
-
-def wider(calibration: Calibration, factor: float) -> Calibration:
-    return put(calibration, "quadrature", sd=calibration.posterior.sd * factor)
-
-
-def with_ess(calibration: Calibration, ess: float) -> Calibration:
-    return put(calibration, "sampling", ess=ess)
 
 
 LIMITS: list[tuple[Callable[[Calibration, Any], Calibration], float, float, str]] = [
     (with_failures, 20, 19, "20 of 64 forward runs failed"),
     (validated, 0.6, 0.5, "leave-one-out error near the mode is 0.6"),
-    (with_ess, 99.0, 101.0, "Only 99 effective samples among 1000"),
-    (far, 0.06, 0.04, "means by up to 0.060 standard deviations"),
-    (wider, 1.07, 1.04, "standard deviations by up to 6.5%"),
+    (lambda c, ess: put(c, "sampling", ess=ess), 99.0, 101.0, "Only 99 effective samples among 1000"),
+    (lambda c, by: put(c, "quadrature", mean=c.posterior.mean + by * c.posterior.sd), 0.06, 0.04, "up to 0.060"),
+    (lambda c, by: put(c, "quadrature", sd=by * c.posterior.sd), 1.07, 1.04, "standard deviations by up to 6.5%"),
     (with_halves, -0.4, 0.25, "1000 and 900 effective samples explain (p = 5e-05): means by up to 0.40"),
     (lambda c, at: moved(c, 0, 0.05, at), 0.01, 0.03, "E reaches the lower end of its box, 300 Pa: "),
     (lambda c, share: moved(c, 1, share, 0.99), 0.05, 0.005, "tilt reaches the upper end of its box, 0.04: "),
@@ -129,26 +113,17 @@ def test_exactly_the_one_that_is_deserved_and_none_just_below_a_limit(good: Cali
 
 
 def test_an_observation_that_was_turned_and_a_model_that_does_not_fit(good: Calibration) -> None:
-    assert [w.partition(" ran")[0] for w in find_warnings(good, turned=("slow",))] == ["The observed points of slow"]
-    (warning,) = find_warnings(good, turned=("",))
-    assert "turned round" in warning
+    (warning,) = find_warnings(good, turned=("slow",))
+    assert warning.startswith("The observed points of slow ran")
     flagged = misfit(condition(BAD))
     remedy = " Find out what is wrong, or let the model err: `model_error: true` in `noise`."
     assert list(find_warnings(replace(good, misfit=flagged))) == [flagged.verdict + remedy]
-    for fine in (misfit(condition(FINE)), None):
-        assert not list(find_warnings(replace(good, misfit=fine)))
-
-
-def test_the_remedy_for_a_rough_measure_is_named_only_where_there_is_one(good: Calibration) -> None:
-    for measure, named in ((Currents(0.005, quadrature="centre"), True), (Currents(0.005), False)):
-        (found,) = find_warnings(put(validated(good, 2.0), "problem", discrepancies={"measure": measure}))
-        assert ("refined quadrature" in found) == named
+    assert not list(find_warnings(replace(good, misfit=misfit(condition(FINE)))))
 
 
 def test_reasons_to_doubt(good: Calibration, field: Finished) -> None:
     """The first counts."""
-    assert reason_to_doubt(good) is None
-    assert reason_to_doubt(good, {"verdict": "good"}) is None
+    assert reason_to_doubt(good) is reason_to_doubt(good, {"verdict": "good"}) is None
     assert "check with the true model" in str(reason_to_doubt(good, {"verdict": "bad"}))
     assert "leave-one-out error near the mode 0.9" in str(reason_to_doubt(validated(good, LOO_LIMIT + 0.4)))
     wrong = "the model does not explain what was observed"
@@ -159,7 +134,6 @@ def test_reasons_to_doubt(good: Calibration, field: Finished) -> None:
     assert reason_to_doubt(unsure) == "not converged, all 30 runs that were allowed are made"
     assert reason_to_doubt(put(unsure, "misfit", flagged=True)) == wrong
     assert reason_to_doubt(put(unsure, "field.certificate", converged=True)) is None
-    assert not list(offsets_of_runs(unsure)), "a surrogate of the field has a figure of its own draws"
 
 
 def test_each_doubt_about_a_surrogate_of_the_field_is_told_alone(field: Finished) -> None:
@@ -168,20 +142,13 @@ def test_each_doubt_about_a_surrogate_of_the_field_is_told_alone(field: Finished
 
     calibration, reasons = field.outcome.calibration, ("all 30 runs that were allowed are made",)
     step = Step(30, 27, "check", np.zeros(2), np.ones(2), 1e-4, None, None, BatchCheck(25, 3, None, True, ()))
-    ended = {"certificate": Certificate(False, reasons, (), (), None)}
-    blind = {"certificate": Certificate(True, (), (), (), None, 0.3, overlooks=True)}
-    failed = {"certificate": Certificate(True, (), (step,), (), step)}
-    shifted = {"effect": VarianceEffect(np.array([0.0, -0.3]), np.ones(2), 0.5)}
-    wide = {"effect": VarianceEffect(np.zeros(2), np.array([1.0, 1.5]), 0.5)}
     for changes, words in (
-        (ended, f"NOT CONVERGED: {reasons[0]}."),
-        (ended, "design.active.runs"),
-        (blind, "as design.active.unseen asks"),
-        (blind, "if it holds 30% or more of the prior's mass"),
-        (shifted, "by up to 0.30 standard deviations"),
-        (wide, "changes standard deviations by up to 50%"),
+        ({"certificate": Certificate(False, reasons, (), (), None)}, f"NOT CONVERGED: {reasons[0]}."),
+        ({"certificate": Certificate(True, (), (), (), None, 0.3, overlooks=True)}, "as design.active.unseen asks"),
+        ({"effect": VarianceEffect(np.array([0.0, -0.3]), np.ones(2), 0.5)}, "by up to 0.30 standard deviations"),
+        ({"effect": VarianceEffect(np.zeros(2), np.array([1.0, 1.5]), 0.5)}, "standard deviations by up to 50%"),
         ({"feasible": 0.9}, "10% of the posterior lies where runs are likely to fail"),
-        (failed, "3 of 25 runs at draws of the posterior failed"),
+        ({"certificate": Certificate(True, (), (step,), (), step)}, "3 of 25 runs at draws of the posterior failed"),
     ):
         (line,) = told(**changes)
         assert words in line
@@ -191,20 +158,16 @@ def test_each_doubt_about_a_surrogate_of_the_field_is_told_alone(field: Finished
 
 def test_a_surrogate_that_moves_points_or_knows_nothing_is_told(field: Finished) -> None:
     """Variances 10¹⁰ times as large: every value of the nuisance input is a guess then."""
-    calibration = field.outcome.calibration
+    calibration, place = field.outcome.calibration, "knowledge.likelihood.surrogate"
     surrogate = calibration.field.knowledge.likelihood.surrogate
-
-    def with_surrogate(**changes: Any) -> Any:
-        return put(calibration.field, "knowledge.likelihood.surrogate", **changes)
-
     layouts = {name: replace(layout, way="arclength") for name, layout in surrogate.layouts.items()}
-    (line,) = field_warnings(calibration, with_surrogate(layouts=layouts, registration_error=0.002))
+    moved_points = put(calibration.field, place, layouts=layouts, registration_error=0.002)
+    (line,) = field_warnings(calibration, moved_points)
     assert "by arclength, which moves them by up to 2 µm" in line
     wide = tuple(replace(process, widening=1e10 * process.widening) for process in surrogate.processes)
-    unsure = with_surrogate(processes=wide)
+    unsure = put(calibration.field, place, processes=wide)
     (line,) = field_warnings(calibration, unsure)
     assert line.startswith("The cut reading is a guess for 2 of its 2 values")
-    assert "the local noise hides" in line
     assert not list(field_warnings(replace(calibration, under_uncertainty=None), unsure))
 
 
@@ -225,24 +188,20 @@ def points_of(finished: Finished) -> np.ndarray:
 
 def test_an_observation_elsewhere_is_told_first(field: Finished, copy_of: Any, capsys: Any, monkeypatch: Any) -> None:
     monkeypatch.setattr("strandline.report.page.figure_groups", lambda *_: {})
-    assert field.outcome.summary["nearest"]["near"]
     assert "COMES NEAR" not in (field.folder / "report.html").read_text("utf-8")
     folder = copy_of(field)
     summary = observed_otherwise(folder, points_of(field) + np.array([50.0, 0.0]))["nearest"]
     last = capsys.readouterr().out.splitlines()[-1]
     assert last.startswith("NOTHING IN THE BOX COMES NEAR")
-    assert "Their centres lie 50 mm apart" in last
     assert (summary["near"], summary["message"]) == (False, last)
     page = (folder / "report.html").read_text("utf-8")
     first = page[page.index("for the result.</strong></p>") + 28 :].lstrip()
-    assert page[page.index("</h1>") + 5 :].lstrip().startswith('<p class="warnings"><strong>A draft: ')
     assert first.startswith('<p class="warnings"><strong>NOTHING IN THE BOX COMES NEAR')
 
 
-def test_a_reversed_contour_gives_the_same_posterior(beam: Finished, copy_of: Any, capsys: Any) -> None:
+def test_a_reversed_contour_gives_the_same_posterior(beam: Finished, copy_of: Any) -> None:
     """Of a model without an undeformed state: the runs say from which end it is run through."""
     found = observed_otherwise(copy_of(beam), points_of(beam)[::-1], report="none")
-    assert "report: " not in capsys.readouterr().out
     assert found["set_aside"] == []
     assert any("were turned round" in line for line in found["warnings"])
     for symbol, values in beam.outcome.summary["inputs"].items():
@@ -254,40 +213,17 @@ CONVERGED = {"converged": True, "check": {"draws": 16, "by": "runs at draws of t
 SURROGATE = {"kind": "field", "modes": 4, "n_train": 24, "predicted_error_um": {"median": 0.0346}}
 WORSE = {"flagged": True, "p": 1.0, "region_p": 0.006, "smooth_p": None}
 ERROR = {"probability": 0.98, "amplitude_um": 3.9, "amplitude_quantiles_um": {"median": 4.09}}
-INFERRED = {"stated": True, "prior": {"sd_um": 1.26, "length_um": 38.6}, "model_error": ERROR}
+INFERRED = {"inferred_noise": {"stated": True, "prior": {"sd_um": 1.26, "length_um": 38.6}, "model_error": ERROR}}
 WHOLE = {"shift_sd": 0.1, "rotation_sd": 3.0, "scale_sd": 0.01, "offset_sd": 0.0}
 DIFFERENCES = [
     ("misfit", WORSE, "The model does not explain the observation within the noise (p = 0.006)."),
-    ("nearest", {"message": "far"}, "No forward run comes near the observation"),
-    ("certificate", {"converged": False}, "ended before the posterior was confirmed by the true model"),
     ("certificate", CONVERGED, "The true model confirmed the posterior at 16 runs at draws of the posterior."),
-    ("certificate", CONVERGED, "chosen one batch after the other where the posterior lies"),
-    ("refinement", [{}], "from a Sobol design that was refined where the posterior lies"),
     ("surrogate", SURROGATE, "the interface (4 modes, 24 runs) took the place of the model; its error where the"),
-    ("surrogate", SURROGATE, "where the posterior lies is 0.035 µm"),
     ("truth", None, "from the observed shape of the interface, with V_in uncertain, by Bayesian calibration"),
     ("likelihood", {"point_sd": 0.003, "correlation_length": 0.05}, "of 3 µm, correlated over 50 µm along the inter"),
-    ("likelihood", {"inferred_noise": {}}, "that were inferred from the residuals."),
-    (
-        "likelihood",
-        {"inferred_noise": INFERRED},
-        "of 1.26 µm, correlated over 38.6 µm along the interface, and a",
-    ),
-    (
-        "likelihood",
-        {"inferred_noise": INFERRED},
-        "model error of probability 0.98 and median amplitude 4.09 µm, both",
-    ),
-    ("likelihood", {"inferred_noise": INFERRED}, "explains the observation within the noise and the model error (p = "),
+    ("likelihood", INFERRED, "model error of probability 0.98 and median amplitude 4.09 µm, both"),
     ("likelihood", WHOLE, "marginalised: 100 µm in position, 3° in rotation and 1 % in scale (standard deviations)"),
-    ("likelihood", {"discrepancy": "currents", "options": "Currents: width 0.005"}, "surface currents (width 0.005)"),
-    ("fixed", {"nu": 0.3}, "nu = 0.3 was known."),
-    ("quadrature_check", {"converged": True, "max_mean_error_sd": 0.0123}, "differ by at most 0.012 standard dev"),
-    (
-        "runs",
-        {"ok": 24, "failed": 2, "by_kind": {"limit_point": 2}},
-        "26 forward runs, 2 of which failed (2 × limit",
-    ),
+    ("runs", {"ok": 24, "failed": 2, "by_kind": {"limit_point": 2}}, "26 forward runs, 2 of which failed (2 × limit"),
 ]
 
 
@@ -297,29 +233,17 @@ def test_the_paragraph_for_a_paper_has_the_numbers_of_the_study_and_says_what_di
     sampler = {"particles": 5000, "ess": 4733.7, "rejuvenation_steps": 15, "zeta": 0.5, "tempering_steps": 6}
     inputs = {"E": {**stiffness, "mean": 396.1, "sd": 30.4}, "V_in": flow}
     summary = {**beam.outcome.summary, "inputs": inputs, "sampler": sampler, "quadrature_check": None}
-    plain = methods_paragraph(summary)
+    plain = methods_paragraph(summary).replace("\u00a0", " ")
     for words in (
         "We inferred E from a synthetic observation, with V_in uncertain, by Bayesian calibration",
         "uniform (low 100, high 800) for E in Pa and normal (mean 100, sd 5) for V_in in mm² s⁻¹.",
-        "the distances of tracked points, with Gaussian noise of variance",
         "We made 64 forward runs, from a Sobol design.",
-        "surrogate of the log-likelihood (64 runs)",
         "5000 particles (4734 effective), 15 rejuvenation steps and ζ = 0.5, in 6 tempering steps.",
         "The model explains the observation within the noise (p = ",
         "Posterior means and standard deviations are E = 396 ± 30 Pa.",
     ):
-        assert words in plain.replace("\u00a0", " "), words
+        assert words in plain, words
     for key, value, words in DIFFERENCES:
         value = {**summary[key], **value} if key == "likelihood" else value
         assert words in methods_paragraph({**summary, key: value}).replace("\u00a0", " "), words
         assert words not in plain
-
-
-def test_references_have_the_version_and_balanced_braces() -> None:
-    text = BIBTEX.format(version="1.2.3")
-    assert "version = {1.2.3}" in text
-    assert text.count("{") == text.count("}")
-    kinds = re.findall(r"^@(\w+)\{(\w+),", text, flags=re.M)
-    assert kinds == [("article", "willmann2022bayesian"), ("software", "strandline")]
-    citation = (Path(__file__).parents[3] / "CITATION.cff").read_text("utf-8")
-    assert all("10.1186/s40323-022-00237-5" in one for one in (text, citation))

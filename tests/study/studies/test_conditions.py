@@ -36,20 +36,12 @@ def test_all_results_tell_the_conditions(files, capsys):
     estimate, likelihood = summary["inputs"]["E"], summary["likelihood"]
     assert abs(estimate["mean"] - 400.0) < estimate["sd"]
     heavy, light = likelihood["conditions"]
-    assert (light["condition"], light["points"], heavy["condition"], heavy["points"]) == ("light", 34, "heavy", 34)
     assert (light["point_sd"], heavy["point_sd"], light["correlation_length"]) == pytest.approx((0.01, 0.03, 0.015))
-    for key in ("point_sd", "correlation_length", "noise_variance"):
-        assert likelihood[key] == heavy[key]
     data = read(files.folder / "posterior.nc")["observed_data"].to_dataset()
     points = TwoLoads()(INPUTS, files.folder).interfaces["heavy"].points
     np.testing.assert_allclose(data["interface_heavy"], points, rtol=1e-12)
-    page = files.outcome.report.read_text()
-    assert "<tr><td>heavy</td><td>34</td>" in page
-    assert "by condition." in page
-    assert page.count('id="interfaces"') == 1
-    shown = printed(capsys, "check", str(files.folder))
-    assert "observed conditions: heavy, light" in shown
-    assert "closest_point: log-likelihood -" in shown
+    assert "<tr><td>heavy</td><td>34</td>" in files.outcome.report.read_text()
+    assert "observed conditions: heavy, light" in printed(capsys, "check", str(files.folder))
 
 
 def test_sensitivities_are_added_to_known_runs(files, tmp_path):
@@ -64,21 +56,13 @@ def test_sensitivities_are_added_to_known_runs(files, tmp_path):
     asked = run_study(study, executor=InProcess())
     assert (asked.summary["runs"]["new"], asked.summary["runs"]["reused"]) == (16, 0)
     assert (study.runs.known, progress_of(study).to_do) == (16, 0)
-    study.runs.require_finished()
     for one, other in zip(files.outcome.calibration.records, asked.calibration.records, strict=True):
         assert one.key == other.key
         assert (list(one.sensitivities), list(other.sensitivities)) == ([], ["light", "heavy"])
-    light, heavy = asked.calibration.problem.observations
-    assert (light.condition, heavy.condition) == ("light", "heavy")
-    other = load_study(write_study(tmp_path / "second", **content | {"reuse": ["../study"]}))
-    with other.runs.ledger() as ledger:
-        other.runs.take_over(ledger)
-        assert all(record.sensitivities and record.origin for record in ledger)
     checked = check_posterior(load_study(study.folder), draws=30, executor=InProcess()).content
     assert [item["condition"] for item in checked["interfaces"]] == ["light", "heavy"]
     light, heavy = (max(item["offset"]["q95"]) for item in checked["interfaces"])
     assert heavy == pytest.approx(2.5 * light, rel=0.1)
-    assert checked["verdict"] != "bad"
     with Ledger.open(study.folder / "check.sqlite", model=None, read_only=True) as ledger:
         assert all(record.ok and not record.sensitivities for record in ledger)
 
@@ -87,18 +71,14 @@ def test_a_forward_run_writes_a_file_for_each_condition(tmp_path, capsys):
     """The files can be observed, and have the slopes that are asked for; what cannot be is refused before the run."""
     folder, exact = write_study(tmp_path / "study", **SMALL), TwoLoads(sensitivities=True)(INPUTS, tmp_path)
     run = ["forward", str(folder), "--set", "E=400", "--csv"]
-    told = "tip_light 0.1, tip_heavy 0.25\n  light: 34 points\n  heavy: 34 points\n"
-    wrote = "".join(f"wrote {folder / f'seen-{name}.csv'}\n" for name in TwoLoads.conditions)
-    assert printed(capsys, *run, str(folder / "seen.csv")).endswith(told + wrote)
+    assert "light: 34 points\n  heavy: 34 points\n" in printed(capsys, *run, str(folder / "seen.csv"))
     seen = [{"condition": name, "file": f"seen-{name}.csv", "unit": "mm"} for name in TwoLoads.conditions]
     study = load_study(write_study(folder, **SMALL | {"observation": seen}))
     for name, interface in exact.interfaces.items():
         np.testing.assert_array_equal(study.observed[name].points, interface.points)
     run = [*run, str(tmp_path / "s.csv"), "--sensitivities"]
-    assert "  heavy: d/dE up to 0.000626755 mm per Pa\n" in printed(capsys, *run)
     found = json.loads(printed(capsys, *run, "--json"))
     for condition in TwoLoads.conditions:
-        assert found["csv"][condition] == str(tmp_path / f"s-{condition}.csv")
         for name in INPUTS:
             slopes = found["sensitivities"][condition][name]
             np.testing.assert_array_equal(slopes, exact.sensitivities[condition][name])
@@ -108,5 +88,3 @@ def test_a_forward_run_writes_a_file_for_each_condition(tmp_path, capsys):
     (tmp_path / "t-heavy.csv").mkdir()
     assert "t-heavy.csv, a folder" in refused(capsys, *run[:-2], str(tmp_path / "t.csv"))
     assert not (tmp_path / "t-light.csv").exists()
-    beam = ["forward", str(write_study(tmp_path / "beam")), "--set", "E=400", "--set", "tilt=0", "--sensitivities"]
-    assert "this model offers none" in refused(capsys, *beam)

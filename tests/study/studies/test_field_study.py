@@ -1,6 +1,5 @@
 """A finished study by a surrogate of the interface: noise of its points, a nuisance input, both of its readings."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,10 +8,7 @@ import pytest
 from tests.study.conftest import NOISY, SAMPLER, finish
 from tests.study.studies import exact
 
-from strandline.discrepancy import NormalOffset
-from strandline.interface import PointErrors
-from strandline.likelihood import InterfaceLikelihood
-from strandline.posterior import cut_from_datatree, from_datatree, read
+from strandline.posterior import read
 from strandline.report.warnings import find_warnings
 from strandline.runs import InProcess
 from strandline.studies import check_posterior, load_study
@@ -42,9 +38,6 @@ def test_the_posterior_is_that_of_the_model_and_the_report_shows_both_readings(f
     assert field.outcome.summary["log_evidence"] == pytest.approx(evidence, abs=0.3)
     page = field.outcome.report.read_text()
     assert "with tilt uncertain" in " ".join(page.split())
-    for name in ("cut_marginals", "nuisance"):
-        assert f'id="{name}"' in page
-        assert (field.folder / "figures" / f"{name}.png").is_file()
     for reading in ("joint", "cut"):
         assert f"{field.outcome.summary['under_uncertainty'][reading]['inputs']['E']['mean']:.4g}" in page
 
@@ -62,93 +55,50 @@ def test_both_readings_are_those_of_the_model(uncertain):
         found = both[name]["inputs"]["E"]
         assert abs(found["mean"] - mean) < 0.15 * sd
         assert found["sd"] == pytest.approx(sd, rel=0.1)
-        assert abs(found["map"] - mean) < 2 * sd
     check = both["cut"]["quadrature_check"]
-    assert check["converged"]
     assert (check["E"]["mean"], check["E"]["sd"]) == pytest.approx(cut, rel=0.05)
     assert max(check["max_mean_error_sd"], check["max_sd_ratio_error"]) < 0.1
+    assert both["joint"]["inputs"]["E"]["mean"] == pytest.approx(uncertain.outcome.summary["inputs"]["E"]["mean"])
     assert abs(joint[0] - cut[0]) > 0.2 * joint[1] or abs(joint[1] / cut[1] - 1) > 0.2, "exchanged: unseen"
 
 
-def test_the_summary_agrees_with_itself_and_with_the_file(uncertain):
-    summary, found = uncertain.outcome.summary, uncertain.outcome.calibration.under_uncertainty
-    both = summary["under_uncertainty"]
-    assert [item["nuisance"] for item in summary["inputs"].values()] == [True, False]
-    assert both["joint"]["inputs"].keys() == both["cut"]["inputs"].keys() == {"E"}
-    assert both["joint"]["inputs"]["E"]["mean"] == pytest.approx(summary["inputs"]["E"]["mean"])
-    assert both["joint"]["map_bins"] == both["cut"]["map_bins"]
-    assert both["cut"]["covariance"] == [[pytest.approx(both["cut"]["inputs"]["E"]["sd"] ** 2)]]
-    assert len(both["cut"]["nuisance_values"]["tilt"]) == len(both["cut"]["log_evidence"]) == 4
-    assert both["cut"]["particles"] == found.cut.extended.number
-    assert len(summary["laplace"]["eigenvalues"]) == 2
-    assert list(summary["seconds"]) == ["forward", "surrogate", "sampling", "cut", "check", "report"]
-    assert json.loads((uncertain.folder / "summary.json").read_text())["under_uncertainty"] == both
-    tree, space = read(uncertain.folder / "posterior.nc"), uncertain.study.space
-    cut = cut_from_datatree(tree, space)
-    np.testing.assert_array_equal(cut.extended.draws, found.cut.extended.draws)
-    np.testing.assert_array_equal(cut.value_index, found.cut.value_index)
-    np.testing.assert_array_equal(from_datatree(tree, space).draws, found.joint.extended.draws)
-
-
 def test_a_doubtful_cut_reading_is_told(uncertain):
-    """Planted: a rough surrogate, a quadrature that finds another mean, draws at a bound."""
+    """Planted: a quadrature that finds another mean, draws at a bound."""
     calibration = uncertain.outcome.calibration
-    parts, found, surrogate = calibration.cut_quadrature, calibration.under_uncertainty, calibration.surrogate
-    validation = replace(surrogate.validation, residuals=surrogate.validation.residuals + 3.0)
-    rough = replace(calibration, surrogates={"tracked_points": replace(surrogate, validation=validation)})
+    parts, found = calibration.cut_quadrature, calibration.under_uncertainty
     moved = replace(calibration, cut_quadrature=tuple(replace(part, mean=part.mean + 10.0) for part in parts))
     draws = found.cut.extended.draws.copy()
     draws[found.cut.value_index == 0, 1] = 301.0
     cut = replace(found.cut, extended=replace(found.cut.extended, draws=draws))
     bound = replace(calibration, under_uncertainty=replace(found, cut=cut))
-    before = list(find_warnings(calibration))
     for doubtful, words in (
-        (rough, "less certain than the joint one"),
         (moved, "quadrature of the cut reading differ"),
         (bound, "The cut reading of E reaches the lower end of its box, 300 Pa"),
     ):
-        assert any(words in warning for warning in find_warnings(doubtful))
-        assert not any(words in warning for warning in before)
+        told = [any(words in warning for warning in find_warnings(one)) for one in (calibration, doubtful)]
+        assert told == [False, True]
 
 
 def test_the_noisy_interface_is_what_was_observed_also_by_the_check_of_the_posterior(field, copy_of):
     (seen,) = field.outcome.calibration.problem.observations
     true = simulator(TRUTH, Path()).interface
-    noise = SyntheticNoise(0.003, 1)
-    np.testing.assert_array_equal(seen.interface.points, noisy({"": true}, noise)[""].points)
+    np.testing.assert_array_equal(seen.interface.points, noisy({"": true}, SyntheticNoise(0.003, 1))[""].points)
     stored = read(field.folder / "posterior.nc")["observed_data"]
     assert any(np.array_equal(stored[name].values, seen.interface.points) for name in stored.data_vars)
-    summary = field.outcome.summary
-    assert summary["synthetic_noise"] == {"sd": 0.003, "seed": 1}
-    (condition,) = summary["likelihood"]["conditions"]
+    (condition,) = field.outcome.summary["likelihood"]["conditions"]
     assert (condition["point_sd"], condition["correlation_length"], condition["noise_variance"]) == (0.003, 0.0, 1.0)
-    assert condition.items() - {"condition": "", "points": 17}.items() <= summary["likelihood"].items()
     # The surrogate is nearly exact, so it agrees with the true log-likelihood; without the noise it would not.
     content = check_posterior(load_study(copy_of(field)), draws=20, executor=InProcess()).content
     assert abs(content["log_likelihood"]["mean_difference"]) < 1.0
-    with_it, without = (
-        InterfaceLikelihood((one,), NormalOffset())({"": true}) for one in (seen, replace(seen, interface=true))
-    )
-    assert without - with_it > 5.0
 
 
 def test_a_study_with_unknown_noise(tmp_path):
     noise = {"sd": [1, 9], "length": "unknown", "unit": "um", "model_error": True}
     content = {**NOISY, "discrepancy": {"normal_offset": {}}, "noise": noise, "design": {"sobol": {"runs": 32}}}
-    finished = finish(tmp_path / "beam", report="none", **content)
-    summary = finished.outcome.summary
+    summary = finish(tmp_path / "beam", report="none", **content).outcome.summary
     found = summary["likelihood"]["inferred_noise"]
     assert 1.0 < found["sd_um"]["q05"] < found["sd_um"]["median"] < found["sd_um"]["q95"] < 9.0
     assert 0 <= found["model_error"]["probability"] <= 1
-    assert found["prior"] == {"sd_um": [1.0, 9.0], "length_um": None}
-    for name in ("amplitude_quantiles_um", "length_um"):
-        assert 0 < found["model_error"][name]["q05"] <= found["model_error"][name]["q95"]
-    (seen,) = finished.outcome.calibration.problem.observations
-    whole = 1e3 * float(seen.interface.lengths.sum())
-    assert 0.05 * whole <= found["model_error"]["length_um"]["median"] * 1.0001 <= 0.5001 * whole
     without, with_it = found["without_model_error"]["E"], summary["inputs"]["E"]
     assert 0 < without["sd"] < 1.3 * with_it["sd"]
     assert abs(without["mean"] - 400.0) < 4 * without["sd"]
-    stated = PointErrors(0.003, 0.015, 0.008, 0.5, 0.005, 0.002).facts
-    told = (Path(__file__).parents[3] / "docs" / "reference" / "summary.md").read_text("utf-8")
-    assert [key for key in stated if f"`likelihood.{key}`" not in told] == []

@@ -3,12 +3,10 @@
 import json
 from unittest.mock import Mock
 
-import numpy as np
 import pytest
 from tests.study.conftest import SAMPLER, Finished
 
 from strandline.calibration import Observer
-from strandline.cli import main
 from strandline.errors import InvalidStudy
 from strandline.runs import InProcess, Ledger
 from strandline.studies import load_study, run_study
@@ -28,8 +26,6 @@ def refined(tmp_path_factory):
     """Stopped among the runs of the second round, and finished; the noted plan tells the same as the loaded study."""
     folder = write_study(tmp_path_factory.mktemp("refined") / "beam", **SMALL)
     study, ended = load_study(folder), []
-    assert recorded_plan(folder) is None
-    assert progress_in(folder) == progress_of(study)
 
     def run(record, progress):
         ended.append(record.state)
@@ -42,9 +38,7 @@ def refined(tmp_path_factory):
         run_study(study, executor=InProcess(), observer=Observer(run=run))
     state = progress_in(folder)
     assert (state.planned, state.done, state.to_do, state.open) == (32, 28, 4, 0)
-    assert (state.ok, state.failed) == (ended.count("ok"), ended.count("failed"))
-    assert state.failures["large_deflection"].count == state.failed > 0
-    assert study.runs.known == 28
+    assert state.failures["large_deflection"].count == state.failed == ended.count("failed") > 0
     with pytest.raises(InvalidStudy, match="got 29 of 33 forward runs done"):
         study.runs.require_finished()
     study = load_study(folder)
@@ -57,45 +51,31 @@ def test_what_was_stopped_goes_on_and_the_rounds_are_told(refined):
     first, second = summary["refinement"]
     assert (summary["runs"]["new"], summary["runs"]["reused"]) == (4, 28)
     assert summary["runs"]["by_kind"] == {"large_deflection": summary["runs"]["failed"]}
-    assert summary["runs"]["failed"] > 5
     assert 8 <= first["n_train"] < second["n_train"] < summary["surrogate"]["n_train"] == summary["runs"]["ok"]
-    assert np.isfinite(first["shift"]["E"])
     study = refined.study
     study.runs.require_finished()
     state = progress_of(study)
     assert (state.planned, state.done, state.to_do, state.results) == (32, 32, 0, "current")
-    assert state == progress_in(refined.folder)
-    assert recorded_plan(refined.folder) == study.runs.plan
     assert [len(keys) for keys in study.runs.rounds] == [6, 6]
     with Ledger.open(study.ledger_path, model=study.model, read_only=True) as ledger:
         assert {record.key for record in ledger} == set(study.runs.needed_keys)
 
 
-def test_another_study_file_makes_the_results_outdated(refined, copy_of, capsys):
-    folder = write_study(copy_of(refined), **SMALL | {"seed": 2})
-    assert recorded_plan(folder) is None
+def test_results_and_rounds_belong_to_their_study_file(refined, copy_of):
+    folder = copy_of(refined)
+    study = load_study(folder)
+    assert (study.runs.planned, len(study.runs.rounds)) == (32, 2)
+    changed = load_study(write_study(folder, **SMALL | {"seed": 2}))
+    assert (changed.runs.rounds, changed.runs.planned) == ([], 32)
     state = progress_in(folder)
     assert (state.results, state.planned, state.done) == ("outdated", 32, 20)
-    main(["check", str(write_study(folder, **SMALL | {"fixed": {"load": 1e-5}}))])
-    assert "32 forward runs planned (20 and 2 rounds of 6), 0 of them known already" in capsys.readouterr().out
-
-
-def test_rounds_belong_to_their_study_file(refined, tmp_path):
-    other = write_study(tmp_path / "beam", **SMALL)
-    (other / "refinement.json").write_bytes((refined.folder / "refinement.json").read_bytes())
-    study = load_study(other)
-    assert (study.runs.planned, len(study.runs.rounds)) == (32, 2)
-    for text in ("", "[]", '{"rounds": 3}', json.dumps({"study_sha256": study.text_digest, "rounds": "x"})):
-        (other / "refinement.json").write_text(text)
+    for text in ("[]", json.dumps({"study_sha256": study.text_digest, "rounds": "x"})):
+        (folder / "refinement.json").write_text(text)
         assert study.runs.rounds == []
-    assert progress_of(study).planned == 32
-    changed = load_study(write_study(other, **{**SMALL, "seed": 2}))
-    assert (changed.runs.rounds, changed.runs.planned) == ([], 32)
 
 
 def test_rounds_are_taken_over_from_a_study_that_is_reused(refined, tmp_path):
     """The runs of the first round are at hand when the study asks for them; it is stopped there."""
-
     study = load_study(write_study(tmp_path / "beam", **SMALL, reuse=[str(refined.folder)]))
     with pytest.raises(KeyboardInterrupt):
         run_study(study, executor=InProcess(), observer=Observer(draws=Mock(side_effect=KeyboardInterrupt)))

@@ -1,6 +1,5 @@
 """Results read back, other posteriors from the same runs, and what `doctor` and `backup` make of a finished study."""
 
-import json
 import shutil
 import sqlite3
 from contextlib import closing
@@ -8,14 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from tests.unit.cli.command_line import contents, ends, printed, refused
 
 import strandline as sl
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.runs import Ledger, RunRequest
-from strandline.studies import load_study
-from strandline.studies.doctor import examine
 from strandline.testing.studies import write_study
 
 
@@ -29,36 +25,23 @@ def runs_in(folder):
         return ledger.counts().total
 
 
-def test_it_is_what_the_study_wrote_and_the_same_noise_gives_it_again(beam, result):
+def test_it_is_what_the_study_wrote_and_other_noise_and_measures_need_no_run(beam, result):
     found, before = result.posterior, runs_in(beam.folder)
     for name, mean, sd in zip(found.space.names, found.mean, found.sd, strict=True):
         told = result.summary["inputs"][name]
         assert (told["mean"], told["sd"]) == pytest.approx((mean, sd))
     same = result.with_noise(sd=0.003)
     np.testing.assert_allclose(same.posterior.draws, result.posterior.draws, rtol=1e-9)
-    assert runs_in(beam.folder) == before
     for one in (result, result.study, result.posterior, same):
         assert len(repr(one).splitlines()) == 1
-        assert one._repr_html_().count("<table>") == one._repr_html_().count("</table>") >= 1
-
-
-def test_another_measure_without_a_run(beam, result):
-    before = runs_in(beam.folder)
-    found = result.with_measure("closest_point", direction="symmetric")
-    assert list(found.problem.discrepancies.values()) == [sl.ClosestPoint(direction="symmetric")]
-    assert not np.array_equal(found.posterior.draws, result.posterior.draws)
+        assert "</table>" in one._repr_html_()
+    other = result.with_measure("closest_point", direction="symmetric")
+    assert list(other.problem.discrepancies.values()) == [sl.ClosestPoint(direction="symmetric")]
+    assert not np.array_equal(other.posterior.draws, result.posterior.draws)
     by_object = result.with_noise(errors=sl.PointErrors(0.001), measure=sl.NormalOffset())
     assert list(by_object.problem.discrepancies) == ["NormalOffset"]
     assert (by_object.posterior.sd < result.posterior.sd).all()
     assert runs_in(beam.folder) == before
-
-
-def test_it_draws_into_given_axes(result):
-    joint, marginal, particles = Figure().subplots(1, 3)
-    assert result.plot.joint(ax=joint) is joint
-    assert result.plot.marginal("E", ax=marginal) is marginal
-    assert result.plot.particles("tilt", ax=particles) is particles
-    assert particles.get_xlabel().startswith("tilt")
 
 
 def test_what_there_is_not_is_refused(result, beam, copy_of, tmp_path):
@@ -67,21 +50,12 @@ def test_what_there_is_not_is_refused(result, beam, copy_of, tmp_path):
             result.with_noise(**noise)
     with pytest.raises(InvalidInput, match="Did you mean currents"):
         result.with_measure("current")
-    with pytest.raises(InvalidInput, match="unknown option"):
-        result.with_measure("currents", widht=1.0)
-    with pytest.raises(InvalidInput, match="is an object"):
-        result.with_measure(sl.ClosestPoint(), direction="symmetric")
     with pytest.raises(InvalidStudy, match="not finished"):
         sl.load_result(write_study(tmp_path / "new"))
     folder = copy_of(beam)
     (folder / "summary.json").unlink()
     with pytest.raises(InvalidStudy, match="strandline report"):
         sl.load_result(folder)
-
-
-def summary_with(folder, **changes):
-    path = folder / "summary.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
 
 
 def tamper(folder):
@@ -98,11 +72,6 @@ def without_outcome(folder):
     (folder / "study.yaml").write_text(text)
 
 
-def exclude(folder):
-    with Ledger.open(folder / "ledger.sqlite", model="test:beam-1") as ledger:
-        ledger.exclude(load_study(folder).runs.design_keys[5], "odd")
-
-
 def answer_before(folder):
     for name in ANSWERS:
         (folder / name).write_text('{"study_sha256": "that of another study.yaml"}')
@@ -112,12 +81,8 @@ ANSWERS = ("check.json", "coverage.json", "next.json", "what-if.json", "specimen
 WRONG = (
     (tamper, "1 outcome(s) do not match their checksum"),
     (without_outcome, "1 of 65 planned runs have no outcome"),
-    (exclude, "the ledger has changed since the results were made"),
     (lambda folder: (folder / ".summary.json.7.partial").touch(), "left by a process that was killed"),
-    (lambda folder: summary_with(folder, version="0.0.1"), "other versions: strandline 0.0.1"),
-    (lambda folder: summary_with(folder, model="m"), "made with the model m"),
     (lambda folder: (folder / "posterior.nc").unlink(), "missing next to summary.json: posterior.nc"),
-    (lambda folder: (folder / "summary.json").unlink(), "without a readable summary.json"),
     (answer_before, *(f"{name} is of another study.yaml" for name in ANSWERS)),
     (lambda folder: (folder / "study.yaml").write_text("version: 1\n"), "study.yaml cannot be used"),
 )
@@ -128,10 +93,9 @@ def test_what_is_wrong_is_found_and_has_a_remedy(beam, tmp_path, capsys):
         folder = Path(shutil.copytree(beam.folder, tmp_path / str(number)))
         spoil(folder)
         assert ends("doctor", str(folder)) == 1
-        shown, found = capsys.readouterr().out, examine(folder)
+        shown = capsys.readouterr().out
         assert [word for word in words if word not in shown] == []
-        assert all(finding.remedy for finding in found)
-        assert shown.count("\n  -> ") == len(found)
+        assert "\n  -> " in shown
 
 
 def test_a_finished_study_is_sound_and_a_backup_holds_all_its_runs(beam, copy_of, tmp_path, capsys):

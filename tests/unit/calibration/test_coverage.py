@@ -16,12 +16,11 @@ from strandline.calibration.experiment import CoordinateErrors
 from strandline.calibration.field_quality import field_quality
 from strandline.calibration.footprint import footprint
 from strandline.calibration.source import posterior_source, prior_source
-from strandline.discrepancy import ClosestPoint, Currents, NormalOffset, signed_distances
+from strandline.discrepancy import ClosestPoint, NormalOffset, signed_distances
 from strandline.errors import InvalidInput
 from strandline.interface import GaussianNoise, Interface, Observation, PointErrors
 from strandline.likelihood import compared
 from strandline.posterior import Posterior
-from strandline.posterior.uniformity import weighted_ranks
 
 NOISE = GaussianNoise(0.03**2)
 
@@ -59,7 +58,6 @@ def test_right_noise_gives_uniform_ranks():
         assert least_p(found) > 1e-3, measure
         assert np.abs(found.z.std(axis=0) - 1).max() < 0.5
         assert 0.8 < found.of_limit.min() <= found.of_limit.max() < 1.5
-        assert all(one.by == "importance" for one in found.replicates)
 
 
 def test_wrong_noise_shows():
@@ -88,7 +86,6 @@ def test_a_replicate_depends_on_seed_and_number_alone_and_tempering_takes_over(m
     assert (first.by, other.by) == ("importance", "smc")
     np.testing.assert_array_equal(other.truth, first.truth)
     assert np.abs((other.mean - first.mean) / first.sd).max() < 0.3
-    assert np.abs(other.sd / first.sd - 1).max() < 0.25
 
 
 @cache
@@ -105,24 +102,20 @@ def test_truths_from_the_posterior():
     source = posterior_source(known(NOISE, TRACKED), stored())
     found = repeated(source)
     assert least_p(found) > 1e-3
-    prior = prior_source(source.knowledge, SPACE)
-    before, after = (np.sqrt(np.diag(one.covariance)) for one in (prior, source))
-    assert (after < 0.5 * before).all()
+    after = np.sqrt(np.diag(source.covariance))
     assert (found.sd < 0.9 * after).all()  # the repeated observation adds to the real one
     spread = np.array([one.truth for one in found.replicates]).std(axis=0)
     assert (np.abs(spread / after - 1) < 0.5).all()
     assert not repeated(source, GaussianNoise(NOISE.variance / 16)).calibrated
 
 
-def test_the_density_of_a_source_is_normalised_inside_the_prior():
+def test_the_density_of_a_source_is_normalised():
     found = known(NOISE, TRACKED)
     u = (np.stack(np.meshgrid(np.arange(60), np.arange(60), indexing="ij"), axis=-1).reshape(-1, 2) + 0.5) / 60
     x, cell = SPACE.to_physical(u), np.prod(SPACE.high - SPACE.low) / 60**2
     for source, error in ((prior_source(found, SPACE), 1e-9), (posterior_source(found, stored()), 0.25)):
         mass = np.exp(source.log_density(x, found.surrogate.mean(x))).sum() * cell
         assert mass == pytest.approx(1.0, abs=error)
-        some = np.array([[0.3, 0.0], [0.3, 0.5], [-1.0, 0.0], [0.2, -0.1]])
-        assert source.inside(some).tolist() == [True, False, False, True]
     with pytest.raises(InvalidInput, match="disagree"):
         posterior_source(found, replace(stored(), log_likelihood=-20 * stored().log_likelihood))
 
@@ -138,24 +131,9 @@ def test_a_coarse_surrogate_is_noticed():
     assert coarse.beyond > 0.5
 
 
-def test_the_fit_shows_what_is_spread_over_seven_inputs():
-    """Planted: variances that are half as large as they should be, which no single input shows in 20 replicates."""
-    for narrow in (1.0, 0.5):
-        random, made, one = np.random.default_rng(2), [], np.ones(7)
-        for k in range(20):
-            truth, draws = random.normal(size=7), np.sqrt(narrow) * random.normal(size=(500, 7))
-            fit = float(np.mean((draws**2).sum(axis=1) > truth @ truth))
-            ranks = weighted_ranks(draws, np.full(len(draws), 1 / len(draws)), truth)
-            made.append(Replicate(k, truth, ranks, fit, 0 * one, one, one, 500.0, "importance"))
-        found = CoverageFound(tuple("abcdefg"), tuple(made))
-        assert all(band.inside for band in found.bands)
-        assert found.calibrated is found.fit_band.inside is (narrow == 1.0)
-        assert found.calibrated or "fit best" in found.verdict
-
-
-def gaussians(shift=0.0, width=1.0, number=200, *, fit=1.0):
+def gaussians(shift=0.0, width=1.0, fit=1.0):
     """Return what posteriors show whose z-scores are Gaussian; `fit` is the power of the ranks of the likelihood."""
-    random, even = np.random.default_rng(3), (np.arange(number) + 0.5) / number
+    random, even = np.random.default_rng(3), (np.arange(200) + 0.5) / 200
     first, second, fits = (random.permutation(even) for _ in range(3))
     z = np.stack([norm.ppf(first), shift + width * norm.ppf(second)], axis=1)
     one, half = np.ones(2), np.full(2, 0.5)
@@ -170,22 +148,14 @@ def test_the_verdict_in_words():
     for wrong, how, words in (
         ({}, "calibrated", "all ranks stay inside the 95 % band."),
         ({"fit": 3.0}, "too narrow", "the truth is among the 90 % of its draws that fit best in 53.5 % of"),
-        ({"width": 1.8}, "too narrow", "90 % intervals of nu contain the truth in 6"),
         ({"width": 0.5}, "too wide", "90 % intervals of nu contain the truth in 100 % of"),
         ({"shift": 0.6}, "shifted", "means of nu are 0.6 standard deviations too low."),
-        ({"shift": -0.6}, "shifted", "means of nu are 0.6 standard deviations too high."),
     ):
-        found = gaussians(**wrong)
-        assert found.verdict.startswith(f"The posterior is {how}: {words}")
-        assert (found.calibrated, len(found.remarks), found.bands[0].inside) == (not wrong, 1, True)
-        np.testing.assert_allclose(found.of_limit, 2.0)
-    (few,) = gaussians(number=40).remarks
-    assert "40 replicates show only gross errors; make at least 100" in few
+        assert gaussians(**wrong).verdict.startswith(f"The posterior is {how}: {words}")
 
 
 ERRORS = PointErrors(SD, 0.1, shift=0.02, rotation=1.0, offset=0.01)
-TO_SIMULATED = ClosestPoint(direction="to_simulated")
-OFFSET = NormalOffset()
+TO_SIMULATED, OFFSET = ClosestPoint(direction="to_simulated"), NormalOffset()
 
 
 @cache
@@ -196,31 +166,19 @@ def experiment(noise, measure=OFFSET, conditions=("",)):
 
 
 def test_stated_errors_are_drawn_and_analysed_with_the_noise_of_the_real_observation():
-    assert experiment(ERRORS).errors[""] == experiment(ERRORS).noises[""] == ERRORS
-    for errors in (PointErrors(SD), PointErrors(SD, offset=0.02)):
-        found, real = experiment(errors, TO_SIMULATED), seen(PointErrors(SD))
-        repeated = compared(Observation(real.resampled(37), found.noises[""]), TO_SIMULATED, 41)
-        expected = compared(Observation(real, errors), TO_SIMULATED, 41)
-        assert (found.errors[""], repeated.noise) == (errors, expected.noise)
-        if errors.offset:
-            assert repeated.measure.variance == expected.measure.variance
+    errors = PointErrors(SD, offset=0.02)
+    found, real = experiment(errors, TO_SIMULATED), seen(PointErrors(SD))
+    repeated = compared(Observation(real.resampled(37), found.noises[""]), TO_SIMULATED, 41)
+    expected = compared(Observation(real, errors), TO_SIMULATED, 41)
+    assert (found.errors[""], repeated.noise) == (errors, expected.noise)
+    assert repeated.measure.variance == expected.measure.variance
 
 
-def test_errors_of_a_variance_are_those_for_which_it_is_right(monkeypatch):
+def test_errors_of_a_variance_are_those_for_which_it_is_right():
     for measure, kind in ((TO_SIMULATED, PointErrors), (TRACKED, CoordinateErrors), (OFFSET, PointErrors)):
         found = experiment(GaussianNoise(SD**2), measure).errors[""]
         assert isinstance(found, kind)
         assert found.sd == pytest.approx(SD, rel=1e-6)
-    mean = ClosestPoint(direction="to_simulated", weighting="length")
-    errors = experiment(GaussianNoise(1e-6), mean).errors[""]
-    assert mean.noise_variance(errors, seen(PointErrors(SD))) == pytest.approx(1e-6, rel=1e-6)
-
-    def refuse(*given):
-        raise InvalidInput("noise", value=1, expected="less", remedy="None.")
-
-    monkeypatch.setattr("strandline.calibration.experiment.stated_errors", refuse)
-    with pytest.raises(InvalidInput, match="State these errors"):
-        experiment(GaussianNoise(1e-4), Currents(0.1))
 
 
 def middles(found):
@@ -231,10 +189,8 @@ def middles(found):
     return np.array([[one.interface.points.mean(axis=0) - true[one.condition] for one in seen] for seen in drawn])
 
 
-def test_truths_are_observed_where_the_real_one_was_off_by_the_stated_errors_which_conditions_may_share():
+def test_truths_are_observed_with_the_stated_errors_which_conditions_may_share():
     found, random = experiment(PointErrors(SD)), np.random.default_rng(2)
-    (true,) = found.truths(np.array([0.25, 0.1])).values()
-    np.testing.assert_allclose(true.points, arch(np.array([0.25, 0.1])).points, atol=1e-3)
     truths = found.truths(TRUTH)
     off = [signed_distances(found.observed(truths, random)[0].interface.points, truths[""]) for _ in range(40)]
     assert np.std(off) == pytest.approx(SD, rel=0.1)
@@ -246,21 +202,16 @@ def test_truths_are_observed_where_the_real_one_was_off_by_the_stated_errors_whi
     assert np.abs(apart[:, 0] - apart[:, 1]).max() > 0.02
 
 
-def slopes(factor=1.0, step=1e-5):
-    """Return the derivatives of the points of an arch, (point, xyz, dim)."""
+def across(true, factor=1.0, step=1e-5):
+    """Return the derivatives of the points of an arch along its normals, (point, dim)."""
     changes = [arch(TRUTH + step * e, factor).points - arch(TRUTH - step * e, factor).points for e in np.eye(2)]
-    return np.stack(changes, axis=2) / (2 * step)
-
-
-def across(true, factor=1.0):
-    """Return the derivatives of the points along the normals, (point, dim)."""
     normals = true.normals
     ends = np.concatenate([normals[:1], 0.5 * (normals[1:] + normals[:-1]), normals[-1:]])
-    return np.einsum("px,pxd->pd", ends / np.linalg.norm(ends, axis=1)[:, None], slopes(factor))
+    return np.einsum("px,dpx->pd", ends / np.linalg.norm(ends, axis=1)[:, None], changes) / (2 * step)
 
 
 def test_the_information_is_that_of_the_dense_covariance():
-    """Of one condition, of errors that two share, and of tracked points."""
+    """Of one condition, and of errors that two share."""
     for errors, conditions in ((ERRORS, ("",)), (PointErrors(SD, shift=0.1, shared=True), ("1", "1.5"))):
         found = experiment(errors, conditions=conditions)
         truths = found.truths(TRUTH)
@@ -269,33 +220,15 @@ def test_the_information_is_that_of_the_dense_covariance():
         J = np.concatenate([across(true, float(name or 1.0)) for name, true in truths.items()])
         expected = J.T @ np.linalg.solve(np.diag(np.concatenate([one.local for one in models])) + B @ B.T, J)
         np.testing.assert_allclose(found.information(TRUTH, truths), expected, rtol=0.06, atol=0.03 * expected.max())
-    found, J = experiment(GaussianNoise(SD**2), TRACKED), slopes().reshape(-1, 2)
-    expected, information = J.T @ J / SD**2, found.information(TRUTH, found.truths(TRUTH))
-    np.testing.assert_allclose(information, expected, rtol=0.03, atol=0.02 * expected.max())
-
-
-def curve(number=401):
-    t = np.linspace(0.0, 1.0, number)
-    return Interface.polyline(np.stack([t, 0.3 * np.sin(np.pi * t)], axis=1))
-
-
-def circle(angle, *, closed=True):
-    return Interface.polyline(np.stack([np.cos(angle), np.sin(angle)], axis=1), closed=closed)
 
 
 def test_a_part_stays_that_part_when_the_interface_moves_and_noise_changes_no_order():
-    """Places are weighted means of the nodes, also where there are as many points as nodes."""
-    true = arch(TRUTH)
-    noisy = PointErrors(0.01).draw(true, np.random.default_rng(1))
-    np.testing.assert_array_equal(footprint(noisy, true).on(true.points), true.points)  # the nodes themselves
-    whole, as_many, shift = curve(), curve(41), np.array([0.2, -0.4])
+    t, shift, random = np.linspace(0.0, 1.0, 401), np.array([0.2, -0.4]), np.random.default_rng(2)
+    whole = Interface.polyline(np.stack([t, 0.3 * np.sin(np.pi * t)], axis=1))
     part = Interface.polyline(whole.points[100:301:5])
     found = footprint(part, whole)
     np.testing.assert_allclose(found.on(whole.points), part.points, atol=2e-4)
-    assert found.cells is part.cells
     np.testing.assert_allclose(found.on(whole.points + shift), found.on(whole.points) + shift, atol=1e-12)
-    np.testing.assert_allclose(footprint(part, as_many).on(as_many.points), part.points, atol=2e-3)
-    whole, random = curve(), np.random.default_rng(2)
     part = whole.points[40:361:4]
     noisy = Interface.polyline(part + 0.0015 * random.standard_normal(part.shape))
     laid = Interface.polyline(footprint(noisy, whole).on(whole.points))
@@ -304,12 +237,12 @@ def test_a_part_stays_that_part_when_the_interface_moves_and_noise_changes_no_or
 
 
 def test_a_closed_outline_may_begin_anywhere_and_a_part_may_pass_its_beginning():
-    whole = circle(2 * np.pi * np.arange(60) / 60)
-    for first in (0, 17):
-        turned = Interface.polyline(np.roll(whole.points[::2], -first, axis=0), closed=True)
-        np.testing.assert_allclose(footprint(turned, whole).on(whole.points), turned.points, atol=1e-9)
-    whole, part = circle(2 * np.pi * np.arange(120) / 120), circle(np.linspace(-0.8, 0.9, 40), closed=False)
-    np.testing.assert_allclose(footprint(part, whole).on(whole.points), part.points, atol=2e-3)
+    angle = 2 * np.pi * np.arange(-60, 60) / 120
+    points = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    whole = Interface.polyline(np.roll(points, 60, axis=0), closed=True)
+    turned = Interface.polyline(np.roll(points[::2], -17, axis=0), closed=True)
+    for outline, error in ((turned, 1e-9), (Interface.polyline(points[40:80:2]), 2e-3)):
+        np.testing.assert_allclose(footprint(outline, whole).on(whole.points), outline.points, atol=error)
 
 
 def test_points_of_a_surface_keep_their_place_in_its_triangles():

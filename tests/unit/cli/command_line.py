@@ -4,10 +4,7 @@ import pytest
 
 from strandline.cli import main
 
-__all__ = ["ALL_SET", "Shown", "contents", "ends", "one_line", "printed", "refused"]
-
 ALL_SET = ("--set", "E=400", "--set", "tilt=0.02")
-Shown = pytest.CaptureFixture[str]
 HIDDEN = ("-wal", "-shm", ".lock")
 """Ends of the names of files that a reader of a ledger may leave."""
 

@@ -2,9 +2,6 @@
 
 import io
 import json
-import re
-import shutil
-from dataclasses import dataclass, replace
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -14,15 +11,14 @@ import yaml
 from tests.unit.cli.command_line import ALL_SET, contents, ends, printed, refused
 
 from strandline.cli import main
-from strandline.cli.check import _prepared
 from strandline.interface import Interface, PointErrors, UnknownErrors
 from strandline.models.biofilm.model import Biofilm
 from strandline.studies import load_study
-from strandline.studies.examples import EXAMPLES, FOLDERS, write_example
+from strandline.studies.examples import EXAMPLES, FOLDERS
 from strandline.studies.folder import is_result
 from strandline.studies.keys.observation import Noise
 from strandline.studies.noise import build_noise
-from strandline.testing.studies import BEAM_STUDY, beam, undeclared_beam, write_study
+from strandline.testing.studies import beam, undeclared_beam, write_study
 
 ROOT = Path(__file__).parents[3]
 
@@ -77,22 +73,10 @@ def test_all_files_of_an_example_are_written(tmp_path, capsys, monkeypatch):
             assert {**written, "study.yaml": shipped["study.yaml"]} == shipped
 
 
-def test_results_of_an_example_that_was_run_stay_where_they_are(tmp_path):
-    strip = tmp_path / "package" / "examples" / "strip"
-    shutil.copytree(ROOT / "examples" / "strip", strip)
-    for name in ("ledger.sqlite", "report.html", "specimens.csv"):
-        (strip / name).touch()
-    write_example("python", tmp_path / "study", package=tmp_path / "package")
-    names = ["make_observation.py", "observed.csv", "strip.py", "study.yaml"]
-    assert sorted(contents(tmp_path / "study")) == names
-
-
-def test_no_example_overwrites_anything_and_the_help_says_what_each_shows(tmp_path, capsys):
+def test_no_example_overwrites_anything(tmp_path, capsys):
     (tmp_path / "strip.py").write_text("mine")
     assert "already" in refused(capsys, "init", str(tmp_path), "--example", "python")
     assert contents(tmp_path) == {"strip.py": b"mine"}
-    shown = " ".join(printed(capsys, "init", "--help").split())
-    assert all(f"{name} {about}" in shown for name, about in EXAMPLES.items())
 
 
 TRUE, ANGLE = PointErrors(0.002, 0.012), np.linspace(0.0, np.pi, 2000)
@@ -118,8 +102,6 @@ def stated(shown):
 def test_the_noise_of_repeats(tmp_path, capsys):
     shown = printed(capsys, "noise", str(contours(tmp_path / "seen", 8)), "--unit", "um")
     assert shown.startswith("8 contours, compared at ")
-    assert "correlation length: " in shown
-    assert "never show" in shown
     found = stated(shown)
     assert found.sd == pytest.approx(TRUE.sd, rel=0.15)
     assert found.length == pytest.approx(TRUE.length, rel=0.5)
@@ -133,29 +115,10 @@ def test_the_noise_of_one_contour(tmp_path, capsys):
     path = contours(tmp_path / "seen", 1) / "contour-0.csv"
     shown = printed(capsys, "noise", str(path), "--unit", "um", "--window", "200")
     assert shown.startswith("1 contour of 300 points ")
-    assert "smoothed over 190 um" in shown
     assert 0.6 * TRUE.sd < stated(shown).sd < 1.4 * TRUE.sd
-    assert "unknown: {" not in shown
-    points = np.round(np.loadtxt(path, delimiter=",", skiprows=1) / 1e3, 6)
-    rows = [f"{k};{y:.6f};{x:.6f}".replace(".", ",") for k, (x, y) in enumerate(points)]
-    table, plain = tmp_path / "seen.txt", tmp_path / "plain.csv"
-    table.write_text("\n".join(["n;up;along", *rows]) + "\n", encoding="utf-8")
-    np.savetxt(plain, points, delimiter=",")
-    shown = printed(capsys, "noise", str(table), "--unit", "mm", "--read", "columns=[along, up]", "--read", "decimal=,")
-    assert shown.splitlines()[-1] == printed(capsys, "noise", str(plain), "--unit", "mm").splitlines()[-1]
 
 
 INPUTS = {"E": 400.0, "tilt": 0.02, "load": 1e-5}
-
-
-@dataclass(frozen=True)
-class Flat:
-    """A measure that is the same for all interfaces, so that no noise of the points has a rule."""
-
-    unit = "mm²"
-
-    def __call__(self, simulated, observed):
-        return 1.0
 
 
 def test_it_makes_one_run_and_writes_nothing(tmp_path, capsys, monkeypatch):
@@ -169,48 +132,15 @@ def test_it_makes_one_run_and_writes_nothing(tmp_path, capsys, monkeypatch):
     assert "64 forward runs planned, 0 of them known already" in shown
     assert "E [Pa]: Uniform(low=300.0, high=560.0)" in shown
     assert "add --widths to predict the widths of the posterior: 2 more runs" in shown
-    E = {"prior": {"lognormal": [6.0, 0.2]}, "box": [300, 560], "unit": "Pa"}
-    write_study(folder, inputs={**BEAM_STUDY["inputs"], "E": E})
-    assert "11.98% of its mass cut off by the box" in printed(capsys, "check", str(folder))
 
 
-def test_json_says_what_the_lines_say(tmp_path, capsys):
+def test_a_check_as_json(tmp_path, capsys):
     folder = write_study(tmp_path / "study")
     found = json.loads(printed(capsys, "check", str(folder), "--json", "--widths"))
     assert found["run"]["inputs"]["E"] == pytest.approx(430.0)
     assert found["inputs"]["tilt"] == {"unit": "1", "box": [0.0, 0.04], "nuisance": False}
     assert (found["planned"], found["known"]) == (64, 0)
     assert any("2 more runs" in line for line in found["lines"])
-    shown = printed(capsys, "check", str(folder), "--widths").splitlines()
-    plain = [re.sub(r"in [\d.]+ s", "", line) for line in found["lines"]]
-    assert [re.sub(r"in [\d.]+ s", "", line.removeprefix("  ")) for line in shown[1 : 1 + len(plain)]] == plain
-
-
-def test_a_measure_without_a_rule_for_the_noise_is_refused(tmp_path, capsys):
-    measure, noise = {f"{__name__}:Flat": {}}, {"sd": 3, "unit": "um"}
-    line = refused(capsys, "check", str(write_study(tmp_path, discrepancy=measure, noise=noise)))
-    assert "noise of Flat" in line
-    assert "a noise variance for such errors" in line
-
-
-def test_it_says_how_many_runs_start_from_what_is_prepared(tmp_path):
-    class Prepared:
-        preparation = "anchors"
-        limit = 500.0
-
-        def __call__(self, inputs, workdir): ...
-
-        def prepare_runs(self): ...
-
-        def is_prepared(self, inputs):
-            return bool(inputs["E"] < self.limit)
-
-    study, model = load_study(write_study(tmp_path)), Prepared()
-    for limit, told in ((500.0, "anchors: 50"), (430.0, "anchors: 32"), (420.0, "warning: anchors: 30")):
-        model.limit = limit
-        (line,) = _prepared(replace(study, model=model))
-        assert line == f"{told} of the 64 planned runs start from them"
-    assert list(_prepared(study)) == []
 
 
 def test_a_forward_run_in_words_as_json_and_as_a_table_that_can_be_observed(tmp_path, capsys):
@@ -224,7 +154,6 @@ def test_a_forward_run_in_words_as_json_and_as_a_table_that_can_be_observed(tmp_
     assert found["inputs"] == INPUTS
     assert (found["state"], found["failure"], found["csv"]) == ("ok", None, str(csv))
     assert found["tip"] == pytest.approx(0.12)
-    assert found["seconds"] >= 0
     assert csv.read_text().startswith("x,y\n")
     points = np.loadtxt(csv, delimiter=",", skiprows=1)
     np.testing.assert_array_equal(points, beam(INPUTS, tmp_path).interface.points)
@@ -237,11 +166,7 @@ def test_a_forward_run_that_fails_is_an_answer_too(tmp_path, capsys):
     too_far = ["forward", str(write_study(tmp_path / "study")), *ALL_SET, "--set", "load=1"]
     found = json.loads(printed(capsys, *too_far, "--json", "--csv", str(csv)))
     assert (found["state"], found["failure"]["kind"], found["csv"]) == ("failed", "large_deflection", None)
-    assert found["failure"]["message"].startswith("the tip would move by 1e+04 mm")
-    assert found["tip"] == pytest.approx(10000.02)
     assert not csv.exists()
     assert ends(*too_far) == 1
-    shown = capsys.readouterr()
-    assert shown.out == ""
-    (line,) = shown.err.splitlines()
+    (line,) = capsys.readouterr().err.splitlines()
     assert "large_deflection: the tip would move by 1e+04 mm" in line

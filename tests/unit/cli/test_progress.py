@@ -1,7 +1,5 @@
 """What is told while a study runs: progress as plain lines, none when quiet, details, and `strandline status`."""
 
-import re
-
 import pytest
 
 from strandline.calibration import progress_text
@@ -33,15 +31,10 @@ def test_a_stage_has_a_line_now_and_then_and_one_at_its_end(capsys):
         observer.run(RECORD, state(1))
         now[0] += 1
         observer.run(RECORD, state(50, elapsed=70.0))
-        observer.run(RECORD, state(51))
         observer.run(RECORD, state(100))
         observer.stage("sampling")
         observer.step(FIRST)
         observer.step(LAST)
-        observer.stage("replicates")
-        observer.part(state(10))
-        now[0] += SECONDS_BETWEEN_LINES + 1
-        observer.part(state(50, elapsed=70.0))
         observer.part(state(100))
         for wait in (0.0, SECONDS_BETWEEN_LINES + 1):  # a choice that takes long says how far it is
             observer.stage("choice")
@@ -57,28 +50,12 @@ def test_a_stage_has_a_line_now_and_then_and_one_at_its_end(capsys):
         "  100/100 99 ok, 1 failed",
         "sampling …",
         "  tempering exponent 1.0000, ESS 1234, accepted 25%",
-        "replicates …",
-        "  50 of 100, 1 min 10 s left",
         "  100 of 100",
         "next batch …",
         "next batch …",
         "  tempering exponent 0.5000, ESS 1000, accepted 30%",
         "  batch 3: E 396 ± 31, moved 0.05 sd; next: check",
     ]
-
-
-def test_a_log_has_the_time_of_each_line_also_when_quiet(tmp_path, capsys):
-    log = tmp_path / "run.log"
-    log.write_text("before\n")
-    with observing(quiet=True, log=log) as observer:
-        observer.stage("forward")
-        observer.run(RECORD, state(100))
-        observer.note("look [here]")
-    assert capsys.readouterr() == ("", "")
-    first, *lines = log.read_text("utf-8").splitlines()
-    assert first == "before"
-    told = [re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d (.*)", line)[1] for line in lines]
-    assert told == ["forward runs …", "  100/100 99 ok, 1 failed", "look [here]"]
 
 
 def test_durations():
@@ -111,43 +88,37 @@ def test_details_of_runs_name_folders_origins_and_reasons(tmp_path):
     assert set_aside_lines({"set_aside": [one]}) == ["  run cccccccccccc set aside (flipped): the other way"]
 
 
-class TestStatus:
-    AT_WORK, GONE, UNSEEN = (Driver(3, 4711, "desk", 1e9, at_work) for at_work in (True, False, None))
+AT_WORK, GONE, UNSEEN = (Driver(3, 4711, "desk", 1e9, at_work) for at_work in (True, False, None))
 
-    def test_a_study_under_way(self):
-        run = RunReported("k" * 64, {"E": 397.5, "tilt": 0.015}, 9.0, "no convergence", ("step 7", 300 * "c"))
-        counts = {"ok": 30, "failed": 2, "open": 4, "failures": {"stalled": Failures(2, run)}, "slowest": run}
-        pace = {"rate": 4.8, "seconds_left": 600.0, "median_seconds": 2.0, "driver": self.AT_WORK}
-        assert list(lines_of(StudyProgress("bent", 80, **counts, **pace))) == [
-            "bent: 32 of 80 runs of the design done",
-            "  ok 30, failed 2, under way 4, to do 44",
-            "  driver at work, process 4711 on desk: 4.8 runs a minute, about 10 min left",
-            "  2 × stalled; e.g. E = 397.5, tilt = 0.015: no convergence",
-            "    | step 7",
-            "    | " + 159 * "c" + "…",
-            "  median 2.00 s a run, slowest 9.00 s at E = 397.5, tilt = 0.015",
-            "  results: not yet",
-        ]
-        assert len(list(lines_of(StudyProgress("bent", 80)))) == 3
 
-    @pytest.mark.stand_in
-    def test_a_line_for_each_fact(self):
-        at_work, work = {"driver": self.AT_WORK}, "  driver at work, process 4711 on desk"
-        unseen = "  driver process 4711 on desk; strandline cannot see from here whether it is running"
-        for options, line in (
-            ({"lost": 3}, "  ok 0, failed 0, under way 0, to do 80, 3 of them lost with their driver"),
-            ({"driver": self.GONE, "rate": 240.4}, "  no driver at work; the last made 240 runs a minute"),
-            ({"driver": self.GONE}, "  no driver at work"),
-            (at_work, work),
-            ({"driver": self.UNSEEN, "open": 1}, "  ok 0, failed 0, under way (or lost) 1, to do 79"),
-            ({"driver": self.UNSEEN}, unseen),
-            (at_work | {"rate": 60.0, "seconds_left": 80.0}, f"{work}: 60 runs a minute, about 80 s left"),
-            (at_work | {"rate": 10.0, "seconds_left": 90.0}, f"{work}: 10 runs a minute, about 2 min left"),
-            (at_work | {"rate": 0.5, "seconds_left": 9600.0}, f"{work}: 0.5 runs a minute, about 2.7 h left"),
-            (at_work | {"rate": 6, "seconds_left": 8, "active": True}, f"{work}: 6 runs a minute, at most 8 s left"),
-            ({"active": True}, "bent: 0 of at most 80 runs of the design done"),
-            ({"last_batch": "batch 3: E 396 ± 31; next: check"}, "  batch 3: E 396 ± 31; next: check"),
-            ({"results": "outdated"}, "  results: of an earlier study.yaml"),
-            ({"results": "current"}, "  results: written"),
-        ):
-            assert line in list(lines_of(StudyProgress("bent", 80, **options))), options
+def test_the_status_of_a_study_under_way():
+    run = RunReported("k" * 64, {"E": 397.5, "tilt": 0.015}, 9.0, "no convergence", ("step 7", 300 * "c"))
+    counts = {"ok": 30, "failed": 2, "open": 4, "failures": {"stalled": Failures(2, run)}, "slowest": run}
+    pace = {"rate": 4.8, "seconds_left": 600.0, "median_seconds": 2.0, "driver": AT_WORK}
+    assert list(lines_of(StudyProgress("bent", 80, **counts, **pace))) == [
+        "bent: 32 of 80 runs of the design done",
+        "  ok 30, failed 2, under way 4, to do 44",
+        "  driver at work, process 4711 on desk: 4.8 runs a minute, about 10 min left",
+        "  2 × stalled; e.g. E = 397.5, tilt = 0.015: no convergence",
+        "    | step 7",
+        "    | " + 159 * "c" + "…",
+        "  median 2.00 s a run, slowest 9.00 s at E = 397.5, tilt = 0.015",
+        "  results: not yet",
+    ]
+
+
+@pytest.mark.stand_in
+def test_the_status_has_a_line_for_each_fact():
+    unseen = "  driver process 4711 on desk; strandline cannot see from here whether it is running"
+    work = "  driver at work, process 4711 on desk: 6 runs a minute"
+    for options, line in (
+        ({"lost": 3}, "  ok 0, failed 0, under way 0, to do 80, 3 of them lost with their driver"),
+        ({"driver": GONE, "rate": 240.4}, "  no driver at work; the last made 240 runs a minute"),
+        ({"driver": UNSEEN, "open": 1}, "  ok 0, failed 0, under way (or lost) 1, to do 79"),
+        ({"driver": UNSEEN}, unseen),
+        ({"driver": AT_WORK, "rate": 6, "seconds_left": 9600.0}, f"{work}, about 2.7 h left"),
+        ({"driver": AT_WORK, "rate": 6, "seconds_left": 8, "active": True}, f"{work}, at most 8 s left"),
+        ({"active": True}, "bent: 0 of at most 80 runs of the design done"),
+        ({"results": "outdated"}, "  results: of an earlier study.yaml"),
+    ):
+        assert line in list(lines_of(StudyProgress("bent", 80, **options))), options

@@ -1,12 +1,12 @@
 """Rounds of runs where the posterior lies, on a curved ridge whose posterior is known."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 import strandline as sl
-from strandline.design import refinement, sobol
 from strandline.design.refinement import Learnt, Refinement, Round, refine, shifts
 from strandline.testing.densities import banana
 
@@ -16,7 +16,7 @@ SPACE = sl.ParameterSpace(
 )
 TWO = Refinement(rounds=2, runs=20)
 ONE = replace(TWO, rounds=1)
-FIRST = SPACE.to_physical(sobol(24, 2))
+FIRST = SPACE.to_physical(sl.sobol(24, 2))
 
 
 def extend(known, points, *, fails_below=-np.inf):
@@ -39,12 +39,8 @@ def forgetful(known, points):
     return whole if known is None else replace(whole, surrogates=known.surrogates)
 
 
-def failing_below(limit):
-    return lambda known, points: extend(known, points, fails_below=limit)
-
-
-def refined(how=extend, refinement=TWO, seed=1):
-    return refine(how(None, FIRST), how, SPACE, refinement, particles=1000, seed=seed)
+def refined(how=extend, refinement=TWO):
+    return refine(how(None, FIRST), how, SPACE, refinement, particles=1000, seed=1)
 
 
 def distance(learnt):
@@ -85,7 +81,6 @@ def test_the_account_is_of_the_surrogate_before_and_of_the_new_runs(found):
     error = first.mean(new) - np.asarray(EXACT.log_likelihood(new))
     assert rounds[0].error_rms == pytest.approx(np.sqrt(np.mean(error**2)))
     assert rounds[0].error_rms_posterior == pytest.approx(np.sqrt(np.mean(error[:10] ** 2)))
-    assert rounds[0].error_rms_posterior != rounds[0].error_rms
 
 
 def test_half_of_the_runs_cover_the_flanks_unless_the_temperature_is_one(found):
@@ -97,38 +92,16 @@ def test_half_of_the_runs_cover_the_flanks_unless_the_temperature_is_one(found):
 
 
 def test_failed_runs_are_counted_and_teach_nothing():
-    learnt, rounds = refined(failing_below(1.0), ONE)
+    learnt, rounds = refined(partial(extend, fails_below=1.0), ONE)
     failed = int((learnt.design[24:, 0] < 1.0).sum())
     assert 0 < failed == rounds[0].failed < 20
     assert len(learnt.training) == 44 - failed
     assert learnt.training[24:, 0].min() >= 1.0
-    _, rounds = refined(failing_below(np.inf), ONE)
+    _, rounds = refined(partial(extend, fails_below=np.inf), ONE)
     assert (rounds[0].failed, rounds[0].error_rms, rounds[0].error_rms_posterior) == (20, None, None)
-
-
-def test_the_same_seed_gives_the_same_bits(found):
-    again, other = (refined(refinement=ONE, seed=seed)[0].design[24:] for seed in (1, 2))
-    np.testing.assert_array_equal(again, found[0].design[24:44])
-    assert not np.array_equal(other, again)
-
-
-def test_draws_are_by_weight_and_no_position_twice():
-    rng, positions, share = np.random.default_rng(0), np.repeat(np.arange(4.0), 3)[:, None], [0.1, 0.2, 0.3, 0.4]
-    log_weights = np.log(np.repeat(share, 3) / 3)
-    drawn = [refinement._distinct(positions, log_weights, 1, rng, positions[:0])[0, 0] for _ in range(1000)]
-    found = np.bincount(np.array(drawn, int), minlength=4) / 1000
-    np.testing.assert_allclose(found, share, atol=4 * np.sqrt(0.25 / 1000))
-    rest = refinement._distinct(positions, log_weights, 4, rng, np.array([[2.0]]))
-    assert sorted(rest[:, 0]) == [0.0, 1.0, 3.0]
 
 
 def test_shifts_are_those_from_one_posterior_to_the_next():
     rounds = [Round(10, 5, 0, None, None, np.array([m, 0.0]), np.array([s, 1.0])) for m, s in ((0.0, 1.0), (1.0, 2.0))]
     found = shifts(tuple(rounds), np.array([4.0, 1.0]), np.array([6.0, 2.0]))
     np.testing.assert_allclose(found, [[0.5, 0.0], [0.5, 0.5]])
-
-
-def test_numbers_out_of_range_are_refused():
-    for wrong in ({"rounds": -1}, {"runs": 0}, {"temperature": 0.0}, {"temperature": 1.5}):
-        with pytest.raises(sl.InvalidInput, match="of the refinement"):
-            Refinement(**wrong)

@@ -31,7 +31,6 @@ def test_every_dyadic_stratum_gets_its_share(scramble):
 
 
 def test_scrambling_keeps_to_the_cube_and_empty_designs_are_refused():
-    assert not np.array_equal(sobol(50, 2, scramble=1), sobol(50, 2, scramble=2))
     points = sobol(1000, 5, scramble=4)
     assert 0 <= points.min() < points.max() < 1
     for number, dim in [(0, 2), (-1, 2), (3, 0)]:

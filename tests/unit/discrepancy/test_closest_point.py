@@ -6,9 +6,9 @@ import shapely
 from tests.unit.discrepancy.curves import graph, level, ring
 from tests.unit.discrepancy.surfaces import sheet, sphere
 
-from strandline.discrepancy import ClosestPoint, closest_point
+from strandline.discrepancy import ClosestPoint
 from strandline.discrepancy.closest_point import DIRECTIONS, WEIGHTINGS
-from strandline.errors import InvalidInput, InvalidInterface
+from strandline.errors import InvalidInterface
 from strandline.interface import Interface, PointErrors
 
 MEAN = ClosestPoint(direction="to_simulated", weighting="length")
@@ -48,20 +48,10 @@ def test_weighting_converges_to_the_mean_square_with_order_two():
         assert np.log2(errors[:-1] / errors[1:]) == pytest.approx([2.0, 2.0], abs=0.1)
 
 
-def test_node_weights_add_up_to_the_length_or_area():
-    for interface in (wavy(30, 2), wavy(30, 2, closed=True), sheet(6, bend=0.2, seed=1)):
-        assert closest_point.node_weights(interface).sum() == pytest.approx(interface.sizes.sum())
-    assert closest_point.node_weights(level(0.0, 3)) == pytest.approx([0.25, 0.5, 0.25])
-    assert closest_point.node_weights(sheet(2)) == pytest.approx([1 / 3, 1 / 6, 1 / 6, 1 / 3])
-
-
 def test_terms_are_told_only_where_the_observation_fixes_them():
     observed = wavy(40, 2)
     assert ClosestPoint(direction="to_simulated").terms(observed) == 40
     assert ClosestPoint().terms(observed) is MEAN.terms(observed) is None
-    for options in ({"direction": "sideways"}, {"weighting": "area"}):
-        with pytest.raises(InvalidInput, match=f"{next(iter(options))} of the closest point"):
-            ClosestPoint(**options)
     with pytest.raises(InvalidInterface, match="coordinates"):
         MEAN(sheet(2), observed)
 
@@ -87,7 +77,5 @@ def test_noise_variance_of_a_mean_is_that_of_its_independent_points():
     total = ClosestPoint(direction="to_simulated")
     assert total.noise_variance(errors, ring(200)) == pytest.approx(0.01**2, rel=1e-3)
     assert ClosestPoint(weighting="length").noise_variance(errors, ring(200)) is None
-    corners = ball.points[ball.cells]
-    areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    share = np.bincount(ball.cells.ravel(), np.repeat(areas, 3)) / (3 * areas.sum())
+    share = np.bincount(ball.cells.ravel(), np.repeat(ball.sizes, 3)) / (3 * ball.sizes.sum())
     assert MEAN.noise_variance(errors, ball) == pytest.approx(0.01**2 * (share**2).sum(), rel=1e-9)

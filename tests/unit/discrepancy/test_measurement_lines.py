@@ -1,14 +1,12 @@
 """Oracles: parallel lines and circles in closed form, intersections by shapely."""
 
-import math
-
 import numpy as np
 import pytest
 import shapely
 from tests.unit.discrepancy.curves import graph, line, ring
 
-from strandline.discrepancy import MeasurementLines, TrackedPoints
-from strandline.errors import InvalidInput, InvalidInterface
+from strandline.discrepancy import MeasurementLines
+from strandline.errors import InvalidInput
 from strandline.interface import Interface, PointErrors
 
 STRAIGHT = line((0, 0), (1, 0))
@@ -26,6 +24,12 @@ def test_lines_stand_at_midpoints_of_equal_shares_with_the_observed_normal_whate
     assert placed[5:] == pytest.approx(np.stack([np.ones(5), along[5:] - 1, -np.ones(5), np.zeros(5)], axis=1))
     coarse, fine = line((0, 0), (2, 0), (2, 1)), line((0, 0), (0.3, 0), (1.1, 0), (2, 0), (2, 0.77), (2, 1))
     assert MeasurementLines(6).place(coarse) == pytest.approx(MeasurementLines(6).place(fine), abs=1e-14)
+
+
+def test_the_ends_of_an_open_outline_can_be_left_out():
+    trimmed, circle = MeasurementLines(4, trim=0.1), ring(40)
+    np.testing.assert_allclose(trimmed.place(line((0, 0), (2, 0)))[:, 0], [0.4, 0.8, 1.2, 1.6], atol=1e-12)
+    np.testing.assert_array_equal(trimmed.place(circle), MeasurementLines(4).place(circle))
 
 
 def test_parallel_lines_and_circles_along_given_radii_have_n_times_the_gap_squared():
@@ -86,20 +90,6 @@ def test_a_miss_counts_the_reach_without_a_jump():
     assert outside == pytest.approx(inside, rel=1e-7)
 
 
-def test_options_that_cannot_be():
-    for lines in (0, (), ((0.0, 0.0, 0.0, 0.0),), ((0.0, 0.0, 1.0),), ((0.0, math.nan, 1.0, 0.0),)):
-        with pytest.raises(InvalidInput, match="measurement lines"):
-            MeasurementLines(lines)
-    given = {"lines": ((0.0, 0.9, 0.0, 1.0),)}
-    for options, said in (
-        *(({name: value}, name) for name in ("reach", "smooth") for value in (0.0, math.inf, math.nan)),
-        ({**given, "smooth": 0.1}, "given lines"),
-        *((options, "trim") for options in ({"trim": 0.5}, {"trim": -0.1}, {**given, "trim": 0.1})),
-    ):
-        with pytest.raises(InvalidInput, match=said):
-            MeasurementLines(**options)
-
-
 def half_circle() -> Interface:
     angle = np.linspace(0.0, np.pi, 201)
     return graph(-np.cos(angle), np.sin(angle))
@@ -109,34 +99,14 @@ SPACING = float(half_circle().lengths[0])
 ROUGH = PointErrors(0.5 * SPACING)
 
 
-def directions_off(measure: MeasurementLines, observed: Interface) -> np.ndarray:
-    """Return the angles, degrees, between lines and radii of the half circle, away from its ends."""
-    lines = measure.place(observed)[5:-5]
-    outward = lines[:, :2] / np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
-    side = outward[:, 0] * lines[:, 3] - outward[:, 1] * lines[:, 2]
-    return np.degrees(np.arcsin(np.clip(side, -1, 1)))
-
-
 def test_directions_of_longer_pieces_are_steady_and_distances_along_them_have_the_noise_of_the_points():
     """In the mean over noisy observations; planted: lines that turn with the noise."""
-    true, observed, random = half_circle(), wavy(66, 0.0, 1), np.random.default_rng(2)
+    true, random = half_circle(), np.random.default_rng(2)
     noisy = [ROUGH.draw(true, random) for _ in range(30)]
-    tiny, usual = (measure.place(observed) for measure in (MeasurementLines(smooth=1e-7), MeasurementLines()))
-    np.testing.assert_allclose(tiny, usual, atol=1e-6)
-    assert directions_off(MeasurementLines(40), noisy[0]).std() > 20
-    assert directions_off(MeasurementLines(40, smooth=0.3), noisy[0]).std() < 4
-    assert abs(directions_off(MeasurementLines(40, smooth=0.3), true)).max() < 0.1
+    place, direction = np.split(MeasurementLines(40, smooth=0.3).place(true)[5:-5], 2, axis=1)
+    np.testing.assert_allclose(direction, place / np.linalg.norm(place, axis=1, keepdims=True), atol=2e-3)
     for measure, low, high in ((MeasurementLines(20, smooth=0.4), 0.4, 1.2), (MeasurementLines(20), 1.5, np.inf)):
         assert low < np.mean([measure(true, one) for one in noisy]) / (measure.terms(true) * ROUGH.sd**2) < high
-
-
-def test_the_ends_of_an_open_outline_can_be_left_out():
-    long = line((0, 0), (2, 0))
-    np.testing.assert_allclose(MeasurementLines(4, trim=0.1).place(long)[:, 0], [0.4, 0.8, 1.2, 1.6], atol=1e-12)
-    circle, errors = ring(400), PointErrors(1e-3, 0.3)
-    whole, trimmed = (MeasurementLines(20, smooth=0.1, trim=trim) for trim in (0.0, 0.25))
-    np.testing.assert_array_equal(whole.place(circle), trimmed.place(circle))
-    assert whole.noise_variance(errors, circle) == trimmed.noise_variance(errors, circle)
 
 
 def test_steady_lines_have_a_noise_variance():
@@ -159,14 +129,3 @@ def test_the_scatter_is_that_of_the_segments_and_curves_and_corners_have_none():
         assert smoothed == pytest.approx(found / 5, rel=0.05)
     for outline in (line((0, 0), (1, 0), (1, 1), (0, 1), closed=True).resampled(100), half_circle()):
         assert MeasurementLines().scatter(outline) < 1e-6
-    assert MeasurementLines(((0.0, 0.0, 0.0, 1.0),)).scatter(wavy(66, 0.0, 1)) == 0.0
-    assert MeasurementLines().scatter(line((0, 0), (1, 0.5), (2, 0))) == 0.0
-
-
-def test_tracked_points_is_the_sum_of_squared_displacements():
-    observed, simulated = wavy(20, 0.0, 1), wavy(20, 0.1, 2)
-    exact = sum(math.dist(p, q) ** 2 for p, q in zip(simulated.points, observed.points, strict=True))
-    assert TrackedPoints()(simulated, observed) == pytest.approx(exact, rel=1e-13)
-    assert TrackedPoints().terms(observed) == 40
-    with pytest.raises(InvalidInterface, match="correspond"):
-        TrackedPoints()(wavy(20, 0.0, 1), wavy(21, 0.0, 1))

@@ -1,12 +1,9 @@
 """What every measure shares: protocol, registry, properties of any pair; sizes, units, noise and registered sums."""
 
-import dataclasses
 import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from tests.unit.discrepancy.curves import graph, level, line, ring
 from tests.unit.discrepancy.surfaces import sheet
 
@@ -28,7 +25,7 @@ from strandline.discrepancy import (
     unit_of,
 )
 from strandline.discrepancy.registration import linear_sums
-from strandline.errors import InvalidInterface
+from strandline.errors import InvalidInput, InvalidInterface
 from strandline.interface import Interface
 
 LINE = level(0.0, 3, length=2.0)
@@ -41,8 +38,6 @@ def test_every_measure_satisfies_the_protocol_and_knows_surfaces(name):
     assert unit_of(measure) == unit_of(measure, LINE) == "mm²"
     assert independent_terms(measure, LINE) is None or independent_terms(measure, LINE) > 0
     assert isinstance(measure(LINE, LINE), float)
-    twin = dataclasses.replace(measure)
-    assert (twin, hash(twin)) == (measure, hash(measure))
     simulated, observed = sheet(4, height=0.1), sheet(4)
     if isinstance(measure, MeasurementLines):
         with pytest.raises(InvalidInterface, match="plane"):
@@ -53,58 +48,42 @@ def test_every_measure_satisfies_the_protocol_and_knows_surfaces(name):
     assert unit_of(measure, observed) == ("mm⁴" if isinstance(measure, Currents) else "mm²")
 
 
-MEASURES = [
-    TrackedPoints(),
-    MeasurementLines(7),
-    ClosestPoint(),
-    ClosestPoint(direction="symmetric", weighting="length"),
-    Currents(0.02),
-    Currents(0.3, tolerance=1e-9),
-    Currents(0.1, quadrature="centre"),
-]
-heights = st.lists(st.floats(-0.2, 0.2), min_size=6, max_size=6)
-shifts, thousandths = st.floats(-10.0, 10.0), st.lists(st.integers(20, 980), min_size=1, max_size=5)
-quick = settings(max_examples=25)
+def test_options_that_cannot_be():
+    for kind, options, said in (
+        (ClosestPoint, {"direction": "sideways"}, "direction"),
+        (Currents, {"width": 0.0}, "width"),
+        (Currents, {"width": 1.0, "quadrature": "simpson"}, "quadrature"),
+        (Currents, {"width": 1.0, "tolerance": 1.0}, "tolerance"),
+        (MeasurementLines, {"lines": 0}, "measurement lines"),
+        (MeasurementLines, {"lines": ((0.0, 0.0, 0.0, 0.0),)}, "measurement lines"),
+        (MeasurementLines, {"reach": math.inf}, "reach"),
+        (MeasurementLines, {"trim": 0.5}, "trim"),
+    ):
+        with pytest.raises(InvalidInput, match=said):
+            kind(**options)
 
 
-def curve(y) -> Interface:
-    return graph(np.linspace(0.0, 1.0, len(y)), np.array(y))
+CURRENTS = [Currents(0.02), Currents(0.3, tolerance=1e-9), Currents(0.1, quadrature="centre")]
+MEASURES = [TrackedPoints(), MeasurementLines(7), ClosestPoint(direction="symmetric", weighting="length"), *CURRENTS]
 
 
-@quick
-@given(a=heights, b=heights, angle=st.floats(-math.pi, math.pi), shift=st.tuples(shifts, shifts))
-def test_measures_are_not_negative_zero_at_home_and_unchanged_by_moving_both(a, b, angle, shift):
-    simulated, observed = curve(a), curve(b)
-    turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
-    for measure in MEASURES:
-        before = measure(simulated, observed)
-        assert math.isfinite(before)
-        assert before >= 0.0
-        assert measure(simulated, simulated) <= 1e-25
-        after = measure(*(Interface.polyline(one.points @ turn + shift) for one in (simulated, observed)))
-        assert after == pytest.approx(before, rel=1e-7, abs=1e-11)
-
-
-@quick
-@given(a=heights, b=heights, cuts=thousandths, width=st.floats(0.0003, 10.0))
-def test_refined_currents_do_not_see_the_nodes(a, b, cuts, width):
-    """Cut every segment of one curve at the same shares."""
-    shares, whole = np.unique([0, *cuts]) / 1000, curve(a)
-    points = whole.starts[:, None] + shares[:, None] * (whole.ends - whole.starts)[:, None]
-    cut = Interface.polyline(np.vstack([points.reshape(-1, 2), whole.ends[-1:]]))
-    measure, observed = Currents(width), curve(b)
-    error = abs(measure(cut, observed) - measure(whole, observed))
-    assert error <= measure.tolerance * measure.inner(observed, observed)
+def test_measures_are_not_negative_zero_at_home_and_unchanged_by_moving_both():
+    random, x = np.random.default_rng(1), np.linspace(0.0, 1.0, 6)
+    for _ in range(20):
+        simulated, observed = (graph(x, random.uniform(-0.2, 0.2, 6)) for _ in range(2))
+        angle, shift = random.uniform(-math.pi, math.pi), random.uniform(-10.0, 10.0, 2)
+        turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+        for measure in MEASURES:
+            before = measure(simulated, observed)
+            assert 0.0 <= before < math.inf
+            assert measure(simulated, simulated) <= 1e-25
+            after = measure(*(Interface.polyline(one.points @ turn + shift) for one in (simulated, observed)))
+            assert after == pytest.approx(before, rel=1e-7, abs=1e-11)
 
 
 def test_the_unit_that_was_mistaken_is_guessed_from_the_ratio_of_sizes():
     """An observation in µm that is read in mm appears a thousand times as large as the model's."""
-    for ratio, observed, read_in, factor in (
-        (800.0, "µm", "mm", "1000"),
-        (1e-3, "mm", "µm", "1000"),
-        (10.0, "mm", "cm", "10"),
-        (2e6, "µm", "m", "1e+06"),
-    ):
+    for ratio, observed, read_in, factor in ((800.0, "µm", "mm", "1000"), (1e-3, "mm", "µm", "1000")):
         said = unit_mistake(ratio)
         assert f"the observation is in {observed} and was read in {read_in}" in said
         assert f"differ by a factor of {factor})" in said
@@ -172,14 +151,10 @@ def test_an_observation_is_run_through_as_most_of_the_nearest_runs(reverse):
 
 
 def test_runs_far_away_of_another_kind_or_alone_do_not_vote():
-    """They come first, and some are more; also rings."""
+    """They come first, and some are more."""
     far = [leaning(height).reversed() for height in np.linspace(5.0, 6.0, 40)]
     huge, flipped = Interface.polyline(1e160 * RUNS[0].points).reversed(), leaning(0.8).reversed()
     for others in (far, [huge], [flipped]):
         assert not oriented_like_runs(leaning(0.8), [*others, *RUNS]).flipped
     assert oriented_like_runs(leaning(5.5), [*RUNS, *far]).flipped
     assert not oriented_like_runs(ring(40), [RUNS[0].reversed()]).flipped
-    near = [Interface(ring(40, r).points + np.array([5.0, 0.0]), ring(40).cells) for r in np.linspace(0.9, 1.1, 20)]
-    away = [Interface(ring(40).points + np.array([200.0, k]), ring(40).cells).reversed() for k in range(40)]
-    assert not oriented_like_runs(near[3], [*away, *near]).flipped
-    assert oriented_like_runs(away[3].reversed(), [*away, *near]).flipped

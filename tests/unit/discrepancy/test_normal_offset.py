@@ -40,7 +40,6 @@ def test_surfaces_have_signed_distances_too():
     lower, upper = sheet(6), sheet(6, height=0.1)
     np.testing.assert_allclose(signed_distances(upper.points, lower), 0.1, atol=1e-12)
     np.testing.assert_allclose(signed_distances(lower.points, upper), -0.1, atol=1e-12)
-    assert whitened(sd=0.05)(lower, upper) == pytest.approx(36 * 4.0)
     assert whitened(sd=0.001, offset=0.1)(lower, upper) == pytest.approx(1.0, rel=1e-3)
     found = NormalOffset().many(np.stack([lower.points] * 3), lower, upper)
     np.testing.assert_allclose(found, 36 * 0.1**2)
@@ -138,10 +137,6 @@ def test_the_direction_of_the_observed_points_does_not_matter():
 
 
 def test_few_points_points_without_an_order_and_those_across_a_gap_have_no_means():
-    for points in (
-        observed(300).points,
-        observed(1100).points,  # four or five points a place would move posteriors
-        np.random.default_rng(1).permutation(SEEN.points),
-    ):
+    for points in (observed(1100).points, np.random.default_rng(1).permutation(SEEN.points)):
         assert local_means(points, 200) is None
     assert 603 in local_means(np.concatenate([SEEN.points[:603], SEEN.points[900:]]), 50).first

@@ -35,9 +35,9 @@ def refusal(path, **options):
     return message
 
 
-def png(width, height, pixels, *, bits=8, colour=0):
-    """Return a PNG file of rows of pixels, each after the byte of its filter."""
-    header = struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0)
+def png(width, height, pixels):
+    """Return a grey PNG file of rows of pixels, each after the byte of its filter."""
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
     content = b"\x89PNG\r\n\x1a\n"
     for kind, data in ((b"IHDR", header), (b"IDAT", zlib.compress(pixels)), (b"IEND", b"")):
         content += struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))

@@ -71,20 +71,11 @@ def test_a_damaged_file_is_refused_in_one_line_or_read(tmp_path_factory, name, s
     refusal(path, scale="intensity")
 
 
-def test_garbage_and_other_formats_are_refused_and_a_flipped_bit_in_compressed_numbers(tmp_path):
-    for name in ("a.png", "a.jpg", "a.tif", "a.oct", "a.h5", "a.npy"):
-        for content in (b"", b"II*\0" + bytes(200), b"PK\3\4" + bytes(100), bytes(5000), WHOLE["a.png"]):
-            if content != WHOLE[name]:
-                (tmp_path / name).write_bytes(content)
-                refusal(tmp_path / name, scale="intensity")
-    for name in ("a.png", "strips.tif"):
-        content = bytearray(WHOLE[name])
-        content[len(content) // 2] ^= 0xFF
-        (tmp_path / name).write_bytes(bytes(content))
-        refusal(tmp_path / name)
-
-
 def test_a_huge_header_is_refused(tmp_path):
+    with h5py.File(tmp_path / "b.h5", "w") as file:
+        file.create_dataset("a", (5, 10_000, 10_000), "u1", chunks=(1, 64, 64))[..., :2, :2] = 1
+    with pytest.raises(InvalidInput, match=r"b\.h5 has no size that can be read: got 5 × 10000 × 10000"):
+        read_stack(tmp_path / "b.h5", reading(pixel={"size": 2.0, "z": 7.0, "unit": "um"}))
     header, small = {"descr": "<f8", "fortran_order": False, "shape": (HUGE, HUGE)}, tiff(np.zeros((4, 4), np.uint8))
     array, jpeg = saved(lambda file: np.lib.format.write_array_header_1_0(file, header)), WHOLE["a.jpg"]
     place = jpeg.index(b"\xff\xc0") + 5
@@ -97,12 +88,6 @@ def test_a_huge_header_is_refused(tmp_path):
     ):
         (tmp_path / name).write_bytes(content)
         assert said in refusal(tmp_path / name, scale="intensity")
-    for name, shape in (("a.h5", (HUGE, HUGE)), ("b.h5", (5, 10_000, 10_000))):
-        with h5py.File(tmp_path / name, "w") as file:
-            file.create_dataset("a", shape, "u1", chunks=(*[1] * (len(shape) - 2), 64, 64))[..., :2, :2] = 1
-    assert "from 1 to 400 million pixels" in refusal(tmp_path / "a.h5")
-    with pytest.raises(InvalidInput, match=r"b\.h5 has no size that can be read: got 5 × 10000 × 10000"):
-        read_stack(tmp_path / "b.h5", reading(pixel={"size": 2.0, "z": 7.0, "unit": "um"}))
 
 
 def test_the_bound_on_pixels_is_that_of_this_package(tmp_path, monkeypatch):
@@ -121,21 +106,19 @@ def test_files_that_unpack_without_end_are_refused(tmp_path):
     assert "an intensity of another length: got 5000000" in refusal(tmp_path / "a.oct", scale="dB")
     entities = "".join(f'<!ENTITY a{k + 1} "{f"&a{k};" * 10}">' for k in range(9))
     bomb = f'<!DOCTYPE x [<!ENTITY a0 "0123456789">{entities}]><Ocity>&a9;</Ocity>'
-    for header in (bomb, "<Ocity>" + " " * (1 << 24) + "</Ocity>"):
-        (tmp_path / "a.oct").write_bytes(oct_file(header, bytes(400)))
-        assert "has a header that cannot be read" in refusal(tmp_path / "a.oct", scale="dB")
+    (tmp_path / "a.oct").write_bytes(oct_file(bomb, bytes(400)))
+    assert "has a header that cannot be read" in refusal(tmp_path / "a.oct", scale="dB")
     content, packed = tiff(NOISE, compression="zlib"), zlib.compress(bytes(1 << 24), 9)
     content = with_tag(with_tag(content, "StripOffsets", len(content)), "StripByteCounts", len(packed))
     (tmp_path / "a.tif").write_bytes(content + packed)
-    (tmp_path / "b.tif").write_bytes(tiff(np.tile(NOISE, (20, 20)), compression="zlib"))
-    with tifffile.TiffFile(tmp_path / "a.tif") as bad, tifffile.TiffFile(tmp_path / "b.tif") as good:
-        with pytest.raises(ValueError, match="unpack to more than its pixels"):
-            require_parts(tmp_path / "a.tif", bad.pages[0], most=1 << 20)
-        require_parts(tmp_path / "b.tif", good.pages[0], most=1 << 20)
+    with (
+        tifffile.TiffFile(tmp_path / "a.tif") as bad,
+        pytest.raises(ValueError, match="unpack to more than its pixels"),
+    ):
+        require_parts(tmp_path / "a.tif", bad.pages[0], most=1 << 20)
 
 
 def test_what_a_header_states_must_be_there(tmp_path):
-    """All tiles of a page and an end of the pages of a TIFF file; the size of a scan."""
     tiles, circle = tiff(NOISE, tile=(16, 16)), bytearray(WHOLE["a.tif"])
     end = 10 + 12 * struct.unpack("<H", WHOLE["a.tif"][8:10])[0]
     circle[end : end + 4] = struct.pack("<I", 8)
@@ -146,44 +129,31 @@ def test_what_a_header_states_must_be_there(tmp_path):
     ):
         (tmp_path / "a.tif").write_bytes(content)
         assert said in refusal(tmp_path / "a.tif")
-    for size in ("", "0", "-4", "99999999999"):
-        (tmp_path / "a.oct").write_bytes(oct_file(of_size(size, 10), bytes(400)))
-        assert "SizeZ in its header" in refusal(tmp_path / "a.oct", scale="dB")
+    (tmp_path / "a.oct").write_bytes(oct_file(of_size("-4", 10), bytes(400)))
+    assert "SizeZ in its header" in refusal(tmp_path / "a.oct", scale="dB")
 
 
 def test_numbers_that_are_no_finite_pixels_are_refused(tmp_path):
-    for bad in (np.nan, np.inf, -np.inf):
-        values = NOISE.astype(np.float32)
-        values[3, 4:7] = bad
-        (tmp_path / "a.tif").write_bytes(tiff(values))
-        assert "not finite: got 3 of 5120" in refusal(tmp_path / "a.tif")
-    shapes = (np.zeros(shape) for shape in ((0, 5), (0, 5, 5), (7,)))
-    for array in (*shapes, np.array([[{}, {}]], dtype=object), np.array([["a"]])):
-        np.save(tmp_path / "a.npy", array, allow_pickle=True)
-        refusal(tmp_path / "a.npy")
+    values = NOISE.astype(np.float32)
+    values[3, 4:7] = np.nan, np.inf, -np.inf
+    (tmp_path / "a.tif").write_bytes(tiff(values))
+    assert "not finite: got 3 of 5120" in refusal(tmp_path / "a.tif")
     np.save(tmp_path / "a.npy", NOISE + 1j)
     assert "complex128" in refusal(tmp_path / "a.npy")
 
 
 def test_colours_formats_and_arrays_that_are_not_read_say_why(tmp_path):
-    (tmp_path / "b.png").mkdir()
-    (tmp_path / "c.bmp").write_bytes(b"BM")
     (tmp_path / "a.mat").write_bytes(b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + bytes(500))
-    (tmp_path / "raw").write_bytes(bytes(100))
     Image.new("CMYK", (8, 8)).save(tmp_path / "a.jpg")
     colours = {"photometric": "palette", "colormap": np.zeros((3, 256), np.uint16)}
     (tmp_path / "a.tif").write_bytes(tiff(np.zeros((8, 8), np.uint8), **colours))
-    for name, how in (("a.h5", {}), ("b.h5", {"external": [("raw", 0, 100)]})):
-        with h5py.File(tmp_path / name, "w") as file:
-            file.create_dataset("a", (10, 10), "u1", **how)
+    with h5py.File(tmp_path / "b.h5", "w") as file:
+        file.create_dataset("a", (10, 10), "u1", external=[("raw", 0, 100)])
     for name, said in (
         ("a.png", "is missing"),
-        ("b.png", "folder b.png: got no picture in it"),
-        ("c.bmp", "unknown format: got .bmp; expected .png"),
         ("a.mat", "'-v7.3'"),
         ("a.jpg", "CMYK"),
         ("a.tif", "PALETTE"),
-        ("a.h5", "was never written"),
         ("b.h5", "refers to other files"),
     ):
         assert said in refusal(tmp_path / name)
@@ -193,8 +163,6 @@ def test_a_missing_package_names_its_install_command(tmp_path, monkeypatch):
     (tmp_path / "a.tif").write_bytes(saved(lambda file: BYTES.save(file, "TIFF", compression="tiff_lzw")))
     monkeypatch.setitem(sys.modules, "imagecodecs", None)
     assert "pip install imagecodecs" in refusal(tmp_path / "a.tif")
-    monkeypatch.setitem(sys.modules, "tifffile", None)
-    assert 'pip install "strandline[image]"' in refusal(tmp_path / "a.tif")
 
 
 def read_raw(path, how, name):

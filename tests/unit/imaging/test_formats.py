@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 import tifffile
 from PIL import Image
-from tests.unit.imaging.files import of_size, png, read, refusal, scan
+from tests.unit.imaging.files import of_size, read, refusal, scan
 
 from strandline.errors import InvalidInput
 from strandline.imaging.files.contents import require_pixels
-from strandline.imaging.files.opening import FORMATS
 from strandline.imaging.files.thorlabs import _size
 from strandline.imaging.linear import _of_decibels
 from strandline.imaging.paths.fiji_roi import path_of_roi
@@ -47,7 +46,6 @@ def test_numbers_come_back(tmp_path):
             found = read(tmp_path / name)
             np.testing.assert_array_equal(found.values, values.astype(np.float64))
             assert (found.values.dtype, found.pixel, found.name) == (np.float64, (0.002, 0.002), name)
-    assert set(FORMATS) == {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".oct", ".h5", ".hdf5", ".mat", ".npy"}
 
 
 def test_every_layout_of_a_tiff(tmp_path):
@@ -68,50 +66,38 @@ def test_colours_become_grey_or_one_channel(tmp_path):
     planes = np.moveaxis(COLOURS, -1, 0)
     tifffile.imwrite(tmp_path / "planes.tif", planes, photometric="rgb", planarconfig="separate")
     for path in sorted(tmp_path.iterdir()):
-        for options in ({}, {"channel": "grey"}):
-            found = read(path, **options)
-            np.testing.assert_allclose(found.values, COLOURS @ LUMA, rtol=1e-14)
-            assert noted(found, "RGB converted to grey by Rec. 709 luma")
+        found = read(path)
+        np.testing.assert_allclose(found.values, COLOURS @ LUMA, rtol=1e-14)
+        assert noted(found, "RGB converted to grey by Rec. 709 luma")
         for which, channel in enumerate(("red", "green", "blue")):
-            found = read(path, channel=channel)
-            np.testing.assert_array_equal(found.values, COLOURS[..., which])
-            assert noted(found, f"the {channel} channel")
+            np.testing.assert_array_equal(read(path, channel=channel).values, COLOURS[..., which])
 
 
-def test_pngs_lose_their_alpha_their_palette_and_half_of_16_bit_colours(tmp_path):
+def test_pngs_lose_their_alpha_and_their_palette(tmp_path):
     Image.fromarray(np.dstack([COLOURS, BYTES])).save(tmp_path / "a.png")
     Image.fromarray(np.dstack([BYTES, BYTES]), "LA").save(tmp_path / "b.png")
     image = Image.fromarray(np.array([[0, 1], [2, 1]], np.uint8), "P")
     image.putpalette([10, 10, 10, 20, 20, 20, 0, 255, 0])
     image.save(tmp_path / "c.png")
-    pixels = RNG.integers(0, 65536, (4, 5, 3)).astype(">u2")
-    rows = b"".join(b"\0" + row.tobytes() for row in pixels)
-    (tmp_path / "d.png").write_bytes(png(5, 4, rows, bits=16, colour=2))
     for name, expected, atol, said in (
         ("a.png", COLOURS @ LUMA, 1e-12, "the alpha channel is left out"),
         ("b.png", BYTES, 0.0, "the alpha channel is left out"),
         ("c.png", [[10, 20], [255 * 0.7152, 20]], 1e-12, "palette replaced by its colours"),
-        ("d.png", pixels @ LUMA / 257.0, 1.0, "16-bit colours read with 8 bits each; a TIFF keeps them all"),
     ):
         found = read(tmp_path / name)
         np.testing.assert_allclose(found.values, expected, rtol=0.0, atol=atol)
         assert noted(found, said)
 
 
-def test_a_jpeg_is_read_to_its_own_accuracy_and_turned_as_viewers_show_it(tmp_path):
-    smooth = np.add.outer(np.arange(40.0), 2 * np.arange(60.0)).astype(np.uint8)
-    for name in ("a.jpg", "a.JPEG"):
-        Image.fromarray(smooth).save(tmp_path / name, quality=95)
-        assert abs(read(tmp_path / name).values - smooth).max() <= 3
+def test_a_jpeg_is_turned_as_viewers_show_it(tmp_path):
     exif, wide = Image.Exif(), np.zeros((16, 48), np.uint8)
     exif[0x0112] = 6
     wide[:, :24] = 200
-    Image.fromarray(wide).save(tmp_path / "b.jpg", exif=exif, quality=95)
-    found = read(tmp_path / "b.jpg", pixel={"x": 3.0, "y": 5.0, "unit": "um"})
+    Image.fromarray(wide).save(tmp_path / "b.JPEG", exif=exif, quality=95)
+    found = read(tmp_path / "b.JPEG", pixel={"x": 3.0, "y": 5.0, "unit": "um"})
     assert (found.values.shape, found.pixel) == ((48, 16), (0.003, 0.005))
     assert found.values[:20].min() > 190
     assert found.values[28:].max() < 10
-    assert noted(found, "EXIF orientation 6")
 
 
 def test_the_dataset_is_named_or_the_only_one(tmp_path):
@@ -137,8 +123,6 @@ def test_a_scan_and_its_pixel_size(tmp_path):
     found = read(tmp_path / "a.oct", **how, page=2, index=1.333)
     np.testing.assert_allclose(found.values, linear[2], rtol=1e-12)
     assert found.pixel == pytest.approx((3.1 / COLUMNS, 1.5 / ROWS / 1.333), rel=1e-12)
-    assert noted(found, "from the header of the scan")
-    assert noted(found, "frame 2 of 4")
     np.testing.assert_allclose(read(tmp_path / "a.oct", **how, average=True).values, linear.mean(0), rtol=1e-12)
     assert "Add `scale: dB`" in refusal(tmp_path / "a.oct")
     sizes = (

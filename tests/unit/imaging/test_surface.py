@@ -15,7 +15,7 @@ from strandline.errors import InvalidInput
 from strandline.imaging import Stack
 from strandline.imaging.surfaces import StackFrame, find_surface, region_of
 from strandline.imaging.surfaces.levels import _noise, two_levels
-from strandline.imaging.surfaces.mesh import Mesh, cut, vector_areas
+from strandline.imaging.surfaces.mesh import Mesh, cut
 from strandline.imaging.surfaces.surface import _outside
 from strandline.imaging.surfaces.thinning import thinned
 from strandline.interface import Interface
@@ -126,8 +126,6 @@ def test_what_says_too_little_is_refused(monkeypatch):
         (whole[18:30, 18:30, 14:40], {}, "cut off by the faces"),
         (np.pad(np.ones((1, 1, 1)), 6), {"smooth": 0.3}, "number of triangles"),
         (np.pad(np.ones((3, 3, 3)), 3), {}, "beside the surface"),
-        (whole, {"triangles": 99}, "most triangles"),
-        (whole, {"solid": "grey"}, "side of the solid"),
     ):
         with pytest.raises(InvalidInput, match=said):
             surface_of(values, **options)
@@ -143,10 +141,6 @@ def test_frames_keep_the_normals_out_of_the_solid_and_lead_back_to_the_voxels():
         placed = StackFrame((24.2, 23.5, 23.8), CUBES.voxel, **directions).interface(mesh)
         assert (placed.centres * placed.normals).sum(axis=1).min() > 0
         assert np.linalg.norm(placed.points, axis=1).mean() == pytest.approx(0.014, rel=0.01)
-    up = StackFrame((0.0, 0.0, 0.0), CUBES.voxel, y="up").interface(mesh).points
-    np.testing.assert_allclose(up, mesh.points * V * [1, -1, 1])
-    with pytest.raises(InvalidInput, match=r"frame\.y"):
-        StackFrame((0.0, 0.0, 0.0), CUBES.voxel, y="back")
     frame = StackFrame((5.0, 6.0, 7.0), FLAT.voxel, y="up", rotation=(20.0, -35.0, 110.0))
     turn = Rotation.from_euler("xyz", [20.0, -35.0, 110.0], degrees=True)
     points = np.random.default_rng(4).standard_normal((10, 3))
@@ -184,11 +178,8 @@ def test_the_places_of_regions():
     ):
         np.testing.assert_array_equal(region_of(region, "exclude[0]", FRAME)(voxels), inside)
     for region, said in (
-        ({"voxels": [[0, 0, 0]]}, r"exclude\[0\]\.voxels"),
         ({"voxels": [[0, 0, 0], [1, 1, 1]], "unit": "um"}, "voxels.*unit"),
         ({"ball": [0, 0], "radius": 1, "unit": "um"}, r"exclude\[0\]\.ball"),
-        ({"ball": [0, 0, 0], "radius": 0, "unit": "um"}, r"exclude\[0\]\.radius"),
-        ({"ball": [0, 0, 0], "radius": 1, "unit": "yard"}, r"exclude\[0\]\.unit"),
     ):
         with pytest.raises(InvalidInput, match=said):
             region_of(region, "exclude[0]", FRAME)
@@ -211,23 +202,6 @@ def test_a_thinned_sphere_stays_a_sphere_and_what_cannot_be_thinner_stays():
     assert outwards.min() > 0
     corners = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
     assert len(thinned(Mesh(corners, np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])), 2).cells) == 4
-
-
-def test_the_rim_of_a_thinned_surface_stays_where_it_is():
-    n = 25
-    x, y = np.meshgrid(np.arange(n, dtype=float), np.arange(n, dtype=float))
-    points = np.stack([x, y, 2 * np.cos(x / 8)], axis=-1).reshape(-1, 3)
-    first = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).reshape(-1, 1)
-    thin = thinned(Mesh(points, (first + np.array([0, 1, n, 1, n + 1, n])).reshape(-1, 3)), 200)
-    assert 100 < len(thin.cells) <= 200
-    rim = thin.points[thin.on_rim]
-    away = np.abs(np.abs(rim[:, :2] - (n - 1) / 2) - (n - 1) / 2).min(axis=1)
-    assert np.median(away) < 1e-9
-    assert away.max() < 2  # at the corners, which become rounder
-    assert np.abs(thin.points[:, 2] - 2 * np.cos(thin.points[:, 0] / 8)).max() < 0.15
-    flat = vector_areas(thin.points, thin.cells)[:, 2]
-    assert flat.min() > 0
-    assert flat.sum() == pytest.approx((n - 1) ** 2, rel=0.03)
 
 
 def test_a_plane_cuts_a_sphere_in_a_circle():

@@ -9,9 +9,10 @@ from tests.unit.discrepancy.surfaces import sheet, sphere
 from strandline.discrepancy.normal_offset import signed_distances
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors, arc_lengths, point_normals, spacings
-from strandline.interface.correlated import correlated, summed_length
+from strandline.interface.correlated import correlated
 
 ALL = PointErrors(0.004, 0.02, shift=0.01, rotation=0.5, scale=0.005, offset=0.003)
+OFFSET = PointErrors(0.003, offset=0.003)
 
 
 def arch(number: int = 200, *, closed: bool = False) -> Interface:
@@ -34,7 +35,7 @@ def test_square_and_determinant_are_those_of_the_matrix(closed):
         np.testing.assert_allclose(model.shared_errors(residuals[:1] @ model.features)[0], expected, atol=1e-9)
 
 
-def test_global_errors_move_an_outline_as_a_rigid_body_that_grows_and_leave_it_where_there_are_none():
+def test_global_errors_move_an_outline_as_a_rigid_body_that_grows():
     """Two outlines move together, as pictures of one camera."""
     errors, middle = PointErrors(0.001, shift=0.1, rotation=20.0, scale=0.01), np.array([0.1, 0.2])
     turn = np.radians(16.0)
@@ -43,9 +44,6 @@ def test_global_errors_move_an_outline_as_a_rigid_body_that_grows_and_leave_it_w
         expected = middle + [0.03, -0.12] + 1.015 * (outline.points - middle) @ turned
         found = errors.moved(outline, np.array([0.3, -1.2, 0.8, 1.5]), middle=middle)
         np.testing.assert_allclose(found.points, expected, atol=1e-12)
-    assert PointErrors(1e-3, scale=1e-2).global_errors(2) == 1
-    assert PointErrors(1e-3).global_errors(2) == 0
-    np.testing.assert_allclose(PointErrors(1e-3).moved(arch(), np.empty(0)).points, arch().points, atol=1e-15)
 
 
 def test_global_errors_do_to_the_distances_what_moving_the_outline_does():
@@ -79,20 +77,15 @@ def test_parts_on_both_sides_of_a_gap_tell_as_much_as_each_alone():
 
     assert tells(seen) == pytest.approx(sum(tells(part) for part in parts), rel=1e-3)
     x = np.concatenate([np.linspace(0.0, 0.1, 40), [0.5], np.linspace(0.9, 1.0, 40)])
-    variances = errors.local_variances(graph(x, 0.0))
-    assert variances[40] == pytest.approx(0.002**2)
-    np.testing.assert_allclose(np.delete(variances, 40), 0.002**2 / np.tanh((0.1 / 39) / 0.04), rtol=1e-6)
+    assert errors.local_variances(graph(x, 0.0))[40] == pytest.approx(0.002**2)
 
 
 def test_spacings_add_up_to_the_length_and_errors_do_not_lengthen_it():
-    closed, opened, true = arch(50, closed=True), arch(50), arch(300)
+    closed, true = arch(50, closed=True), arch(300)
     assert spacings(closed).sum() == pytest.approx(closed.lengths.sum(), rel=1e-2)
-    inner = opened.lengths.sum() - 0.5 * opened.lengths[[0, -1]].sum()
-    assert spacings(opened)[1:-1].sum() == pytest.approx(inner, rel=1e-3)
     rough = PointErrors(0.7 * float(true.lengths.mean())).draw(true, np.random.default_rng(3))
     assert rough.lengths.sum() > 1.2 * true.lengths.sum()
     assert spacings(rough).mean() == pytest.approx(true.lengths.mean(), rel=0.05)
-    assert arc_lengths(rough).max() == pytest.approx(true.lengths.sum(), rel=0.05)
     assert arc_lengths(closed) == pytest.approx(np.cumsum([0.0, *closed.lengths[:-1]]), rel=1e-3)
 
 
@@ -104,9 +97,6 @@ def squares(errors: PointErrors, *, stated: PointErrors) -> np.ndarray:
     whitened = slow / model.local - model.projection.T @ (model.projection @ slow)
     drawn = [signed_distances(errors.draw(outline, random).points, outline) for _ in range(120)]
     return np.array(drawn) @ whitened / np.sqrt(slow @ whitened)
-
-
-OFFSET = PointErrors(0.003, offset=0.003)
 
 
 @pytest.mark.parametrize("errors", [PointErrors(0.003), PointErrors(0.003, 0.06), OFFSET, ALL])
@@ -123,25 +113,18 @@ def test_senseless_errors_are_refused():
     for options, said in (
         ({"sd": 0.0}, "above 0"),
         ({"length": -0.1}, "0 or above"),
-        ({"rotation": np.inf}, "finite"),
         ({"scale": 50.0}, "at most 0.5, a share"),
         ({"rotation": 90.0}, "at most 45 degrees"),
     ):
         with pytest.raises(InvalidInput, match=said):
             PointErrors(**{"sd": 0.01, **options})
-    for sds, said in (
-        ([1e-3, -1e-3, 2e-3], "standard deviation of point 2: got -0.001"),
-        ([np.nan, 1e-3], "standard deviation of point 1: got nan"),
-        ([], "got no standard deviation"),
-    ):
-        with pytest.raises(InvalidInput, match=said):
-            PointErrors.of_each(sds)
+    with pytest.raises(InvalidInput, match=r"standard deviation of point 2: got -0.001"):
+        PointErrors.of_each([1e-3, -1e-3, 2e-3])
     with pytest.raises(InvalidInput, match="half the length"):
         PointErrors(0.01, 2.0).model(arch())
-    for name in ("shift", "offset"):
-        PointErrors(0.001, **{name: 0.5}).require_fits(arch(100))
-        with pytest.raises(InvalidInput, match=f"{name} of the errors of points: got 50 mm; expected at most the size"):
-            PointErrors(0.001, **{name: 50.0}).require_fits(arch(100))
+    PointErrors(0.001, shift=0.5).require_fits(arch(100))
+    with pytest.raises(InvalidInput, match="shift of the errors of points: got 50 mm; expected at most the size"):
+        PointErrors(0.001, shift=50.0).require_fits(arch(100))
 
 
 def test_points_with_their_own_sds():
@@ -157,17 +140,12 @@ def test_points_with_their_own_sds():
     assert off[:, :95].std() == pytest.approx(1e-4, rel=0.1)
     with pytest.raises(InvalidInput, match="200 standard deviations for 50 points"):
         errors.model(arch(50))
-    two = PointErrors.of_each([1e-3, 7e-3], length=0.02)
-    assert two.of_points(2) is two
-    assert two.of_points(3) == PointErrors(5e-3, 0.02)
-    assert ALL.of_points(3) is ALL
+    assert PointErrors.of_each([1e-3, 7e-3], length=0.02).of_points(3) == PointErrors(5e-3, 0.02)
     assert PointErrors.of_each([1e-3, 7e-3], shift=0.1).local_part == PointErrors.of_each([1e-3, 7e-3])
     seen = Observation(line((0, 0), (1, 0), (2, 0.5)), PointErrors.of_each([0.001, 0.002, 0.004], shift=0.01), "a")
     turned = seen.reversed()
-    assert (turned.condition, turned.noise.shift) == ("a", 0.01)
     np.testing.assert_allclose(turned.noise.sds(turned.interface), [0.004, 0.002, 0.001])
     np.testing.assert_array_equal(turned.interface.points, seen.interface.points[::-1])
-    assert Observation(seen.interface, 0.5).reversed().noise == Observation(seen.interface, 0.5).noise
 
 
 def test_surfaces_have_normals_areas_and_global_errors():
@@ -182,7 +160,6 @@ def test_surfaces_have_normals_areas_and_global_errors():
 
 def correlations(interface: Interface, length: float) -> np.ndarray:
     drawn = correlated(interface, length, 4000, np.random.default_rng(3))
-    assert drawn.shape == (4000, len(interface.points))
     return drawn.T @ drawn / 4000
 
 
@@ -197,9 +174,7 @@ def test_drawn_errors_have_the_correlations_that_they_should_have():
     np.testing.assert_allclose(correlations(uneven, 0.2), exponential(uneven, 0.2), atol=tolerance)
     assert np.abs(correlations(uneven, 0.4) - exponential(uneven, 0.2)).max() > 2 * tolerance
     np.testing.assert_allclose(correlations(surface, 0.3), exponential(surface, 0.3), atol=2 * tolerance)
-    for interface in (uneven, sheet(5)):
-        independent = correlations(interface, 0.0)
-        np.testing.assert_allclose(independent, np.eye(len(interface.points)), atol=tolerance)
+    np.testing.assert_allclose(correlations(uneven, 0.0), np.eye(30), atol=tolerance)
     found = correlations(ring(40), 0.5)[0, [1, -1]]  # the ends of a closed line are far apart
     assert found == pytest.approx([np.exp(-2 * np.sin(np.pi / 40) / 0.5), 0.0], abs=tolerance)
 
@@ -214,6 +189,5 @@ def test_the_variance_of_a_slow_mean_is_that_of_the_drawn_errors():
         exact = slow @ covariance @ slow / (slow @ slow)
         found = PointErrors(sd, length).local_variances(outline)
         assert found.mean() == pytest.approx(exact, rel=0.03)
-        assert 2 * summed_length(length, spacing) * sd**2 / spacing == pytest.approx(found.mean(), rel=0.01)
         if 0.2 < share < 2:
             assert sd**2 * max(1.0, 2 * share) != pytest.approx(exact, rel=0.03)

@@ -9,7 +9,7 @@ import pytest
 from tests.unit.discrepancy.curves import graph
 from tests.unit.likelihood.near_arches import widened
 
-from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, NormalOffset, TrackedPoints
+from strandline.discrepancy import ClosestPoint, Discrepancy, NormalOffset, TrackedPoints
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood import FieldLikelihood, noise_length
 from strandline.surrogate.field import FieldTraining, fit_field
@@ -50,12 +50,8 @@ def test_plug_in_is_the_measure_on_the_predicted_interface():
         predicted = found.surrogate.interfaces(x)
         squares = [found.discrepancy(predicted[o.condition], o.interface) for o in found.observations]
         assert value == pytest.approx(-0.5 * sum(squares) / NOISE**2, rel=1e-9)
-    np.testing.assert_array_equal(found.at(found.surrogate.mean(AT)), found.plug_in(AT))
     known = widened(likelihood(), 0.0)
     np.testing.assert_allclose(known.expected(AT), known.plug_in(AT), rtol=1e-9, atol=1e-7)
-    unsure = widened(likelihood(), 3.0)
-    for function in (unsure.expected, unsure.plug_in):  # whatever points they are asked with
-        np.testing.assert_allclose([function(x[None])[0] for x in AT], function(AT), rtol=1e-8, atol=1e-10)
 
 
 def by_draws(found: FieldLikelihood, number: int = 20_000) -> tuple[np.ndarray, np.ndarray]:
@@ -105,32 +101,23 @@ def test_the_variance_is_that_of_the_log_likelihood_of_possible_fields():
     assert (found.variances(RUNS) < 0.5 * found.left_out(np.arange(6)).variances).all()
 
 
-def test_the_noise_length_of_tracked_points_and_of_currents():
-    """A shift δ of n nodes has d² = n δ², so that d² = σ_N² at δ = σ_N/√n; it is half the extent at most.
-
-    Currents: across, d² = 2·width·√(2π)·length·(1 - exp(-δ²/2 width²)) but for the ends; along, larger: ends only.
-    """
-    line, width, noise = graph(np.linspace(0.0, 2.0, 21), 0.0), 0.05, 0.0002
+def test_the_noise_length_of_tracked_points():
+    """A shift δ of n nodes has d² = n δ², so that d² = σ_N² at δ = σ_N/√n; it is half the extent at most."""
+    line = graph(np.linspace(0.0, 2.0, 21), 0.0)
     assert noise_length(Observation(line, 0.01**2), TrackedPoints()) == pytest.approx(0.01 / np.sqrt(21), rel=1e-5)
     assert noise_length(Observation(line, 1e6), TrackedPoints()) == pytest.approx(1.0)
-    upright = Interface(line.points[:, ::-1].copy(), line.cells)
-    across = width * np.sqrt(-2 * np.log(1 - noise / (2 * width * np.sqrt(2 * np.pi) * 2)))
-    assert across < noise_length(Observation(upright, noise), Currents(width)) < 10 * across
 
 
 def test_the_noise_length_is_that_of_the_local_noise_however_small_and_however_many_the_points():
-    """A stated shift leaves the shape as well known; 1e-9 mm is far below the first shift that is tried.
-
-    Neighbouring points of a rough outline err together, so more of them tell no more; means stand for them.
-    """
+    """A stated shift leaves the shape as well known; neighbours on a rough outline err together."""
 
     def found(outline, errors):
         return noise_length(Observation(outline, errors), NormalOffset())
 
     angle, fine = np.linspace(0.0, np.pi, 41), np.linspace(-2.6, 2.6, 1500)
-    small, shifted, large = PointErrors(1e-9), PointErrors(1e-9, shift=0.1), PointErrors(1e-3, shift=0.1)
     arc, radius = graph(np.cos(angle), np.sin(angle)), 1.35 + 1.3e-3 * np.sin(150 * fine)
-    assert found(arc, small) == found(arc, shifted) == pytest.approx(1e-6 * found(arc, large), rel=0.01)
+    small, shifted, large = (found(arc, PointErrors(sd, shift=s)) for sd, s in ((1e-9, 0.0), (1e-9, 0.1), (1e-3, 0.1)))
+    assert small == shifted == pytest.approx(1e-6 * large, rel=0.01)
     rough, correlated = graph(radius * np.sin(fine), -radius * np.cos(fine)), PointErrors(1.3e-3, 0.039)
     few = found(Interface.polyline(rough.points[::3]), correlated)
     assert found(rough, correlated) == pytest.approx(few, rel=0.1)

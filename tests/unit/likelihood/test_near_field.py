@@ -18,7 +18,7 @@ from strandline.likelihood.joint_errors import JointErrors
 from strandline.likelihood.linearised import linearise
 from strandline.likelihood.near_field import BENT, TRUSTED, near_field
 from strandline.likelihood.nearby import OfStatedErrors, _ByOffsets
-from strandline.likelihood.parabolas import FittedParabola, NearParabola, Parabolas, log_gain, mean_of_draws, numbers
+from strandline.likelihood.parabolas import FittedParabola, NearParabola, log_gain, mean_of_draws, numbers
 from strandline.likelihood.residuals import residuals_of
 from strandline.surrogate.field import FieldPrediction, FieldSurrogate
 
@@ -37,21 +37,14 @@ def residuals_at(errors: JointErrors, surrogate: FieldSurrogate, *fields: np.nda
 
 
 @pytest.mark.parametrize("errors", ALL)
-def test_slopes_and_sums_are_those_of_the_residuals(errors):
-    """Slopes at smooth observed points: elsewhere the registration itself depends a little on the field."""
-    smooth, surrogate, field = of_points(errors, arch(TRUTH)), likelihood(errors).surrogate, near(errors)
-    found, step = near_field(surrogate, smooth, field.at), 1e-3 * np.eye(len(field.at))
+def test_slopes_are_those_of_the_residuals(errors):
+    """At smooth observed points: elsewhere the registration itself depends a little on the field."""
+    smooth, surrogate, at = of_points(errors, arch(TRUTH)), likelihood(errors).surrogate, near(errors).at
+    found, step = near_field(surrogate, smooth, at), 1e-3 * np.eye(len(at))
     ahead, back = (residuals_at(smooth, surrogate, found.at + sign * step) for sign in (1, -1))
     tolerance = 0.05 if errors is GLOBAL else 1e-3
     np.testing.assert_allclose(found.slopes.T, (ahead - back) / 2e-3, atol=tolerance * np.abs(found.slopes).max())
     np.testing.assert_allclose(found.residuals, residuals_at(smooth, surrogate, found.at[None])[0], atol=0.02 * SD)
-    z = 1e-5 * np.random.default_rng(4).standard_normal((5, len(field.at)))
-    pairs = np.array([[a * b for k, a in enumerate(row) for b in row[k:]] for row in z])
-    r = field.residuals + z @ field.slopes.T + pairs @ field.bends.T
-    squares, products = field.sums(field.at + z)
-    assert np.abs(pairs @ field.bends.T).max() > 1e-10
-    np.testing.assert_allclose(squares, (r**2 / field.model.local).sum(axis=1))
-    np.testing.assert_allclose(products, r @ field.model.features, rtol=1e-9, atol=1e-9)
 
 
 def test_what_the_modes_leave_has_slopes_of_its_own():
@@ -90,15 +83,6 @@ def test_bends_count_by_half_where_they_are_as_large_as_is_trusted():
     np.testing.assert_allclose(share, [0.5, 1.0], atol=1e-5)
 
 
-def test_where_nothing_can_be_followed_there_is_no_likelihood_nearby(monkeypatch):
-    """The centre rule of currents follows no offsets; residuals that are not finite are of no use."""
-    assert by(Currents(0.03, quadrature="centre")).nearby is None
-    lin = linearise(likelihood(LOCAL).surrogate, joint(LOCAL))
-    broken = replace(lin, field=replace(lin.field, slopes=np.full_like(lin.field.slopes, np.nan)))
-    monkeypatch.setattr("strandline.likelihood.nearby.linearise", lambda *given: broken)
-    assert replace(likelihood(LOCAL)).nearby is None
-
-
 @pytest.mark.parametrize("errors", ALL)
 def test_fields_drawn_nearby_are_as_good(errors):
     found, x = widened(likelihood(errors), WIDENING[errors]), around(errors)
@@ -131,22 +115,20 @@ def test_it_leads_to_the_posterior_also_by_other_measures_which_follow_offsets()
         assert near_best.sum() > 10
         assert np.ptp(values[near_best]) > 2
         assert off(by(measure), x[near_best]) < 0.2 * np.ptp(values[near_best])
+    assert by(Currents(0.03, quadrature="centre")).nearby is None
 
 
 def test_fields_of_another_measure_are_drawn_nearby(monkeypatch):
-    """Planted: forty times the squares of offsets, which shows, and moves nothing but the draws."""
-    measure = Currents(0.03)
-    found, x = widened(by(measure, 0.004), 1e7), around(LOCAL, 60)
+    """Planted: forty times the squares of offsets, which shows."""
+    found, x = widened(by(Currents(0.03), 0.004), 1e7), around(LOCAL, 60)
     some = found.expected(x, plug_in=found.plug_in(x))
     exact = found._drawn(found.surrogate.predict(x))
     assert np.abs(exact - found.plug_in(x)).max() > 0.2
     assert (some != exact).any()
     np.testing.assert_allclose(some[exact > exact.max() - 6], exact[exact > exact.max() - 6], atol=0.2)
-    monkeypatch.setattr(type(measure), "of_offsets", lambda *given: 40 * (given[1] ** 2).sum(axis=1))
+    monkeypatch.setattr(Currents, "of_offsets", lambda *given: 40 * (given[1] ** 2).sum(axis=1))
     planted = replace(found)
     np.testing.assert_array_equal(planted.expected(x, plug_in=found.plug_in(x)), planted.expected(x))
-    np.testing.assert_allclose(planted.expected(x), exact, atol=0.5)
-    np.testing.assert_array_equal(found.expected(x), exact)
 
 
 def test_the_best_inputs_fit_best():
@@ -185,10 +167,6 @@ def test_a_shifted_observation_is_followed_even_if_some_points_do_not_feel_the_s
     assert np.abs(signed_distances(seen.points, true) - by_shift).max() > 4e-3
 
 
-def fitted(f, modes: int) -> FittedParabola:
-    return FittedParabola.fitted(f, np.zeros(modes), 1.0)
-
-
 def fields(modes: int, variance: float, residual: float) -> FieldPrediction:
     """Return fields at this distance from the best one, in all directions; the noise has variance 1."""
     away = np.random.default_rng(1).standard_normal((12, modes))
@@ -200,27 +178,6 @@ def linear(c, tail=None):
     return -0.5 * (c**2).sum(axis=1)
 
 
-def curved(c, tail=None):
-    """As if the interface turned while it moves."""
-    return linear(c + 0.1 * np.roll(c, 1, axis=1) ** 2)
-
-
-def saturating(c, tail=None):
-    """As currents do from some standard deviations on."""
-    return 25 * np.expm1(linear(c) / 25)
-
-
-def plain(f, found: FieldPrediction, number: int = 60_000) -> np.ndarray:
-    z = np.random.default_rng(2).standard_normal((number, found.mean.shape[1]))
-    rows = zip(found.mean, found.variance, strict=True)
-    return np.array([logsumexp(f(mean + np.sqrt(variance) * z)) for mean, variance in rows]) - np.log(number)
-
-
-def drawn(f, found: FieldPrediction) -> np.ndarray:
-    modes = found.mean.shape[1]
-    return mean_of_draws(f, fitted(f, modes).parabolas(found.mean), found, numbers(16, modes, 0))
-
-
 def test_every_drawn_field_has_its_opposite():
     """So that their mean is what is predicted; in the modes and in what they leave, in each half of the draws."""
     for some in numbers(16, 3, 5):
@@ -229,31 +186,17 @@ def test_every_drawn_field_has_its_opposite():
             np.testing.assert_array_equal(half[4:], -half[:4])
 
 
-def test_linear_residuals_have_a_closed_form():
-    """It is exact; draws then are too. Sixteen plain draws were off by 1 and more."""
-    for modes, variance in ((6, 1.0), (3, 100.0), (20, 0.3)):
-        found = fields(modes, variance, 2.0)
-        exact = -0.5 * modes * np.log1p(variance) - 0.5 * 2.0**2 / (1 + variance)
-        gain = log_gain(fitted(linear, modes).parabolas(found.mean), found.variance)
-        np.testing.assert_allclose(linear(found.mean) + gain, exact)
-        np.testing.assert_allclose(drawn(linear, found), exact)
-        assert np.abs(plain(linear, found, 16) - exact).max() > 0.3
-
-
 def test_quadrature_of_one_mode_agrees():
+    """Of a function that saturates, as currents do from some standard deviations on."""
+
+    def saturating(c, tail=None):
+        return 25 * np.expm1(linear(c) / 25)
+
     found, t = fields(1, 3.0, 2.0), np.linspace(-30, 30, 10001)
     rows = [np.trapezoid(np.exp(saturating(t[:, None]) - (t - m) ** 2 / 6), t) for m in found.mean[:, 0]]
-    np.testing.assert_allclose(drawn(saturating, found), np.log(rows) - 0.5 * np.log(6 * np.pi), atol=0.05)
-
-
-def test_draws_weigh_off_what_the_parabola_misses():
-    found = fields(6, 1.0, 2.0)
-    for f in (curved, saturating):
-        exact = plain(f, found)
-        closed = f(found.mean) + log_gain(fitted(f, 6).parabolas(found.mean), found.variance, f(found.mean))
-        assert np.sqrt(np.mean((drawn(f, found) - exact) ** 2)) < 0.05
-        assert np.sqrt(np.mean((closed - exact) ** 2)) < 0.15
-        assert np.sqrt(np.mean((plain(f, found, 16) - exact) ** 2)) > 0.3
+    parabolas = FittedParabola.fitted(saturating, np.zeros(1), 1.0).parabolas(found.mean)
+    drawn = mean_of_draws(saturating, parabolas, found, numbers(16, 1, 0))
+    np.testing.assert_allclose(drawn, np.log(rows) - 0.5 * np.log(6 * np.pi), atol=0.05)
 
 
 def test_a_parabola_that_is_wrong_does_little_harm():
@@ -264,18 +207,6 @@ def test_a_parabola_that_is_wrong_does_little_harm():
     np.testing.assert_allclose(mean_of_draws(linear, wrong, found, numbers(64, 3, 0)), exact, atol=0.15)
     closed = linear(found.mean) + log_gain(wrong, found.variance, linear(found.mean))
     assert (np.abs(closed - exact) < 0.5).all()
-    flat = fitted(lambda c: np.where(c[:, 0] > 0.5, -np.inf, linear(c)), 3).parabolas(np.zeros((1, 3)))
-    np.testing.assert_allclose(log_gain(flat, np.ones((1, 3)), np.zeros(1)), 0.0, atol=1e-9)
-
-
-def test_nothing_gains_more_than_its_distance_from_the_top():
-    """Where log L is -800 and the parabola says -60000, and -1300 on average: the mean over fields gains 58700."""
-    far = Parabolas(np.array([60000.0]), np.array([[np.sqrt(2 * 60000.0)]]), np.ones((1, 1, 1)))
-    variance = np.array([[58700.0 / 1300.0]])
-    shrinks = 0.5 * np.log1p(variance[0, 0])
-    np.testing.assert_allclose(log_gain(far, variance)[0] + shrinks, 58700.0)
-    np.testing.assert_allclose(log_gain(far, variance, np.array([-800.0]))[0], -shrinks)
-    np.testing.assert_allclose(log_gain(far, variance, np.array([-2000.0]))[0] + shrinks, 700.0)
 
 
 @pytest.mark.parametrize("errors", ALL)
@@ -286,7 +217,6 @@ def test_residuals_near_the_best_fit_give_the_same_as_matrices(errors):
     at, variance = field.at + 0.01 * random.standard_normal((4, modes)), (0.02 * random.random((4, modes))) ** 2
     parabolas = found.parabola.parabolas(at)
     got = found.log_likelihood(at) + log_gain(parabolas, variance)
-    assert np.abs(log_gain(parabolas, variance)).max() > 1
     C = np.diag(field.model.local) + field.model.shared @ field.model.shared.T
     step = 1e-5 * np.eye(modes)
     for value, mean, v in zip(got, at, variance, strict=True):
@@ -346,3 +276,29 @@ def test_what_modes_leave_over_is_integrated_out():
         terms = np.hstack([np.tile(r, (len(t), 1)), t])
         values = np.exp(-0.5 * np.einsum("ki,ij,kj->k", terms, W, terms) - 0.5 * (t**2).sum(axis=1)) / (2 * np.pi)
         assert -0.5 * r @ weights @ r + log_factor == pytest.approx(np.log(values.sum() * 0.1**2), abs=1e-6)
+
+
+def plain(f, found: FieldPrediction, number: int = 60_000) -> np.ndarray:
+    z = np.random.default_rng(2).standard_normal((number, found.mean.shape[1]))
+    rows = zip(found.mean, found.variance, strict=True)
+    return np.array([logsumexp(f(mean + np.sqrt(variance) * z)) for mean, variance in rows]) - np.log(number)
+
+
+def drawn(f, found: FieldPrediction) -> np.ndarray:
+    modes = found.mean.shape[1]
+    return mean_of_draws(f, fitted(f, modes).parabolas(found.mean), found, numbers(16, modes, 0))
+
+
+def fitted(f, modes: int) -> FittedParabola:
+    return FittedParabola.fitted(f, np.zeros(modes), 1.0)
+
+
+def test_linear_residuals_have_a_closed_form():
+    """It is exact; draws then are too. Sixteen plain draws were off by 1 and more."""
+    for modes, variance in ((6, 1.0), (3, 100.0), (20, 0.3)):
+        found = fields(modes, variance, 2.0)
+        exact = -0.5 * modes * np.log1p(variance) - 0.5 * 2.0**2 / (1 + variance)
+        gain = log_gain(fitted(linear, modes).parabolas(found.mean), found.variance)
+        np.testing.assert_allclose(linear(found.mean) + gain, exact)
+        np.testing.assert_allclose(drawn(linear, found), exact)
+        assert np.abs(plain(linear, found, 16) - exact).max() > 0.3

@@ -22,25 +22,24 @@ def record(number: int, points: np.ndarray, *, closed: bool = False) -> RunRecor
     return RunRecord(f"key{number:03d}", {"E": 300.0 + number}, "ok", {"": interface})
 
 
-def regular(number: int = 20, away: float = 0.0) -> list[RunRecord]:
-    return [record(i, curve(0.2 + 0.01 * i) + np.array([away, 0.0])) for i in range(number)]
+def regular(number: int = 20) -> list[RunRecord]:
+    return [record(i, curve(0.2 + 0.01 * i)) for i in range(number)]
 
 
-def judge(measures=TRACKED, *, away: float = 0.0, **policy) -> Judge:
-    seen = Observation(Interface.polyline(curve(0.3) + np.array([away, 0.0])), 0.01)
-    return Judge((seen,), measures, FailurePolicy(**policy))
+def judge(measures=TRACKED, **policy) -> Judge:
+    return Judge((Observation(Interface.polyline(curve(0.3)), 0.01),), measures, FailurePolicy(**policy))
 
 
 def test_one_odd_run_is_named_and_left_out():
     for kind, odd in (
         ("not_comparable", curve(0.3, 11)),
+        ("not_comparable", curve(0.3) + 1e9),  # a million times the extent
         ("not_comparable", curve(0.3) * 1e160),
         ("flipped", curve(0.31)[::-1]),
     ):
         records, found = [*regular(), record(99, odd)], judge()
         used = found.usable(records)
         assert [one.ok for one in used] == [True] * 20 + [False]
-        assert used[:20] == tuple(records[:20])
         assert (used[-1].state, used[-1].failure_kind, used[-1].interfaces) == ("invalid", kind, {})
         (aside,) = found.set_aside(records)
         assert (aside.key, aside.inputs, aside.kind) == ("key099", {"E": 399.0}, kind)
@@ -53,8 +52,6 @@ def test_good_runs_are_what_they_were():
     records, found = regular(), judge()
     assert found.usable(records) == tuple(records)
     assert found.set_aside(records) == ()
-    likelihood = found.likelihoods["tracked_points"]
-    assert [found.value("tracked_points", one) for one in records] == [likelihood(one.interfaces) for one in records]
     flipped = [record(i, curve(0.3 + 0.001 * i)[::-1]) for i in range(8)]
     assert all(one.ok for one in judge().usable(flipped))
     with pytest.raises(InvalidInterface, match="do not correspond"):
@@ -92,16 +89,14 @@ def test_the_policy_counts_what_is_set_aside():
 
 def test_few_closed_interfaces_among_open_ones_are_exceptions():
     error = NoCommonPoints("interfaces", value="different", expected="alike", remedy="none")
-    for good, odd in ((20, 1), (38, 2)):
-        records, found = regular(good), judge(CLOSEST)
-        records += [record(90 + i, curve(0.9 + i), closed=True) for i in range(odd)]
-        assert all(one.ok for one in found.usable(records))
-        found.without_exceptions(records, error)
-        assert [one.ok for one in found.usable(records)] == [True] * good + [False] * odd
-        (why, *_) = (one.why for one in found.set_aside(records))
-        assert why == "its interface is a closed polyline, most others are an open polyline"
-        found.forget_exceptions()
-        assert all(one.ok for one in found.usable(records))
+    records, found = regular(38), judge(CLOSEST)
+    records += [record(90 + i, curve(0.9 + i), closed=True) for i in range(2)]
+    assert all(one.ok for one in found.usable(records))
+    found.without_exceptions(records, error)
+    assert [one.ok for one in found.usable(records)] == [True] * 38 + [False] * 2
+    assert "closed polyline, most others are an open" in found.set_aside(records)[0].why
+    found.forget_exceptions()
+    assert all(one.ok for one in found.usable(records))
     for odd, height in ((3, 0.9), (1, 0.3)):  # many of 20, and the one nearest to the observation
         records = [one for one in regular() if one.inputs["E"] != 310.0]
         records += [record(90 + i, curve(height + 0.01 * i), closed=True) for i in range(odd)]
@@ -109,10 +104,3 @@ def test_few_closed_interfaces_among_open_ones_are_exceptions():
         found.usable(records)
         with pytest.raises(NoCommonPoints):
             found.without_exceptions(records, error)
-
-
-def test_coordinates_far_beyond_the_observed_extent_are_told():
-    """The observation is 1 mm long and lies 10 mm from the origin."""
-    records, found = [*regular(away=10.0), record(99, curve(0.3) + 1e9)], judge(away=10.0)
-    assert [one.ok for one in found.usable(records)] == [True] * 20 + [False]
-    assert "at most 1e+06 times the observed interface's extent of 1 mm" in found.set_aside(records)[0].why

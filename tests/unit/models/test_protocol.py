@@ -9,10 +9,10 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from strandline.errors import ForwardModelError, InvalidInput
+from strandline.errors import InvalidInput
 from strandline.interface import Interface
 from strandline.models.fidelities import CHEAPER, FIRST_PAIRS, WithCheaper, by_cheaper, first_runs, run_identity
-from strandline.models.offers import KeepsFolders, SolvesOnFinerMesh, undeformed_interface
+from strandline.models.offers import undeformed_interface
 from strandline.models.protocol import (
     Simulation,
     asks_sensitivities,
@@ -40,15 +40,12 @@ class Sensitive(Plain):
 
 
 @dataclass(frozen=True)
-class Labelled(Plain):
-    nodes: int = 41
-    sensitivities: bool = False
+class Labelled(Sensitive):
     fingerprint = "mine-1"
 
 
 @dataclass(frozen=True)
-class Declared(Plain):
-    nodes: int = 41
+class Declared(Sensitive):
     fingerprint: ClassVar[str] = "mine-1"
 
 
@@ -64,23 +61,11 @@ class Rod:
         return f"rod:{self.nodes}"
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
-        assert set(inputs) == {"slope"}
         x = np.linspace(0.0, 1.0, self.nodes)
         return Simulation.of(Interface.polyline(np.stack([x, inputs["slope"] * x], axis=1)))
 
     def undeformed(self) -> str:
         return f"{self.nodes} nodes"
-
-
-def test_one_condition_needs_no_name_and_several_have_theirs():
-    simulation = Simulation.of(LINE, {"steps": 3.0}, {"E": LINE.points})
-    assert dict(simulation.interfaces) == {"": LINE}
-    assert dict(simulation.diagnostics) == {"steps": 3.0}
-    assert list(simulation.sensitivities[""]) == ["E"]
-    assert Simulation.of(LINE).sensitivities == {}
-    assert Simulation({"slow": LINE}).interface is LINE
-    with pytest.raises(InvalidInput, match="conditions slow, fast; expected one condition"):
-        _ = Simulation({"slow": LINE, "fast": LINE}).interface
 
 
 def test_conditions_are_declared_and_an_observed_one_must_be_among_them():
@@ -90,28 +75,24 @@ def test_conditions_are_declared_and_an_observed_one_must_be_among_them():
         require_conditions(named, model)
     with pytest.raises(InvalidInput, match="got heavier; expected one of light, heavy"):
         require_conditions(["light", "heavier"], TwoLoads())
-    with pytest.raises(InvalidInput, match="got light; expected no name"):
-        require_conditions(["light"], Cantilever())
 
 
 def test_sensitivities_are_no_part_of_the_identity():
-    for model in (Sensitive(), TwoLoads(), PythonModel("strandline.testing.studies:two_loads")):
+    for model in (Sensitive(), PythonModel("strandline.testing.studies:two_loads")):
         asked = with_sensitivities(model)
         assert not asks_sensitivities(model)
         assert asks_sensitivities(asked)
         assert fingerprint(asked) == fingerprint(model) == fingerprint(pickle.loads(pickle.dumps(asked)))
     assert fingerprint(Sensitive(size=2.0)) != fingerprint(Sensitive())
-    for model in (Plain(), lambda inputs, workdir: LINE, PythonModel("strandline.testing.studies:beam")):
+    for model in (Plain(), PythonModel("strandline.testing.studies:beam")):
         with pytest.raises(InvalidInput, match="this model offers none"):
             with_sensitivities(model)
-        assert not asks_sensitivities(model)
 
 
 def test_options_count_where_a_class_states_one_fingerprint_for_all():
     assert fingerprint(Labelled()) == fingerprint(Labelled(sensitivities=True)) == "mine-1"
-    assert fingerprint(Labelled(5)) == 'mine-1/{"nodes": 5}'
-    assert fingerprint(Declared(5)) == fingerprint(Declared()) == "mine-1"
-    assert fingerprint(Rod(5)) == "rod:5"
+    assert fingerprint(Labelled(5.0)) == 'mine-1/{"size": 5.0}'
+    assert fingerprint(Declared(5.0)) == "mine-1"
 
 
 def test_two_loads_are_the_beam_under_each_with_its_derivatives(tmp_path):
@@ -121,30 +102,26 @@ def test_two_loads_are_the_beam_under_each_with_its_derivatives(tmp_path):
     for condition, load in (("light", 1e-5), ("heavy", 2e-5)):
         expected = Cantilever()(INPUTS | {"load": load}, tmp_path).interface
         np.testing.assert_array_equal(run.interfaces[condition].points, expected.points)
-    with pytest.raises(ForwardModelError, match="large_deflection"):
-        replace(model, ratio=1e4)(INPUTS, tmp_path)
     exact = model(INPUTS, tmp_path).sensitivities
     assert python(INPUTS, tmp_path).sensitivities == {}
     handed = with_sensitivities(python)(INPUTS, tmp_path).sensitivities
-    for name, step, largest in (("E", 1e-2, 2e-4), ("E", 1e-3, 2e-6), ("load", 1e-3, 2e-6)):
-        one, other = (model({**INPUTS, name: INPUTS[name] * (1 + s)}, tmp_path).interfaces for s in (step, -step))
+    for name in INPUTS:
+        one, other = (model({**INPUTS, name: INPUTS[name] * (1 + s)}, tmp_path).interfaces for s in (1e-3, -1e-3))
         for condition in TwoLoads.conditions:
-            found = (one[condition].points - other[condition].points) / (2 * step * INPUTS[name])
+            found = (one[condition].points - other[condition].points) / (2e-3 * INPUTS[name])
             slope = exact[condition][name]
-            assert np.abs(found - slope).max() < largest * np.abs(slope).max()
+            assert np.abs(found - slope).max() < 2e-6 * np.abs(slope).max()
             np.testing.assert_array_equal(handed[condition][name], slope)
 
 
 def test_the_undeformed_interface_is_given_lacking_or_refused():
     model = Plain()
     assert undeformed_interface(model) is None
-    assert not isinstance(model, SolvesOnFinerMesh | KeepsFolders)
     model.undeformed = lambda: LINE
     assert undeformed_interface(model) is LINE
-    for wrong, said in ((LINE, "got an attribute"), (lambda: LINE.points, "got a ndarray")):
-        model.undeformed = wrong
-        with pytest.raises(InvalidInput, match=said):
-            undeformed_interface(model)
+    model.undeformed = lambda: LINE.points
+    with pytest.raises(InvalidInput, match="got a ndarray"):
+        undeformed_interface(model)
 
 
 def test_a_mark_chooses_the_cheaper_model_and_its_address_and_all_else_is_the_models():
@@ -170,7 +147,6 @@ def test_a_cheaper_model_that_does_not_fit_is_refused():
     for cheaper, cost, message in (
         (Rod(9), 0.2, "the model itself"),
         (Rod(3), 1.0, "above 0 and below 1"),
-        (Rod(3), 0.0, "above 0 and below 1"),
         (Rod(3, ("a",)), 0.2, "conditions of the cheaper model: got a; expected those of the model"),
     ):
         with pytest.raises(InvalidInput, match=message):

@@ -5,32 +5,26 @@ import pytest
 from scipy.special import ndtr
 from scipy.stats import norm
 
-from strandline.errors import InvalidInput
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.population import Certified, SpecimenPosterior, population_of, shrunk
 from strandline.priors import Normal, Uniform
 
-E = Parameter("E", Uniform(100.0, 800.0), "Pa")
-SPACE, TWO = ParameterSpace((E,)), ParameterSpace((E, Parameter("nu", Uniform(-0.8, 0.5))))
+SPACE = ParameterSpace((Parameter("E", Uniform(100.0, 800.0), "Pa"),))
 OWN = 25.0
-PLACES = (np.arange(64) + 0.5) / 64
 
 
 def specimen(name, mean, sd=OWN, space=SPACE):
-    """Return a normal posterior of independent inputs, by draws with its moments."""
-    mean, sd, random = np.atleast_1d(mean), np.atleast_1d(sd), np.random.default_rng(5)
-    z = np.stack([norm.ppf(PLACES), *(norm.ppf(random.permutation(PLACES)) for _ in mean[1:])], axis=1)
-    z = z @ np.linalg.inv(np.linalg.cholesky(np.cov(z.T, bias=True).reshape(len(mean), -1))).T
-    quantiles = mean + np.array([-1.645, 0.0, 1.645])[:, None] * sd
-    draws, by = mean + sd * z, "importance"
-    return SpecimenPosterior(name, {}, space, mean, np.diag(sd**2), quantiles, draws, 1000.0, by, Certified(0.0, 1.0))
+    """Return a normal posterior, by draws with its moments."""
+    mean, z = np.atleast_1d(mean), norm.ppf((np.arange(64) + 0.5) / 64)[:, None]
+    quantiles = mean + np.array([[-1.645], [0.0], [1.645]]) * sd
+    parts = mean, np.array([[sd**2]]), quantiles, mean + sd * z / z.std()
+    return SpecimenPosterior(name, {}, space, *parts, 1000.0, "importance", Certified(0.0, 1.0))
 
 
 def specimens(number, *, sd=40.0, seed=0):
     random = np.random.default_rng(seed)
     truths = 400.0 + sd * random.standard_normal(number)
-    seen = truths + OWN * random.standard_normal(number)
-    return tuple(specimen(f"{k:03}", x) for k, x in enumerate(seen))
+    return tuple(specimen(f"{k:03}", x) for k, x in enumerate(truths + OWN * random.standard_normal(number)))
 
 
 def by_quadrature(some, own=OWN):
@@ -71,12 +65,8 @@ def test_shrunk_means_are_those_of_quadrature_and_the_order_of_specimens_does_no
     population = population_of(some)
     lifted = shrunk(population, tuple(one.name for one in some))
     assert abs(lifted.mean[0, 0] - by_quadrature(some)[4]) < 0.08 * OWN
-    own = np.array([one.mean[0] for one in some])
-    assert lifted.mean[:, 0].std() < 0.95 * own.std(), "all are pulled to the middle"
-    assert (lifted.sd[:, 0] < OWN).all()
-    assert (lifted.quantiles[:, 0] < lifted.quantiles[:, 1]).all()
+    assert lifted.mean[:, 0].std() < 0.95 * np.std([one.mean[0] for one in some]), "all are pulled to the middle"
     np.testing.assert_array_equal(population_of(some[::-1]).centre, population.centre)
-    assert not np.array_equal(population_of(some, seed=2).centre, population.centre)
 
 
 @pytest.mark.parametrize(("far", "others", "seed"), [(0.0, 80, 3), (300.0, 20, 0)], ids=["none", "one"])
@@ -85,23 +75,7 @@ def test_outliers_are_named(far, others, seed):
     some = [*specimens(others, seed=seed), specimen("odd", 400.0 + far)]
     lifted = shrunk(population_of(some), tuple(one.name for one in some))
     assert lifted.outliers == (("odd",) if far else ())
-    assert lifted.limit == pytest.approx(0.05 / len(some))
-    if far:
-        assert lifted.z[-1, 0] > 3
-        assert "outliers: odd" in repr(lifted)
-    else:
-        assert abs((lifted.p_values < 0.5).mean() - 0.5) < 0.17
-
-
-def test_two_inputs():
-    random = np.random.default_rng(2)
-    truths, own = np.array([400.0, 0.1]) + random.standard_normal((15, 2)) * [40.0, 0.08], np.array([20.0, 0.05])
-    some = [specimen(f"{k:02}", x + own * random.standard_normal(2), own, TWO) for k, x in enumerate(truths)]
-    found = population_of(some)
-    for draws, truth in ((found.mean, truths.mean(axis=0)), (found.sd, truths.std(axis=0))):
-        assert (np.abs(draws.mean(axis=0) - truth) < 2.5 * draws.std(axis=0)).all()
-    x = np.linspace(100, 800, 2001)
-    np.testing.assert_allclose(found.density(0, x).sum(axis=1) * (x[1] - x[0]), 1.0, atol=1e-3)
+    assert far or abs((lifted.p_values < 0.5).mean() - 0.5) < 0.17
 
 
 def test_a_prior_counts_once():
@@ -112,10 +86,3 @@ def test_a_prior_counts_once():
     plain = population_of(free).mean.mean()
     assert abs(population_of(some).mean.mean() - plain) < 12
     assert np.mean([one.mean for one in some]) < plain - 25
-
-
-def test_few_or_unlike_specimens_make_no_population():
-    two = specimen("two", [400.0, 0.1], np.array([20.0, 0.1]), TWO)
-    for some, words in ((specimens(2), "got 2; expected at least 3"), ([*specimens(3), two], "the same ones for all")):
-        with pytest.raises(InvalidInput, match=words):
-            population_of(some)

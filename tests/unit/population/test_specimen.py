@@ -4,11 +4,9 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-import pytest
 from tests.unit.calibration.arches import SD, SPACE, arch, knowledge, seen
 
 from strandline.discrepancy import NormalOffset
-from strandline.errors import InvalidInput
 from strandline.interface import Observation, PointErrors
 from strandline.likelihood import FieldLikelihood
 from strandline.population import posterior_of, start
@@ -54,53 +52,32 @@ def test_mean_and_covariance_are_those_of_quadrature():
     sd = np.sqrt(np.diag(covariance))
     for errors, right in ((ERRORS, True), (PointErrors(1.4 * SD), False)):
         one = found(errors=errors)
-        assert one.by == "importance"
-        assert one.effective > 1000
         assert bool(np.abs((one.covariance - covariance) / np.outer(sd, sd)).max() < 0.1) is right
         assert not right or np.abs((one.mean - mean) / sd).max() < 0.06
         np.testing.assert_allclose(one.draws.mean(axis=0), one.mean, atol=1e-9)
-        np.testing.assert_allclose(np.cov(one.draws.T, bias=True), one.covariance, rtol=1e-6)
-        assert (np.diff(one.quantiles, axis=0) > 0).all()
 
 
-def test_known_inputs_are_held_fixed_or_refused():
-    one, elsewhere = (found(begin().with_given({"lean": lean})) for lean in (0.12, 0.05))
+def test_known_inputs_are_held_fixed():
+    one = found(begin().with_given({"lean": 0.12}))
     heights = SPACE.low[0] + U * (SPACE.high[0] - SPACE.low[0])
     mean, covariance = by_quadrature(np.stack([heights, np.full(len(U), 0.12)], axis=1))
     sd = float(np.sqrt(covariance[0, 0]))
-    assert one.space.names == ("height",)
-    assert abs(one.mean[0] - mean[0]) < 0.06 * sd
-    assert abs(one.sd[0] / sd - 1) < 0.06
-    assert abs(elsewhere.mean[0] - mean[0]) > 3 * sd, "the known value matters"
-    for given, words in (
-        ({"lean": 3.0}, "known value of lean: got 3.0; expected a number from -0.1 to 0.2"),
-        ({"weight": 1.0}, "name of an input: got weight"),
-        ({"lean": 0.1, "height": 0.3}, "at least one input left"),
-    ):
-        with pytest.raises(InvalidInput, match=words):
-            begin().with_given(given)
+    assert np.abs([(one.mean[0] - mean[0]) / sd, one.sd[0] / sd - 1]).max() < 0.06
 
 
 def test_it_depends_on_name_and_seed_alone():
     first, second, again = (found(name=name) for name in "aba")
-    for part in ("mean", "covariance", "quantiles", "draws"):
-        np.testing.assert_array_equal(getattr(again, part), getattr(first, part))
+    np.testing.assert_array_equal(again.draws, first.draws)
     for other in (second, found(name="a", seed=2)):
         assert not np.array_equal(other.draws, first.draws)
-        assert np.abs((other.mean - first.mean) / first.sd).max() < 0.12
 
 
-def test_other_samplers_take_over(monkeypatch):
-    """Without a likelihood nearby the measure leads the sampler; without importance sampling, tempering does it."""
+def test_tempering_takes_over_from_importance_sampling(monkeypatch):
     one = found()
-    monkeypatch.setattr(FieldLikelihood, "nearby", None)
-    exact = found()
-    monkeypatch.setattr(module, "followed", lambda *given: None)
+    monkeypatch.setattr(module, "followed", lambda *given, **how: None)
     tempered = found()
-    assert [x.by for x in (one, exact, tempered)] == ["importance", "importance", "smc"]
-    for other, limit in ((exact, 0.1), (tempered, 0.3)):
-        assert np.abs((other.mean - one.mean) / one.sd).max() < limit
-        assert np.abs(other.sd / one.sd - 1).max() < limit
+    assert (one.by, tempered.by) == ("importance", "smc")
+    assert np.abs((tempered.mean - one.mean) / one.sd).max() < 0.3
 
 
 def test_the_certified_shift_is_that_of_perturbed_fields():
@@ -118,10 +95,8 @@ def test_the_certified_shift_is_that_of_perturbed_fields():
 
 
 def test_a_coarse_surrogate_asks_for_runs_at_the_posterior():
-    assert found().certified.verdict == "good"
     one = found(begin(1e9))
-    assert one.certified.verdict == "refine"
+    assert (found().certified.verdict, one.certified.verdict) == ("good", "refine")
     x = runs_for(begin(1e9), [one], 3)
     assert len(np.unique(x, axis=0)) == 3
     assert ((x >= one.draws.min(axis=0)) & (x <= one.draws.max(axis=0))).all()
-    assert len(runs_for(begin(1e9), [], 3)) == 0

@@ -9,11 +9,10 @@ from scipy.stats import multivariate_normal
 from strandline.errors import InvalidInput, NumericsError
 from strandline.interface import Interface
 from strandline.parameters import Parameter, ParameterSpace
-from strandline.posterior import GaussianApproximation, Posterior, laplace, log_prior_hessian, systematic_indices
+from strandline.posterior import GaussianApproximation, Posterior, laplace, log_prior_hessian
 from strandline.posterior.marginals import histogram, histogram_2d, histogram_mode
 from strandline.posterior.predictive import interface_band, normal_offsets, observed_offsets
 from strandline.priors import LogNormal, Normal, ScaledBeta, Uniform
-from strandline.typeset import html_table
 
 SPACE = ParameterSpace((Parameter("E", Uniform(-10.0, 10.0), "Pa"), Parameter("nu", Uniform(-10.0, 10.0))))
 MEAN, COVARIANCE = np.array([2.0, -1.0]), np.array([[1.0, 0.6], [0.6, 1.5]])
@@ -37,17 +36,10 @@ def plain(draws, weights, log_likelihood=None, log_prior=None):
         return Posterior(SPACE, draws, np.log(weights), likelihood, prior, 0.0)
 
 
-def test_moments_are_those_of_the_normal_posterior_and_integer_weights_equal_repeated_draws():
+def test_the_density_is_that_of_the_normal_posterior_and_integer_weights_equal_repeated_draws():
     posterior = importance_posterior()
-    error, sd = 1.0 / np.sqrt(posterior.ess), np.sqrt(np.diag(COVARIANCE))
-    assert np.abs((posterior.mean - MEAN) / sd / error).max() < 4
-    np.testing.assert_allclose(posterior.covariance, COVARIANCE, atol=8 * error)
-    np.testing.assert_allclose(posterior.sd, sd, atol=8 * error)
-    planted = (posterior.draws.mean(axis=0) - MEAN) / sd / error
-    assert np.abs(planted).max() > 20, "an unweighted mean must be caught"
     exact = -0.5 * np.log(np.linalg.det(2 * np.pi * COVARIANCE))
     assert posterior.log_density[posterior.map_index] == pytest.approx(exact, abs=0.1)
-    np.testing.assert_allclose(posterior.equally_weighted(1, 20_000).mean(axis=0), posterior.mean, atol=0.02)
     np.testing.assert_array_equal(posterior.columns(["nu", "E"]), posterior.draws[:, ::-1])
     rng = np.random.default_rng(3)
     draws, copies = rng.normal(size=(40, 2)), rng.integers(1, 6, 40)
@@ -69,17 +61,14 @@ def test_zero_weights_do_not_count_the_map_counts_the_prior_and_resampling_copie
     assert posterior.map_index == 3
     np.testing.assert_array_equal(posterior.map_estimate, draws[3])
     weights = np.array([0.5, 0.25, 0.0, 0.25])
-    posterior = plain(np.array([[0.0, 0], [1, 0], [2, 0], [3, 0]]), weights)
+    posterior = plain(draws, weights)
     for seed in (7, np.random.default_rng(7), jax.random.key(7), jax.random.PRNGKey(7)):
-        counts = np.bincount(posterior.equally_weighted(seed, 400)[:, 0].astype(int), minlength=4)
+        counts = np.bincount(posterior.equally_weighted(seed, 400)[:, 0].astype(int) // 2, minlength=4)
         assert np.abs(counts - 400 * weights).max() <= 1
         assert counts[2] == 0
-    weights, rng = np.array([0.33, 0.02, 0.65]), np.random.default_rng(0)
-    counts = sum(np.bincount(systematic_indices(weights, 2, rng), minlength=3) for _ in range(2000))
-    np.testing.assert_allclose(counts / 4000, weights, atol=0.02)
 
 
-def test_histograms_carry_all_weight_and_their_mode_is_the_fullest_bin_and_not_the_joint_mode():
+def test_histograms_carry_all_weight_and_their_mode_is_the_fullest_bin():
     posterior, box = importance_posterior(2000), (-10.0, 10.0)
     one = histogram(posterior.draws[:, 0], posterior.weights, bounds=box, bins=40)
     assert one.mass.sum() == pytest.approx(1.0)
@@ -88,17 +77,9 @@ def test_histograms_carry_all_weight_and_their_mode_is_the_fullest_bin_and_not_t
     two = histogram_2d(posterior.draws, posterior.weights, bounds=(box, box), bins=40)
     np.testing.assert_allclose(two.mass.sum(axis=1), one.mass)
     assert (two.density * np.outer(np.diff(two.x_edges), np.diff(two.y_edges))).sum() == pytest.approx(1.0)
-    assert histogram(np.full(3, 2.0), np.full(3, 1 / 3)).mass.sum() == pytest.approx(1.0), "a constant has one bin"
     draws = np.array([[0.05, 0.05], [0.05, 0.05], [0.95, 0.55], [1.0, 1.0]])
     mode = histogram_mode(draws, np.array([0.1, 0.1, 0.7, 0.1]), bounds=[(0.0, 1.0), (0.0, 1.0)], bins=10)
     np.testing.assert_allclose(mode, [0.95, 0.55])
-    rng = np.random.default_rng(0)
-    hill, spike = rng.normal([2.0, 0.0], [0.5, 3.0], (6000, 2)), rng.normal([-4.0, 0.0], [0.5, 0.01], (2000, 2))
-    draws = np.clip(np.concatenate([hill, spike]), -10, 10)
-    posterior = plain(draws, np.full(8000, 1 / 8000), np.where(np.arange(8000) < 6000, 0.0, 5.0))
-    assert posterior.map_estimate[0] < 0
-    mode = histogram_mode(posterior.columns(["E"]), posterior.weights, bounds=[(-10.0, 10.0)])
-    assert mode[0] == pytest.approx(2.0, abs=0.7)
 
 
 def test_a_posterior_has_one_line_and_a_table():
@@ -110,13 +91,8 @@ def test_a_posterior_has_one_line_and_a_table():
     assert repr(shown(1)).replace("\u00a0", " ") == "<Posterior k<0 = 398 ± 30 mm² s⁻¹; 1000 particles, ESS 1000>"
     line, table = repr(shown(12)), shown(3)._repr_html_()
     assert ", and 4 more;" in line
-    assert len(line.splitlines()) == 1
-    assert len(line) < 400
-    assert table.count("<tr>") == 4
-    assert "k&lt;0" in table
-    assert "<th>5 %</th>" in table
-    assert "<caption>" not in html_table(("a",), [("1",)], caption="")
-    assert "<caption>a &amp; b</caption>" in html_table(("a",), [("1",)], caption="a & b")
+    assert "\n" not in line
+    assert (table.count("<tr>"), "k&lt;0" in table) == (4, True)
 
 
 SCALED = np.array([[150.0**2, 30.0, 1.0], [30.0, 0.09, 0.01], [1.0, 0.01, 4.0]])
@@ -127,15 +103,12 @@ DRAWS = np.random.default_rng(1).multivariate_normal(GAUSSIAN.mean, SCALED, 20_0
 def test_the_density_is_that_of_scipy_each_radius_encloses_its_share_and_an_ellipse_that_of_the_plane():
     expected = multivariate_normal(GAUSSIAN.mean, SCALED).logpdf(DRAWS[:20])
     np.testing.assert_allclose(GAUSSIAN.log_density(DRAWS[:20]), expected)
-    assert GAUSSIAN.log_density(DRAWS[0]).shape == ()
-    assert GAUSSIAN.marginal([0, 1]).percentile_radius(0.5) == pytest.approx(np.sqrt(2 * np.log(2)))
     for p in (0.1, 0.5, 0.9):
         inside = (GAUSSIAN.radius(DRAWS) < GAUSSIAN.percentile_radius(p)).mean()
         assert inside == pytest.approx(p, abs=4 * np.sqrt(p * (1 - p) / len(DRAWS)))
     curve = GAUSSIAN.ellipse(0.9, pair=(2, 0))
     plane = GaussianApproximation(GAUSSIAN.mean[[2, 0]], SCALED[np.ix_([2, 0], [2, 0])])
     np.testing.assert_allclose(plane.radius(curve), np.sqrt(-2 * np.log(0.1)))
-    np.testing.assert_allclose(curve[0], curve[-1])
     planted = plane.radius(DRAWS[:, [2, 0]]) < GAUSSIAN.percentile_radius(0.9)
     assert planted.mean() > 0.93, "the radius of three inputs used in the plane must be caught"
 
@@ -143,12 +116,9 @@ def test_the_density_is_that_of_scipy_each_radius_encloses_its_share_and_an_elli
 def test_laplace_of_a_gaussian_is_that_gaussian_and_maxima_are_told_from_saddles_in_any_unit():
     found = laplace(-np.linalg.inv(SCALED), GAUSSIAN.mean)
     assert found.definite
-    assert (found.eigenvalues < 0).all()
-    np.testing.assert_allclose(found.covariance, SCALED, rtol=1e-9)
     np.testing.assert_allclose(found.gaussian.covariance, SCALED, rtol=1e-9)
     saddle = laplace(np.array([[-1.0, 2.0], [2.0, -1.0]]), np.zeros(2))
     assert saddle.covariance is None
-    np.testing.assert_allclose(saddle.eigenvalues, [-3.0, 1.0])
     for hessian in (np.diag([-1.0, 1.0]), np.diag([-1.0, 0.0]), -np.ones((2, 2)), np.zeros((2, 2))):
         assert not laplace(hessian, np.zeros(2)).definite
     units = np.diag([1e9, 1e-9])
@@ -180,19 +150,16 @@ def test_the_hessian_of_the_prior_agrees_with_finite_differences_and_closed_form
 
 def test_what_is_refused():
     good, zeros, pair = importance_posterior(10), np.zeros(10), np.zeros(2)
-    line, flat = ParameterSpace(SPACE.parameters[:1]), GaussianApproximation(pair, np.diag([1.0, 0.0]))
+    line = ParameterSpace(SPACE.parameters[:1])
     for call, error, words in (
         (lambda: Posterior(SPACE, good.draws, good.log_weights + 1.0, zeros, zeros, 0.0), InvalidInput, "logsumexp"),
-        (lambda: Posterior(SPACE, np.nan * good.draws, good.log_weights, zeros, zeros, 0.0), InvalidInput, "finite"),
+        (lambda: plain(np.array([[0.5, 0.5], [np.nan, 0.5]]), np.full(2, 0.5)), InvalidInput, "particle 1 of the post"),
         (lambda: Posterior(line, good.draws, good.log_weights, zeros, zeros, 0.0), InvalidInput, "particle"),
         (lambda: good.equally_weighted(0, 0), InvalidInput, "at least 1"),
-        (lambda: good.columns(["rho"]), InvalidInput, "rho"),
         (lambda: histogram(np.array([0.0, 2.0]), np.full(2, 0.5), bounds=(0.0, 1.0)), InvalidInput, "left out"),
         (lambda: GAUSSIAN.percentile_radius(10.0), InvalidInput, r"0\.1"),
-        (lambda: flat.log_density(pair), NumericsError, "without spread"),
         (lambda: laplace(np.array([[-1.0, 2.0], [2.0, -1.0]]), pair).gaussian, NumericsError, "not negative definite"),
         (lambda: laplace(np.array([[-1.0, 0.5], [0.0, -1.0]]), pair), InvalidInput, "finite differences"),
-        (lambda: laplace(np.full((2, 2), np.nan), pair), InvalidInput, "finite differences"),
         (lambda: log_prior_hessian(PRIORS, np.array([50.0, 0.15, 75.0, 0.5])), InvalidInput, "inside the support"),
     ):
         with pytest.raises(error, match=words):
@@ -221,13 +188,3 @@ def test_bands_are_those_of_each_coordinate_and_offsets_to_the_closest_place_are
     found = observed_offsets(observed, LINE)
     np.testing.assert_allclose(found.arc_length, [0.0, 0.5, 2.0, 3.0])
     np.testing.assert_allclose(found.offset, [0.5, 0.0, 0.2, -0.4])
-    found = observed_offsets(Interface.polyline(0.9 * ROUND[3:80], closed=False), CIRCLE)
-    np.testing.assert_allclose(found.offset, 0.1, atol=2e-3)
-    assert (np.diff(found.arc_length) > 0).all()
-
-
-def test_a_particle_that_is_not_finite_is_named():
-    draws = np.full((3, 2), 0.5)
-    draws[1, 0] = np.nan
-    with pytest.raises(InvalidInput, match="particle 1 of the posterior"):
-        plain(draws, np.full(3, 1 / 3))

@@ -77,7 +77,6 @@ def test_each_reading_is_its_closed_form_and_none_is_taken_for_the_other(joint, 
     """Planted: weights with Z(θ) left in, which turn the cut into the joint reading."""
     assert max(*errors(joint, JOINT), *errors(cut, CUT)) < 0.06
     assert min(*errors(joint, CUT), *errors(cut, JOINT)) > 0.3
-    assert joint.names == cut.names == ("a", "b")
     old = cut.extended
     log_weights = old.log_weights + cut.log_evidence[cut.value_index]
     log_weights -= np.logaddexp.reduce(log_weights)
@@ -93,20 +92,15 @@ def test_the_parts_of_the_cut_and_summaries_of_the_calibrated_columns(cut, joint
     np.testing.assert_array_equal(extended.draws[:, 1], cut.values[cut.value_index, 0])
     raw = log_likelihood(extended.draws)
     np.testing.assert_allclose(extended.log_likelihood, raw - cut.log_evidence[cut.value_index], atol=1e-9)
-    np.testing.assert_allclose(extended.log_prior, SPACE.log_prior(extended.draws))
-    assert extended.log_evidence == 0.0
     r = SEEN - cut.values @ G[:, 1:2].T
     exact = np.log(SD**2 * SHRINK) - 0.5 * (r**2).sum(axis=1) * SHRINK
     np.testing.assert_allclose(cut.log_evidence, exact, atol=0.05)
     assert cut.joint_log_evidence == pytest.approx(joint.extended.log_evidence, abs=0.1)
     extended = joint.extended
     np.testing.assert_allclose(joint.mean, extended.weights @ extended.draws[:, [0, 2]])
-    np.testing.assert_allclose(joint.sd, extended.sd[[0, 2]])
     np.testing.assert_array_equal(joint.quantiles([0.1, 0.9]), extended.quantiles([0.1, 0.9])[:, [0, 2]])
-    np.testing.assert_allclose(joint.gaussian.covariance, joint.covariance)
     mode = histogram_mode(extended.draws[:, [0, 2]], extended.weights, bounds=[BOX, BOX], bins=30)
     np.testing.assert_array_equal(joint.map_estimate, mode)
-    assert np.abs(joint.map_estimate - JOINT[0]).max() < 0.8, "1.5 bins"
     assert [mode_bins(dim) for dim in (1, 2, 3, 4, 6)] == [30, 30, 20, 10, 10]
 
 
@@ -117,8 +111,6 @@ def test_values_of_nuisance_inputs_are_the_middles_of_strata():
     first, second = (Parameter(name, Uniform(0.0, 1.0), nuisance=True) for name in ("s", "t"))
     for number in (20, 32):
         values = nuisance_values(ParameterSpace((first, SPACE["a"], second)), number)
-        assert values.shape == (number, 2)
-        assert 0 < values.min() < values.max() < 1
         for column in values.T:
             np.testing.assert_array_equal(np.sort(column * 32 - 0.5) % 1, 0.0)
             assert len(set(column.tolist())) == number
@@ -145,12 +137,8 @@ def test_both_readings_survive_the_file(tmp_path, joint, cut):
         np.testing.assert_array_equal(getattr(found, name), getattr(cut, name))
     np.testing.assert_array_equal(found.extended.draws, cut.extended.draws)
     np.testing.assert_allclose(found.mean, cut.mean, rtol=1e-12)
-    assert back["cut_posterior"]["a"].dims == ("chain", "draw")
-    assert back["weighted_cut_posterior"]["nuisance_input"].to_numpy().tolist() == ["t"]
     assert [back["posterior"][name].attrs.get("nuisance") for name in SPACE.names] == [None, 1, None]
-    without = to_datatree(joint.extended, seed=1, number=50)
-    assert set(without.children) == {"posterior", "weighted_posterior", "prior"}
-    assert cut_from_datatree(without, SPACE) is None
+    assert cut_from_datatree(to_datatree(joint.extended, seed=1, number=50), SPACE) is None
 
 
 INPUTS = ParameterSpace((Parameter("E", Uniform(100.0, 800.0), "Pa"), Parameter("nu", ScaledBeta(3.0, 2.0, -0.8, 0.5))))
@@ -173,14 +161,12 @@ def test_the_summary_of_arviz_is_the_weighted_mean_and_the_prior_group_holds_the
 
         summary = arviz.summary(arviz.from_netcdf(path), round_to="none")
     error = 4 * posterior.sd / np.sqrt(posterior.ess)
-    assert list(summary.index) == ["E", "nu"]
     assert (np.abs(summary["mean"].to_numpy() - posterior.mean) < error).all()
     np.testing.assert_allclose(summary["sd"], posterior.sd, rtol=0.1)
     planted = np.abs(posterior.draws.mean(axis=0) - posterior.mean)
     assert (planted > error).all(), "storing the particles as if they had equal weights must be caught"
-    for parameter in INPUTS:
-        uniform = np.sort(parameter.truncated_prior.cdf(tree["prior"][parameter.name].to_numpy().ravel()))
-        assert np.abs(uniform - (np.arange(4000) + 0.5) / 4000).max() < 1.63 / np.sqrt(4000)
+    uniform = np.sort(INPUTS["nu"].truncated_prior.cdf(tree["prior"]["nu"].to_numpy().ravel()))
+    assert np.abs(uniform - (np.arange(4000) + 0.5) / 4000).max() < 1.63 / np.sqrt(4000)
 
 
 def test_a_posterior_survives_the_file_which_depends_on_its_content_alone(tmp_path):
@@ -197,19 +183,14 @@ def test_a_posterior_survives_the_file_which_depends_on_its_content_alone(tmp_pa
     drawn, seen = back["posterior"], back["observed_data"]["interface_t1"]
     assert (drawn["E"].attrs["units"], drawn["E"].dims, drawn.sizes["draw"]) == ("Pa", ("chain", "draw"), 50)
     np.testing.assert_array_equal(seen, OBSERVED.interface.points)
-    assert seen.attrs["noise_variance"] == 5e-4
     again = from_datatree(back, INPUTS)
     np.testing.assert_array_equal(again.draws, posterior.draws)
     np.testing.assert_array_equal(again.log_weights, posterior.log_weights)
     assert again.log_evidence == posterior.log_evidence
-    assert back["weighted_posterior"]["weight"].sum() == pytest.approx(1.0)
-    assert back["weighted_posterior"].attrs["effective_sample_size"] == pytest.approx(posterior.ess)
     with pytest.raises(InvalidInput, match="rho"):
         from_datatree(back, ParameterSpace((Parameter("rho", Uniform(0.0, 1.0)),)))
     with pytest.raises(InvalidInput, match="netCDF"):
         read(path)
-    with pytest.raises(InvalidInput, match="conditions"):
-        to_datatree(posterior, seed=0, observed=[OBSERVED, OBSERVED])
 
 
 def test_a_write_replaces_the_file_at_once_or_leaves_the_old_one(tmp_path):

@@ -13,7 +13,6 @@ from strandline.errors import InvalidInput, InvalidStudy
 from strandline.planning.candidate import Candidate, Look
 from strandline.questions.compare.comparable import labels_of, may_err, require_comparable, require_several
 from strandline.questions.compare.separation import require_settable
-from strandline.questions.compare.study_comparison import odds_in
 from strandline.questions.knowledge import _thinned
 from strandline.questions.line_file import LineFile
 from strandline.questions.specimens.files import specimen_files
@@ -24,50 +23,26 @@ SPECIMENS = {"files": "all/*.csv", "read": {"unit": "mm"}}
 REFUSED = [
     ({"next": {"laod": [1]}}, r"next.laod: got no such quantity.*Did you mean load\?"),
     ({"next": {"E": [1]}}, r"next.E: got an input to calibrate.*cannot set what is to be inferred"),
-    ({"next": {"load": []}}, r"next.load: got \[\]; expected a list"),
-    ({"next": {"load": ["much"]}}, r"next.load: got much; expected finite numbers"),
-    ({"next": {"load": [1e999]}}, r"next.load: .*finite"),
-    ({"next": {"load": [1], "together": 4}}, r"next.together: got 4.*from 1 to 3"),
-    ({"next": {"part": [[0.5, 0.2]]}}, r"next.part: got \[0.5, 0.2\].*pairs of shares"),
-    ({"next": {"points": [2]}}, r"next.points: got 2; expected whole numbers from 3"),
-    ({"next": {"sd": [3]}}, r"next.unit: .*one of .*um"),
-    ({"next": {"sd": [-3], "unit": "um"}}, r"next.sd: got -3.*above 0"),
     ({"next": {"condition": ["slow"]}}, r"next.condition: .*single condition.*Remove it"),
     ({"next": {"load": [*range(1, 40)], "together": 2}}, r"next: too many candidates: got 819; expected at most 500"),
     ({"next": {"tilt": [0.02, 0.05]}}, r"next.tilt: got 0.05; expected a value in the box"),
     ({"what_if": [{"nose": {"sd": 1}}]}, r"unknown key: got what_if.0.nose; expected one of name, prior, noise"),
-    ({"specimens": {"file": "all/*.csv"}}, "unknown key"),
 ]
 NUISANCE = {**BEAM_STUDY["inputs"], "tilt": {"prior": {"uniform": [0.0, 0.04]}, "nuisance": True}}
 
 
 def test_questions_that_make_no_sense_are_refused_when_the_study_is_loaded(tmp_path):
     for asked, words in REFUSED:
-        with pytest.raises(InvalidStudy) as caught:
+        with pytest.raises(InvalidStudy, match=words):
             sl.load_study(write_study(tmp_path, inputs=NUISANCE, **asked))
-        assert re.search(words, str(caught.value)), str(caught.value)
-        assert "\n" not in str(caught.value)
 
 
 def test_arguments_out_of_range(tmp_path):
     study = sl.load_study(write_study(tmp_path, next={"load": [1.0]}, specimens=SPECIMENS))
     for ask, options, words in [
-        (sl.next_experiment, {"draws": 199}, "from 200 to 4000"),
-        (sl.next_experiment, {"draws": 4001}, "from 200 to 4000"),
-        (sl.next_experiment, {"runs": 3}, "at least 4"),
-        (sl.next_experiment, {"seed": -1}, "seed of the next experiment: got -1; expected 0 or above"),
-        (sl.next_experiment, {"source": "x"}, "expected prior or posterior"),
         (sl.next_experiment, {"source": "posterior"}, "no posterior to plan from"),
-        (sl.coverage, {"replicates": 19}, "replicates of the coverage: got 19; expected at least 20"),
         (sl.coverage, {"measure": "currents"}, "measure of the coverage: got currents; expected one of the study's: t"),
-        (sl.coverage, {"seed": -1}, "seed of the coverage"),
-        (sl.coverage, {"source": "somewhere"}, "source of the true inputs: got somewhere"),
         (sl.coverage, {}, "the study is not finished: got 0 of 65 forward runs done"),
-        (sl.open_specimens, {"measure": "currents"}, "measure of the specimens: got currents; expected one of the stu"),
-        (sl.open_specimens, {"seed": -1}, "seed of the specimens"),
-        (sl.open_specimens, {}, "the study is not finished"),
-        (sl.specimens, {"refine": -1}, "further runs: got -1"),
-        (sl.specimens, {"processes": 0}, "processes: got 0"),
         (sl.specimens, {}, r"specimens: got no file all/\*.csv in "),
     ]:
         with pytest.raises(InvalidInput, match=words):
@@ -75,58 +50,43 @@ def test_arguments_out_of_range(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["study.yaml"]
 
 
-class TestFilesOfSpecimens:
-    def test_keys_that_are_refused(self, tmp_path):
-        for changes, words in (
-            ({}, "study.yaml names no specimens: got beam; expected the key specimens"),
-            ({"specimens": "none/*.csv"}, "specimens: how to read the files: got observation.synthetic"),
-            ({"specimens": {**SPECIMENS, "read": {"unit": "inch"}}}, r"specimens.read.unit: got inch"),
-            ({**TWO_LOADS_STUDY, "specimens": SPECIMENS}, "a model with several conditions: got light, heavy"),
-            ({"specimens": {**SPECIMENS, "files": "**.csv"}}, r"specimens.files: got \*\*.csv; expected a pattern"),
-            ({"specimens": {**SPECIMENS, "given": "known.csv"}}, r"specimens.given: got known.csv"),
-        ):
-            with pytest.raises(InvalidStudy, match=words):
-                _ = specimen_files(sl.load_study(write_study(tmp_path, **changes))).paths
+def test_keys_and_tables_of_specimens_that_are_refused(tmp_path):
+    for changes, words in (
+        ({}, "study.yaml names no specimens: got beam; expected the key specimens"),
+        ({"specimens": "none/*.csv"}, "specimens: how to read the files: got observation.synthetic"),
+        ({**TWO_LOADS_STUDY, "specimens": SPECIMENS}, "a model with several conditions: got light, heavy"),
+        ({"specimens": {**SPECIMENS, "files": "**.csv"}}, r"specimens.files: got \*\*.csv; expected a pattern"),
+    ):
+        with pytest.raises(InvalidStudy, match=words):
+            _ = specimen_files(sl.load_study(write_study(tmp_path, **changes))).paths
+    study = sl.load_study(write_study(tmp_path, specimens={**SPECIMENS, "given": "known.csv"}))
+    for table, words in (
+        ("file,weight\ns0.csv,1\n", "columns of known.csv: got file, weight; expected file and some, not all"),
+        ("file,tilt\ns0.csv,0.02\ns0.csv,0.03\n", "rows of known.csv: got several for s0.csv"),
+    ):
+        (tmp_path / "known.csv").write_text(table)
+        with pytest.raises(InvalidStudy, match=re.escape(words)):
+            specimen_files(study)
 
-    def test_tables_that_are_refused(self, tmp_path):
-        study = sl.load_study(write_study(tmp_path, specimens={**SPECIMENS, "given": "known.csv"}))
-        for table, words in (
-            ("file,weight\ns0.csv,1\n", "columns of known.csv: got file, weight; expected file and some, not all"),
-            ("file,tilt,weight\ns0.csv,0,1\n", "got file, tilt, weight"),
-            ("tilt\n0\n", "got tilt; expected file"),
-            ("file,E,tilt\ns0.csv,400,0.02\n", "some, not all"),
-            ("", "got none"),
-            ("file,tilt\ns0.csv,0.02\ns0.csv,0.03\n", "rows of known.csv: got several for s0.csv"),
-        ):
-            (tmp_path / "known.csv").write_text(table)
-            with pytest.raises(InvalidStudy, match=re.escape(words)):
-                specimen_files(study)
 
-    def test_tables_beside_the_outlines_are_no_outlines(self, tmp_path):
-        for name in ("specimens.csv", "s1.csv", "s0.csv"):
-            (tmp_path / name).write_text("0,0\n1,1\n2,0\n")
-        (tmp_path / "known.csv").write_text("file,tilt\ns0.csv,0.02\ns1.csv,x\n")
-        given = {"files": "*.csv", "given": "known.csv", "read": {"unit": "mm"}}
-        files = specimen_files(sl.load_study(write_study(tmp_path, specimens=given)))
-        assert [path.name for path in files.paths] == [*map(files.name, files.paths)] == ["s0.csv", "s1.csv"]
-        assert files.given_of("s0.csv") == {"tilt": 0.02}
-        assert files.alike(files.paths) == [("s0.csv", "s1.csv")]
-        with pytest.raises(InvalidInput, match=r"known inputs of s1.csv: got no number for tilt"):
-            files.given_of("s1.csv")
+def test_tables_beside_the_outlines_are_no_outlines(tmp_path):
+    for name in ("specimens.csv", "s1.csv", "s0.csv"):
+        (tmp_path / name).write_text("0,0\n1,1\n2,0\n")
+    (tmp_path / "known.csv").write_text("file,tilt\ns0.csv,0.02\n")
+    given = {**SPECIMENS, "files": "*.csv", "given": "known.csv"}
+    files = specimen_files(sl.load_study(write_study(tmp_path, specimens=given)))
+    assert [path.name for path in files.paths] == [*map(files.name, files.paths)] == ["s0.csv", "s1.csv"]
+    assert files.alike(files.paths) == [("s0.csv", "s1.csv")]
 
 
 def test_a_file_of_lines_is_resumed(tmp_path):
     file, path = LineFile(tmp_path / "lines.jsonl"), tmp_path / "lines.jsonl"
-    assert file.entries() == []
     path.write_text('not JSON\n[1]\n{"of": "another"}\n{"of": "x", "sp')
     assert file.entries() == [{}, {}, {"of": "another"}]
     file.append({"of": "mine"})
     assert file.entries()[-1] == {"of": "mine"}
     assert len(path.read_text().splitlines()) == 4
-    told = r"in use: got another `it`.*one at a time"
-    with FileLock(f"{path}.lock"), pytest.raises(InvalidStudy, match=told), file.held("it", "lines"):
-        pass
-    with file.held("it", "lines"):
+    with FileLock(f"{path}.lock"), pytest.raises(InvalidStudy, match="one at a time"), file.held("it", "lines"):
         pass
 
 
@@ -135,8 +95,6 @@ def test_long_designs_are_thinned_only_if_the_log_likelihood_is_learnt(tmp_path)
     many = tuple(RunRecord(str(k), {}, "ok") for k in range(1000))
     assert [int(one.key) for one in _thinned(study, many)] == [*range(200), *range(800, 1000)]
     assert _thinned(replace(study, settings=replace(study.settings, surrogate="field")), many) == many
-    assert _thinned(study, many[:400]) == many[:400]
-    assert len(_thinned(study, many[:401])) == 400
 
 
 E, TILT = {"prior": {"uniform": [300, 560]}, "unit": "Pa"}, {"prior": {"uniform": [0.0, 0.08]}}
@@ -157,8 +115,7 @@ def observed(name):
 def study(tmp_path):
     """Return a function that writes studies of observed interfaces: the same in either direction, or another one."""
     points = undeclared_beam({"E": 400.0, "tilt": 0.02, "load": 1e-5}, Path()).interfaces[""].points
-    files = {"beam": points, "turned": points[::-1], "other": points + np.array([0, 0.01]), "few": points[::2]}
-    for name, some in files.items():
+    for name, some in {"beam": points, "turned": points[::-1], "other": points + np.array([0, 0.01])}.items():
         np.savetxt(tmp_path / f"{name}.csv", some, delimiter=",")
     same = {"discrepancy": {"normal_offset": {}}, "surrogate": {"field": {}}, **observed("beam"), **noise(3)}
 
@@ -184,7 +141,6 @@ def test_what_cannot_be_compared(study):
     for changes, words in [
         (noise("unknown"), "other cannot be compared: the range of its unknown noise is not"),
         (observed("other"), r"the observed interfaces differ: got points up to 10 µm apart"),
-        (observed("few"), "the observed interfaces differ: got another number of points"),
         (noise(4), "tilted and other cannot be compared: the noise differs: got sd 0.003 "),
         ({"discrepancy": {"tracked_points": {}}}, "the measures differ: got NormalOffset and TrackedPoints"),
         ({"inputs": {"E": WIDER, "tilt": TILT}}, r"supports of the priors of E differ: got \[300, 560\] and \[300, 60"),
@@ -192,40 +148,19 @@ def test_what_cannot_be_compared(study):
     ]:
         with pytest.raises(InvalidStudy, match=words):
             require_comparable({"tilted": one, "other": study("other", **changes)})
-    stiffer = study("other", inputs={"E": WIDER}, fixed=FIXED)
-    without = study("straight", inputs={"tilt": TILT}, fixed={"load": 1e-5, "E": 400})
-    with pytest.raises(InvalidStudy, match="tilted and stiffer cannot be compared: the supports"):
-        require_comparable({"straight": without, "tilted": one, "stiffer": stiffer})
-    other = study("other", **observed("other"))
-    for changes, words in [
-        ({"truth": {"E": 400.0}}, "A synthetic observation comes from the study's own model"),
-        ({"observed": {"a": one.observed[""]}}, "they observe different conditions"),
-    ]:
-        with pytest.raises(InvalidStudy, match=words):
-            require_comparable({"tilted": one, "other": replace(other, **changes)})
+    synthetic = replace(study("other", **observed("other")), truth={"E": 400.0})
+    with pytest.raises(InvalidStudy, match="A synthetic observation comes from the study's own model"):
+        require_comparable({"tilted": one, "other": synthetic})
 
 
 def test_fewer_than_two_studies_and_wrong_odds_are_refused(study):
     one, other = study("tilted"), study("other")
     again = replace(one, folder=other.folder / ".." / "tilted")
-    for studies, words in (
-        ([], "got none; expected at least two study folders"),
-        ([one], "tilted; expected at least two study folders"),
-        ([one, other, again], "tilted twice; expected different fol"),
-    ):
+    for studies, words in (([one], "tilted; expected at least two"), ([one, other, again], "tilted twice; expected")):
         with pytest.raises(InvalidInput, match=words):
             require_several(studies)
-    require_several([one, other])
-    assert (odds_in(None), odds_in("2:1"), odds_in("2/1")) == (None, (2.0, 1.0), (2.0, 1.0))
-    with pytest.raises(InvalidInput, match="prior odds of the models: got one; expected numbers above 0"):
-        odds_in("one")
-    for options, words in (
-        ({"odds": (1.0, 0.0)}, "got 1:0; expected 2 numbers above 0"),
-        ({"odds": (1.0,)}, "got 1; expected 2 numbers above"),
-        ({"seed": -1}, "seed of the comparison"),
-    ):
-        with pytest.raises(InvalidInput, match=words):
-            sl.compare([one, other], **options)
+    with pytest.raises(InvalidInput, match="got 1:0; expected 2 numbers above 0"):
+        sl.compare([one, other], odds=(1.0, 0.0))
 
 
 def test_names_of_studies(study, tmp_path):

@@ -3,13 +3,10 @@
 import base64
 import lzma
 import zlib
-from contextlib import suppress
 
 import h5py
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from strandline.readers import Reading, Unreadable, read_interface
 
@@ -62,32 +59,15 @@ def refused(words, path):
         read(path)
 
 
-def test_every_encoding(tmp_path):
+def test_every_encoding_is_read_and_what_is_cut_off_is_refused(tmp_path):
     for form in ("binary", "raw", "base64"):
         for order, header in (("<", "u4"), (">", "u8"), ("<", "u8")):
             for compressed, apart in ((False, False), (False, True), (True, False)):
                 file = vtp(form, order=order, header=header, compressed=compressed, apart=apart)
                 (tmp_path / "a.vtp").write_bytes(file)
                 np.testing.assert_array_equal(read(tmp_path / "a.vtp"), POINTS[:, :2])
-
-
-@settings(max_examples=25)
-@given(
-    form=st.sampled_from(["binary", "raw", "base64"]),
-    compressed=st.booleans(),
-    cut=st.floats(0.0, 0.999),
-    flipped=st.lists(st.tuples(st.floats(0.0, 0.999), st.integers(0, 255)), min_size=1, max_size=3),
-)
-def test_a_damaged_file_is_refused_or_other_numbers(tmp_path_factory, form, compressed, cut, flipped):
-    path, whole = tmp_path_factory.getbasetemp() / "a.vtp", vtp(form, compressed=compressed)
-    path.write_bytes(whole[: int(cut * (len(whole) - len(b"</VTKFile>")))])
-    refused("a.vtp", path)
-    damaged = bytearray(whole)
-    for place, byte in flipped:
-        damaged[int(place * len(whole))] = byte
-    path.write_bytes(bytes(damaged))
-    with suppress(Unreadable):
-        read(path)
+                (tmp_path / "a.vtp").write_bytes(file[: -len(b"</VTKFile>") - 20])
+                refused("a.vtp", tmp_path / "a.vtp")
 
 
 def test_a_small_file_does_not_unpack_to_a_large_one(tmp_path):
@@ -102,17 +82,6 @@ def test_a_small_file_does_not_unpack_to_a_large_one(tmp_path):
             "</Piece></PolyData></VTKFile>"
         )
         refused(r"bomb\.vtp .*unpack to more than \d\d MB, from 0\.\d+ MB", path)
-
-
-def test_a_list_of_files_names_each_once_and_no_other_list(tmp_path):
-    (tmp_path / "a.vtp").write_bytes(vtp("raw"))
-    for sources, words in (
-        (["a.vtp", "a.vtp"], "names a.vtp more than once"),
-        (["p.pvtp"], "data of the type PPolyData"),
-    ):
-        pieces = "".join(f'<Piece Source="{source}"/>' for source in sources)
-        (tmp_path / "p.pvtp").write_text(f'<VTKFile type="PPolyData"><PPolyData>{pieces}</PPolyData></VTKFile>')
-        refused(words, tmp_path / "p.pvtp")
 
 
 @pytest.fixture

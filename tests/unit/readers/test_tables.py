@@ -34,7 +34,6 @@ def test_columns_by_name_and_number_in_another_unit(tmp_path):
     for header in ("a b c", "# a b c", "#a b c"):
         text = header + "\n" + "\n".join(f"{y!r} 9 {x!r}" for x, y in POINTS.tolist())
         np.testing.assert_array_equal(read(written(tmp_path, text, "points.dat"), columns=["c", "a"]).points, POINTS)
-    assert len(read(written(tmp_path, "x,y,\n0,0,\n1,1,\n"), columns=["x", "y"], delimiter=",").points) == 2
 
 
 def test_decimal_commas_are_read_where_they_are_declared(tmp_path):
@@ -52,13 +51,11 @@ def test_decimal_commas_are_read_where_they_are_declared(tmp_path):
 
 
 def test_only_what_a_program_writes_must_end_its_last_line(tmp_path):
-    for end in ("\n", "\r\n", ""):
+    how = Reading("points.csv", "mm")
+    for end, ended in (("\n", True), ("\r\n", True), ("", False)):
         path = written(tmp_path, f"0,0\n1,1.2{end}")
-        how = Reading.from_options({"file": path.name, "unit": "mm"}, "observation")
-        assert read_interface(path, how).points[-1].tolist() == [1.0, 1.2]
+        assert read_interface(path, how, ended=ended).points[-1].tolist() == [1.0, 1.2]
         assert read_interface(path, replace(how, count=2), ended=True).points[-1].tolist() == [1.0, 1.2]
-        if end:
-            assert read_interface(path, how, ended=True).points[-1].tolist() == [1.0, 1.2]
     with pytest.raises(Unreadable, match=r"points\.csv ends within a line: got 1,1\.2; expected a line") as caught:
         read_interface(path, how, ended=True)
     assert caught.value.kind == "result_unreadable"
@@ -66,11 +63,11 @@ def test_only_what_a_program_writes_must_end_its_last_line(tmp_path):
 
 def test_points_are_sorted_where_asked_and_an_outline_that_repeats_its_first_point_is_closed(tmp_path):
     np.testing.assert_array_equal(read(written(tmp_path, rows(POINTS[[1, 2, 0]])), sort="x").points, POINTS)
-    square = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
-    found = read(written(tmp_path, rows([*square, square[0]])))
+    triangle = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
+    found = read(written(tmp_path, rows([*triangle, triangle[0]])))
     assert found.closed
-    assert found.points.tolist() == square
-    assert not read(written(tmp_path, rows(square))).closed
+    assert found.points.tolist() == triangle
+    assert not read(written(tmp_path, rows(triangle))).closed
 
 
 def test_what_cannot_be_seen_is_hidden(tmp_path):
@@ -80,7 +77,6 @@ def test_what_cannot_be_seen_is_hidden(tmp_path):
     assert found.points[:, 0] == pytest.approx([0.1 * k for k in (*range(10), *range(15, 29))])
     boxes = [{"x": [0.95, 1.45]}, {"x": [100.0, 200.0]}]
     refused("a box of `hide` without a point.*boxes are in mm", path, hide=boxes)
-    refused("outside the boxes of `hide`: got 6; expected at least 10", path, hide={"x": [0.55, 9.0]})
 
 
 def test_a_box_selects_before_the_displacement_and_does_not_cut(tmp_path):
@@ -97,15 +93,14 @@ def test_arrays(tmp_path):
     np.save(tmp_path / "b.npy", np.column_stack([np.arange(3), POINTS]))
     np.testing.assert_array_equal(read(tmp_path / "b.npy", columns=[2, 3]).points, POINTS)
     whole = (tmp_path / "b.npy").read_bytes()
-    for cut in (0, 5, 60, 127, 130, 170):
+    for cut in (5, 127, 170):
         (tmp_path / "a.npy").write_bytes(whole[:cut])
         refused(r"a\.npy cannot be read", tmp_path / "a.npy")
-    for array in (np.zeros(4), np.zeros((3, 3)), np.array([["a", "b"]]), np.zeros((0, 2))):
+    for array in (np.zeros(4), np.array([["a", "b"]])):
         np.save(tmp_path / "a.npy", array)
         refused("holds no points", tmp_path / "a.npy")
     np.save(tmp_path / "a.npy", np.zeros((3, 5)))
-    for options in ({}, {"columns": ["x", "y"]}, {"columns": [1, 6]}):
-        refused(r"the 5 columns to take, .* `columns: \[1, 2\]`", tmp_path / "a.npy", **options)
+    refused(r"the 5 columns to take, .* `columns: \[1, 2\]`", tmp_path / "a.npy", columns=[1, 6])
 
 
 class Trap:
@@ -130,21 +125,12 @@ XY, FIRST = {"columns": ["x", "y"]}, {"columns": [1, 2]}
 BAD = [
     ("x,y\n0,0\n1,", XY, "no point in line 3"),
     ("x,y\n0,0\n1,1\n", {"columns": ["x", "z"]}, "no column z"),
-    ("0,0\n1,1\n", XY, "no line of column names"),
-    ("x,x\n0,0\n1,1\n", {"columns": ["x", 2]}, "one column called x"),
-    ("0,0\n1,1\n", {"columns": [1, 3]}, "no point in line 1"),
     (b"\x00\xff\xfe" * 100, {}, "cannot be read"),
-    ("", {}, "holds no points"),
     ("x;y\n0,5;1,0\n1,5;2,0\n", XY, "semicolons and commas in line 2"),
     ("x y\n0,5 1,0\n1,5 2,0\n", XY, "too many fields in line 2"),
     ("x y\n0,5 1,0\n1,5 2,0\n", FIRST, "4: 0 5 1 0; expected 2"),
-    ("# x y\n0,5 1,0\n1,5 2,0\n", XY, "too many fields in line 2"),
-    ("0 0\n0,5 1\n1 1\n", FIRST, "too many fields in line 2"),
     ("n,x,y\n1,0,0\n2,1,1\n3,2", FIRST, "too few fields in its last line, 4"),
     ("0,5;1.0\n", {"decimal": ","}, "decimal point in line 1: got 1.0"),
-    ("0,1_0\n1,1\n", {}, "no point in line 1"),
-    ("0,٣\n1,1\n", {}, "no point in line 1"),
-    ("x,y\n0,0\n1\n", {}, "no point in line 3: got 1; expected two numbers x, y. Correct the line"),
 ]
 REMEDIES = [
     ("node,x,y,z\n1,0,0,0\n2,1,1,0\n", {}, "no point in line 2: got 1 0 0 0; .* the 4 columns.* `columns: [x, y]`"),
@@ -174,32 +160,23 @@ def test_the_remedy_of_missing_columns_is_what_to_write(tmp_path):
 
 OPTIONS = [
     ("a.csv", {"unit": None}, "result.unit: got nothing"),
-    ("a.csv", {"unit": "inch"}, "one of mm, um"),
     ("a.csv", {"colums": [1, 2]}, "Did you mean columns?"),
-    ("a.csv", {"columns": [0, 1]}, "by number from 1"),
-    ("a.csv", {"columns": ["x"]}, "two columns"),
     ("a.csv", {"time": "last"}, "no such option for a .csv file"),
-    ("a.csv", {"field": "u"}, "two columns"),
     ("a.vtu", {"field": ["u", "v"]}, "the name of point data"),
     ("a.pvd", {"time": {"index": -1}}, "last, {index: 0} or {value: 0.5}"),
     ("a.vtu", {"cells": {"a": "b"}}, "e.g. {region: 3}"),
     ("a.vtu", {"near": [0, 0], "keep": "longest"}, "one of the two"),
     ("a.vtu", {"select": {"x": [1, 0]}}, "[low, high]"),
     ("a.vtu", {"select": {"r": [0, 1]}}, "intervals of x, y or z"),
-    ("a.vtu", {"hide": [{"x": [0, 1]}]}, "no such option for a .vtu file"),
-    ("a.vtu", {"block": True}, "a number from 0"),
     ("a.vtu", {"plane": "zx"}, "one of xy, xz, yz"),
     ("a.csv", {"count": 1}, "at least 2"),
-    ("a.csv", {"decimal": ";"}, ". or ,"),
-    ("a.csv", {"decimal": ",", "delimiter": ","}, "another one than the decimal comma"),
 ]
 
 
 def test_options_that_cannot_be():
-    given = [({"file": file, "unit": "mm", **more}, words) for file, more, words in OPTIONS]
-    for options, words in (*given, ("a.csv", "expected keys with values"), ({"unit": "mm"}, "result.file: got no")):
+    for file, more, words in OPTIONS:
         with pytest.raises(InvalidInput) as caught:
-            Reading.from_options(options, "result")
+            Reading.from_options({"file": file, "unit": "mm", **more}, "result")
         assert words in str(caught.value)
         assert str(caught.value).startswith("result")
 
@@ -220,11 +197,6 @@ def test_standard_deviations_have_the_unit_of_the_points(tmp_path):
         how = Reading.from_options({"file": name, "unit": "um", "sd": 3}, "result")
         np.testing.assert_allclose(read_point_sds(tmp_path / name, how), [0.002, 0.003, 0.004])
         np.testing.assert_allclose(read(tmp_path / name, sd=3).points, table[:, :2])
-
-
-def test_a_triangle_closes(tmp_path):
-    found = read(written(tmp_path, "0,0\n1,0\n0,1\n0,0\n"))
-    assert (found.closed, len(found.points)) == (True, 3)
 
 
 def test_a_reader_of_ones_own_that_returns_something_else_is_refused(tmp_path, monkeypatch):

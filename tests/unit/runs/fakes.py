@@ -168,25 +168,16 @@ class Noted:
 
 
 class Elsewhere:
-    """Makes runs that go on without a driver: here, in memory.
+    """Makes runs that go on without a driver, in memory; `lost` says how often the run at a stiffness is killed."""
 
-    Args:
-        lost: how often the run at a stiffness ends ``killed`` before it ends well.
-        waits: whether it takes one request after the other, and `NOT_NOW`.
-    """
-
-    def __init__(self, lost=(), waits=False):
-        self.submitted, self.waiting, self.lost, self.asks_again = [], {}, Counter(lost), waits
+    def __init__(self, lost=()):
+        self.submitted, self.waiting, self.lost = [], {}, Counter(lost)
 
     def outstanding(self, model, keys):
         return self.waiting.keys() & keys
 
     def __call__(self, model, requests):
-        one_by_one = ([request] for request in requests if request is not NOT_NOW)
-        for asked in one_by_one if self.asks_again else [list(requests)]:
-            yield from self.answered(model, asked)
-
-    def answered(self, model, asked):
+        asked = list(requests)
         for request in asked:
             if request.key not in self.waiting:
                 self.submitted.append(request.inputs["E"])

@@ -1,15 +1,14 @@
-"""Campaigns in batches: what a choice is made from and when, slow runs, failures, interruptions, resumption."""
+"""Campaigns in batches: what a choice is made from and when, slow runs, resumption."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from tests.unit.runs import fakes
-from tests.unit.runs.fakes import Elsewhere, Moody, Noted, Seen, batches, begun_before, design, states, stiffnesses
+from tests.unit.runs.fakes import Noted, Seen, batches, begun_before, design, states, stiffnesses
 
 from strandline.errors import InvalidInput
-from strandline.runs import NOT_NOW, Counts, FailurePolicy, InProcess, Ledger, Retry, RunRecord, RunRequest
-from strandline.runs.campaign import Starts
+from strandline.runs import NOT_NOW, Counts, InProcess, RunRecord
 from strandline.testing.models import Cantilever, Counted
 
 BEAM = Cantilever()
@@ -58,10 +57,13 @@ def test_each_batch_follows_from_all_records_in_the_order_of_the_design(path, ex
 
 
 def test_batches_chosen_before_are_run_first_and_nothing_that_is_known_is_made_again(path, tmp_path, executor):
+    """Only an executor that cannot wait is called for each batch."""
     model, choice, seen = Counted(str(tmp_path)), Choice(design(500, 300), design(500)), Seen()
     done = batches(path, model, [design(400, 300), design(350, 350)], choice, executor, on_record=seen)
     assert stiffnesses(done) == [400.0, 300.0, 350.0, 350.0, 500.0, 300.0, 500.0]
     assert choice.shown == [stiffnesses(done)[:number] for number in (4, 6, 7)]
+    first, last = [400.0, 300.0, 350.0], [500.0]
+    assert executor.calls == ([first + last] if executor.asks_again else [first, last])
     assert [(told.total, told.finished) for _, told in seen] == [(3, 1), (3, 2), (3, 3), (4, 4)]
     assert done[2] is done[3]
     choice = Choice(design(300), design(450))
@@ -72,25 +74,16 @@ def test_batches_chosen_before_are_run_first_and_nothing_that_is_known_is_made_a
     assert executor.calls == calls, "there was nothing to run"
 
 
-def test_only_an_executor_that_cannot_wait_is_called_for_each_batch(path):
-    plain, waiting = Noted(), Noted(waits=True)
-    batches(path, BEAM, [design(300), design(400)], Choice(design(350, 360), design(370)), plain)
-    assert plain.calls == [[300.0, 400.0], [350.0, 360.0], [370.0]]
-    batches(path, BEAM, [design(500)], Choice(design(510), design(520)), waiting)
-    assert waiting.calls == [[500.0, 510.0, 520.0]]
-
-
 class Aged:
     """Makes runs above 500 beside the others: each has been under way for `age` seconds.
 
     It ends one of them when it was told three times in a row that there is nothing to start. Every run takes `seconds`.
-    The first `killed` runs of the others are.
     """
 
     asks_again = True
 
-    def __init__(self, age=100.0, seconds=1.0, killed=0):
-        self.age, self.seconds, self.killed = age, seconds, killed
+    def __init__(self, age=100.0, seconds=1.0):
+        self.age, self.seconds = age, seconds
 
     def __call__(self, model, requests):
         under_way, told = [], 0
@@ -107,24 +100,16 @@ class Aged:
             yield self.record(model, request)
 
     def record(self, model, request):
-        if self.killed and request.inputs["E"] <= 500.0:
-            self.killed -= 1
-            return RunRecord(request.key, request.inputs, "killed", failure_kind="worker_died", message="gone")
         (record,) = InProcess()(model, [request])
         return replace(record, seconds=self.seconds)
 
 
 def test_batches_are_made_beside_a_slow_run_that_is_waited_for_in_the_end(path):
-    """The second time, the run beside it is killed at first, and tried again at once."""
-    for chosen, killed, shown, ended in (
-        ([(300, 350), (450,)], 0, [1, 3, 4], [400.0, 300.0, 350.0, 450.0, 600.0]),
-        ([(450,)], 1, [1, 2], [400.0, 400.0, 450.0, 600.0]),
-    ):
-        choice, seen, place = Choice(*(design(*each) for each in chosen)), Seen(), path.with_name(f"{killed}.sqlite")
-        done = batches(place, BEAM, [design(600, 400)], choice, Aged(killed=killed), on_record=seen, patience=3.0)
-        assert seen.stiffnesses == ended
-        assert states(done) == ["ok"] * len(done)
-        assert choice.shown == [stiffnesses(done)[1 : number + 1] for number in shown]
+    choice, seen = Choice(design(300, 350), design(450)), Seen()
+    done = batches(path, BEAM, [design(600, 400)], choice, Aged(), on_record=seen, patience=3.0)
+    assert seen.stiffnesses == [400.0, 300.0, 350.0, 450.0, 600.0]
+    assert all(record.ok for record in done)
+    assert choice.shown == [stiffnesses(done)[1 : number + 1] for number in (1, 3, 4)]
 
 
 def test_a_slow_run_that_has_ended_is_shown_in_its_place(path):
@@ -139,7 +124,6 @@ def test_a_run_is_slow_beside_half_of_its_batch_that_took_much_less_time(path):
         [
             (3.5, 1.0, (600, 400), 3.0, [400.0]),
             (2.5, 1.0, (600, 400), 3.0, [600.0, 400.0]),
-            (1.5, 0.01, (600, 400), 3.0, [400.0]),
             (0.5, 0.01, (600, 400), 3.0, [600.0, 400.0]),
             (100.0, 1.0, (600, 400), float("inf"), [600.0, 400.0]),
             (100.0, 1.0, (600, 700, 400), 3.0, [600.0, 400.0]),
@@ -152,53 +136,26 @@ def test_a_run_is_slow_beside_half_of_its_batch_that_took_much_less_time(path):
         assert choice.shown[0] == shown
 
 
-def test_the_longest_run_counts_even_if_an_earlier_campaign_made_it(path):
-    (inputs,) = design(450)
-    request = begun_before(path, BEAM, inputs)
-    with Ledger.open(path, model=BEAM) as ledger:
-        ledger.finished(RunRecord(request.key, inputs, "failed", seconds=1000.0, failure_kind="exception"))
-    choice = Choice(design(300))
-    batches(path, BEAM, [[inputs], design(600, 400)], choice, Aged(), patience=3.0)
-    assert choice.shown[0] == [450.0, 600.0, 400.0]
-
-
-class Hesitates:
-    """An executor that leaves when it is told to wait, and once before without an answer."""
-
-    asks_again = True
-    forgotten = 0
-
-    def __call__(self, model, requests):
-        for request in requests:
-            if request is NOT_NOW:
-                return
-            if self.forgotten:
-                yield from InProcess()(model, [request])
-            self.forgotten += 1
-
-
-def test_an_executor_that_ends_early_is_called_again(path):
-    choice = Choice(design(350, 360), design(370))
-    done = batches(path, BEAM, [design(300, 400)], choice, Hesitates())
-    assert stiffnesses(done) == [300.0, 400.0, 350.0, 360.0, 370.0]
-    assert [len(shown) for shown in choice.shown] == [2, 4, 5]
-
-
-def test_the_policy_is_heeded_and_failed_runs_are_shown_like_others(path, executor):
-    model, choice = Moody({600.0: 2, 700.0: 9}), Choice(design(350, 700))
-    retry = FailurePolicy({"failed": Retry(2)}, stop_share=2.0)
-    done = batches(path, model, [design(600, 400)], choice, executor, policy=retry)
-    assert states(done) == ["ok", "ok", "ok", "failed"]
-    assert model.calls == {600.0: 3, 400.0: 1, 350.0: 1, 700.0: 3}
-    assert choice.shown == [[600.0, 400.0], [600.0, 400.0, 350.0, 700.0]]
-
-
 def test_a_run_lost_with_earlier_drivers_is_given_up_and_shown(path):
     begun_before(path, BEAM, *design(400), times=2)
     choice = Choice(design(400))
     done = batches(path, BEAM, [design(300)], choice, maximum_attempts=2)
     assert [(record.state, record.failure_kind) for record in done] == [("ok", None), ("killed", "lost")]
     assert choice.shown == [[300.0], [300.0, 400.0]]
+
+
+def test_what_makes_no_campaign_is_refused(path):
+    for first, patience, said in (
+        ([], 3.0, "batches to begin with"),
+        ([design(300), []], 3.0, "batches to begin with"),
+        ([design(300)], float("nan"), "patience"),
+    ):
+        with pytest.raises(InvalidInput, match=said):
+            batches(path, BEAM, first, Choice(), patience=patience)
+    listed = iter([design(350)])
+    with pytest.raises(InvalidInput, match="give `next` a default"):
+        batches(path, BEAM, [design(300)], lambda records: next(listed))
+    assert fakes.counts(path) == Counts(ok=2), "no silent end"
 
 
 def test_an_interrupted_choice_costs_nothing_but_the_runs_under_way(path):
@@ -211,59 +168,3 @@ def test_an_interrupted_choice_costs_nothing_but_the_runs_under_way(path):
     choice = Choice(design(300))
     assert states(batches(path, BEAM, [design(600, 400)], choice, maximum_attempts=1)) == ["ok"] * 3
     assert choice.shown == [[600.0, 400.0], [600.0, 400.0, 300.0]]
-
-
-@pytest.mark.parametrize(
-    ("waits", "lost", "attempts"),
-    [(False, {}, [1, 1, 1, 1]), (True, {}, [1, 1, 1, 1]), (True, {300.0: 1}, [1, 1, 1, 2])],
-    ids=["plain", "waits", "killed meanwhile"],
-)
-def test_runs_that_go_on_without_a_driver_are_collected(path, waits, lost, attempts):
-    executor, choice = Elsewhere(lost, waits), Choice(design(350, 360))
-    request = begun_before(path, BEAM, *design(300))
-    executor.waiting[request.key] = request
-    done = batches(path, BEAM, [design(300, 400)], choice, executor, maximum_attempts=max(attempts))
-    assert states(done) == ["ok"] * 4
-    assert executor.submitted == [400.0, *lost, 350.0, 360.0]
-    assert fakes.attempts(path) == attempts
-    assert choice.shown == [[300.0, 400.0], [300.0, 400.0, 350.0, 360.0]]
-
-
-def test_the_first_who_finds_nothing_waiting_is_told_before_anyone_chooses(path):
-    """An executor may pull with a record in its hands, which the choice must not miss."""
-    asked = []
-
-    def further(starts):
-        asked.append(sorted(starts.running))
-
-    with Ledger.open(path, model="any") as ledger:
-        starts = Starts(ledger, [RunRequest("first", {"E": 300.0})], set(), further)
-        assert next(starts).key == "first"
-        assert next(starts) is NOT_NOW
-        assert asked == []
-        assert list(starts) == []
-        assert asked == [["first"]]
-
-
-def test_a_run_is_under_way_since_its_present_attempt(path):
-    again = RunRequest("again", {"E": 300.0})
-    with Ledger.open(path, model="any") as ledger:
-        starts = Starts(ledger, [again], set(), lambda starts: ())
-        next(starts)
-        first = starts.begun["again"] = starts.begun["again"] - 100.0
-        starts.put_back(again)
-        next(starts)
-        assert starts.begun["again"] > first + 99.0
-
-
-def test_what_makes_no_campaign_is_refused(path):
-    for first in ([], [[]], [design(300), []]):
-        with pytest.raises(InvalidInput, match="batches to begin with"):
-            batches(path, BEAM, first, Choice())
-    for patience in (0.0, -1.0, float("nan")):
-        with pytest.raises(InvalidInput, match="patience"):
-            batches(path, BEAM, [design(300)], Choice(), patience=patience)
-    listed = iter([design(350)])
-    with pytest.raises(InvalidInput, match="give `next` a default"):
-        batches(path, BEAM, [design(300)], lambda records: next(listed))
-    assert fakes.counts(path) == Counts(ok=2), "no silent end"

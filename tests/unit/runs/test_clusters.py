@@ -39,25 +39,17 @@ def test_a_walltime_is_read_as_slurm_writes_it():
 SENSELESS = [
     (LocalProcesses, {"workers": 0}, "at least 1"),
     (LocalProcesses, {"timeout": 0.0}, "seconds above 0"),
-    (LocalProcesses, {"timeout": float("nan")}, "seconds above 0"),
     (LocalProcesses, {"timeout": 366 * 24 * 3600.0 + 1.0}, "a year"),
-    (DaskCluster, {"cluster": "moab"}, "local, slurm, pbs"),
     (DaskCluster, {"cluster": "local", "address": "tcp://here:1"}, "one of the two"),
     (DaskCluster, {"workers": 2, "maximum": 3}, "workers alone"),
-    (DaskCluster, {"maximum": 3}, "whose jobs come and go"),
     (DaskCluster, {"address": "tcp://here:1", "workers": 3}, "the workers that the scheduler has"),
     (DaskCluster, SLURM | {"minimum": 3, "maximum": 2}, "a maximum that is at least as large"),
-    (DaskCluster, SLURM | {"minimum": 3}, "a maximum that is at least as large"),
-    (DaskCluster, SLURM | {"minimum": -1, "maximum": 2}, "at least 0"),
     (DaskCluster, {"jobs": JOBS}, "this cluster has no jobs"),
     (DaskCluster, SLURM | {"jobs": {"cores": 1, "memory": "1GB"}}, "Add walltime"),
     (DaskCluster, {"cluster": "pbs", "jobs": JOBS | {"project": "x"}}, "Remove project"),
     (DaskCluster, SLURM | {"jobs": JOBS | {"walltime": "60"}}, "in quotes"),
-    (DaskCluster, SLURM | {"jobs": JOBS | {"cores": 0}}, "jobs.cores"),
     (DaskCluster, SLURM | {"timeout": 3541.0}, "at most 3540 s"),
     (slurm_array, {"timeout": 241.0, "walltime": "00:05:00"}, "at most 240 s"),
-    (slurm_array, {"max_jobs": 0}, "max_jobs"),
-    (slurm_array, {"poll": 0.0}, "seconds above 0"),
 ]
 
 
@@ -67,7 +59,7 @@ def test_senseless_options_are_refused_and_those_at_their_bounds_taken():
         with pytest.raises(InvalidInput, match=said):
             executor(**options)
     assert DaskCluster(**SLURM, timeout=3540.0, minimum=2, maximum=2).kind == "slurm"
-    assert slurm_array(timeout=240.0, walltime="00:05:00", max_jobs=1).timeout == 240.0
+    assert slurm_array(timeout=240.0, walltime="00:05:00", max_jobs=1, poll=0.5).poll == 0.5
     assert LocalProcesses(1, timeout=366 * 24 * 3600.0).workers == 1
 
 
@@ -81,10 +73,9 @@ def test_nothing_is_started_for_what_cannot_be_sent_or_for_no_request(monkeypatc
         assert len(list(pulled)) == len(REQUESTS)
 
 
-@pytest.mark.parametrize("missing", ["distributed", "cryptography"])
-def test_a_missing_extra_names_its_install_command(monkeypatch, missing):
-    monkeypatch.setitem(sys.modules, missing, None)
-    with pytest.raises(InvalidInput, match=rf'{missing}.*pip install "strandline\[dask\]"'):
+def test_a_missing_extra_names_its_install_command(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cryptography", None)
+    with pytest.raises(InvalidInput, match=r'cryptography.*pip install "strandline\[dask\]"'):
         list(DaskCluster(workers=1)(BEAM, REQUESTS))
 
 
@@ -108,9 +99,6 @@ def test_files_of_keys_are_for_their_owner_and_go(tmp_path):
     finally:
         os.umask(before)
     assert list((tmp_path / "here").iterdir()) == []
-    (tmp_path / "file").touch()
-    with pytest.raises(InvalidInput, match="shared-temp-directory"), keys_in_files(tmp_path / "file" / "below"):
-        pytest.fail("keys were written")
 
 
 def test_only_keys_of_drivers_of_this_machine_that_are_gone_are_removed(tmp_path, monkeypatch):
@@ -140,13 +128,14 @@ def test_a_batch_is_read_as_it_was_written_and_keeps_what_came_back(tmp_path):
     record, other = (RunRecord(REQUESTS[0].key, REQUESTS[0].inputs, state) for state in ("failed", "killed"))
     batch.put(0, record)
     batch.put(0, other)
+    for name in ("x.run", "4.tmp"):
+        (batch.folder / "results" / name).touch()
     assert batch.present() == ({0: batch.folder / "results" / "0.run"}, frozenset())
     assert same_outcome(read_run(batch.present()[0][0]), record), "the first result counts"
     batch.take(0)
     batch.take(1)
     batch.put(0, other)
     assert batch.present() == ({}, {0, 1})
-    assert batch.log_tail(0) == ""
     (batch.folder / "logs" / "0.txt").write_text("x" * 9000 + "end")
     assert len(batch.log_tail(0)) == 8192
     batch.remove()
@@ -198,20 +187,11 @@ def test_a_run_at_the_end_of_its_walltime_keeps_what_it_said():
 
 
 @pytest.mark.stand_in
-def test_an_executor_without_workers_and_polls_below_a_second(tmp_path):
+def test_an_executor_without_workers_stays_as_it_is():
     def executor(model, requests):
         return iter(())
 
     assert with_workers(executor, 3) is executor
-    assert SlurmArray(tmp_path, ["true"], poll=0.5).poll == 0.5
-
-
-def test_results_of_an_array_are_files_with_a_number(tmp_path):
-    (tmp_path / "results").mkdir()
-    for name in ("1.run", "2.run", "2.taken", "x.run", "4.tmp"):
-        (tmp_path / "results" / name).touch()
-    there, taken = Batch.present(SimpleNamespace(folder=tmp_path))
-    assert (list(there), taken) == ([1], frozenset({2}))
 
 
 def test_a_job_that_accounting_does_not_know_has_no_state(monkeypatch):

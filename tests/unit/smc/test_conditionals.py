@@ -24,8 +24,8 @@ def log_prior(x):
     return -0.5 * (x**2).sum(axis=-1) - np.log(2 * np.pi)
 
 
-def run(key=0, log_likelihood=log_likelihood, initial=INITIAL, given=GIVEN, settings=QUICK):
-    return sample_each(jax.random.key(key), log_likelihood, log_prior, initial, given, settings=settings)
+def run(log_likelihood=log_likelihood, initial=INITIAL, given=GIVEN, settings=QUICK):
+    return sample_each(jax.random.key(0), log_likelihood, log_prior, initial, given, settings=settings)
 
 
 @pytest.fixture(scope="module")
@@ -62,48 +62,22 @@ def test_evidence_and_moments_are_exact(together):
         assert weights @ found.positions[:, 1] == pytest.approx(-centre / 2, abs=0.16)
 
 
-def test_the_same_key_gives_the_same_bits_and_neither_keys_nor_cases_share_their_random_numbers(together):
-    for a, b, c in zip(together, run(), run(key=1), strict=True):
-        np.testing.assert_array_equal(a.positions, b.positions)
-        assert a.log_evidence == b.log_evidence
-        assert not np.array_equal(a.positions, c.positions)
+def test_cases_do_not_share_their_random_numbers():
     same = run(initial=np.stack([INITIAL[0]] * 3), given=np.stack([GIVEN[0]] * 3))
     assert not np.array_equal(same[0].positions, same[1].positions)
-
-
-def test_one_program_serves_all_values():
-    traces = []
-
-    def counted(x, given):
-        traces.append(given.shape)
-        return log_likelihood(x, given)
-
-    for shift in (0.0, 0.1, 0.2):
-        run(log_likelihood=counted, given=GIVEN + shift)
-    assert len(traces) <= 4
 
 
 def test_failures_name_the_value():
     def undefined(x, given):
         return jnp.where(given[0] > 1.0, jnp.nan, jnp.where(given[0] == 0.0, -jnp.inf, log_likelihood(x, given)))
 
-    for options, error, words in (
-        (
-            {"log_likelihood": undefined, "given": GIVEN[[0, 2, 2]]},
-            NumericsError,
-            r"given \[2\.0, 1\.0\]: the log",
-        ),
-        (
-            {"log_likelihood": undefined, "given": GIVEN[[0, 1, 1]]},
-            NumericsError,
-            r"given \[0\.0, 0\.1\]: all 1000",
-        ),
-        ({"given": GIVEN[:2]}, InvalidInput, "3 sets for"),
-        ({"given": GIVEN[:0]}, InvalidInput, "3 sets for"),
-        ({"settings": replace(QUICK, maximum_steps=1)}, NumericsError, "1 tempering steps reached only"),
-    ):
-        with pytest.raises(error, match=words):
-            run(**options)
+    for rows, words in (([0, 2, 2], r"given \[2\.0, 1\.0\]: the log"), ([0, 1, 1], r"given \[0\.0, 0\.1\]: all 1000")):
+        with pytest.raises(NumericsError, match=words):
+            run(undefined, given=GIVEN[rows])
+    with pytest.raises(InvalidInput, match="3 sets for"):
+        run(given=GIVEN[:2])
+    with pytest.raises(NumericsError, match="1 tempering steps reached only"):
+        run(settings=replace(QUICK, maximum_steps=1))
 
 
 MEAN, NUMBER = np.array([0.3, 0.4]), 400
@@ -158,10 +132,8 @@ def test_nothing_is_asked_where_the_prior_is_zero_and_undefined_values_are_refus
         calls.append(len(x))
         return bell(x) if len(calls) < 3 else np.full(len(x), np.inf)
 
-    undefined = lambda x: np.full(len(x), np.nan)  # noqa: E731
-    for function, words in ((undefined, "the log-likelihood is nan at"), (later, r"NaN or \+inf")):
-        with pytest.raises(NumericsError, match=words):
-            hosted(function)
+    with pytest.raises(NumericsError, match=r"NaN or \+inf"):
+        hosted(later)
 
 
 def test_each_case_on_the_host_has_its_own_posterior():

@@ -16,10 +16,9 @@ from strandline.calibration import Observer
 from strandline.cli import main
 from strandline.cli.run import _doubting
 from strandline.discrepancy import ClosestPoint, Currents
-from strandline.errors import InvalidInput
 from strandline.imaging import Clicks, Frame, ScaleBar, write_clicks
 from strandline.interface import UnknownErrors
-from strandline.report.plots.picture import off_smooth, plot_picture
+from strandline.report.plots.picture import off_smooth
 from strandline.runs import RunRecord
 from strandline.studies import load_study
 from strandline.studies.measure_doubts import measure_lines
@@ -37,22 +36,20 @@ def image(capsys, folder, *options):
     with suppress(SystemExit):
         main(["image", str(folder), *options])
     shown = capsys.readouterr()
-    assert "" in shown
     return shown.err or shown.out
 
 
-def check(capsys, folder, *options):
-    main(["check", str(folder), *options])
+def check(capsys, folder):
+    main(["check", str(folder)])
     return capsys.readouterr().out
 
 
-@pytest.mark.parametrize("size", [(90, 130), (1001, 700)])
-def test_a_picture_made_smaller_covers_the_same_place(size):
+def test_a_picture_made_smaller_covers_the_same_place():
     """A step at 40 % of the width stays there: without the mean of pixels, half a large one is lost."""
-    columns = np.arange(size[1]) + 0.5
-    small = np.asarray(_small(np.tile((columns > 0.4 * size[1]) * 1.0, (size[0], 1)), 100), float) / 255
+    columns = np.arange(130) + 0.5
+    small = np.asarray(_small(np.tile((columns > 0.4 * 130) * 1.0, (90, 1)), 100), float) / 255
     assert max(small.shape) <= 100
-    assert 1 - small.mean() == pytest.approx(0.4, abs=0.5 / size[1] + 1 / 255)
+    assert 1 - small.mean() == pytest.approx(0.4, abs=0.5 / 130 + 1 / 255)
 
 
 def test_check_warns_of_errors_of_place_and_size_that_contradict_each_other_or_are_not_stated(tmp_path):
@@ -62,27 +59,12 @@ def test_check_warns_of_errors_of_place_and_size_that_contradict_each_other_or_a
         ({"shift": 20, "scale": 0.01}, ""),
         ({"shift": 2, "rotation": 1}, "an error of rotation about the origin"),
         ({"shift": 10, "rotation": 1}, ""),
-        ({}, "no error of place and size is stated"),
         ({"offset": 2}, "no error of place and size is stated"),
     ):
         study = loaded(tmp_path, noise={**IMAGE, "unknown": unknown})
         doubts = measure_lines(study, RunRecord("key", {}, "ok", study.observed))
         lines = [line for line in doubts if "contradict" in line or "no error of place" in line]
         assert [warned in line for line in lines] == [True] * bool(warned)
-    (seen,) = study.observations(study.observed)
-    np.testing.assert_allclose(np.hypot(*seen.interface.points.mean(axis=0)), 1.14, atol=0.01)
-
-
-def test_check_predicts_widths_beside_an_error_of_the_model(tmp_path, capsys):
-    """Planted: noise of unknown size, for which there is nothing to predict them from."""
-    noise = {**IMAGE, "unknown": {"shift": 20}, "model_error": True}
-    shown = check(capsys, written(tmp_path, noise=noise), "--widths")
-    assert "more runs, without a model error): " in shown
-    assert "will be inferred" not in shown
-    unknown = {**noise, "sd": "unknown", "unknown": {"shift": 20, "offset": 1}}
-    shown = check(capsys, written(tmp_path, noise=unknown), "--widths")
-    assert "the noise will be inferred; this check assumes an sd of " in shown
-    assert "expected posterior" not in shown
 
 
 def test_the_first_run_of_a_campaign_shows_a_picture_that_lies_wrong(tmp_path, capsys):
@@ -102,11 +84,9 @@ def test_the_first_run_of_a_campaign_shows_a_picture_that_lies_wrong(tmp_path, c
     (line,) = told(study, 0.4, 0.4)
     assert line.startswith("warning: the ends of the observed interface and of this run lie 0.")
     other = "warning: in hump.png the body lies on the other side of the interface"
-    (line,) = told(loaded(tmp_path, solid="bright"), 0.0)
-    assert line.startswith(other)
+    assert told(loaded(tmp_path, solid="bright"), 0.0)[0].startswith(other)
     for solid in ("dark", "bright"):  # the beam runs from left to right, with the body on its right, below
-        shown = check(capsys, written(tmp_path, solid=solid))
-        assert (other in shown, "run opposite" in shown) == (solid == "bright", False)
+        assert (other in check(capsys, written(tmp_path, solid=solid))) == (solid == "bright")
 
 
 def test_the_edge_is_where_it_is_and_its_errors_are_its_own(tmp_path):
@@ -116,10 +96,8 @@ def test_the_edge_is_where_it_is_and_its_errors_are_its_own(tmp_path):
     assert errors.std() < 0.3
     assert noise.sd == pytest.approx(PIXEL * errors.std(), rel=0.4)
     assert noise.offset >= 0.1 * PIXEL
-    assert noise.shift == pytest.approx(0.005)
     assert 0 < noise.length < 3 * PIXEL
-    stated = loaded(tmp_path, noise={**IMAGE, "unknown": {"offset": 7}}).noise_of("")
-    assert stated.offset == pytest.approx(0.007)
+    assert loaded(tmp_path, noise={**IMAGE, "unknown": {"offset": 7}}).noise_of("").offset == pytest.approx(0.007)
     erring = loaded(tmp_path, noise={**IMAGE, "unknown": {"shift": 5}, "model_error": True}).noise_of("")
     assert erring == UnknownErrors(noise.sd, noise.length, shift=noise.shift, offset=noise.offset, model_error=True)
 
@@ -134,8 +112,6 @@ def test_a_folder_of_frames_is_averaged_and_the_larger_errors_count(tmp_path, ca
     assert many.pictures[""].picture.notes[-1] == "mean of 9 frames"
     sds = [study.pictures[""].edge.errors.sd for study in (one, many)]
     assert sds[0] / sds[1] == pytest.approx(3.0, rel=0.25)
-    assert np.abs(off(many)).max() < np.abs(off(one)).max()
-    assert one.pictures[""].repeated is None
     (tmp_path / "twice").mkdir()
     assert "folder twice: got no picture in it" in message_of(written(tmp_path, file="twice"))
     for name in ("0", "1"):
@@ -144,9 +120,7 @@ def test_a_folder_of_frames_is_averaged_and_the_larger_errors_count(tmp_path, ca
     assert found.repeated is None
     assert found.notes[-1] == "no errors from the frames, for contours of one state: identical contours"
     folder = written(tmp_path, file="frames")
-    shown = image(capsys, folder)
-    for words in ("from 9 frames: sd", "in one frame", "from their mean alone: sd", "set sd and length"):
-        assert words in shown
+    assert "from 9 frames: sd" in image(capsys, folder)
     content = json.loads((folder / "image" / "edge.json").read_text("utf-8"))
     frames, alone = content["frames"]["mean"], content["frames"]["picture_alone"]
     assert frames["sd"] == pytest.approx(alone["sd"], rel=0.4)
@@ -160,7 +134,6 @@ def test_a_folder_of_frames_is_averaged_and_the_larger_errors_count(tmp_path, ca
     bright = loaded(tmp_path, solid="bright").observed[""]
     assert up.normals[:, 1].min() > 0
     assert max(down.normals[:, 1].max(), bright.normals[:, 1].max()) < 0
-    np.testing.assert_allclose(np.sort(down.points[:, 1]), np.sort(-up.points[:, 1]), atol=1e-9)
 
 
 def test_marks_of_a_file_stand_for_path_scale_and_origin(tmp_path, capsys):
@@ -174,17 +147,13 @@ def test_marks_of_a_file_stand_for_path_scale_and_origin(tmp_path, capsys):
     points = study.observed[""].points
     assert not ((points[:, 0] > 0.82) & (points[:, 0] < 1.18)).any()
     assert abs(off(study).mean()) < 0.05
-    notes = " ".join(study.pictures[""].notes)
-    assert "scale bar in hump.path.json, as if pixels were square" in notes
-    assert "at pixel (10, 120) from the marks in hump.path.json" in notes
+    assert "at pixel (10, 120) from the marks in hump.path.json" in " ".join(study.pictures[""].notes)
     for origin, remark in (([12, 120], ", not (10, 120) from the marks in hump.path.json"), ([10.3, 120], "")):
         other = loaded(tmp_path, **marked | {"frame": {"origin": origin}}).pictures[""]
         assert f"at pixel ({origin[0]}, 120) from the study{remark}; its axes" in " ".join(other.notes)
         ignored = "the origin marked in hump.path.json lies 2 pixels from the one that the study states, and is ignored"
         assert other.ignored == ((ignored,) if remark else ())
     both = written(tmp_path, **marked | {"pixel": {"size": 1030 * PIXEL, "unit": "um"}})
-    said = " ".join(load_study(both).pictures[""].notes)
-    assert f"from the study, not {1000 * PIXEL:g} µm from the scale bar in hump.path.json" in said
     bar = f"warning: hump.png: the scale bar in hump.path.json gives pixels of {1000 * PIXEL:g} µm, and is ignored"
     assert bar in check(capsys, both)
     picture(tmp_path, seed=2)
@@ -193,28 +162,17 @@ def test_marks_of_a_file_stand_for_path_scale_and_origin(tmp_path, capsys):
 
 REFUSED = """
 path: 3; path: model; edge: erff; edge: 3; edge: nowhere:Edge; edge: strandline.imaging:Frame; reader: nowhere:read
-path: [[1, 2], [3]] | observation.image.path.1: got [3]; expected at least 2 entries
 path: [[1, 2], [3, 4]] | at least three pixels
 path: [[12, 98], [208, 50], [208, 98], [12, 50]] | cross
-path: [[12, 98], [110, 50], [900, 97]] | path
-pixel: GONE | pixel
-frame: GONE | observation.image.frame.origin
 file: nothing.png; file: [hump.png, nothing.png] | nothing.png
-path: nothing.path.json | nothing.path.json
-solid: grey | solid
 trim: 0.45 | number of points of the edge
-edge: {name: erf} | observation.image.edge: unknown option
-edge: {options: {}} | observation.image.edge.method
 edge: {method: erf, options: {reach: 5}} | Remove the options
-edge: {method: 'strandline.imaging.erf_step:ErfStep', options: {size: 5}} | size
 edge: {method: 'strandline.imaging.half_level:HalfLevel', options: {bias: 0.0}} | above 0
 edge: strandline.imaging:read_picture | without bias, passes, locate
-reader: strandline.imaging:EDGES | observation.image.reader
 """
 OF_NOISE = """
 noise: {sd: 2, unit: um}; noise: {sd: image, unit: um, unknown: {offset: 0}} | noise.unknown.offset
 noise: {sd: image, unit: um, length: 3} | noise.sd
-noise: {sd: image, unit: um, model_error: true, unknown: {shared: true}} | noise.unknown.shared
 """
 
 
@@ -230,16 +188,12 @@ def test_what_the_command_writes_is_the_same_each_time_with_every_check_and_its_
     shown = image(capsys, folder)
     files = {path.name: path.read_bytes() for path in (folder / "image").iterdir()}
     assert sorted(files) == ["edge.csv", "edge.json", "edge.png"]
-    for words in ("pixel size 10 × 10 µm from the study", "fine: contrast over noise", "image/edge.csv"):
-        assert words in shown
     assert "σ_N² for normal_offset: none needed" in shown
     study = load_study(folder)
     table = np.loadtxt(folder / "image" / "edge.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(table[:, :2], study.observed[""].points, atol=1e-6)
     assert (np.diff(table[:, 3]) > 0).all()
-    content = json.loads(files["edge.json"])
-    assert content["points"] == len(table)
-    assert content["sd"] == pytest.approx(study.pictures[""].errors.sd)
+    assert json.loads(files["edge.json"])["sd"] == pytest.approx(study.pictures[""].errors.sd)
     earlier = "Did you mean hump.png? (image/edge.png still shows an earlier edge.)\n"
     assert image(capsys, written(folder, file="hamp.png")).endswith(earlier)
     write_pictures(folder, study.pictures, measures=study.discrepancies)
@@ -248,11 +202,7 @@ def test_what_the_command_writes_is_the_same_each_time_with_every_check_and_its_
     shown = image(capsys, written(tmp_path, trim=0.41))
     checks = {one["name"]: one for one in json.loads((tmp_path / "image/edge.json").read_text("utf-8"))["checks"]}
     assert list(checks) == ["points", "contrast over noise", "at the limit of the strip", "blur"]
-    assert (checks["points"]["verdict"], checks["points"]["limit"]) == ("warned", 30)
-    assert 30 <= checks["points"]["value"] < 45
     assert f"warned: points {checks['points']['value']:.0f} (at least 30, one per pixel)" in shown
-    assert checks["blur"]["verdict"] == "fine"
-    assert checks["blur"]["value"] == pytest.approx(1.5 / 100, rel=0.5)
 
 
 def test_the_noise_variance_and_the_residual_are_those_of_the_edge(tmp_path):
@@ -261,16 +211,10 @@ def test_the_noise_variance_and_the_residual_are_those_of_the_edge(tmp_path):
     (name, first), (_, second), (_, last) = found.items()
     assert name.startswith("currents, width 0.37")
     assert first == {"value": wide.noise_variance(one.errors, one.interface), "unit": "mm²", "note": None}
-    assert (second["value"], second["unit"]) == (None, None)
+    assert second["value"] is None
     assert "a run of the study computes it" in second["note"]
     assert "none needed" in last["note"]
-    left = off_smooth(one.edge)
-    assert left.shape == one.edge.arc.shape
-    assert left.std() == pytest.approx(one.edge.errors.sd, rel=0.3)
-    *_, residual = plot_picture(one.picture, one.path, one.edge).axes
-    np.testing.assert_allclose(residual.lines[-1].get_ydata(), 1e3 * left)
-    (band,) = residual.patches
-    assert (band.get_y(), band.get_height()) == pytest.approx((-2e3 * one.edge.errors.sd, 4e3 * one.edge.errors.sd))
+    assert off_smooth(one.edge).std() == pytest.approx(one.edge.errors.sd, rel=0.3)
 
 
 def test_how_a_picture_was_read_is_said_everywhere_with_its_origin(tmp_path, capsys):
@@ -284,8 +228,7 @@ def test_how_a_picture_was_read_is_said_everywhere_with_its_origin(tmp_path, cap
         "the model's (0, 0) at pixel (10, 120) from the study; its axes point x right, y up (default), turned by 1°",
         "5 % of the edge left out at either end (`trim`)",
     ]
-    (line,) = [line for line in check(capsys, folder).splitlines() if "hump.png" in line]
-    assert line == f"  hump.png: {'; '.join(one['notes'])}; sha256 {picture.sha256[:12]}…"
+    assert f"\n  hump.png: {'; '.join(one['notes'])}; sha256 {picture.sha256[:12]}…\n" in check(capsys, folder)
     shown = image(capsys, folder)
     assert all(f"  {note}\n" in shown for note in [*one["notes"], f"sha256 {picture.sha256}"])
 
@@ -297,7 +240,6 @@ def test_each_condition_has_its_picture(tmp_path):
     both = [{"condition": "light", **seen()}, {"condition": "heavy", **seen(frame=moved)}]
     changes = {"discrepancy": {"normal_offset": {}}, "noise": IMAGE, "observation": both}
     study = load_study(write_study(tmp_path, **TWO_LOADS_STUDY | changes))
-    assert list(study.pictures) == ["light", "heavy"]
     middle = {name: one.points[:, 0].mean() for name, one in study.observed.items()}
     assert middle["heavy"] - middle["light"] == pytest.approx(10 * PIXEL)
 
@@ -306,13 +248,11 @@ def test_a_page_to_mark_the_picture_needs_no_path_and_no_scale(tmp_path, capsys)
     """Or the picture to which it is registered: fixed region, scale and origin come from marks on that one alone."""
     folder = written(tmp_path, path="hump.path.json", pixel=None, frame=None)
     assert "hump.mark.html" in image(capsys, folder, "--edit")
-    assert "hump.path.json" in (folder / "hump.mark.html").read_text("utf-8")
     assert "--condition" in image(capsys, folder, "--edit", "--condition", "late")
     picture(tmp_path, seed=2).rename(tmp_path / "bare.png")
     registration = {"to": "bare.png", "marks": "bare.path.json"}
     folder = written(tmp_path, registration=registration, frame=None, pixel=None)
     assert "bare.mark.html" in image(capsys, folder, "--edit", "--reference")
-    assert "bare.path.json" in (tmp_path / "bare.mark.html").read_text("utf-8")
     sha = hashlib.sha256((tmp_path / "bare.png").read_bytes()).hexdigest()
     region = np.array([[10.0, 60.0], [90.0, 40.0], [90.0, 110.0], [10.0, 130.0]])
     marks = Clicks("bare.png", sha, SIZE, np.zeros((0, 2)), origin=ORIGIN, fixed=(region,))
@@ -320,10 +260,7 @@ def test_a_page_to_mark_the_picture_needs_no_path_and_no_scale(tmp_path, capsys)
     study = loaded(tmp_path, registration=registration, frame=None)
     assert study.pictures[""].registration is not None
     assert abs(off(study).mean()) < 0.2
-    assert "bare.mark.html" in image(capsys, tmp_path, "--edit", "--reference")  # the page opens the marks
     assert "without `registration`" in image(capsys, written(tmp_path), "--edit", "--reference")
-    with pytest.raises(InvalidInput, match=r"observation\.image\.path"):
-        loaded(tmp_path, path="bare.path.json", file="bare.png")
 
 
 def test_a_frame_is_said_to_be_turned_if_it_is():

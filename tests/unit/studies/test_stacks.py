@@ -14,7 +14,7 @@ from verification.validation.rendered_stacks import Blob, Microscope
 
 import strandline as sl
 from strandline.cli import main
-from strandline.interface import GaussianNoise, Interface, PointErrors, UnknownErrors
+from strandline.interface import GaussianNoise, Interface, PointErrors
 from strandline.readers import Reading, read_interface
 from strandline.studies import load_study
 from strandline.studies.keys.stack import StackFile
@@ -57,8 +57,6 @@ def test_the_noise_is_that_of_the_stack(tmp_path):
     assert 0.7 < noise.sd / away.std() < 1.3
     assert noise.offset >= 0.1 * V
     assert noise.length > V
-    stated = loaded(tmp_path, noise={"sd": "image", "unit": "um", "unknown": {"offset": 7, "shift": 2}}).noise_of("")
-    assert (stated.offset, stated.shift) == pytest.approx((0.007, 0.002))
     np.save(tmp_path / "half.npy", grey()[:22])
     cut = loaded(tmp_path, file="half.npy")
     assert (surface.closed, cut.observed[""].closed) == (True, False)
@@ -68,17 +66,11 @@ def test_the_noise_is_that_of_the_stack(tmp_path):
 REFUSED = """
 reader: nowhere:read; index: 0; frame: {origin: [1, 2]}; frame: {origin: [1, 2, 3], rotation: 3}
 voxel: GONE | does not state the size of a voxel
-voxel: {size: 1, unit: um}; voxel: {x: 1, y: 1, z: 1} | observation.stack.voxel
-frame: GONE | observation.stack.frame.origin
-exclude: [{voxels: [[0, 0, 0]]}] | observation.stack.exclude[0].voxels
 exclude: [{voxels: [[0, 0, 0], [39, 39, 39]]}] | at least 10
 file: nothing.npy | nothing.npy
 file: noise.npy | contrast over noise
-solid: grey | solid
-triangles: 50 | triangles
 """
 OF_STUDY = """
-observation.file: b | `stack`
 noise: {sd: 2, unit: um} | noise.unknown.offset
 noise: {sd: image, unit: um, length: 3} | noise.sd
 """
@@ -97,7 +89,7 @@ def test_what_the_command_writes_is_the_same_each_time(tmp_path, capsys):
     shown = capsys.readouterr().out
     files = {path.name: path.read_bytes() for path in (folder / "image").iterdir()}
     assert sorted(files) == ["surface.json", "surface.png", "surface.vtu"]
-    for words in ("stack of 40 planes, 1 µm apart, from the study", "closed", "σ_N² for closest_point", "surface.vtu"):
+    for words in ("stack of 40 planes, 1 µm apart, from the study", "at voxel (20.2, 19.5, 19.8) from the study"):
         assert words in shown
     study = load_study(folder)
     how = Reading.from_options({"file": "surface.vtu", "unit": "mm"}, "surface")
@@ -106,13 +98,8 @@ def test_what_the_command_writes_is_the_same_each_time(tmp_path, capsys):
     content = json.loads(files["surface.json"])
     (how_read,) = read_how(study)
     assert (how_read["file"], how_read["notes"]) == ("cells.npy", content["notes"])
-    assert "at voxel (20.2, 19.5, 19.8) from the study; its axes point x right (default), y down" in shown
-    assert content["triangles"] == len(read.cells)
     assert content["sd"] == pytest.approx(study.stacks[""].errors.sd)
-    (name, one), other = content["noise_variance"].items()
-    assert name.startswith("closest_point, direction to_simulated")
-    assert one["value"] > 0
-    assert other[0] == "normal_offset"
+    assert next(iter(content["noise_variance"])).startswith("closest_point, direction to_simulated")
     write_stacks(folder, study.stacks, measures=study.discrepancies)
     assert {path.name: path.read_bytes() for path in (folder / "image").iterdir()} == files
 
@@ -124,8 +111,6 @@ def test_a_region_in_coordinates_of_the_model_turns_with_its_frame(tmp_path):
     points = study.observed[""].points
     assert np.linalg.norm(points - [RADIUS, 0, 0], axis=1).min() > 0.005
     assert np.linalg.norm(points - [0, RADIUS, 0], axis=1).min() < 0.002
-    mesh = study.stacks[""].surface.mesh
-    assert np.linalg.norm(mesh.points - ORIGIN - [0, RADIUS / V, 0], axis=1).min() > 5
     assert "triangles in excluded regions left out" in " ".join(study.stacks[""].notes)
 
 
@@ -166,37 +151,26 @@ def test_its_errors_join_those_of_the_observation(study):
     assert noise.sd**2 * noise.length == pytest.approx(own.sd**2 * own.length + edge.sd**2 * edge.length)
     assert noise.offset == pytest.approx(np.hypot(own.offset, edge.offset))
     assert (noise.shift, noise.rotation, noise.scale) == pytest.approx((edge.shift, edge.rotation, 0.005))
-    assert noise.shift > 0.001
-    # Each condition takes its share, and other noise stays.
+    # Each condition takes its share; white points that are 10 µm apart count as correlated over half of that.
     given = PointErrors(0.002, 0.0, offset=0.001)
     one, three = (with_errors_of(study.undeformed, given, SEEN, conditions=n) for n in (1, 3))
-    assert one.sd**2 - given.sd**2 == pytest.approx(own.sd**2)
+    assert one.sd**2 * one.length == pytest.approx(given.sd**2 * 0.005 + own.sd**2 * own.length)
     assert three.sd**2 - given.sd**2 == pytest.approx(3 * own.sd**2)
     assert three.offset == pytest.approx(np.sqrt(0.001**2 + 3 * own.offset**2))
-    # white points that are 10 µm apart count as correlated over half of that
-    assert one.sd**2 * one.length == pytest.approx(given.sd**2 * 0.005 + own.sd**2 * own.length)
     stated = GaussianNoise(1e-4)
     assert with_errors_of(study.undeformed, stated, SEEN, conditions=1) is stated
-    assert with_errors_of(None, PointErrors(0.002), SEEN, conditions=1) == PointErrors(0.002)
-    inferred = with_errors_of(study.undeformed, UnknownErrors(offset=0.001), SEEN, conditions=1)
-    assert inferred.offset > 0.001
 
 
 def test_the_command_writes_both_pictures_and_how_they_were_read(study, capsys):
     first, second = read_how(study)
     assert (first["condition"], first["file"], second["file"]) == ("undeformed", "undeformed.png", "deformed.png")
-    assert first["notes"][-2].startswith("the model's (0, 0) at pixel (-105, 205) from the study")
     assert second["notes"][-2].startswith("in undeformed.png, the model's (0, 0) at pixel (-105, 205) from the study")
     main(["image", str(study.folder)])
-    out = capsys.readouterr().out
-    for words in ("undeformed: undeformed.png: edge of", "smooth outline: sd of a point", "set-up moved by"):
-        assert words in out
+    assert "undeformed: undeformed.png: edge of" in capsys.readouterr().out
     written = {path.name for path in (study.folder / "image").iterdir()}
     assert {"edge.csv", "edge.png", "undeformed-edge.png", "undeformed-outline.csv"} <= written
     outline = np.loadtxt(study.folder / "image" / "undeformed-outline.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(outline, study.undeformed.outline.points, atol=1e-6)
-    main(["image", str(study.folder), "--edit", "--condition", "undeformed"])
-    assert "undeformed.mark.html" in capsys.readouterr().out
 
 
 OUTLINE = """
@@ -205,11 +179,8 @@ solid: GONE; colour: red
 path: [[89, 100], [166, 50], [247, 58], [310, 126]] | undeformed outline in the picture
 """
 REGISTRATION = """
-to: nothing.png | nothing.png
-fixed: [] | regions that do not move
 fixed: [[[2, 2], [6, 2], [6, 6]]] | fixed regions of the picture
 fixed: [[[2, 2], [100, 2], [100, 30], [2, 30]]] | correlation
-marks: nothing.path.json | nothing.path.json
 """
 
 

@@ -37,7 +37,6 @@ def test_a_ridge_is_learnt_better_with_more_runs_and_left_out_runs_tell_how_well
     error = rms(fits[1].process.mean(inside) - ridge(inside))
     assert error < rms(fits[1].validation.residuals[within]) < 10 * error
     assert fits[0].process.nugget == pytest.approx(1e-5 * np.ptp(ridge(design(25))))
-    assert fits[0].process.length_scale == fits[0].fit.length_scale
 
 
 def test_any_noise_level_is_fitted_and_unusable_data_is_refused():
@@ -47,6 +46,7 @@ def test_any_noise_level_is_fitted_and_unusable_data_is_refused():
     for few, values, kernel, error, words in (
         (x[:3], y[:3], "matern32", TooFewRuns, "at least 4"),
         (x[:9], y[:8], "matern32", InvalidInput, "one log-likelihood for each run"),
+        (x[:9], np.where(np.arange(9) == 7, -np.inf, y[:9]), "matern32", InvalidInput, "training run 7"),
         (x[:9], np.full(9, -2.5), "matern32", NumericsError, "all 9 training targets equal -2.5"),
         (x[:9] * [1, 0] + [0, 0.2], y[:9], "matern32", InvalidInput, "column 1"),
         (x[:9], y[:9], "gauss", InvalidInput, "kernel"),
@@ -73,7 +73,7 @@ def test_errors_fall_with_the_number_of_runs_of_which_only_the_first_are_used():
     assert found.sizes.tolist() == [25, 100]
     for errors in (found.log_likelihood, found.likelihood):
         assert errors[1] < 0.4 * errors[0]
-    few, many = (study(train, sizes=[50], kernel="matern32_product") for train in (50, 210))
+    few, many = (study(train, sizes=[50]) for train in (50, 210))
     assert few.log_likelihood[0] == many.log_likelihood[0]
     assert study().sizes.tolist() == [100, 200]
     for sizes, test, words in (([211], 9, "210"), ([], 9, "210"), ([50], 0, "test points")):
@@ -88,6 +88,5 @@ def test_relative_errors_by_hand():
     for shift in (-2000.0, 0.0, 2000.0):
         found = relative_error_of_exponentials(np.log([3.0, 4.5]) + shift, np.log(truth) + shift)
         assert found == pytest.approx(0.1)
-    assert relative_error_of_exponentials(truth, truth) == 0.0
     assert relative_error_of_exponentials(truth - 1e4, truth) == pytest.approx(1.0)
     assert relative_error_of_exponentials(truth + 1e4, truth) == math.inf

@@ -5,13 +5,11 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.special import logsumexp
-from scipy.stats import norm
 from verification.reproduction.field_table import FieldTable, LoadCoordinates, tabulate, withheld
-from verification.reproduction.grid_posterior import GridPosterior, posterior_on_grid, product_grid, total_variation
+from verification.reproduction.grid_posterior import posterior_on_grid, product_grid
 from verification.reproduction.log_likelihood_field import log_likelihood_field
 from verification.reproduction.truth import true_fields, true_posterior
 
-from strandline.errors import InvalidInput, NumericsError
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
 from strandline.parameters import Parameter, ParameterSpace
@@ -56,9 +54,6 @@ def test_coordinates_go_there_and_back_and_the_box_ends_before_the_folds_of_the_
     box = LoadCoordinates()
     z = np.random.default_rng(1).uniform(-1, 1, (50, 3))
     np.testing.assert_allclose(box.to_box(box.from_box(z)), z, atol=1e-12)
-    assert box.inside(box.from_box(z)).all()
-    x = np.array([[400, 0.3, 100], [250, 0.3, 100], [400, 0.51, 100], [400, 0.3, 111], [400, 0.3, 0]], float)
-    assert box.inside(x).tolist() == [True, False, False, False, True]
     for nu, young in box.fold:
         assert 1.1 * young < float(box.softest(np.array([nu]), box.fold_rate)[0]) < 1.17 * young
     for limit in ((120.0, -0.3, 94.02), (120.0, 0.5, 64.17)):  # E, ν and rate of folds, found by following the load
@@ -68,27 +63,12 @@ def test_coordinates_go_there_and_back_and_the_box_ends_before_the_folds_of_the_
 def test_interfaces_between_the_nodes_are_the_closed_form_and_the_error_falls_geometrically(table, make_table):
     x = somewhere(table.coordinates)
     assert np.abs(table.at(x) - exact(x)).max() < 2e-8
-    still = table.at(np.array([[400.0, 0.3, 0.0], [100.0, -0.8, 0.0]]))
-    np.testing.assert_allclose(still, np.broadcast_to(MODEL.undeformed().points, still.shape), atol=1e-15)
-    assert table.runs == 12 * 7 * 3  # none without load
     errors = [np.abs(make_table((n, 6, 2)).at(x) - exact(x)).max() for n in (2, 4, 6)]
     assert errors[0] > 10 * errors[1] > 100 * errors[2] > 0
 
 
-def test_grid_scattered_points_and_the_nested_table_agree(table, make_table):
-    axes = [np.array([-1.0, 0.2, 1.0]), np.array([-0.5, 0.7]), np.array([0.1])]
-    z = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    scattered = table.at(table.coordinates.from_box(z)[2:])
-    np.testing.assert_allclose(table.on_grid(*axes).reshape(6, -1, 2)[2:], scattered, atol=1e-14)
-    x = somewhere(table.coordinates)
-    np.testing.assert_allclose(table.halved().at(x), make_table((6, 3, 1)).at(x), atol=1e-14)
-
-
-def test_withheld_runs_see_a_table_with_swapped_axes_and_runs_are_kept(make_table, ledger):
+def test_withheld_runs_see_a_table_with_swapped_axes(make_table, ledger):
     table = make_table((6, 6, 2))
-    before = ledger.counts().total
-    make_table((6, 6, 2))
-    assert ledger.counts().total == before
     x = somewhere(table.coordinates, 10)
     good = withheld(table, MODEL, x, ledger=ledger, executor=InProcess())
     swapped = table.values.swapaxes(0, 1)[: len(table.axes[0])]
@@ -102,9 +82,7 @@ TRUTH = (400.0, 0.3, 100.0)
 VARIANCE = 1e-5
 YOUNG, POISSON = Parameter("E", Uniform(100.0, 800.0), "Pa"), Parameter("nu", Uniform(-0.8, 0.5))
 KNOWN = ParameterSpace((YOUNG, POISSON))
-INFORMED = ParameterSpace(
-    (Parameter("E", LogNormal(5.86, 0.4), "Pa", (100.0, 800.0)), Parameter("nu", ScaledBeta(3.0, 2.0, -0.8, 0.5)))
-)
+INFORMED = ParameterSpace((Parameter("E", LogNormal(5.86, 0.4), "Pa", (100.0, 800.0)), POISSON))
 UNCERTAIN = ParameterSpace((YOUNG, POISSON, Parameter("V_in", ScaledBeta(2.6, 1.4, 0.0, 110.0), "mm^2/s")))
 NODES = (49, 25, 13)
 
@@ -140,16 +118,11 @@ def closed_form(e, nu, rate):
 
 
 @cache
-def by_hand(space, reading, rate=None, numbers=(700, 130, 40)):
-    """Mean, sd and log evidence by midpoints; V in equal shares of its prior."""
-    e, nu = (
-        low + (high - low) * (np.arange(n) + 0.5) / n
-        for (low, high), n in zip((YOUNG.interval, POISSON.interval), numbers[:2], strict=True)
-    )
-    E, NU = np.meshgrid(e, nu, indexing="ij")
-    prior = np.exp(space["E"].truncated_prior.log_density(E) + space["nu"].truncated_prior.log_density(NU))
-    cell = (e[1] - e[0]) * (nu[1] - nu[0])
-    shares = (np.arange(numbers[2]) + 0.5) / numbers[2]
+def by_hand(space, reading, rate=None):
+    """Mean, sd and log evidence by midpoints of cells of 1 Pa and 0.01; V in equal shares of its prior."""
+    E, NU = np.meshgrid(np.arange(100.5, 800.0), np.arange(-0.795, 0.5, 0.01), indexing="ij")
+    prior, cell = np.exp(space["E"].truncated_prior.log_density(E)) / 1.3, 0.01
+    shares = (np.arange(40) + 0.5) / 40
     rates = [rate] if rate is not None else space["V_in"].prior.quantile(shares).tolist()
     density, log_evidences = np.zeros_like(E), []
     for v in rates:
@@ -179,57 +152,26 @@ def test_posterior_at_a_known_rate_is_the_closed_form_and_a_rough_table_is_told(
     assert rough.from_half_table.total_variation > 0.02
 
 
+def test_a_wrong_measure_weight_is_noticed(known):
+    """Planted: the Jacobian of log E is forgotten."""
+    grid = product_grid(KNOWN, rate=100.0)
+    object.__setattr__(grid, "young_weight", grid.young_weight / grid.young * grid.young.mean())
+    assert not agree(posterior_on_grid(known[0], KNOWN, grid), by_hand(KNOWN, "joint", 100.0), 0.01)
+
+
 def test_posteriors_at_an_uncertain_rate_are_the_closed_form_and_neither_reading_passes_for_the_other(uncertain):
     grid = product_grid(UNCERTAIN, panels=(32, 16, 16))
     found = {reading: posterior_on_grid(uncertain, UNCERTAIN, grid, reading=reading) for reading in ("joint", "cut")}
     for reading, other in (("joint", "cut"), ("cut", "joint")):
         assert agree(found[reading], by_hand(UNCERTAIN, reading), 0.01)
         assert not agree(found[reading], by_hand(UNCERTAIN, other), 0.05)
-    k = len(grid.rate) * 3 // 4
-    alone = posterior_on_grid(uncertain, KNOWN, product_grid(KNOWN, panels=(32, 16, 16), rate=float(grid.rate[k])))
-    assert found["joint"].log_evidence_at_rate[k] == pytest.approx(alone.log_evidence, abs=1e-12)
-
-
-def test_a_wrong_measure_weight_is_noticed_and_total_variation_of_shifted_normals_is_the_closed_form(known):
-    """Planted: the Jacobian of log E is forgotten. TV of N(0, 1) and N(d, 1) is 2Φ(d/2) - 1."""
-    grid = product_grid(KNOWN, rate=100.0)
-
-    def posterior(shift):
-        density = norm.pdf(grid.young[:, None], 400 + 40 * shift, 40) * np.full(len(grid.nu), 1 / 1.3)
-        return GridPosterior(grid, density, np.zeros(2), np.eye(2), 0.0, np.zeros(1), 0.0)
-
-    for d in (0.0, 0.5, 2.0):
-        assert total_variation(posterior(0.0), posterior(d)) == pytest.approx(2 * norm.cdf(d / 2) - 1, abs=1e-3)
-    grid = product_grid(KNOWN, rate=100.0)
-    object.__setattr__(grid, "young_weight", grid.young_weight / grid.young * grid.young.mean())
-    assert not agree(posterior_on_grid(known[0], KNOWN, grid), by_hand(KNOWN, "joint", 100.0), 0.01)
 
 
 def test_field_is_the_likelihood_between_its_nodes_and_mass_beyond_the_soft_end_shows(uncertain, table):
     x = table.coordinates.from_box(np.random.default_rng(3).uniform(-1, 1, (200, 3)))
     expected = np.array([closed_form(*row) for row in x.tolist()])
     np.testing.assert_allclose(uncertain(x), expected, atol=1e-3 * np.abs(expected).max())
-    near = expected > -10
-    np.testing.assert_allclose(uncertain(x)[near], expected[near], atol=0.01)
-    assert uncertain(np.array([[150.0, 0.5, 110.0], [800.0, 0.0, 50.0]])).tolist()[0] == -np.inf
     for young, least, most in ((400.0, 0.0, 1e-8), (280.0, 0.05, np.inf)):
         field = log_likelihood_field(table, likelihood_at(young, 0.3, 100.0), nodes=NODES, rate=100.0)
         grid = product_grid(KNOWN, rate=100.0)
         assert least <= posterior_on_grid(field, KNOWN, grid, coordinates=table.coordinates).edge_mass < most
-
-
-def test_what_has_no_answer_is_refused(table, known, ledger, tmp_path):
-    soft, box = Folding(softness=1.2), LoadCoordinates(fold=Folding.FOLD, inertia=None)
-    with Ledger.open(tmp_path / "ledger.sqlite", model=soft) as own, pytest.raises(NumericsError, match="its reach"):
-        tabulate(soft, soft.undeformed(), intervals=(4, 2, 2), ledger=own, executor=InProcess(), coordinates=box)
-    with pytest.raises(InvalidInput, match="outside"):
-        withheld(table, MODEL, np.array([[50.0, 0.5, 100.0]]), ledger=ledger, executor=InProcess())
-    a, b = (posterior_on_grid(known[0], KNOWN, product_grid(KNOWN, panels=(n, 16, 1), rate=100.0)) for n in (32, 33))
-    with pytest.raises(InvalidInput, match="grids"):
-        total_variation(a, b)
-    for space, options in ((UNCERTAIN, {"rate": 100.0}), (KNOWN, {})):  # fixed or uncertain, not both
-        with pytest.raises(InvalidInput, match="inflow"):
-            product_grid(space, **options)
-    soft = ParameterSpace((Parameter("E", Uniform(100.0, 120.0)), Parameter("nu", Uniform(0.4, 0.5))))
-    with pytest.raises(NumericsError, match="V_in = 100"):
-        posterior_on_grid(known[0], soft, product_grid(soft, rate=100.0))

@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
-from verification.validation import analytic, extremes, mesh_on_other_outlines
-from verification.validation.biofilm_mesh import box_points, flow_cell
+from verification.validation import analytic, extremes
+from verification.validation.biofilm_mesh import flow_cell
 from verification.validation.sensitivities import POINTS, Inputs, partition_of, relative_differences
 from verification.validation.tables import observed_orders
 
 from strandline.models.biofilm.geometry import MeshSize
 from strandline.models.biofilm.materials import LAWS, MixedStress
-from strandline.models.biofilm.sizes import FINER, MESHES
 
 CORNERS = [("uniaxial", "saint_venant_kirchhoff", 0.5), ("uniaxial", "neo_hookean", 0.5), ("shear", "yeoh", -0.9)]
 ROUGH = MeshSize(far=0.3, interface=0.09, foot=0.06, grading=0.6)
@@ -71,10 +70,7 @@ def test_sensitivities_with_a_jacobian_from_elsewhere_do_not(monkeypatch):
     assert max(relative_differences(cell, Inputs((400.0,), (0.3,), 100.0))) > 1e-5
 
 
-def test_points_cover_the_box_and_extreme_inputs_are_solved():
-    points = box_points(64)
-    np.testing.assert_allclose(points.mean(axis=0), [450.0, -0.15], rtol=0.05)
-    assert (np.ptp(points, axis=0) > [650.0, 1.2]).all()
+def test_extreme_inputs_are_solved():
     laws = ("saint_venant_kirchhoff", "neo_hookean")
     (table,) = extremes.tables(mesh="coarse", laws=laws)
     assert set(table.column("outcome")) == {"solved"}
@@ -83,22 +79,3 @@ def test_points_cover_the_box_and_extreme_inputs_are_solved():
         assert moved[law, 400.0, 0.3, 0.0] == 0.0
         np.testing.assert_allclose(moved[law, 400.0, 0.5, 100.0], moved[law, 400.0, 0.4999999, 100.0], rtol=1e-5)
         assert moved[law, 1e7, 0.3, 100.0] < 0.01
-        assert moved[law, 400.0, -0.99, 100.0] < moved[law, 400.0, -0.9, 100.0] < moved[law, 400.0, 0.5, 100.0]
-    assert moved[laws[0], 400.0, 0.5, 100.0] != moved[laws[1], 400.0, 0.5, 100.0]
-
-
-@pytest.mark.long
-def test_the_estimate_on_another_outline_is_the_difference_to_the_next_finer_mesh():
-    names = [next(iter(mesh_on_other_outlines.CASES))]
-    made = mesh_on_other_outlines.table(names, {"coarse": MESHES["coarse"]}, FINER["coarse"])
-    found = dict(zip(made.columns, made.rows[0], strict=True))
-    assert found["mesh"] == "coarse"
-    assert found["estimate by check, µm"] == found["true error, µm"] > 0
-    share = 100 * found["true error, µm"] / found["largest displacement, µm"]
-    assert found["true error, %"] == pytest.approx(share, rel=1e-12)
-
-
-def test_the_other_outlines_are_not_the_studys():
-    prints = {model.fingerprint for model, _ in mesh_on_other_outlines.CASES.values()}
-    assert len(prints) == len(mesh_on_other_outlines.CASES) >= 3
-    assert not any(mark.endswith("mesh=default") for mark in prints)

@@ -67,10 +67,11 @@ def _known(inputs, outcomes, noise):
 
 @dataclass(frozen=True, eq=False)
 class Assumed(Knowledge):
-    """What runs teach, but for the likelihood: that is a normal one."""
+    """What runs teach, but for the likelihood: that is a normal one, to which the uncertainty adds `doubt`."""
 
     mean: tuple[float, ...] = (0.2, 0.1)
     sd: float = 0.2
+    doubt: float = 0.0
 
     def plug_in(self, x):
         return normal(x, self.mean, self.sd)
@@ -79,7 +80,7 @@ class Assumed(Knowledge):
         return np.zeros(len(x))
 
     def expected(self, x, *, plug_in=None):
-        return self.plug_in(x)
+        return self.plug_in(x) + self.doubt
 
 
 def own(knowledge):

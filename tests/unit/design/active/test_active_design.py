@@ -9,15 +9,13 @@ from scipy.special import log_softmax
 from tests.unit.design.active import fakes
 from tests.unit.design.active.fakes import MEAN, SPACE, FakeLearner, even, honest, kinds, known, record, state_of
 
-from strandline.design.active import Active, ActiveDesign, posterior_check
-from strandline.design.active.checking import BatchCheck, Tolerances, number_of_probes, objections, verdict
+import strandline as sl
+from strandline.design.active import Active, ActiveDesign
+from strandline.design.active.checking import Tolerances, number_of_probes, objections
 from strandline.design.active.elsewhere import Surprise
 from strandline.design.active.outcome import Certificate
 from strandline.design.active.posterior_check import PosteriorCheck
 from strandline.design.active.state import Remembered, State
-from strandline.discrepancy import TrackedPoints
-from strandline.interface import Observation
-from strandline.likelihood import InterfaceLikelihood
 from strandline.posterior import reweight
 
 FIRST = even(12)
@@ -69,20 +67,11 @@ def test_a_posterior_that_stays_is_checked_and_that_is_all():
     assert (one.converged, one.reasons) == (True, ())
     assert (check.draws, check.failed, check.passed, check.reasons, check.early) == (PROBES, 0, True, (), True)
     assert [step.runs for step in one.steps] == [12, 16, 20, 20 + PROBES + 1]
-    assert [step.kind for step in one.steps] == kinds(batches)
     assert [step.since for step in one.steps] == [None, 12, 16, 20]
     assert one.steps[0].moved is None
     certificate = Certificate(one.converged, one.reasons, tuple(one.steps), tuple(one.batches), None, 0.1)
     assert "<td>12</td><td>initial</td><td></td>" in certificate._repr_html_()
     assert one.check.chosen == {row.tobytes() for batch in batches[1:3] for row in batch.points}
-
-
-def test_batches_grow_with_the_runs_unless_their_size_is_stated():
-    for batch, expected in [(None, [4, 5, 6, 16]), (4, [4] * 4)]:
-        for first, together in zip((12, 100, 130, 1000), expected, strict=True):
-            one = design(Active(2000, batch=batch))
-            one.start(even(first))
-            assert one._together == together
 
 
 @pytest.mark.parametrize(("drift", "worse", "checks"), [(0.0, False, 1), (0.015, False, 2), (0.0, True, 2)])
@@ -132,19 +121,6 @@ def test_a_posterior_that_is_another_one_from_the_prior_is_not_checked_yet():
     assert batches[3].points[:, 0].mean() > batches[1].points[:, 0].mean() + 0.2
 
 
-def test_a_check_knows_which_of_its_draws_are_probes(monkeypatch):
-    """Its last look leaves them out; here only that one settles anything."""
-    seen = []
-
-    def last_only(draws, *given, probing, last, **options):
-        seen.append((len(draws), probing))
-        return BatchCheck(len(draws), 0, None, True, ()) if last else "open"
-
-    monkeypatch.setattr(posterior_check, "verdict", last_only)
-    played(design(Active(100)))
-    assert seen == [(number, PROBES) for number in (9, 13, 17, 25, 33, 34)]  # a quarter more each time, whole batches
-
-
 def test_a_check_that_fails_goes_on_until_the_runs_are_used_up():
     """A first batch that moved the posterior by two standard deviations is no reason any more."""
     one = moving(0.6, 0.2, log_likelihood=wrong)
@@ -165,8 +141,6 @@ def test_the_last_runs_are_kept_for_a_check_which_may_come_after_a_batch_that_mo
     assert sizes(played(one))[:3] == [("initial", 12), ("posterior", 4), ("check", PROBES)]
     assert one.steps[1].moved.shift > 1.5
     assert not one.converged
-    few = moving(0.2, 0.5, 0.2, 0.5, runs=12 + 25 + 2)
-    assert sizes(played(few))[:3] == [("initial", 12), ("posterior", 2), ("check", PROBES)]
 
 
 def test_a_posterior_that_never_rests_says_so_and_which_run_was_not_expected():
@@ -199,35 +173,28 @@ def test_runs_too_few_for_a_check_are_used_all_the_same():
     assert one.reasons[2:] == ("no check on the true model was made",)
 
 
-@pytest.mark.parametrize("line", [0.0, -2.0], ids=["many", "all"])
-def test_a_check_whose_runs_fail_does_not_pass(line):
+def test_a_check_whose_runs_fail_does_not_pass():
     one = design(Active(60))
-    played(one, fails=lambda x: x[1] > line and not any(np.array_equal(x, row) for row in FIRST))
+    played(one, fails=lambda x: not any(np.array_equal(x, row) for row in FIRST))
     check = checks_of(one)[0]
-    assert not check.passed
-    assert check.failed == check.draws if line < -1 else 1 < check.failed < check.draws
-    assert (check.reweighting is None) or line == 0.0
-    assert not one.converged
+    assert (check.passed, check.reweighting, one.converged) == (False, None, False)
+    assert check.failed == check.draws
 
 
 def test_each_tolerance_counts():
     """The weights are those of a surrogate that is off by half a standard deviation, or have a heavy tail."""
     x = np.random.default_rng(1).standard_normal((200, 1))
-    off, turned, heavy = reweight(x, 0.5 * x[:, 0]), reweight(-x, 0.5 * x[:, 0]), reweight(x, 0.49 * x[:, 0] ** 2)
+    off, heavy = reweight(x, 0.5 * x[:, 0]), reweight(x, 0.49 * x[:, 0] ** 2)
     loose = Tolerances(effective=0.01, shift=100.0, k_hat=100.0, width=100.0)
-    assert objections(off, loose) == objections(off, replace(loose, k_hat=1e-9)) == ()
-    for name, value, reason in [
-        ("effective", 0.999, "the effective sample size of the weights"),
-        ("shift", 1e-9, "importance weights move a mean by"),
-        ("width", 1e-9, "importance weights multiply a standard deviation by"),
+    assert objections(off, loose) == ()
+    for found, name, value, reason in [
+        (off, "effective", 0.999, "the effective sample size of the weights"),
+        (off, "shift", 1e-9, "importance weights move a mean by"),
+        (off, "width", 1e-9, "importance weights multiply a standard deviation by"),
+        (heavy, "k_hat", 0.3, f"Pareto k̂ is {heavy.smoothed.k_hat:.2f}, not below 0.3"),
     ]:
-        strict = replace(loose, **{name: value})
-        (objection,) = objections(off, strict)
+        (objection,) = objections(found, replace(loose, **{name: value}))
         assert reason in objection
-        assert name == "width" or objections(turned, strict) == (objection,)
-    assert off.smoothed.k_hat > 0.03
-    words = f"Pareto k̂ is {heavy.smoothed.k_hat:.2f}, not below 0.3"
-    assert objections(heavy, replace(loose, k_hat=0.3)) == (words,)
 
 
 def test_a_region_elsewhere_that_fits_is_not_passed_over():
@@ -238,12 +205,10 @@ def test_a_region_elsewhere_that_fits_is_not_passed_over():
 
     first = FIRST[~(FIRST < -0.25).all(axis=1)]
     one, blind = (design(active, log_likelihood=truth) for active in (Active(100), Active(100, unseen=1.0)))
-    batches = played(one, first=first)
-    check = checks_of(one)[0]
-    assert not check.passed
-    assert check.reasons[0].startswith("a run at a -")
-    assert check.reasons[0].endswith("fits the observation, which the surrogate had ruled out")
-    assert batches[3].kind == "check"
+    assert played(one, first=first)[3].kind == "check"
+    (reason, *_) = checks_of(one)[0].reasons
+    assert reason.startswith("a run at a -")
+    assert reason.endswith("fits the observation, which the surrogate had ruled out")
     played(blind, first=first)
     assert blind.converged
 
@@ -260,7 +225,7 @@ def test_given_runs_are_checked_by_leaving_them_out_and_gone_on_from_if_they_obj
         weights = log_softmax(log_expected - fakes.normal(z, sd=0.5))
         return State(knowledge, z, weights, weights, weights, log_expected, knowledge.plug_in(z))
 
-    truth = InterfaceLikelihood((Observation(fakes.interface(MEAN), 0.1**2),), TrackedPoints())
+    truth = sl.InterfaceLikelihood((sl.Observation(fakes.interface(MEAN), 0.1**2),), sl.TrackedPoints())
     options = {"batch": 8, "check": PosteriorCheck, "log_likelihood": lambda r: factor * truth(r.interfaces)}
     one = design(Active(48, batch=8), learn, **options)
     batches = sizes(played(one, first=even(60, 5), given=True))
@@ -280,18 +245,11 @@ def noisy(one):
     return honest(one) + 0.4 * float(np.random.default_rng(list(one.key.encode())).standard_normal())
 
 
-def test_a_check_that_could_not_settle_it_is_given_up_twice_at_most(monkeypatch):
+def test_a_check_that_could_not_settle_it_is_given_up_twice_at_most():
     """The posterior is learnt better instead, while there are runs enough for another check.
 
-    The check is told what errors are expected. One of more inputs than a whole parabola has is not given up.
+    One of more inputs than a whole parabola has is not given up.
     """
-    told = []
-
-    def spy(*given, **options):
-        told.append({"draws": given[0], "posterior": given[2], **options})
-        return verdict(*given, **options)
-
-    monkeypatch.setattr(posterior_check, "verdict", spy)
     one, few, more = (
         design(Active(runs), log_likelihood=noisy, whole=whole) for runs, whole in ((120, 2), (70, 2), (100, 1))
     )
@@ -300,16 +258,9 @@ def test_a_check_that_could_not_settle_it_is_given_up_twice_at_most(monkeypatch)
     assert [check.given_up for check in checks[:3]] == [True, True, False]
     assert max(check.draws for check in checks[:2]) < 20 < checks[2].draws
     assert not any(check.early for check in checks[:2])
-    assert told[0]["most"] == 34
-    played(few)
-    assert not any(check.given_up for check in checks_of(few))
-    told.clear()
-    played(more)
-    assert not any("most" in options for options in told)
-    variances, expected = more.state.knowledge.likelihood.variances, told[0]["expected"]
-    np.testing.assert_allclose(expected.draws, variances(told[0]["draws"]))
-    np.testing.assert_allclose(expected.posterior, variances(told[0]["posterior"]))
-    assert expected.draws.max() > 2 * expected.draws.min() > 0
+    for other in (few, more):
+        played(other)
+        assert not any(check.given_up for check in checks_of(other))
 
 
 def test_runs_that_a_check_has_left_look_where_none_has_been():
@@ -322,54 +273,21 @@ def test_runs_that_a_check_has_left_look_where_none_has_been():
         assert one.overlooks(np.concatenate([batch.points for batch in one.batches])) == overlooks
 
 
-def test_batches_of_fewer_runs_than_inputs_count_together():
-    """Of one run each, in two dimensions: what moves the posterior by 0.075 standard deviations a run moves it on."""
-    drifting = [0.0, 0.015, 0.03, 0.045, 0.06, 0.075, 0.09, 0.105]
-    alone, together = (moving(*drifting, runs=60, batch=batch) for batch in (2, 1))
-    checked = [kinds(played(one)).index("check") for one in (alone, together)]
-    assert [step.since for step in together.steps[:5]] == [None, None, 12, 13, 14]
-    assert [step.since for step in alone.steps[:4]] == [None, 12, 14, 16]
-    assert checked[0] == 3
-    assert checked[1] > len(drifting)
-
-
-def test_runs_with_derivatives_count_twice():
-    """In two dimensions, a batch of one such run is compared with the one before."""
-    learner = FakeLearner()
-
-    def learn(x, records):
-        state = learner(x, records)
-        likelihood = state.knowledge.likelihood
-        likelihood = replace(likelihood, surrogate=replace(likelihood.surrogate, gradients=True))
-        return replace(state, knowledge=replace(state.knowledge, likelihood=likelihood))
-
-    one = design(Active(60), learn, batch=1)
-    assert kinds(played(one))[:4] == ["initial", "posterior", "posterior", "check"]
-    assert [step.since for step in one.steps[:3]] == [None, 12, 13]
-
-
 def test_weights_between_posteriors_count_and_the_noise_of_particles_does_not():
-    """Widths that change by 8 % in both inputs leave means alone, and not all draws effective.
-
-    Two samples of few particles differ by more than the tolerance; weights of one of them do not.
-    """
+    """Two samples of few particles differ by more than the tolerance; weights of one of them do not."""
     knowledge = known(FIRST)
-    state, narrower, shifted = (state_of(knowledge, **kind) for kind in ({}, {"sd": 0.2 * 0.92}, {"mean": (0.3, 0.1)}))
-    moved = Remembered.of(state).moved(narrower.knowledge)
-    assert moved.shift < 0.05
-    assert moved.width == pytest.approx(-np.log(0.92), rel=0.2)
-    assert moved.effective < 0.995
-    strict = design(Active(60, effective=0.999, change=10.0), FakeLearner([0.2, 0.22] * 50))
-    assert kinds(played(strict))[1:4] == ["posterior"] * 3
-    one_input = replace(state.knowledge, sd=np.array([0.2, 0.2 * 0.8]))
-    assert Remembered.of(state).moved(one_input).width == pytest.approx(-np.log(0.8), rel=0.15)
     one, other = (state_of(knowledge, seed=seed, number=60) for seed in (1, 2))
     assert np.abs((one.mean - other.mean) / one.sd).max() > 0.1
     moved = Remembered.of(one).moved(other.knowledge)
     assert (moved.shift, moved.width, moved.effective) == pytest.approx((0.0, 0.0, 1.0), abs=1e-12)
-    moved = Remembered.of(one).moved(shifted.knowledge)
+    moved = Remembered.of(one).moved(state_of(knowledge, mean=(0.3, 0.1)).knowledge)
     assert moved.shift > 0.3
     assert moved.effective < 0.9
+    state = state_of(knowledge)
+    one_input = replace(state.knowledge, sd=np.array([0.2, 0.2 * 0.8]))
+    assert Remembered.of(state).moved(one_input).width == pytest.approx(-np.log(0.8), rel=0.15)
+    strict = design(Active(60, effective=0.999, change=10.0), FakeLearner([0.2, 0.22] * 50))
+    assert kinds(played(strict))[1:4] == ["posterior"] * 3
 
 
 @pytest.mark.stand_in

@@ -1,13 +1,12 @@
 """Posteriors that go on from the last one against those that are sampled from the prior."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from tests.unit.design.active.fakes import SPACE, Assumed, even, known, own, state_of
 
 from strandline.design.active import sampling as module
-from strandline.smc import carried
 
 X = even(12)
 PARTICLES = 600
@@ -29,30 +28,17 @@ def before():
 
 @dataclass(frozen=True, eq=False)
 class TwoModes(Assumed):
-    """A normal likelihood, and a second mode as heavy that is far away; a rough one may not see it."""
-
-    blind: bool = False
+    """A normal likelihood, and a second mode as heavy that is far away; a rough one does not see it."""
 
     def plug_in(self, x):
         return np.logaddexp(assumed().plug_in(x), assumed((-0.7, -0.6)).plug_in(x))
 
     def roughly(self, x):
-        return assumed().plug_in(x) if self.blind else super().roughly(x)
+        return assumed().plug_in(x)
 
 
 @dataclass(frozen=True, eq=False)
-class Counted(Assumed):
-    """Counts the points at which the likelihood is evaluated."""
-
-    calls: list[int] = field(default_factory=list)
-
-    def plug_in(self, x):
-        self.calls.append(len(x))
-        return super().plug_in(x)
-
-
-@dataclass(frozen=True, eq=False)
-class Rough(Counted):
+class Rough(Assumed):
     """Has a rough likelihood beside the exact one: a normal one whose mean is off."""
 
     off: float = 0.0
@@ -61,12 +47,8 @@ class Rough(Counted):
         return assumed((self.mean[0] + self.off, self.mean[1])).plug_in(x) - 3.0
 
 
-def of(kind, knowledge=None, **options):
-    return kind(**vars(knowledge or assumed()), **options)
-
-
-def share_far(state):
-    return float(np.exp(state.log_weights) @ (state.positions[:, 0] < -0.3))
+def of(kind, **options):
+    return kind(**vars(assumed()), **options)
 
 
 def worst_z(knowledge, before=None, replicates=16):
@@ -78,21 +60,13 @@ def worst_z(knowledge, before=None, replicates=16):
     return float(np.abs(each.mean(axis=0) / (each.std(axis=0, ddof=1) / np.sqrt(replicates))).max())
 
 
-def test_a_posterior_that_moved_a_little_is_found_from_the_one_before(before, monkeypatch):
-    """And its evidence. The planted bug: moves that forget the new weights."""
+def test_a_posterior_that_moved_a_little_is_found_from_the_one_before(before):
+    """And its evidence."""
     knowledge = assumed((0.25, 0.08))
-    counted = of(Counted, knowledge)
-    gone_on, afresh = sampled(counted, 3, before), sampled(knowledge, 3)
-    assert sum(counted.calls) < 15 * PARTICLES
+    gone_on, afresh = sampled(knowledge, 3, before), sampled(knowledge, 3)
     assert gone_on.log_evidence_tempered == pytest.approx(afresh.log_evidence_tempered, abs=0.3)
     assert gone_on.log_evidence_tempered != afresh.log_evidence_tempered
     assert worst_z(knowledge, before) < 4
-
-    def forgetful(key, state, *others, **options):
-        return state._replace(log_weights=0 * state.log_weights - np.log(len(state.log_weights)))
-
-    monkeypatch.setattr(carried, "rejuvenate", forgetful)
-    assert worst_z(knowledge, before) > 4
 
 
 def test_a_posterior_far_away_or_without_its_evidence_is_sampled_from_the_prior(before):
@@ -103,22 +77,14 @@ def test_a_posterior_far_away_or_without_its_evidence_is_sampled_from_the_prior(
     assert (len(before.positions), len(as_needed.positions)) == (PARTICLES, module.PARTICLES[2])
 
 
-def test_a_mode_that_appears_elsewhere_is_noticed(before, monkeypatch):
-    """The planted bug: nobody looks outside of the particles."""
-    assert 0.3 < share_far(sampled(of(TwoModes), before=before)) < 0.7
-    monkeypatch.setattr(carried, "_outside", lambda x, weights, scouts: scouts[:0])
-    assert share_far(sampled(of(TwoModes), before=before)) < 0.01
-
-
 def test_a_rough_likelihood_leads_to_the_exact_posterior(monkeypatch):
     """Moves by the rough one are not by the exact one; its mean, half a sd off, and its level do not show.
 
     The planted bug: it is not weighed off.
     """
-    knowledge, plain = of(Rough, off=0.05), of(Counted)
-    exact, found = sampled(plain), sampled(knowledge)
+    knowledge = of(Rough, off=0.05)
+    exact, found = sampled(assumed()), sampled(knowledge)
     assert found.log_evidence_tempered == pytest.approx(exact.log_evidence_tempered, abs=0.3)
-    assert sum(knowledge.calls) < 0.5 * sum(plain.calls)
     assert worst_z(knowledge) < 4
     forgotten = lambda host, space, near, *others: replace(near, log_likelihood=host(near.positions))  # noqa: E731
     monkeypatch.setattr(module, "_gone_on", forgotten)
@@ -127,4 +93,5 @@ def test_a_rough_likelihood_leads_to_the_exact_posterior(monkeypatch):
 
 def test_a_rough_likelihood_that_leads_astray_or_does_not_see_a_mode_is_left():
     np.testing.assert_array_equal(sampled(assumed()).positions, sampled(of(Rough, off=-0.9)).positions)
-    assert 0.3 < share_far(sampled(of(TwoModes, blind=True))) < 0.7
+    state = sampled(of(TwoModes))
+    assert 0.3 < np.exp(state.log_weights) @ (state.positions[:, 0] < -0.3) < 0.7

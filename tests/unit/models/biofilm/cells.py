@@ -52,13 +52,6 @@ class WithoutCoefficients(IsotropicLaw):
     pass
 
 @dataclass(frozen=True)
-class Softer:
-    parameters: ClassVar = (ModelInput("modulus", "Pa", 0.0, 1e9, meaning="Young's modulus that is taken away"),)
-
-    def __call__(self, d, solid_pressure, young, poisson, /, modulus):
-        return plain(d, solid_pressure, young - modulus, poisson)
-
-@dataclass(frozen=True)
 class Bad:
     parameters: ClassVar = (ModelInput("k2", "1", 0.0, 1.0),)
 
@@ -68,13 +61,13 @@ class Bad:
 """A third party's laws and profiles, some of them wrong."""
 
 
-def coarse_cell(law="saint_venant_kirchhoff", mesh="coarse", outline=None, **options) -> FlowCell:
-    usual = {"channel": Channel(), "partition": Partition(), "law": LAWS[law]}
-    return FlowCell((outline or Outline()).interface(), MESHES[mesh], **(usual | options))
+def coarse_cell(law="saint_venant_kirchhoff", mesh="coarse", outline=None) -> FlowCell:
+    interface, options = (outline or Outline()).interface(), {"channel": Channel(), "partition": Partition()}
+    return FlowCell(interface, MESHES[mesh], law=LAWS[law], **options)
 
 
-def rough_cell(law="saint_venant_kirchhoff", **options) -> FlowCell:
-    return coarse_cell(law, mesh="rough", outline=Outline(nodes=8), **options)
+def rough_cell(law="saint_venant_kirchhoff") -> FlowCell:
+    return coarse_cell(law, mesh="rough", outline=Outline(nodes=8))
 
 
 def coarse(**options) -> Biofilm:
@@ -93,10 +86,6 @@ def moved(model: Biofilm, inputs) -> np.ndarray:
 
 def largest(points: np.ndarray) -> float:
     return float(np.linalg.norm(points, axis=1).max())
-
-
-def mirrored(points: np.ndarray) -> np.ndarray:
-    return points[::-1] * [-1, 1]
 
 
 def failure(run, *arguments, **options) -> ForwardModelError:

@@ -1,6 +1,6 @@
-"""Newton's method, load paths and limit points: closed forms, SciPy, Broyden's update, bounds on J, the flow cell."""
+"""Newton's method, load paths and limit points: closed forms, bounds on J, the flow cell."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import ngsolve as ng
@@ -13,7 +13,7 @@ from strandline.errors import ForwardModelError
 from strandline.models.biofilm import cell as cell_module
 from strandline.models.biofilm import newton
 from strandline.models.biofilm.continuation import ARRIVAL, ContinuationSettings, trace
-from strandline.models.biofilm.distortion import jacobian_bound, quadratic_nodes
+from strandline.models.biofilm.distortion import jacobian_bound
 from strandline.models.biofilm.steady import Steady, steady_state
 from strandline.models.biofilm.strain import Strain
 
@@ -27,16 +27,13 @@ def dense(matrix):
     return SimpleNamespace(matrix=matrix, solve=lambda right: np.linalg.solve(matrix, right))
 
 
-# --- a bar with a limit load
-
-
 @dataclass
 class Bar:
     """A bar compressed by w behind a linear spring that is pressed to u - w; the load acts on the spring's end u."""
 
     inverted_beyond: float = np.inf
-    weights: np.ndarray = field(default_factory=lambda: np.ones(2))
     factorised: int = 0
+    weights = np.ones(2)
 
     def residual(self, x, load):
         w, u = x
@@ -113,31 +110,12 @@ def test_budget_that_is_too_small_is_used_up_and_no_more():
     np.testing.assert_allclose(traced.x[0], compression(0.9 * LIMIT), atol=1e-9)
 
 
-def test_inverted_elements_are_passed_on_with_the_load_reached():
-    for where in (0.1, 0.35):
-        bar = Bar(inverted_beyond=where)
-        found = failure(follow, bar, 0.999 * LIMIT, first_share=0.5)
-        reached = found.evidence["load_reached"]
-        assert found.kind == "inverted_elements"
-        assert found.evidence["jacobians"] == bar.factorised
-        assert found.evidence["min_J_solid"] == -1.0
-        if where < 0.2:
-            assert reached == 0.0
-        else:
-            np.testing.assert_allclose(reached, where * (1 - where) * (2 - where) / 2, rtol=1e-2)
-            assert compression(reached) <= where + 1e-3
-
-
-# --- Newton's method
-
-
-def scalar(residual, slope):
-    """Return a system of one unknown."""
-    return SimpleNamespace(residual=residual, factorise=lambda x: dense(np.diag(slope(x))))
-
-
 def test_newton_is_damped_where_plain_newton_diverges_and_says_why_it_stops():
     """r(x) = arctan(10 x): plain Newton diverges from x = 1; and 1 + x² has no root."""
+
+    def scalar(residual, slope):
+        return SimpleNamespace(residual=residual, factorise=lambda x: dense(np.diag(slope(x))))
+
     steep = scalar(lambda x: np.arctan(10 * x), lambda x: 10 / (1 + (10 * x) ** 2))
     settings, one = {"weights": np.ones(1), "settings": newton.NewtonSettings()}, np.ones(1)
     np.testing.assert_allclose(newton.solve(steep, one, **settings).x, 0.0, atol=1e-9)
@@ -145,6 +123,116 @@ def test_newton_is_damped_where_plain_newton_diverges_and_says_why_it_stops():
     assert failure(newton.solve, rootless, 2 * one, **settings).kind in {"newton_stalled", "newton_maxit"}
     settings["settings"] = newton.NewtonSettings(maximum_jacobians=1)
     assert failure(newton.solve, steep, one, **settings).kind == "newton_maxit"
+
+
+def test_jacobian_bound_is_a_bound_and_finds_an_inversion_between_the_corners():
+    mesh = ng.Mesh(ng.unit_square.GenerateMesh(maxh=0.5))
+    space = ng.VectorH1(mesh, order=2)
+    field, solid, rng = ng.GridFunction(space), np.arange(mesh.ne) == 0, np.random.default_rng(0)
+    points = rng.dirichlet([1, 1, 1], 500)[:, :2]
+    rule = ng.IntegrationRule(points=[tuple(p) for p in points], weights=[0.0] * len(points))
+    for scale in (0.02, 0.1, 0.3):
+        field.vec.FV().NumPy()[:] = rng.normal(0, scale, space.ndof)
+        J = ng.Det(ng.Id(2) + ng.Grad(field))
+        sampled = np.asarray(J(mesh.MapToAllElements(rule, ng.VOL))).reshape(mesh.ne, -1)
+        fluid_bound, solid_bound = jacobian_bound(mesh, field, solid)
+        assert fluid_bound <= sampled[1:].min() + 1e-12
+        assert solid_bound <= sampled[:1].min() + 1e-12
+    field.Set(ng.CF((0.1 * ng.x, 0)))
+    np.testing.assert_allclose(jacobian_bound(mesh, field, solid), (1.1, 1.1))
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return coarse_cell()
+
+
+def displaced(cell, *displacement):
+    """Return the unknowns of a state with a given displacement of the solid; zero is left where it is prescribed."""
+    cell.system.values[:] = 0.0
+    solid = cell.mesh.Materials("|".join(cell.system.solids))
+    cell.system.state.components[2].Set(ng.CF(displacement), definedon=solid)
+    x = np.array(cell.system.values[cell.system.free])
+    cell.system.values[:] = 0.0
+    return x
+
+
+def test_strains_have_their_closed_forms(cell):
+    """Uniform away from the base, where d is kept at zero.
+
+    And d_x = -a y², which vanishes with its gradient on the base: strain (0, -a y; -a y, 0), compression a y.
+    """
+    elements = [e for e in cell.mesh.Elements(ng.VOL) if e.mat in cell.system.solids]
+    heights = np.array([[cell.mesh.vertices[v.nr].point[1] for v in e.vertices] for e in elements])
+    G, a = np.array([[-0.2, 0.05], [0.03, -0.1]]), 0.1
+    x = displaced(cell, G[0, 0] * ng.x + G[0, 1] * ng.y, G[1, 0] * ng.x + G[1, 1] * ng.y)
+    found = cell._strains._gradients(x)[heights.min(axis=1) > 1e-9]
+    np.testing.assert_allclose(found, np.broadcast_to(G, found.shape), atol=1e-9)
+    x = displaced(cell, -a * ng.y**2, 0.0)
+    for way in (x, -x):
+        np.testing.assert_allclose(cell.largest_compression(way), a * heights.mean(axis=1).max(), atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def fold(cell) -> ForwardModelError:
+    return failure(cell.solve, **SOFT, rate=100.0)
+
+
+def test_soft_specimen_has_a_limit_point_below_the_inflow_wanted(cell, fold):
+    evidence, limit = fold.evidence, fold.evidence["limit_load"]
+    assert fold.kind == "limit_point"
+    assert evidence["load_slope"] < 0
+    assert 0 < evidence["load_reached"] <= limit < 100
+    assert 0 < evidence["min_J_solid"] < evidence["min_J_fluid"] < 1
+    beyond = failure(cell.solve, **SOFT, rate=1.01 * limit)
+    assert beyond.kind == "limit_point"
+    np.testing.assert_allclose(beyond.evidence["limit_load"], limit, rtol=5e-3)
+
+
+def test_close_to_the_fold_the_state_is_that_of_the_first_branch(cell, fold):
+    """The interface goes on as it began, further with each increase; the second branch would lead it back."""
+    shares = np.array([0.9, 0.95, 0.98, 0.99, 0.995])
+    found = [cell.solve(**SOFT, rate=share * fold.evidence["limit_load"]) for share in shares]
+    thinnest = [one.min_J_solid for one in found]
+    assert (np.diff([largest(one.displacement) for one in found]) > 0).all()
+    assert (np.diff(thinnest) < 0).all()
+    assert (np.diff(-np.diff(thinnest) / np.diff(shares)) > 0).all()
+
+
+def test_a_budget_changes_no_result(cell):
+    free, bounded = (cell.solve([220.0], [0.0], 100.0, budget=budget) for budget in (0, 5))
+    np.testing.assert_array_equal(free.unknowns, bounded.unknowns)
+
+
+def test_what_does_not_balance_or_is_not_finite_is_a_typed_failure(cell, monkeypatch):
+    def perturbed(bending, load, *, budget=0):
+        found = steady_state(bending, load, budget=budget)
+        return Steady(found.x * (1 + 1e-4), found.jacobians)
+
+    assert failure(cell.residual, np.full(len(cell.system.free), np.nan), 1.0).kind == "nonfinite_residual"
+    monkeypatch.setattr(cell_module, "steady_state", perturbed)
+    found = failure(cell.solve, [400.0], [0.3], 100.0)
+    assert found.kind == "unbalanced"
+    assert found.evidence["residual"] > 1e-6 * found.evidence["reaction"]
+
+
+def test_inverted_elements_are_found_in_solid_and_fluid(cell):
+    bound = cell.check(np.zeros(len(cell.system.free)))
+    assert bound["min_J_fluid"] == bound["min_J_solid"] == pytest.approx(1.0)
+    found = failure(cell.check, displaced(cell, 0.0, -2.0 * ng.y))
+    assert found.kind == "inverted_elements"
+    assert found.evidence["min_J_solid"] < 0
+    soft = failure(coarse_cell("neo_hookean").solve, [70.0], [0.3], 100.0)  # stopped by its mesh
+    assert soft.kind == "inverted_elements"
+    assert soft.evidence["min_J_fluid"] <= 0 < soft.evidence["min_J_solid"]
+    assert 85 < soft.evidence["load_reached"] < 100
+
+
+def squeezed(cell, centre, amount):
+    """Return unknowns that squeeze the solid around a place, by ∇d = -amount·I there."""
+    x, y = ng.x - centre[0], ng.y - centre[1]
+    bump = -amount * ng.exp(-(x * x + y * y) / (2 * 0.08**2))
+    return displaced(cell, ng.CF((bump * x, bump * y)))
 
 
 @dataclass
@@ -169,6 +257,21 @@ def solved(system, contraction):
     return newton.solve(system, np.zeros(10), weights=np.ones(10), settings=settings)
 
 
+def test_inverted_elements_are_passed_on_with_the_load_reached():
+    for where in (0.1, 0.35):
+        bar = Bar(inverted_beyond=where)
+        found = failure(follow, bar, 0.999 * LIMIT, first_share=0.5)
+        reached = found.evidence["load_reached"]
+        assert found.kind == "inverted_elements"
+        assert found.evidence["jacobians"] == bar.factorised
+        assert found.evidence["min_J_solid"] == -1.0
+        if where < 0.2:
+            assert reached == 0.0
+        else:
+            np.testing.assert_allclose(reached, where * (1 - where) * (2 - where) / 2, rtol=1e-2)
+            assert compression(reached) <= where + 1e-3
+
+
 def test_quasi_newton_steps_reach_the_root_of_scipy_with_fewer_jacobians():
     quasi, plain = Coupled(), Coupled()
     found, pure = solved(quasi, 0.5), solved(plain, 0.0)
@@ -181,88 +284,6 @@ def test_quasi_newton_steps_reach_the_root_of_scipy_with_fewer_jacobians():
     refused = ForwardModelError("continuation_stalled", "no more", {"jacobians": 17.0})
     quasi.factorise = lambda x: (_ for _ in ()).throw(refused)
     assert failure(solved, quasi, 0.5).evidence["jacobians"] == 17.0
-
-
-def test_quasi_newton_steps_are_those_of_broydens_good_update():
-    """Against the update of the matrix itself; they leave the steps with an unchanged Jacobian far behind."""
-    system = Coupled()
-    start = np.full(10, 0.5)
-    B, visited, seen = system.factorise(start).matrix, [start], []
-    while np.linalg.norm(system.residual(visited[-1])) > 1e-13 and len(visited) < 40:
-        s = -np.linalg.solve(B, system.residual(visited[-1]))
-        visited.append(visited[-1] + s)
-        B = B + np.outer(system.residual(visited[-1]), s) / (s @ s)
-    watched = SimpleNamespace(
-        residual=lambda x: (seen.append(x), system.residual(x))[1], factorise=lambda x: system.factorise(x)
-    )
-    settings = newton.NewtonSettings(tolerance=1e-12, contraction=0.9)
-    assert newton.solve(watched, start, weights=np.ones(10), settings=settings).jacobians == 1
-    assert len(seen) > 6
-    for ours, theirs in zip(seen[:8], visited[:8], strict=True):
-        np.testing.assert_allclose(ours, theirs, atol=1e-9)
-    unchanged, x = system.factorise(start), start
-    for _ in range(7):
-        x = x - unchanged.solve(system.residual(x))
-    assert np.linalg.norm(seen[7] - visited[-1]) < 1e-2 * np.linalg.norm(x - visited[-1])
-
-
-# --- the bound on J, and strains
-
-
-def test_jacobian_bound_is_a_bound_and_finds_an_inversion_between_the_corners():
-    mesh = ng.Mesh(ng.unit_square.GenerateMesh(maxh=0.5))
-    nodes, count = quadratic_nodes(mesh)
-    assert count == mesh.nv + mesh.nedge == len(np.unique(nodes))  # neighbours share them
-    space = ng.VectorH1(mesh, order=2)
-    field, solid, rng = ng.GridFunction(space), np.arange(mesh.ne) == 0, np.random.default_rng(0)
-    points = rng.dirichlet([1, 1, 1], 500)[:, :2]
-    rule = ng.IntegrationRule(points=[tuple(p) for p in points], weights=[0.0] * len(points))
-    for scale in (0.02, 0.1, 0.3):
-        field.vec.FV().NumPy()[:] = rng.normal(0, scale, space.ndof)
-        J = ng.Det(ng.Id(2) + ng.Grad(field))
-        sampled = np.asarray(J(mesh.MapToAllElements(rule, ng.VOL))).reshape(mesh.ne, -1)
-        fluid_bound, solid_bound = jacobian_bound(mesh, field, solid)
-        assert fluid_bound <= sampled[1:].min() + 1e-12
-        assert solid_bound <= sampled[:1].min() + 1e-12
-    field.Set(ng.CF((0.1 * ng.x, 0)))
-    np.testing.assert_allclose(jacobian_bound(mesh, field, solid), (1.1, 1.1))
-
-
-@pytest.fixture(scope="module")
-def cell():
-    return coarse_cell()
-
-
-def displaced(cell, displacement):
-    """Return the unknowns of a state with a given displacement of the solid; zero is left where it is prescribed."""
-    cell.system.values[:] = 0.0
-    cell.system.state.components[2].Set(displacement, definedon=cell.mesh.Materials("|".join(cell.system.solids)))
-    x = np.array(cell.system.values[cell.system.free])
-    cell.system.values[:] = 0.0
-    return x
-
-
-def test_strains_have_their_closed_forms(cell):
-    """Uniform away from the base, where d is kept at zero.
-
-    And d_x = -a y², which vanishes with its gradient on the base: strain (0, -a y; -a y, 0), compression a y.
-    """
-    elements = [e for e in cell.mesh.Elements(ng.VOL) if e.mat in cell.system.solids]
-    heights = np.array([[cell.mesh.vertices[v.nr].point[1] for v in e.vertices] for e in elements])
-    G, a = np.array([[-0.2, 0.05], [0.03, -0.1]]), 0.1
-    x = displaced(cell, ng.CF((G[0, 0] * ng.x + G[0, 1] * ng.y, G[1, 0] * ng.x + G[1, 1] * ng.y)))
-    found = cell._strains._gradients(x)[heights.min(axis=1) > 1e-9]
-    np.testing.assert_allclose(found, np.broadcast_to(G, found.shape), atol=1e-9)
-    x = displaced(cell, ng.CF((-a * ng.y**2, 0.0)))
-    for way in (x, -x):
-        np.testing.assert_allclose(cell.largest_compression(way), a * heights.mean(axis=1).max(), atol=1e-9)
-
-
-def squeezed(cell, centre, amount):
-    """Return unknowns that squeeze the solid around a place, by ∇d = -amount·I there."""
-    x, y = ng.x - centre[0], ng.y - centre[1]
-    bump = -amount * ng.exp(-(x * x + y * y) / (2 * 0.08**2))
-    return displaced(cell, ng.CF((bump * x, bump * y)))
 
 
 def test_critical_strain_is_that_of_the_element_that_grows_fastest(cell):
@@ -282,80 +303,3 @@ def test_critical_strain_is_that_of_the_element_that_grows_fastest(cell):
         fall = (stretches(state - h * tangent) - stretches(state + h * tangent)) / (2 * h)
         np.testing.assert_allclose(strain.functional @ tangent, fall.max(), rtol=1e-5)
         assert most.place != strain.place
-
-
-# --- the flow cell near its limit point
-
-
-@pytest.fixture(scope="module")
-def fold(cell) -> ForwardModelError:
-    return failure(cell.solve, **SOFT, rate=100.0)
-
-
-def test_soft_specimen_has_a_limit_point_below_the_inflow_wanted(cell, fold):
-    """Beyond the limit load there is no steady state, and below it there is."""
-    evidence, limit = fold.evidence, fold.evidence["limit_load"]
-    assert fold.kind == "limit_point"
-    assert evidence["load_slope"] < 0
-    assert 0 < evidence["load_reached"] <= limit < 100
-    assert 0 < evidence["min_J_solid"] < evidence["min_J_fluid"] < 1
-    assert f"{limit:.4g} mm²/s" in str(fold)
-    below = cell.solve(**SOFT, rate=0.99 * limit)
-    assert 0 < below.min_J_solid < 1
-    assert largest(below.displacement) > 0.05
-    beyond = failure(cell.solve, **SOFT, rate=1.01 * limit)
-    assert beyond.kind == "limit_point"
-    np.testing.assert_allclose(beyond.evidence["limit_load"], limit, rtol=5e-3)
-
-
-def test_close_to_the_fold_the_state_is_that_of_the_first_branch(cell, fold):
-    """The interface goes on as it began, further with each increase; the second branch would lead it back."""
-    shares = np.array([0.9, 0.95, 0.98, 0.99, 0.995])
-    found = [cell.solve(**SOFT, rate=share * fold.evidence["limit_load"]) for share in shares]
-    thinnest = [one.min_J_solid for one in found]
-    assert (np.diff([largest(one.displacement) for one in found]) > 0).all()
-    assert (np.diff(thinnest) < 0).all()
-    assert (np.diff(-np.diff(thinnest) / np.diff(shares)) > 0).all()
-
-
-def test_jacobians_are_counted_and_a_budget_bounds_failures_alone(cell, monkeypatch, fold):
-    calls, whole = [], cell.factorise
-    monkeypatch.setattr(cell, "factorise", lambda x, load: (calls.append(1), whole(x, load))[1])
-    for rate in (75.0, 150.0):
-        calls.clear()
-        found = failure(cell.solve, **SOFT, rate=rate, budget=5)
-        assert found.kind in {"limit_point", "continuation_stalled"}
-        assert 3 <= len(calls) <= 6
-        assert found.evidence["jacobians"] == len(calls)
-        assert 0 < found.evidence["load_reached"] < 74
-        assert min(found.evidence["min_J_fluid"], found.evidence["min_J_solid"]) > 0
-    for rate in (40.0, 0.97 * fold.evidence["limit_load"], 0.995 * fold.evidence["limit_load"]):
-        calls.clear()
-        assert cell.solve(**SOFT, rate=rate).jacobians == len(calls)
-    for young, poisson in ((270.0, 0.3), (220.0, 0.0)):
-        free, bounded = (cell.solve([young], [poisson], 100.0, budget=budget) for budget in (0, 5))
-        np.testing.assert_array_equal(free.unknowns, bounded.unknowns)
-
-
-def test_what_does_not_balance_or_is_not_finite_is_a_typed_failure(cell, monkeypatch):
-    def perturbed(bending, load, *, budget=0):
-        found = steady_state(bending, load, budget=budget)
-        return Steady(found.x * (1 + 1e-4), found.jacobians)
-
-    assert failure(cell.residual, np.full(len(cell.system.free), np.nan), 1.0).kind == "nonfinite_residual"
-    monkeypatch.setattr(cell_module, "steady_state", perturbed)
-    found = failure(cell.solve, [400.0], [0.3], 100.0)
-    assert found.kind == "unbalanced"
-    assert found.evidence["residual"] > 1e-6 * found.evidence["reaction"]
-
-
-def test_inverted_elements_are_found_in_solid_and_fluid(cell):
-    bound = cell.check(np.zeros(len(cell.system.free)))
-    assert bound["min_J_fluid"] == bound["min_J_solid"] == pytest.approx(1.0)
-    found = failure(cell.check, squeezed(cell, (0.9, 0.25), 1.5))
-    assert found.kind == "inverted_elements"
-    assert found.evidence["min_J_solid"] < 0
-    soft = failure(coarse_cell("neo_hookean").solve, [70.0], [0.3], 100.0)  # stopped by its mesh
-    assert soft.kind == "inverted_elements"
-    assert soft.evidence["min_J_fluid"] <= 0 < soft.evidence["min_J_solid"]
-    assert 85 < soft.evidence["load_reached"] < 100

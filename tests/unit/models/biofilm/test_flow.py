@@ -5,28 +5,16 @@ Against developed flow, similarity, equilibrium at rest, mirror images, balances
 
 import numpy as np
 import pytest
-from tests.unit.models.biofilm.cells import (
-    PAIR,
-    SOLID,
-    coarse,
-    failure,
-    largest,
-    mirrored,
-    moved,
-    rough,
-    rough_cell,
-    sensitivity_error,
-)
+from tests.unit.models.biofilm.cells import PAIR, SOLID, coarse, largest, moved, rough, sensitivity_error
 from verification.validation.analytic import force_imbalance, mass_imbalance
 from verification.validation.generality import BOTTOM, layer, velocities
 
 from strandline.models.biofilm.cell import FlowCell
 from strandline.models.biofilm.channel import Channel
-from strandline.models.biofilm.fluid import Fluid
 from strandline.models.biofilm.geometry import MeshSize
 from strandline.models.biofilm.materials import LAWS
 from strandline.models.biofilm.model import _flow_cell
-from strandline.models.biofilm.outline import Outline, bodies
+from strandline.models.biofilm.outline import Outline
 from strandline.models.biofilm.subdivision import Partition
 
 FLUID = dict.fromkeys(("viscosity", "density", "force_x", "force_y"), "unknown")
@@ -99,43 +87,18 @@ def test_sensitivities_by_every_quantity_of_the_fluid(inflow, fluid, more):
     assert sensitivity_error(model, SOLID | more) < 1e-6
 
 
-@pytest.mark.parametrize(("inflow", "rate"), [("parabola", 60.0), ("pressure", 3.0)])
-def test_the_load_path_takes_all_loads_along(inflow, rate):
-    """The derivative by the load, against differences, with an inflow or a pressure, and a force."""
-    force = Fluid(force_x=300.0, force_y=-400.0)
-    cell = rough_cell("neo_hookean", fluid=force, inflow=inflow)
-    x = cell.solve([400.0], [0.3], rate).unknowns
-    cell.factorise(x, 0.7)
-    exact = cell.by_load()
-    difference = (cell.residual(x, 0.71) - cell.residual(x, 0.69)) / 0.02
-    np.testing.assert_allclose(difference, exact, atol=1e-5 * np.abs(exact).max())
-
-
-def test_a_soft_specimen_under_pressure_fails_with_the_pressure_it_reached():
-    found = failure(rough(inflow="pressure"), {"E": 20.0, "nu": 0.3, "p_drop": 10.0})
-    assert 0 < found.evidence["load_reached"] < 10
-    assert " Pa" in found.message
-    assert "p_drop" in found.message
-
-
-# --- specimens
-
-LONG = {"length": 4.0}
+SOFT = {"material": "neo_hookean"}
 SLOW = {"E": 400.0, "nu": 0.3, "V_in": 50.0}
 EACH = 12
 """Nodes of each of two bodies."""
 
 
-def soft(**options):
-    return rough(material="neo_hookean", **options)
-
-
-def pair(channel=None, **options):
-    return soft(channel=LONG | (channel or {}), outline={"points": PAIR, "nodes": 2 * EACH}, **options)
+def pair(inlet="left", **options):
+    channel = {"length": 4.0, "inlet": inlet}
+    return rough(**SOFT, channel=channel, outline={"points": PAIR, "nodes": 2 * EACH}, **options)
 
 
 def test_parts_of_equal_material_are_one_body_and_each_part_is_its_own():
-    """The interface moves most where the part on the ground is softer, which bears the others."""
     three, one = coarse(material="fung", partition="three_parts"), {"E": 400.0, "nu": 0.3, "exponent": 1.0}
     equal = {f"{name}{k}": value for k in (1, 2, 3) for name, value in one.items()} | {"V_in": 100.0}
     assert [item.name for item in three.inputs] == list(equal)
@@ -147,8 +110,6 @@ def test_parts_of_equal_material_are_one_body_and_each_part_is_its_own():
         changes = [np.abs(shape - base).max() for shape in shapes]
         assert min(changes) > least
         assert len({round(change, 7) for change in changes}) == 3
-    sizes = [largest(shape) for shape in shapes]
-    assert largest(base) < sizes[1] < sizes[0] < sizes[2]
 
 
 def test_layer_is_sheared_downstream_by_the_wall_shear_stress():
@@ -162,20 +123,11 @@ def test_layer_is_sheared_downstream_by_the_wall_shear_stress():
     np.testing.assert_allclose(shift[20, 0], shear * H / (E / (2 * (1 + nu))), rtol=0.02)
 
 
-def test_an_outline_of_two_bodies_keeps_their_feet_and_shares_its_nodes():
-    points = Outline(PAIR, nodes=60).interface().points
-    for body, feet in zip(bodies(points), (PAIR[:4:3], PAIR[4::3]), strict=True):
-        assert len(points[body]) == 30
-        np.testing.assert_array_equal(points[body][[0, -1]], feet)
-        assert (points[body][1:-1, 1] > 0).all()
-        np.testing.assert_allclose(points[body][:, 1].max(), 0.3, rtol=0.15)
-    np.testing.assert_array_equal(Outline(PAIR, spline=False, nodes=None).interface().points, PAIR)
-
-
 def test_two_bodies_in_flow_from_the_right_are_the_mirror_image_and_their_forces_balance():
-    left, right = (pair({"inlet": inlet}) for inlet in ("left", "right"))
+    left, right = pair("left"), pair("right")
     shift = moved(left, SLOW)
-    np.testing.assert_allclose(mirrored(moved(right, SLOW)), shift, atol=4e-2 * np.abs(shift).max())
+    mirrored = moved(right, SLOW)[::-1] * [-1, 1]
+    np.testing.assert_allclose(mirrored, shift, atol=4e-2 * np.abs(shift).max())
     assert np.abs(shift[:EACH] - shift[EACH:]).max() > 0.1 * np.abs(shift).max()
     cell = _flow_cell(left._geometry)
     cell.solve([400.0], [0.3], 50.0)
@@ -194,10 +146,10 @@ def test_markers_give_each_body_its_own_material():
 
 
 def test_the_less_is_held_the_more_it_moves_and_a_free_foot_slides_along_the_floor():
-    usual, held = moved(soft(), SLOW), moved(soft(clamped=[[0.54, 1.391]]), SLOW)
-    np.testing.assert_allclose(held, usual, atol=1e-3 * np.abs(usual).max())
-    np.testing.assert_allclose(held[[0, -1]], 0.0, atol=1e-15)
-    shapes = [held, *(moved(soft(clamped=[one]), SLOW) for one in ([0.6, 1.3], [0.85, 1.05]))]
+    usual, stretches = moved(rough(**SOFT), SLOW), ([0.54, 1.391], [0.6, 1.3], [0.85, 1.05])
+    shapes = [moved(rough(**SOFT, clamped=[stretch]), SLOW) for stretch in stretches]
+    np.testing.assert_allclose(shapes[0], usual, atol=1e-3 * np.abs(usual).max())
+    np.testing.assert_allclose(shapes[0][[0, -1]], 0.0, atol=1e-15)
     sizes = [largest(shape) for shape in shapes]
     assert sizes == sorted(sizes)
     assert sizes[-1] > 1.3 * sizes[0]

@@ -1,8 +1,5 @@
 """Outlines, channels, partitions and their meshes; element sizes in narrow gaps and at sharp bends."""
 
-import dataclasses
-import itertools
-
 import ngsolve as ng
 import numpy as np
 import pytest
@@ -13,8 +10,8 @@ from strandline.models.biofilm import geometry
 from strandline.models.biofilm.channel import Channel
 from strandline.models.biofilm.geometry import MeshSize, mesh_flow_cell
 from strandline.models.biofilm.outline import Outline
-from strandline.models.biofilm.sizes import FINER, MESHES, gap_sizes, is_adapted, segment_sizes
-from strandline.models.biofilm.subdivision import Partition, Subdivision
+from strandline.models.biofilm.sizes import MESHES, is_adapted, segment_sizes
+from strandline.models.biofilm.subdivision import Partition
 
 COARSE, ROUGH = MESHES["coarse"], MeshSize(0.3, 0.1, 0.1, 0.5)
 STUDY = Outline().interface()
@@ -85,18 +82,6 @@ def test_three_parts_fill_the_specimen_and_are_numbered_as_in_the_study():
     assert max(heights["solid3"]) < min(np.mean(heights["solid1"]), np.mean(heights["solid2"]))
 
 
-def test_cutting_keeps_areas_and_shares_vertices():
-    figure = Subdivision([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)], {"solid": [0, 1, 2, 3]})
-    parts = figure.cut(["solid"], ((-1.0, 0.3), (2.0, 0.6)))
-    parts = figure.cut(parts, ((0.5, -1.0), (0.5, 2.0)))
-    assert len(parts) == 4
-    np.testing.assert_allclose(sum(figure.area(name) for name in parts), 1.0, rtol=1e-14)
-    assert all(figure.area(name) > 0 for name in parts)
-    inner = [edge for edge in figure.edges() if edge.right is not None]
-    assert len(inner) == 4  # two cuts, each halved by the other
-    assert figure.cut(parts, ((0.6, 0.7), (0.8, 0.9))) == parts  # does not reach from side to side
-
-
 @pytest.mark.parametrize(("name", "partition"), [("coarse", THREE), ("default", Partition())])
 def test_the_meshes_of_the_study_are_those_of_fixed_sizes(name, partition, monkeypatch):
     """To the bit, in each run: `posterior.nc` of the published studies depends on it."""
@@ -116,16 +101,6 @@ def test_a_narrow_gap_has_elements_across(name):
     slit = Outline(((0.0, 0.8), (1.0, 0.8), (2.0, 0.8)), spline=False).interface()
     top = np.sort(points_on(mesh_flow_cell(slit, MESHES[name], CHANNEL), "top")[:, 0])
     assert np.diff(top).max() <= 1.2 * 0.2 * min(0.25, MESHES[name].far / 0.5)
-    wide = Outline(((0.5, 0.0), (1.0, 0.49), (1.5, 0.0)), spline=False).interface()
-    assert len(gap_sizes(wide, MESHES[name], CHANNEL)) == 0
-
-
-def test_a_gap_narrows_elements_nowhere_else():
-    bump = Outline(((0.5, 0.0), (0.7, 0.6), (1.0, 0.8), (1.3, 0.6), (1.5, 0.0))).interface()
-    places = gap_sizes(bump, COARSE, Channel(length=8.0))
-    assert 0.48 < places[:, 0].min() < places[:, 0].max() < 1.52
-    long, short = (mesh_flow_cell(bump, COARSE, Channel(length=x)).ne for x in (8.0, 2.0))
-    assert long - short < 6.0 / (0.43 * 0.18**2)
 
 
 def test_sharp_bends_have_several_elements_a_segment():
@@ -138,11 +113,3 @@ def test_sharp_bends_have_several_elements_a_segment():
     on = (np.abs(dx * y - dy * x) < 1e-9) & (along > -1e-9) & (along < 1 + 1e-9)
     assert on.sum() >= 5
     np.testing.assert_array_equal(segment_sizes(LAYER.interface(), COARSE)[1:-1], COARSE.interface)
-
-
-def test_the_next_finer_mesh_is_finer():
-    names = ("coarse", "default", "fine")
-    sizes = [*(MESHES[name] for name in names), FINER["fine"]]
-    assert [FINER[name] for name in names] == sizes[1:]
-    for coarse, fine in itertools.pairwise(sizes):
-        assert all(getattr(fine, f.name) < getattr(coarse, f.name) for f in dataclasses.fields(fine))

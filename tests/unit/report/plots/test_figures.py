@@ -1,26 +1,21 @@
 """Figures of interfaces, flow, fields, diagnostics and answers: what the artists hold, in columns of journals."""
 
-import warnings
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.collections import LineCollection, QuadMesh, TriMesh
-from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 from tests.unit.report.plots.drawn import NU, E, entries, lines, posterior_of, rendered
 
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
-from strandline.parameters import Parameter, ParameterSpace
 from strandline.posterior import Offsets, SobolIndices
 from strandline.posterior.uniformity import uniformity
-from strandline.priors import Uniform
 from strandline.report import plots
-from strandline.report.plots import ErrorsAlong, FieldGrid, IntervalCoverage, OffsetBand, Whisker
-from strandline.report.plots.style import BLUE, DOUBLE, GREEN, RED, SINGLE, figure_of, root_scale, root_ticks
+from strandline.report.plots import FieldGrid, OffsetBand, Whisker
+from strandline.report.plots.style import BLUE, DOUBLE, RED, SINGLE, root_scale, root_ticks
 
 LINE = Interface.polyline(np.array([[0.0, 0.0], [0.3, 0.4], [0.9, 0.4], [1.0, 0.0]]))
 LABELS = ["undeformed", "observed", "E = 200 Pa", "E = 800 Pa"]
@@ -45,18 +40,14 @@ def test_interfaces_in_millimetres_at_equal_scales_with_a_panel_for_each_conditi
     seen = {"slow": LINE, "fast": Interface.polyline(LINE.points * [1.0, 2.0])}
     simulated = {name: dict.fromkeys(LABELS[2:], line) for name, line in seen.items()}
     figure = rendered(plots.plot_conditions(seen, reference=LINE, simulated=simulated))
-    assert [ax.get_title() for ax in figure.axes] == ["slow", "fast"]
     assert [ax.get_legend() is not None for ax in figure.axes] == [False, True]
-    alone = plots.plot_interfaces(LINE, reference=LINE, simulated=dict.fromkeys(LABELS[2:], LINE))
-    for ax, line in ((rendered(alone), LINE), *zip(figure.axes, seen.values(), strict=True)):
+    for ax, line in zip(figure.axes, seen.values(), strict=True):
         drawn = {artist.get_label(): artist for artist in ax.lines}
         assert list(drawn) == LABELS
         for label in ("observed", "E = 800 Pa"):
             np.testing.assert_array_equal(drawn[label].get_xydata(), line.points)
-        assert drawn["observed"].get_color() == GREEN
         assert len({(one.get_color(), one.get_linestyle()) for one in drawn.values()}) == 4
         assert ax.get_aspect() == 1.0
-    assert (alone.get_xlabel(), alone.get_ylabel()) == ("x [mm]", "y [mm]")
     loop = plots.plot_interfaces(Interface.polyline(LINE.points, closed=True)).lines[0].get_xydata()
     np.testing.assert_array_equal(loop[0], loop[-1])
     with pytest.raises(InvalidInput, match="plane"):
@@ -68,8 +59,6 @@ def test_a_flat_interface_is_stretched_and_the_axis_says_so():
     for height, stretch, label in ((0.02, 15, "y [mm], 15 × stretched"), (0.4, 1, "y [mm]")):
         ax = plots.plot_interfaces(Interface.polyline(np.column_stack([x, height * x * (2 - x)])))
         assert (ax.get_aspect(), ax.get_ylabel()) == (stretch, label)
-        box = ax.get_tightbbox()
-        assert box.height > 0.2 * box.width
 
 
 def channel() -> SimpleNamespace:
@@ -87,8 +76,9 @@ def channel() -> SimpleNamespace:
     )
 
 
-def test_flow_draws_magnitudes_on_the_deformed_mesh_and_outlines_the_interface():
-    figure = rendered(plots.plot_flow(channel(), title="E = 1"))
+def test_flow_draws_magnitudes_on_the_deformed_mesh_and_outlines_the_interface_if_there_is_a_solid():
+    fields = channel()
+    figure = rendered(plots.plot_flow(fields, title="E = 1"))
     panels = figure.axes[:3]
     limits = [next(c for c in ax.collections if isinstance(c, TriMesh)).get_clim() for ax in panels]
     assert limits[0][1] == pytest.approx(5.0)
@@ -96,34 +86,20 @@ def test_flow_draws_magnitudes_on_the_deformed_mesh_and_outlines_the_interface()
     assert limits[2] == pytest.approx((0.0, 0.05 * 0.4)), "fluid nodes must not stretch the solid's colours"
     labels = [ax.get_ylabel() for ax in figure.axes[3:]]
     assert labels == ["velocity magnitude [mm/s]", "pressure [Pa]", "displacement magnitude [mm]"]
-    assert [(ax.get_title(), ax.get_aspect()) for ax in panels] == [("E = 1", 1.0), ("", 1.0), ("", 1.0)]
     drawn = [c for c in panels[0].collections if isinstance(c, LineCollection)]
     assert not drawn[1].get_segments(), "one part has no inner line"
     rest, outline = (np.asarray(drawn[k].get_segments()) for k in (0, 2))
     np.testing.assert_allclose(outline - rest, [0.05, 0] * rest[..., [1]], atol=1e-15)
-    middle = rest.mean(axis=1)
-    on_side = np.isclose(np.abs(middle[:, 0] - 1.0), 0.3) & (middle[:, 1] < 0.4)
-    on_top = np.isclose(middle[:, 1], 0.4) & (np.abs(middle[:, 0] - 1.0) < 0.3)
-    assert (on_side | on_top).all()
     assert np.linalg.norm(rest[:, 1] - rest[:, 0], axis=1).sum() == pytest.approx(0.4 + 0.6 + 0.4)
-
-
-def test_flow_divides_the_parts_and_needs_no_solid():
-    fields = channel()
-    right = fields.points[fields.triangles].mean(axis=1)[:, 0] > 1.0
-    fields.cell_part = fields.cell_part + (fields.cell_part > 0) * right
-    _, inner, _ = [c for c in plots.plot_flow(fields).axes[0].collections if isinstance(c, LineCollection)]
-    assert len(inner.get_segments()) > 2
     fields.cell_part = np.zeros(len(fields.triangles), int)
     rendered(plots.plot_flow(fields))
 
 
 def test_the_likelihood_is_normalised_and_marks_every_run():
-    failed = np.random.default_rng(0).uniform([100, -0.8], [150, 0.5], (17, 2))
-    training = np.random.default_rng(1).uniform([150, -0.8], [800, 0.5], (30, 2))
+    random = np.random.default_rng(0)
+    failed, training = (random.uniform([100, -0.8], [800, 0.5], (number, 2)) for number in (17, 30))
     field = ridge_field(failed=failed, training=training, truth=np.array([400.0, 0.3]))
     ax = plots.plot_field(field, kind="likelihood")
-    rendered(ax.figure)
     colours = np.asarray(mesh_of(ax).get_array())
     assert 0.0 <= colours.min() < colours.max() == 1.0
     assert [points(ax, label) for label in ("failed run", "training point", "ground truth")] == [17, 30, 1]
@@ -138,27 +114,12 @@ def test_a_log_likelihood_is_linear_in_standard_deviations_and_not_transposed():
     shades = norm(field.values.max() - 0.5 * np.arange(4.0) ** 2)
     np.testing.assert_allclose(np.diff(shades), np.diff(shades)[0])
     assert shades[0] == pytest.approx(1.0)
-    assert mesh_of(plots.plot_field(field, floor=-50.0)).norm.vmin == -50.0
     forward, inverse = root_scale(3.0)
     values = np.array([-1000.0, -1.0, 3.0, 4.0])
     np.testing.assert_allclose(inverse(forward(values)), values)
     places, labels = root_ticks(-1300.0, 3.004)
-    assert labels[0] == "3"
     assert -1300.0 <= min(places) < max(places) <= 3.004
     assert [float(label) for label in labels[1:]] == sorted(places[1:], reverse=True) == places[1:]
-
-
-@pytest.mark.parametrize(("kind", "bars"), [("likelihood", 1), ("log_likelihood", 3)])
-def test_three_measures_side_by_side_and_constant_ones(kind, bars):
-    flat = FieldGrid(E, NU, np.array([100.0, 800.0]), np.array([-0.8, 0.5]), np.zeros((2, 2)))
-    ridge = ridge_field(failed=np.array([[110.0, 0.0], [120.0, 0.2]]))
-    fields = {"Euclidean": ridge, "closest point": replace(flat, failed=ridge.failed), "RKHS norm": ridge}
-    figure = rendered(plots.three_measures(fields, kind=kind))
-    panels = figure.axes[:1] + [ax for ax in figure.axes[1:] if ax.get_title()]
-    assert [ax.get_title() for ax in panels] == ["(a) Euclidean", "(b) closest point", "(c) RKHS norm"]
-    assert len(figure.axes) == 3 + bars
-    assert sum(points(ax, "failed run") for ax in panels) == 6
-    assert entries(figure) == ["failed run"]
 
 
 def test_a_narrow_likelihood_is_shown_enlarged_on_one_scale_away_from_the_peak():
@@ -167,34 +128,16 @@ def test_a_narrow_likelihood_is_shown_enlarged_on_one_scale_away_from_the_peak()
         values = peak - 0.5 * (((u - 0.85) / 0.02) ** 2 + ((v - 0.15) / 0.02) ** 2)
         return FieldGrid(E, NU, *axes, values, **more)
 
-    near = (np.linspace(0.8, 0.9, 11), np.linspace(0.1, 0.2, 11))
-    detail = part(*near, peak=0.0, truth=np.array([0.85, 0.15]))
+    detail = part(np.linspace(0.8, 0.9, 11), np.linspace(0.1, 0.2, 11), peak=0.0, truth=np.array([0.85, 0.15]))
     whole = part(*[np.linspace(0.0, 1.0, 31)] * 2, peak=-3.0, detail=detail)
     ax = plots.plot_field(whole, kind="likelihood")
     rendered(ax.figure)
     (inset,) = ax.child_axes
     main, enlarged = (np.asarray(mesh_of(one).get_array()) for one in (ax, inset))
-    assert enlarged.max() == pytest.approx(1.0)
-    assert main.max() == pytest.approx(np.exp(whole.values.max()))
-    assert "ground truth" in ax.get_legend_handles_labels()[1]
+    assert (main.max(), enlarged.max()) == pytest.approx((np.exp(whole.values.max()), 1.0))
     frame = inset.get_window_extent().transformed(ax.transData.inverted())
     assert not (frame.x0 < 0.85 < frame.x1 and frame.y0 < 0.15 < frame.y1)
-    crossing = [one for one in ax.figure.findobj() if type(one).__name__ == "ConnectionPatch" and one.get_visible()]
-    assert not crossing
     assert not plots.plot_field(whole, kind="log_likelihood").child_axes
-
-
-def test_the_profile_of_a_single_input_and_every_step_of_tempering():
-    x = np.linspace(100, 800, 21)
-    failed = np.array([110.0, 120.0])
-    ax = plots.plot_profile(E, x, -(((x - 400) / 100) ** 2), sd=np.full(21, 0.2), failed=failed, truth=400.0)
-    rendered(ax.figure)
-    assert (points(ax, "failed run"), ax.get_xlabel()) == (2, "E [Pa]")
-    figure = rendered(plots.plot_tempering([0.1, 0.4, 1.0], [90.0, 80.0, 70.0], [0.3, 0.25, 0.2], particles=100))
-    gamma, ess, acceptance = figure.axes
-    np.testing.assert_array_equal(gamma.lines[0].get_xydata(), [[1, 0.1], [2, 0.4], [3, 1.0]])
-    assert ess.lines[1].get_ydata()[0] == 50
-    assert (acceptance.get_ylim(), acceptance.get_xlabel()) == ((0, 1), "tempering step")
 
 
 def test_leave_one_out_reports_the_error_near_the_mode():
@@ -204,10 +147,6 @@ def test_leave_one_out_reports_the_error_near_the_mode():
         ax = plots.plot_leave_one_out(value, prediction, sd=np.ones(4), near_mode=near, spread_top=spread_top)
         rendered(ax.figure)
         assert entries(ax) == ["agreement", "training point, rms error 3", "near the mode, rms error 0.5"]
-        assert ax.get_xlim() == ax.get_ylim()
-    bare = plots.plot_leave_one_out(np.zeros(3), np.zeros(3), left_out="leave-a-tenth-out")
-    assert bare.get_ylabel() == "leave-a-tenth-out prediction of\nlog-likelihood"
-    assert len(entries(bare)) == 2
 
 
 def test_a_check_shows_agreement_failures_and_the_band_in_micrometres():
@@ -220,41 +159,12 @@ def test_a_check_shows_agreement_failures_and_the_band_in_micrometres():
     np.testing.assert_array_equal(drawn["draw of the posterior"], [[-1.5, -1.0], [-2.0, -3.0]])
     np.testing.assert_array_equal(drawn["failed runs: 2"][:, 0], [-0.5, -2.5])
     assert (drawn["failed runs: 2"][:, 1] == left.get_ylim()[0]).all()
-    np.testing.assert_array_equal(drawn["agreement"][:, 0], drawn["agreement"][:, 1])
-    assert left.get_xlim() == left.get_ylim()
     (area,) = band.collections
     heights = area.get_paths()[0].vertices[:, 1]
     np.testing.assert_allclose([heights.min(), heights.max()], [-2.0, 3.0])
-    (observed,) = [line for line in band.lines if line.get_label() == "observed"]
-    np.testing.assert_allclose(observed.get_xydata(), [[0, 0], [0.5, 1], [1, 4]])
-    assert observed.get_color() == GREEN
+    np.testing.assert_allclose(lines(band, "observed"), [[[0, 0], [0.5, 1], [1, 4]]])
     assert [ax.get_title() for ax in (band, empty)] == ["light", "heavy"]
     assert "no band" in empty.texts[0].get_text()
-
-
-def test_convergence_is_drawn_logarithmically_with_a_line_for_each_case():
-    sizes, errors = [100, 200, 500], {"centre": [0.9, 0.5, 0.3], "refined": [0.5, 0.2, 0.1]}
-    ax = Figure().add_subplot()
-    assert plots.plot_convergence(sizes, errors, quantity="error", ax=ax) is ax
-    assert (ax.get_xscale(), ax.get_yscale(), ax.get_ylabel()) == ("log", "log", "error")
-    assert {line.get_label(): line.get_ydata().tolist() for line in ax.get_lines()} == errors
-    assert all(line.get_xdata().tolist() == sizes for line in ax.get_lines())
-    assert [label.get_text() for label in ax.get_xticklabels()] == ["100", "200", "500"]
-    assert entries(ax) == list(errors)
-
-
-def test_marginals_are_steps_of_each_model_and_of_the_average() -> None:
-    edges = np.linspace(0.0, 2.0, 5)
-    densities = {"a": np.array([1.0, 1.0, 0.0, 0.0]), "b_c$": np.array([0.0, 0.0, 1.0, 1.0])}
-    marginals = plots.ModelMarginals("E", "Pa", edges, np.full(4, 0.5), densities)
-    ax = plots.plot_model_marginals(marginals)
-    drawn = {patch.get_label(): patch.get_data() for patch in ax.patches}
-    assert list(drawn) == ["a", r"b_c\$", "averaged"]
-    np.testing.assert_array_equal(drawn["a"].values, [1.0, 1.0, 0.0, 0.0])
-    np.testing.assert_array_equal(drawn["averaged"].edges, edges)
-    assert "Pa" in ax.get_xlabel()
-    figure = plots.plot_averaged(dict.fromkeys("EFGH", marginals))
-    assert (len(figure.axes), len(figure.legends)) == (4, 1)
 
 
 def test_predictions_have_a_row_for_each_condition_and_a_column_for_each_model() -> None:
@@ -265,32 +175,16 @@ def test_predictions_have_a_row_for_each_condition_and_a_column_for_each_model()
     assert [ax.get_title() for ax in figure.axes] == ["a, slow", "b, slow", "a, fast", "b, fast"]
     observed = [float(ax.lines[-1].get_ydata()[0]) for ax in figure.axes]
     assert observed == [0.0, 1e3, 0.0, 1e3], "in micrometres"
-    assert plots.plot_predictions({("", "a"): one["a"]}).axes[0].get_title() == "a"
 
 
 def test_ranks_that_leave_the_band_stand_out() -> None:
     even = (np.arange(50) + 0.5) / 50
     right, wrong = uniformity(even), uniformity(even**2)
-    for band, colour in ((right, BLUE), (wrong, RED)):
-        ax = plots.plot_rank_band(band)
+    figure = rendered(plots.plot_rank_bands({f"E_{k}": wrong if k == 1 else right for k in range(7)}))
+    for ax, band, colour in zip(figure.axes[:2], (right, wrong), (BLUE, RED), strict=True):
         (line,) = [one for one in ax.lines if len(one.get_xdata()) == 49]
         assert line.get_color() == colour
         np.testing.assert_allclose(line.get_ydata(), band.found - band.places)
-        assert "95 % band" in ax.get_legend_handles_labels()[1]
-    for number in (1, 7):
-        figure = rendered(plots.plot_rank_bands({f"E_{k}": wrong if k == 1 else right for k in range(number)}))
-        assert (len(figure.axes), len(figure.legends)) == (number, 1)
-        assert figure.axes[0].get_title() == r"E$_{\mathrm{0}}$"
-
-
-def test_intervals_of_each_input() -> None:
-    some = [IntervalCoverage(0.5, 0.46, 0.39, 0.53), IntervalCoverage(0.9, 1.0, 0.98, 1.0)]
-    ax = plots.plot_intervals({"E": some, "nu": some})
-    rendered(ax.figure)
-    assert [label.get_text() for label in ax.get_xticklabels()] == ["E", "nu"]
-    handles, labels = ax.get_legend_handles_labels()
-    assert labels == ["50 % intervals", "90 % intervals"]
-    assert len(handles[0].get_children()[0].get_xdata()) == 2
 
 
 def test_other_assumptions_that_move_an_input_stand_out_and_fixed_ones_have_no_mark() -> None:
@@ -304,43 +198,20 @@ def test_other_assumptions_that_move_an_input_stand_out_and_fixed_ones_have_no_m
     np.testing.assert_allclose(noise.lines[0].get_xdata(), [1.4])
     assert not right.containers
     assert [label.get_text() for label in left.get_yticklabels()] == ["noise", "prior"]
-    seven = {f"E_{k}": Whisker(1.0, 0.5, 1.5) for k in range(7)}
-    figure = rendered(plots.plot_alternatives(seven, [("prior", [Whisker(1.1, 0.6, 1.6)] * 7)]))
-    assert ([ax.get_xlabel() for ax in figure.axes], len(figure.legends)) == (list(seven), 1)
 
 
 def test_bars_are_the_sensitivity_indices_from_the_top_down() -> None:
     first, total = np.array([0.2, -0.01, 0.5]), np.array([0.3, 0.02, 0.7])
     indices = SobolIndices(first, first - 0.05, first + 0.04, total, total - 0.1, total + 0.1, 10)
     ax = plots.plot_sensitivity(indices, ("E", "nu", "V"))
-    rendered(ax.figure)
     drawn = [[bar.get_width() for bar in container] for container in ax.containers if hasattr(container, "patches")]
     np.testing.assert_allclose(drawn, [first, total])
     assert [text.get_text() for text in ax.get_yticklabels()] == ["E", "nu", "V"]
     assert ax.yaxis_inverted()
-    assert ax.get_xlim()[0] <= -0.06 < 1.0 <= ax.get_xlim()[1]
-
-
-@pytest.mark.parametrize("number", [1, 10])
-def test_errors_along_the_interface_leave_room_for_the_axes_beside_their_legend(number: int) -> None:
-    s = np.linspace(0.0, 1.5, 40)
-    names = [f"t{k + 1}" for k in range(number)] if number > 1 else [""]
-    along = {name: 1e-5 * (1 + k) * np.sin(2 * s) ** 2 for k, name in enumerate(names)}
-    ax = plots.plot_field_error({name: ErrorsAlong(s, e, 0.7 * e) for name, e in along.items()})
-    figure = figure_of(ax)
-    with warnings.catch_warnings(action="error"):
-        figure.get_layout_engine().execute(figure)
-    box = ax.get_position()
-    assert box.width * box.height > 0.45
-    assert figure.get_figwidth() == SINGLE
-    kinds = ["runs, each from the others", "its own estimate at draws"]
-    assert entries(figure) == [*kinds, *(names if number > 1 else [])]
-    assert len({tuple(np.atleast_1d(line.get_color())) for line in ax.lines}) == number
 
 
 def test_figures_are_as_wide_as_columns_their_text_is_legible_and_a_doubt_stands_within_them() -> None:
-    posterior = posterior_of(np.random.default_rng(0).normal(400.0, 30.0, (200, 1)), E)
-    figure = plots.plot_marginals(posterior, truth={"E": 400.0})
+    figure = plots.plot_marginals(posterior_of(np.random.default_rng(0).normal(400.0, 30.0, (200, 1)), E))
     plots.mark_doubt(figure, "not converged, all 50 runs that were allowed are made and much else besides")
     rendered(figure)
     assert figure.get_figwidth() == pytest.approx(SINGLE)
@@ -353,30 +224,12 @@ def test_figures_are_as_wide_as_columns_their_text_is_legible_and_a_doubt_stands
     for one in (text, *figure.legends):
         extent = one.get_window_extent()
         assert 0.0 <= extent.x0 < extent.x1 <= figure.bbox.width
-    assert text.get_window_extent().y0 >= max(ax.get_window_extent().y1 for ax in figure.axes)
 
 
-def test_offsets_are_in_micrometres_about_the_median_or_the_best_run() -> None:
+def test_offsets_of_runs_are_in_micrometres_about_the_best_run() -> None:
     s = np.linspace(0.0, 1.0, 5)
-    band = OffsetBand(s, 0.001 * s, 0.003 * s, 0.006 * s, np.array([0.0, 1.0]), np.array([0.0, 0.004]))
-    lines = {line.get_label(): line.get_ydata() for line in plots.plot_offsets(band).lines}
-    np.testing.assert_allclose(lines["draws, median"], 0.0)
-    np.testing.assert_allclose(lines["observed"], [0.0, 1.0])
     ax = plots.plot_run_offsets(Offsets(s, 0.001 * s), {"second best run": Offsets(s, -0.002 * s)})
     lines = {line.get_label(): line.get_ydata() for line in ax.lines}
     np.testing.assert_allclose(lines["observed"], s)
     np.testing.assert_allclose(lines["second best run"], -2 * s)
     assert set(lines["best run"]) == {0.0}
-
-
-def test_failed_runs_of_three_inputs_are_marked_by_kind() -> None:
-    space = ParameterSpace((E, NU, Parameter("V_in", Uniform(0.0, 110.0), "mm^2/s")))
-    rng = np.random.default_rng(0)
-    ok, bad = space.to_physical(rng.random((9, 3))), space.to_physical(rng.random((4, 3)))
-    ax = plots.plot_failed_runs(space, ok, {"limit_point": bad[:3], "timeout": bad[3:]})
-    rendered(ax.figure)
-    assert entries(ax) == ["ok: 9", "limit_point: 3", "timeout: 1"]
-    found = [collection.get_segments() for collection in ax.collections]
-    assert [len(lines) for lines in found] == [9, 3, 1]
-    np.testing.assert_allclose(np.array(found[1])[:, :, 1], space.to_unit(bad[:3]))
-    assert [label.get_text() for label in ax.get_xticklabels()][1] == "ν"

@@ -1,11 +1,8 @@
 """Figures of the posterior: what the artists hold, not how they look."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
-from matplotlib.figure import Figure
 from matplotlib.patches import StepPatch
 from matplotlib.path import Path as Outline
 from tests.unit.report.plots.drawn import NU, E, entries, hexagon_mass, lines, posterior_of, rendered
@@ -17,7 +14,6 @@ from strandline.priors import LogNormal, ScaledBeta, Uniform
 from strandline.report import plots
 from strandline.report.plots.of_posterior import PosteriorPlots
 from strandline.report.plots.parallel import DENSITY, _order
-from strandline.report.plots.style import GREEN, ORANGE
 from strandline.report.plots.view import shown_interval
 
 INPUTS = (
@@ -51,10 +47,8 @@ def test_the_joint_figure_has_units_every_entry_in_the_legend_and_ellipses_at_th
     assert (main.get_xlabel(), main.get_ylabel(), main.get_xlim()) == ("E [Pa]", "nu", (100.0, 800.0))
     kinds = [f"{kind} 50, 90 %" for kind in ("KDE", "Gaussian", "Laplace")]
     assert set(entries(joint)) == {*kinds, "MAP", "mean", "ground truth", "prior"}
-    colours = {line.get_label(): line.get_color() for line in main.lines}
     np.testing.assert_allclose(lines(main, "mean")[0][0], TWO.mean)
     np.testing.assert_allclose(lines(main, "MAP")[0][0], TWO.map_estimate)
-    assert (colours["mean"], colours["MAP"]) == (ORANGE, GREEN)
     around_mean = GaussianApproximation(TWO.mean, TWO.covariance)
     around_mode = GaussianApproximation(TWO.map_estimate, np.linalg.inv(PRECISION))
     for label, gaussian in (("Gaussian", around_mean), ("Laplace", around_mode)):
@@ -63,8 +57,8 @@ def test_the_joint_figure_has_units_every_entry_in_the_legend_and_ellipses_at_th
 
 
 def test_two_of_three_inputs_mark_the_fullest_bin_and_take_the_marginal_of_laplace():
-    hessian = -np.diag([1 / 3600.0, 20.0, 0.01])
-    figure = plots.plot_joint(THREE, ("V", "E"), laplace=laplace(hessian, THREE.map_estimate), percentiles=[0.5])
+    found = laplace(-np.diag([1 / 3600.0, 20.0, 0.01]), THREE.map_estimate)
+    figure = plots.plot_joint(THREE, ("V", "E"), laplace=found, percentiles=[0.5])
     assert "MAP (fullest bin)" in entries(figure)
     (curve,) = lines(figure.axes[0], "Laplace")
     assert np.ptp(curve[:, 1]) == pytest.approx(2 * 60 * np.sqrt(2 * np.log(2)), rel=1e-3)
@@ -80,15 +74,10 @@ def test_an_indefinite_laplace_is_noted_and_not_drawn_and_a_given_mode_is():
     np.testing.assert_allclose(lines(figure.axes[0], "mean")[0][0], TWO.mean[::-1])
 
 
-def test_hexagons_sum_the_weights_of_all_particles_and_thinned_percentile_lines_stay_in_place():
-    posterior, boxes = ridge_posterior(2, 2000), []
-    for number in (2000, 500):
-        ax = plots.plot_hexagons(posterior, ("E", "nu"), percentiles=[0.5], particles=number)
-        assert hexagon_mass(ax) == pytest.approx(1.0, abs=0.01)
-        vertices = ax.collections[-1].get_paths()[0].vertices
-        boxes.append([vertices[:, 0].min(), vertices[:, 0].max()])
-    np.testing.assert_allclose(boxes[0], boxes[1], atol=40.0)
-    (hexagons,) = [c for c in plots.plot_hexagons(TWO, ("E", "nu")).collections if isinstance(c, PolyCollection)]
+def test_hexagons_sum_the_weights_of_all_particles():
+    ax = plots.plot_hexagons(TWO, ("E", "nu"))
+    assert hexagon_mass(ax) == pytest.approx(1.0, abs=0.01)
+    (hexagons,) = [c for c in ax.collections if isinstance(c, PolyCollection)]
     weighted = np.ma.filled(hexagons.get_array(), 0.0) @ np.asarray(hexagons.get_offsets())
     assert (np.abs(weighted - TWO.mean) < [5.0, 0.02]).all()
     assert abs(TWO.draws[:, 0].mean() - weighted[0]) > 15, "hexagons that count particles must be caught"
@@ -98,28 +87,15 @@ def test_a_marginal_is_weighted_and_normalised():
     overlay = plots.Curve(np.array([100.0, 800.0]), np.array([1.0, 1.0]))
     ax = plots.plot_marginal(TWO, "E", bins=20, truth=400.0, overlay=overlay)
     (bars,) = [patch for patch in ax.patches if isinstance(patch, StepPatch)]
-    heights, edges, _ = bars.get_data()
-    assert heights @ np.diff(edges) == pytest.approx(1.0, abs=0.01)
+    heights, _, _ = bars.get_data()
     expected = histogram(TWO.draws[:, 0], TWO.weights, bounds=(100.0, 800.0), bins=20).density
     np.testing.assert_allclose(heights, expected)
-    planted, _ = np.histogram(TWO.draws[:, 0], bins=edges, density=True)
-    assert np.abs(planted - heights).max() > 0.1 * heights.max()
     for label in ("KDE", "prior"):
         x, y = lines(ax, label)[0].T
         assert np.trapezoid(y, x) == pytest.approx(1.0, abs=2e-3)
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("E [Pa]", "density [Pa⁻¹]")
     assert entries(ax)[-2:] == ["quadrature", "ground truth"]
     assert plots.plot_marginal(THREE, "V").get_ylabel().replace("\u00a0", " ") == "density [mm⁻² s]"
-
-
-@pytest.mark.parametrize("dim", [1, 3])
-def test_marginals_and_pairs_of_any_number_of_inputs(dim):
-    posterior = ridge_posterior(dim, 200)
-    figure = rendered(plots.plot_marginals(posterior, truth={"E": 400.0}))
-    assert [ax.get_xlabel() for ax in figure.axes] == [p.figure_label() for p in posterior.space]
-    pairs = rendered(plots.plot_pairs(posterior, truth={"E": 400.0, "nu": 0.3}))
-    drawn = [ax for ax in pairs.axes if ax.axison and any(isinstance(c, PolyCollection) for c in ax.collections)]
-    assert [hexagon_mass(ax) for ax in drawn] == [pytest.approx(1.0, abs=0.01)] * (dim * (dim - 1) // 2)
 
 
 def test_an_input_without_spread_is_drawn_without_a_density():
@@ -129,14 +105,8 @@ def test_an_input_without_spread_is_drawn_without_a_density():
 
 
 def test_particles_have_area_and_colour_by_weight():
-    figure = Figure(layout="constrained")
-    left, right = figure.subfigures(1, 2)
-    other, own = right.subplots(1, 2)
-    assert plots.plot_joint(TWO, ("E", "nu"), figure=left) is left
-    assert plots.plot_hexagons(TWO, ("E", "nu"), ax=other) is other
-    assert plots.plot_particles(TWO, ("E", "nu"), largest=30.0, ax=own) is own
-    rendered(figure)
-    (circles,) = [c for c in own.collections if isinstance(c, PathCollection)]
+    ax = plots.plot_particles(TWO, ("E", "nu"), largest=30.0)
+    (circles,) = [c for c in ax.collections if isinstance(c, PathCollection)]
     sizes, colours = circles.get_sizes(), circles.get_array()
     np.testing.assert_allclose(sizes / 30.0, colours / TWO.weights.max())
     assert (len(sizes), sizes.max(), colours.sum()) == pytest.approx((TWO.number, 30.0, 1.0))
@@ -145,22 +115,19 @@ def test_particles_have_area_and_colour_by_weight():
         plots.plot_particles(TWO, ("E", "rho"))
 
 
-def interval(draws: np.ndarray, weights: Any = 1.0) -> tuple[float, float]:
-    return shown_interval(posterior_of(draws[:, None], E, weights=weights), "E")
-
-
-def test_the_view_is_of_the_posterior_without_light_stragglers_and_ends_at_the_box():
-    narrow = np.linspace(390.0, 410.0, 500)
-    low, high = interval(narrow)
-    assert 375 < low < 390 < 410 < high < 425
-    draws, light = np.concatenate([narrow, np.linspace(100.0, 800.0, 50)]), np.full(50, 1e-4)
-    low, high = interval(draws, np.concatenate([np.full(500, 1.0), light]))
-    assert high - low < 60
-    assert interval(np.linspace(150.0, 780.0, 500)) == (100.0, 800.0)
-    low, high = interval(np.linspace(780.0, 800.0, 500))
-    assert high == 800.0
-    assert 760 < low < 780
-    assert interval(np.full(20, 300.0)) == pytest.approx((100.0, 800.0)), "no spread"
+@pytest.mark.parametrize(
+    ("ends", "shown"),
+    [
+        ((390.0, 410.0), (383.0, 417.0)),
+        ((150.0, 780.0), (100.0, 800.0)),
+        ((780.0, 800.0), (773.0, 800.0)),
+        ((300.0, 300.0), (100.0, 800.0)),
+    ],
+)
+def test_the_view_is_of_the_posterior_without_light_stragglers_and_ends_at_the_box(ends, shown):
+    draws = np.concatenate([np.linspace(*ends, 500), np.linspace(100.0, 800.0, 50)])
+    posterior = posterior_of(draws[:, None], E, weights=np.repeat([1.0, 1e-6], [500, 50]))
+    assert shown_interval(posterior, "E") == pytest.approx(shown, abs=1.0)
 
 
 DRAWS = np.random.default_rng(3).multivariate_normal([400.0, 0.1], [[400.0, 1.2], [1.2, 0.01]], 4000)
@@ -173,12 +140,7 @@ def test_regions_of_a_corner_plot_hold_their_probabilities_and_all_is_in_the_leg
     held = [np.mean(Outline.contains_points(path, DRAWS)) for path in outlines.get_paths()]
     np.testing.assert_allclose(held, (0.95, 0.68), atol=0.04, err_msg="the largest region first")
     assert entries(figure) == ["posterior", "prior", "truth", "68 %", "95 %"]
-    own = Figure()
-    assert plots.plot_corner(posterior_of(DRAWS[:, :1], E), prior=False, figure=own) is own
-    assert (entries(own), len(own.axes)) == (["posterior"], 1)
-    for masses in ((), (0.0,), (0.5, 1.0)):
-        with pytest.raises(InvalidInput, match="between 0 and 1"):
-            plots.plot_corner(CLOUD, masses=masses)
+    assert entries(plots.plot_corner(posterior_of(DRAWS[:, :1], E), prior=False)) == ["posterior"]
 
 
 def test_a_notebook_shows_figures_and_axes():
@@ -193,41 +155,27 @@ def test_parallel_axes_hold_every_particle_of_weight_from_low_to_high_density():
     (drawn,) = [c for c in ax.collections if isinstance(c, LineCollection)]
     density = np.asarray(drawn.get_array())
     assert len(drawn.get_segments()) == len(density) == 293
-    assert drawn.get_rasterized()
     np.testing.assert_allclose(density, np.sort(SEVEN.log_density[7:]))
     heights = np.asarray(drawn.get_segments()[-1])[:, 1]
     np.testing.assert_allclose(heights, [*SEVEN.space.to_unit(SEVEN.draws[SEVEN.map_index]), 1.0])
-    labels = [t.get_text().replace("\n", " ") for t in ax.get_xticklabels()]
-    assert labels == ["E [Pa]", "nu", "V [mm²\u00a0s⁻¹]", *NAMES[3:], DENSITY]
     np.testing.assert_allclose(lines(ax, "ground truth"), [[[3.0, 0.5]]])
     ticks = {text.get_text(): text.get_position()[1] for text in ax.texts if text.get_position()[0] < 0}
     assert len(ticks) >= 4
     for label, height in ticks.items():
         assert (float(label) - 100.0) / 700.0 == pytest.approx(height)
-
-
-def test_parallel_axes_in_the_order_that_is_asked_and_nuisance_inputs_behind_the_density():
-    ax = plots.plot_parallel(SEVEN, ("nu", DENSITY, "V_in"))
-    assert [t.get_text().replace("\n", " ") for t in ax.get_xticklabels()] == ["nu", DENSITY, "V_in"]
-    with pytest.raises(InvalidInput, match="names of inputs"):
-        plots.plot_parallel(SEVEN, ("nu9",))
     flow = Parameter("flow", Uniform(0.0, 10.0), nuisance=True)
     assert _order(posterior_of(SEVEN.draws[:, :3], flow, *INPUTS[:2])) == ("E", "nu", DENSITY, "flow")
 
 
-def test_pairs_all_or_those_that_are_named_have_numbers_at_the_rim_only_and_explain_the_ground_truth():
+def test_pairs_all_or_those_that_are_named_hold_the_weights_and_the_ground_truth():
     figure = plots.plot_pairs(SEVEN, NAMES[:3], truth={"E": 500.0, "nu": 0.2})
-    panels = np.array(figure.axes[:9]).reshape(3, 3)
-    for i, j in zip(*np.tril_indices(3), strict=True):
-        shown = panels[i, j].xaxis.get_tick_params()["labelbottom"], panels[i, j].yaxis.get_tick_params()["labelleft"]
-        assert shown == (i == 2, j == 0 and i > 0)
+    drawn = [ax for ax in figure.axes if ax.axison and any(isinstance(c, PolyCollection) for c in ax.collections)]
+    assert [hexagon_mass(ax) for ax in drawn] == [pytest.approx(1.0, abs=0.02)] * 3
     assert "ground truth" in entries(figure)
-    assert "ground truth" not in entries(plots.plot_pairs(SEVEN, NAMES[:2]))
     assert [ax.get_xlabel().split()[0] for ax in rendered(plots.plot_marginals(SEVEN)).axes] == list(NAMES)
+    rendered(plots.plot_pairs(ridge_posterior(1, 200), truth={"E": 400.0}))
     pairs = [("E2", "E"), ("E2", "nu2"), ("nu", "nu2")]
     figure = rendered(plots.plot_selected_pairs(SEVEN, pairs, truth={"E2": 5.0, "nu2": 1.0}))
     assert [(ax.get_xlabel().split()[0], ax.get_ylabel().split()[0]) for ax in figure.axes] == pairs
     assert [hexagon_mass(ax) for ax in figure.axes] == [pytest.approx(1.0, abs=0.02)] * 3
     assert [len(lines(ax, "ground truth")) for ax in figure.axes] == [0, 1, 0]
-    with pytest.raises(InvalidInput, match="at least one pair"):
-        plots.plot_selected_pairs(SEVEN, [])

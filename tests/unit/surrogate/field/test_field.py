@@ -88,32 +88,6 @@ def test_the_modes_leave_what_the_tolerance_says_and_the_tail_is_added_where_it_
     np.testing.assert_allclose(found.left_out_error() ** 2, mean_square + found.modes.remainder**2, rtol=1e-9)
 
 
-def drawn_mode(seed, train=28, test=40):
-    """Return runs of a field whose only coefficient is a draw of a known process, test inputs, and its values there."""
-    rng, box = np.random.default_rng(seed), np.array([[-1.0, -1.0], [1.0, 1.0]])
-    x = np.concatenate([2 * sobol(train, 2, scramble=seed) - 1, rng.uniform(-1, 1, (test, 2))])
-    z = np.sqrt(3.0) * x / np.array([1.0, 1.3])
-    K = np.exp(-0.5 * np.sum((z[:, None] - z) ** 2, axis=2)) + 1e-9 * np.eye(len(z))
-    g = np.linalg.cholesky(K) @ rng.standard_normal(len(z))
-    fields = np.stack([S, 0 * S], axis=-1) + 0.01 * g[:, None, None] * np.stack([0 * S, np.sin(2 * S)], axis=-1)
-    interfaces = [{"": Interface.polyline(row)} for row in fields[:train]]
-    return FieldTraining(x[:train], interfaces, None, *box), x[train:], fields[train:]
-
-
-def test_errors_are_as_large_as_predicted():
-    """In the median over seeds, for lengths are estimated; a hundredth or a hundredfold of the variance would show."""
-    found = {1.0: [], 0.01: [], 100.0: []}
-    for seed in range(12):
-        given, x, fields = drawn_mode(seed)
-        surrogate = fit_field(given)
-        errors = surrogate.points(surrogate.mean(x))[""] - fields
-        squares = np.sum(errors**2, axis=2) @ surrogate.layouts[""].weights
-        for factor, ratios in found.items():
-            planted = tuple(replace(p, widening=p.widening * factor) for p in surrogate.processes)
-            ratios.append(np.mean(squares / replace(surrogate, processes=planted).predicted_error(x) ** 2))
-    assert [0.5 < np.median(ratios) < 2.0 for ratios in found.values()] == [True, False, False]
-
-
 def test_the_predicted_error_is_the_spread_of_drawn_fields():
     found, x, random = fit_field(training(8)), TEST_POINTS[:3], np.random.default_rng(5)
     (layout,), prediction = found.layouts.values(), found.predict(x)
@@ -158,3 +132,29 @@ def test_scatter_is_the_root_mean_square_of_what_equal_runs_differ_by():
     moved = np.stack([run[""].points for run in base.interfaces]) + np.stack([0 * off, off], axis=2)
     rough = [{"": Interface.polyline(row)} for row in moved]
     assert fit_field(replace(base, interfaces=rough)).scatter == pytest.approx(2e-3, rel=0.25)
+
+
+def drawn_mode(seed, train=28, test=40):
+    """Return runs of a field whose only coefficient is a draw of a known process, test inputs, and its values there."""
+    rng, box = np.random.default_rng(seed), np.array([[-1.0, -1.0], [1.0, 1.0]])
+    x = np.concatenate([2 * sobol(train, 2, scramble=seed) - 1, rng.uniform(-1, 1, (test, 2))])
+    z = np.sqrt(3.0) * x / np.array([1.0, 1.3])
+    K = np.exp(-0.5 * np.sum((z[:, None] - z) ** 2, axis=2)) + 1e-9 * np.eye(len(z))
+    g = np.linalg.cholesky(K) @ rng.standard_normal(len(z))
+    fields = np.stack([S, 0 * S], axis=-1) + 0.01 * g[:, None, None] * np.stack([0 * S, np.sin(2 * S)], axis=-1)
+    interfaces = [{"": Interface.polyline(row)} for row in fields[:train]]
+    return FieldTraining(x[:train], interfaces, None, *box), x[train:], fields[train:]
+
+
+def test_errors_are_as_large_as_predicted():
+    """In the median over seeds, for lengths are estimated; a hundredth or a hundredfold of the variance would show."""
+    found = {1.0: [], 0.01: [], 100.0: []}
+    for seed in range(12):
+        given, x, fields = drawn_mode(seed)
+        surrogate = fit_field(given)
+        errors = surrogate.points(surrogate.mean(x))[""] - fields
+        squares = np.sum(errors**2, axis=2) @ surrogate.layouts[""].weights
+        for factor, ratios in found.items():
+            planted = tuple(replace(p, widening=p.widening * factor) for p in surrogate.processes)
+            ratios.append(np.mean(squares / replace(surrogate, processes=planted).predicted_error(x) ** 2))
+    assert [0.5 < np.median(ratios) < 2.0 for ratios in found.values()] == [True, False, False]

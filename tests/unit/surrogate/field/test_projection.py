@@ -1,19 +1,14 @@
 """Surfaces that are triangulated anew in every run, on the nodes of the first: against closed forms."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull, Delaunay, cKDTree
-from scipy.special import softmax
-from shapely.geometry import LinearRing, Point, Polygon
+from shapely.geometry import LinearRing, Point
 from tests.unit.discrepancy.surfaces import divided, sheet, sphere
 
 from strandline.design import sobol
-from strandline.discrepancy import ClosestPoint
 from strandline.errors import InvalidInterface
-from strandline.interface import Interface, Observation
-from strandline.likelihood import FieldLikelihood
+from strandline.interface import Interface
 from strandline.surrogate.field import FieldTraining, fit_field
 from strandline.surrogate.field.correspondence import common_layout, fields_of, registered
 from strandline.surrogate.field.projection import Projection, Reference, _along_normals
@@ -86,19 +81,14 @@ def test_the_first_surface_stands_as_it_is_and_further_ones_change_nothing():
     layout = common_layout(runs)
     assert layout.way == "projection"
     assert layout.template is runs[0]
-    points, error = registered(runs[0], layout)
-    np.testing.assert_allclose(points, runs[0].points, atol=1e-14)
-    assert error < 1e-14
+    np.testing.assert_allclose(registered(runs[0], layout)[0], runs[0].points, atol=1e-14)
     few, _ = fields_of([{"": run} for run in runs[:3]], {"": common_layout(runs[:3])})
     all_of_them, worst = fields_of([{"": run} for run in runs], {"": layout})
     np.testing.assert_array_equal(all_of_them[:3], few)
     assert worst == max(registered(run, layout)[1] for run in runs)
-    first, other = runs[:2]
-    before, _ = registered(other, layout)
-    other.points[:, 2] *= 1.5  # a surface that is changed in place is not taken for the old one
-    after, _ = registered(other, common_layout([first, other]))
-    np.testing.assert_array_equal(after, projected(other, first).points)
-    assert np.abs(after - before).max() > 0.1
+    runs[1].points[:, 2] *= 1.5  # a surface that is changed in place is not taken for the old one
+    after, _ = registered(runs[1], common_layout(runs[:2]))
+    np.testing.assert_array_equal(after, projected(runs[1], runs[0]).points)
 
 
 def pillow(x, y):
@@ -118,17 +108,14 @@ def test_nodes_go_along_the_normals_of_the_first_surface():
     along = ball.points / np.linalg.norm(ball.points / np.array(axes), axis=1, keepdims=True)
     assert np.sqrt(np.mean(np.sum((points - along) ** 2, axis=1))) < 1e-2
     surface = sheet(6, bend=0.2, seed=1)
-    points, error = registered(divided(surface), common_layout([surface, divided(surface)]))
-    np.testing.assert_allclose(points, surface.points, atol=1e-13)
-    assert error < 1e-13
+    np.testing.assert_allclose(projected(divided(surface), surface).points, surface.points, atol=1e-13)
 
 
-@pytest.mark.parametrize(("height", "lean"), [(0.7, 0.4), (-0.2, -0.5)])
-def test_caps_converge_with_the_square_of_the_mesh_size(height, lean):
-    errors, misfits = [], []
+def test_caps_converge_with_the_square_of_the_mesh_size_whichever_side_they_face():
+    errors, misfits, height = [], [], bulge(0.7, 0.4)
     for rings in (6, 12, 24):
-        found = projected(cap(bulge(height, lean), rings + 1, 20 + rings), cap(bulge(0.4, 0.1), rings, rings))
-        errors.append(off(found.points, bulge(height, lean)))
+        found = projected(cap(height, rings + 1, 20 + rings).reversed(), cap(bulge(0.4, 0.1), rings, rings))
+        errors.append(off(found.points, height))
         misfits.append(found.error)
     for series in (errors, misfits):
         assert orders(series).mean() > 1.65, series
@@ -137,9 +124,11 @@ def test_caps_converge_with_the_square_of_the_mesh_size(height, lean):
 
 
 def test_closed_surfaces_converge_with_the_square_of_the_mesh_size():
+    """A body is followed wherever it moves, whichever side its surface faces."""
     errors, axes = [], (1.5, 1.0, 0.7)
     for number in (200, 800):
-        points = projected(ellipsoid(axes, number + 7, 1), ellipsoid((1.1, 0.9, 1.0), number, 2)).points
+        away = moved(ellipsoid(axes, number + 7, 1), 0.0, 0.0, 3.0)
+        points = projected(away.reversed(), ellipsoid((1.1, 0.9, 1.0), number, 2)).points - np.array([0.0, 0.0, 3.0])
         gradient, level = (np.linalg.norm(points / np.power(axes, power), axis=1) for power in (2, 1))
         errors.append(float(np.sqrt(np.mean(((level - 1) / gradient) ** 2))))
     assert (orders(errors) > 1.7).all(), errors
@@ -173,10 +162,8 @@ def test_a_rim_that_is_left_behind_shows_in_the_error():
     ring = LinearRing(found.points[around, :2])
     edge = [Point(p) for p in large.points[:, :2] if np.isclose(np.abs(p - 0.5).max(), 0.8)]
     off_rim = [ring.distance(p) for p in edge]
-    everywhere = [Polygon(ring).distance(Point(p)) for p in large.points[:, :2]]
     assert len(edge) == 4 * 39
     assert max(off_rim) > 0.1
-    assert 1.5 * np.sqrt(np.mean(np.square(everywhere))) < found.error
     assert found.error == pytest.approx(np.sqrt(np.mean(np.square(off_rim))), rel=1e-9)
 
 
@@ -192,35 +179,16 @@ def mushroom(overhang, rings):
 
 def test_a_fold_that_is_lost_shows_in_the_error_and_its_inside_is_not_taken_for_the_surface():
     """Under the hat of the mushroom its lower side is nearest, which faces down; the foot and the hat face up."""
-    flat, round_one = cap(bulge(0.0, 0.0), 14, 1), cap(bulge(0.4, 0.0), 14, 1)
+    flat = cap(bulge(0.0, 0.0), 14, 1)
     steep, folded = (projected(mushroom(by, 16), flat) for by in (-0.1, 0.25))
     assert steep.error < 0.015
     assert folded.error > 3 * steep.error
-    points = projected(mushroom(0.25, 40), round_one).points
+    points = projected(mushroom(0.25, 40), cap(bulge(0.4, 0.0), 14, 1)).points
     r, z = np.linalg.norm(points[:, :2], axis=1), points[:, 2]
     under = (r > 0.32) & (r < 0.45)
     hat, foot = 0.6 - 0.2 * r, (1 - r) / 3
     assert under.sum() > 30
     assert (np.minimum(np.abs(z - hat), np.abs(z - foot))[under] < 0.01).all()
-
-
-def test_which_side_a_surface_faces_does_not_matter():
-    first, other = cap(bulge(0.3, 0.0), 6, 1), cap(bulge(0.5, 0.2), 7, 2)
-    ball, oval = ellipsoid((1.0, 1.0, 1.0), 300, 1), ellipsoid((1.2, 1.0, 0.9), 310, 2)
-    for a, b in ((first, other), (ball, oval)):
-        straight = projected(b, a)
-        for turned in (projected(b.reversed(), a), projected(b, a.reversed())):
-            np.testing.assert_allclose(turned.points, straight.points, atol=1e-13)
-            assert turned.error == pytest.approx(straight.error, rel=1e-9)
-        assert not Interface(straight.points, a.cells).runs_against(b)
-
-
-def test_a_body_that_moves_by_more_than_its_thickness_is_followed():
-    first, lens = ellipsoid((1.0, 1.0, 0.3), 1200, 1), ellipsoid((1.0, 1.0, 0.3), 1250, 2)
-    by = (0.0, 0.0, 0.7)
-    points = projected(moved(lens, *by), first).points
-    np.testing.assert_allclose(points, projected(lens, first).points + by, atol=1e-12)
-    np.testing.assert_allclose(points - by, first.points, atol=0.03)
 
 
 def together(*surfaces):
@@ -248,8 +216,6 @@ def test_surfaces_of_other_kinds_are_refused():
     ):
         with pytest.raises(InvalidInterface, match=words):
             common_layout([one, other])
-        with pytest.raises(InvalidInterface, match=words):
-            registered(other, common_layout([one, divided(one)]))
 
 
 def test_parts_and_holes_that_all_runs_have_are_fine():
@@ -268,9 +234,7 @@ def test_triangles_that_the_projection_turns_over_or_flattens_are_refused():
         common_layout([lying, standing])
     for size in (1.0, 1e-3):
         ball, flat = ellipsoid((size, size, size), 1200, 1), ellipsoid((2.0 * size, size, 0.3 * size), 1200, 6)
-        found = Reference(ball).on(flat)
-        assert isinstance(found, str)
-        assert "turned over" in found
+        assert "turned over" in Reference(ball).on(flat)
     first = sheet(9)
     corner = Interface(np.array([[0.4, 0.4, 0.0], [0.6, 0.4, 0.0], [0.5, 0.6, 0.0]]), np.array([[0, 1, 2]]))
     with pytest.raises(InvalidInterface, match=r"flattened when .* at \(.*\) mm"):
@@ -300,17 +264,10 @@ def leaning(x, *, rings, seed):
     return cap(bulge(x[0], x[1], radius=radius), rings, seed, radius=radius)
 
 
-def training(*, remeshed, rings=RINGS):
-    """Return runs on one mesh or each on its own."""
-    meshes = [(rings + k % 3, 100 + k) if remeshed else (rings, 1) for k in range(len(INPUTS))]
-    runs = [{"": leaning(x, rings=number, seed=seed)} for x, (number, seed) in zip(INPUTS, meshes, strict=True)]
-    return FieldTraining(INPUTS, runs, None, LOW, HIGH)
-
-
 def test_the_field_is_learnt_from_runs_that_are_meshed_anew():
-    base = training(remeshed=True)
-    slopes = [{"": np.zeros((*run[""].points.shape, 2))} for run in base.interfaces]
-    found = fit_field(replace(base, gradients=slopes))
+    runs = [{"": leaning(x, rings=RINGS + k % 3, seed=100 + k)} for k, x in enumerate(INPUTS)]
+    slopes = [{"": np.zeros((*run[""].points.shape, 2))} for run in runs]
+    found = fit_field(FieldTraining(INPUTS, runs, slopes, LOW, HIGH))
     assert found.layouts[""].way == "projection"
     assert not found.gradients
     assert 0 < found.registration_error < 0.02
@@ -319,19 +276,3 @@ def test_the_field_is_learnt_from_runs_that_are_meshed_anew():
         assert off(predicted.points, bulge(x[0], x[1], radius=radius)) < 6e-3
         on_rim = np.linalg.norm(predicted.points[-6 * RINGS :, :2], axis=1)
         np.testing.assert_allclose(on_rim, radius, atol=8e-3)
-
-
-@pytest.mark.long
-def test_the_posterior_is_that_of_runs_on_one_mesh():
-    """And that of the model itself, asked directly; the observed surface has a mesh of its own."""
-    seen, noise, measure = leaning(np.array([0.4, 0.05]), rings=15, seed=999), 1.2e-2, ClosestPoint()
-    x = np.array([0.35, -0.25]) + np.array([0.1, 0.6]) * (np.mgrid[:16, :16].reshape(2, -1).T + 0.5) / 16
-    logs = [np.array([-0.5 * measure(leaning(at, rings=12, seed=1), seen) / noise for at in x])]
-    for remeshed in (False, True):
-        surrogate = fit_field(training(remeshed=remeshed, rings=12))
-        logs.append(FieldLikelihood(surrogate, (Observation(seen, noise),), measure).plug_in(x))
-    weights = softmax(logs, axis=1)
-    means = weights @ x
-    sds = np.sqrt([one @ (x - mean) ** 2 for one, mean in zip(weights, means, strict=True)])
-    assert (np.abs(means - means[0]) / sds[0] < 0.2).all()
-    np.testing.assert_allclose(sds, np.broadcast_to(sds[0], sds.shape), rtol=0.1)
