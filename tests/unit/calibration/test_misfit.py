@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 from tests.unit.discrepancy.surfaces import sheet
 
-from strandline.calibration.misfit import Effort, Prediction, by_runs, judge, misfit_of
+from strandline.calibration.misfit import Effort, Prediction, by_runs, judge, misfit_of, waves
 from strandline.calibration.misfit.reference import corrected, drawn_statistics
 from strandline.calibration.misfit.verdict import verdict_on
 from strandline.discrepancy import ClosestPoint, Currents, NormalOffset, TrackedPoints
@@ -104,6 +104,34 @@ def p_values(name, t, number):
         one = judged(drawn(LOCAL, seed, t, truth), truth=truth, width=0.03, seed=seed, effort=LEAST)
         found.append(getattr(one, name))
     return np.array(found, float)
+
+
+def test_inputs_that_act_only_together_raise_no_false_alarm(monkeypatch):
+    """The residuals tell their ratio alone. Planted: their derivatives count as two directions."""
+    box = ParameterSpace((Parameter("E", Uniform(0.7, 3.0)), Parameter("q", Uniform(0.6, 1.4))))
+
+    def bent(x, t=NODES):
+        E, q = x.T[:, :, None]
+        return np.stack(np.broadcast_arrays(t, 0.03 * q / E * t**2 * (6 - 4 * t + t**2)), axis=2)
+
+    def smooth_p(seed):
+        random = np.random.default_rng([seed, 5])
+        truth = box.to_physical(random.uniform(0.3, 0.7, (1, 2)))
+        seen = LOCAL.draw(Interface.polyline(bent(truth)[0]), random)
+        draws = truth * random.uniform(0.9, 1.1, (100, 1))
+        about = Posterior(box, draws, np.full(100, -np.log(100.0)), np.zeros(100), box.log_prior(draws), 0.0)
+        model = Prediction(
+            {"": Interface.polyline(bent(truth)[0])},
+            lambda x: {"": bent(x)},
+            lambda x, least: {"": bent(truth)[:0]},
+            "the model itself",
+        )
+        found = misfit_of(model, (Observation(seen, LOCAL),), NormalOffset(), about, effort=LEAST, seed=seed)
+        return found.smooth_p
+
+    assert stats.kstest([smooth_p(seed) for seed in range(20)], "uniform").pvalue > 0.005
+    monkeypatch.setattr(waves, "TOGETHER", 0.0)
+    assert stats.kstest([smooth_p(seed) for seed in range(20)], "uniform").pvalue < 0.005
 
 
 def test_p_values_of_right_models_are_uniform(monkeypatch):

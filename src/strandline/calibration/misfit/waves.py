@@ -16,6 +16,9 @@ __all__ = ["beyond", "waves_of", "waves_p"]
 
 WAVES, FEWEST_POINTS = 6, 4
 """Waves along an arc, the first one constant, and the fewest points for each."""
+TOGETHER = 0.01
+"""Squared change of all residuals, in their standard deviations, by a combination of inputs over its prior, below which
+these inputs only act together: differences cannot tell such a change, and it hardly moves a wave."""
 EXPLAINED = 1e-6
 """Variance of a combination of waves, relative to the largest one, below which inputs or global errors explain it."""
 
@@ -39,17 +42,20 @@ def waves_of(observations: Sequence[Observation]) -> Float[np.ndarray, "seen wav
 def beyond(
     waves: Float[np.ndarray, "seen wave"], by_inputs: Float[np.ndarray, "seen dim"], model: ErrorModel
 ) -> Float[np.ndarray, "seen wave"]:
-    """Return the part Φ' of the waves that no input can cause: Φ'ᵀ C⁻¹ J = 0.
+    """Return the part Φ' of the waves that no input can cause: Φ'ᵀ C⁻¹ J = 0, but for what inputs hardly cause.
 
     Args:
         waves: The waves Φ.
-        by_inputs: Change of the residuals with each input, J.
+        by_inputs: Change of the residuals with each input over its prior, J.
         model: Covariance C of the residuals.
     """
     if not by_inputs.size:
         return waves
     weighed = model.solved(by_inputs.T)
-    return np.asarray(waves - by_inputs @ np.linalg.lstsq(weighed @ by_inputs, weighed @ waves, rcond=None)[0])
+    values, vectors = np.linalg.eigh(weighed @ by_inputs)
+    kept = values > TOGETHER
+    told = vectors[:, kept]
+    return np.asarray(waves - by_inputs @ (told / values[kept]) @ (told.T @ (weighed @ waves)))
 
 
 def waves_p(drawn: Float[np.ndarray, "row wave"], observed: Float[np.ndarray, "1 wave"]) -> float | None:
