@@ -1,13 +1,20 @@
 """Cells of meshes: their edges, faces and boundaries."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from strandline.readers.contents import Block
 
-__all__ = ["boundary_edges", "boundary_triangles", "dimension", "line_edges", "surface_triangles"]
+__all__ = ["boundary_edges", "boundary_triangles", "dimension", "joined", "line_edges", "surface_triangles"]
+
+COINCIDENT = 1e-9
+"""Distance of points that count as one, as a share of the mesh's extent: programs that repeat a point round it anew."""
 
 LINES = {"line": (0, 1), "line3": (0, 2, 1)}
 """Nodes in their order along the cell."""
@@ -48,6 +55,24 @@ PIECES: dict[int, tuple[tuple[int, int, int], ...]] = {
 def dimension(kind: str) -> int | None:
     """Return the number of dimensions of a kind of cells; None if unknown."""
     return next((k for k, known in enumerate((set(LINES), set(RINGS), set(FACES)), 1) if kind in known), None)
+
+
+def joined(blocks: Sequence[Block], points: Float[np.ndarray, "point xyz"]) -> list[Block]:
+    """Return cells that share nodes where they touch, if each has nodes of its own, as NGSolve writes them."""
+    nodes = np.concatenate([block.nodes.ravel() for block in blocks])
+    used = np.unique(nodes)
+    if len(used) < len(nodes) or sum(len(block.nodes) for block in blocks) == 1:
+        return list(blocks)
+    reach = COINCIDENT * float(np.ptp(points[used], axis=0).max())
+    i, j = cKDTree(points[used]).query_pairs(reach, output_type="ndarray").T
+    number, together = connected_components(
+        coo_array((np.ones(len(i)), (i, j)), shape=(len(used),) * 2), directed=False
+    )
+    first = np.full(number, len(points))
+    np.minimum.at(first, together, used)
+    renumbered = np.arange(len(points))
+    renumbered[used] = first[together]
+    return [replace(block, nodes=renumbered[block.nodes]) for block in blocks]
 
 
 def line_edges(blocks: Sequence[Block]) -> Int[np.ndarray, "edge 2"]:

@@ -33,9 +33,11 @@ class Contents:
         blocks: Blocks of cells.
         data: Arrays by name, one row per point.
         displacement: Displacement to add to the points, if the reader knows it.
+        pieces: Number of the piece that each point belongs to, if the points are not one polyline.
     """
 
     points: Float[np.ndarray, "point xyz"]
     blocks: tuple[Block, ...] = ()
     data: Mapping[str, Shaped[np.ndarray, "..."]] = field(default_factory=dict)
     displacement: Float[np.ndarray, "point xyz"] | None = None
+    pieces: Int[np.ndarray, " point"] | None = None

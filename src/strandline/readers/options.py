@@ -11,15 +11,15 @@ from typing import Any
 from strandline.errors import InvalidInput
 from strandline.registry import imported
 
-__all__ = ["SERIES", "TABLES", "TO_MM", "Reading"]
+__all__ = ["MESHES", "SERIES", "TO_MM", "Reading"]
 
 TO_MM = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "m": 1e3}
-TABLES = (".csv", ".tsv", ".txt", ".dat", ".npy")
-"""Suffixes of files that hold points in their order."""
+MESHES = (".vtu", ".vtp", ".pvtu", ".pvtp", ".pvd", ".xdmf", ".xmf", ".stl", ".ply", ".vtk")
+"""Suffixes of files that hold cells; any other file is a table of points in their order."""
 SERIES = (".pvd", ".xdmf", ".xmf")
 """Suffixes of files that hold several times."""
 COMMON = {"file", "unit", "field", "select", "count", "reader"}
-OF_TABLES = COMMON | {"columns", "delimiter", "decimal", "hide", "sd", "sort"}
+OF_TABLES = COMMON | {"columns", "delimiter", "decimal", "hide", "keep", "near", "sd", "sort"}
 OF_MESHES = COMMON | {"block", "cells", "points", "near", "keep", "start", "plane"}
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
@@ -46,7 +46,7 @@ class Reading:
         hide: Boxes ``{x: [low, high], y: …}``; points of a table inside one of them are left out, as parts of the
             interface that cannot be seen.
         near: Place; of several pieces, the one nearest to it is read.
-        keep: ``longest``: of several pieces, the longest is read.
+        keep: ``longest``: of several pieces, the longest is read; of a surface, the one of the largest area.
         start: Place; an open polyline begins at its end nearest to it, a closed one at its nearest node.
         plane: The two coordinates of a polyline, ``xy``, ``xz`` or ``yz``.
         count: Required number of points.
@@ -102,6 +102,11 @@ class Reading:
         return PurePosixPath(self.file).suffix.lower()
 
     @property
+    def is_table(self) -> bool:
+        """Whether the suffix stands for a table."""
+        return self.suffix not in MESHES
+
+    @property
     def axes(self) -> tuple[int, int]:
         """Indices of the two coordinates of a polyline."""
         return PLANES[self.plane]
@@ -128,7 +133,7 @@ class Reading:
             raise _unfit(f"{place}.delimiter", ",", "another one than the decimal comma, e.g. ;")
         if self.near is not None and self.keep is not None:
             raise _unfit(place, "near and keep", "one of the two")
-        allowed = OF_TABLES if self.suffix in TABLES else OF_MESHES
+        allowed = OF_TABLES if self.is_table else OF_MESHES
         if self.suffix in SERIES:
             allowed = allowed | {"time"}
         if self.reader is not None:
@@ -138,11 +143,11 @@ class Reading:
                 raise _unfit(
                     f"{place}.{name}", self.given[name], f"no such option for a {self.suffix or 'nameless'} file"
                 )
-        if self.field is not None and self.reader is None and isinstance(self.field, str) == (self.suffix in TABLES):
+        if self.field is not None and self.reader is None and isinstance(self.field, str) == self.is_table:
             raise _unfit(
                 f"{place}.field",
                 self.field,
-                "two columns, e.g. [ux, uy]" if self.suffix in TABLES else "the name of point data",
+                "two columns, e.g. [ux, uy]" if self.is_table else "the name of point data",
             )
 
 

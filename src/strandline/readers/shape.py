@@ -5,8 +5,11 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from strandline.interface import Interface
+from strandline.interface.triangles import signed_volume, vector_areas
 from strandline.readers import cells
 from strandline.readers.chains import Chain, chains, chosen_chain
 from strandline.readers.contents import Block, Contents
@@ -18,6 +21,8 @@ __all__ = ["interface_of", "point_sds"]
 
 FLATNESS = 1e-9
 """Share of the extent by which points may leave a plane."""
+CLOSING = 1e-3
+"""Distance of a last point from the first, in median distances of neighbours, up to which an outline is closed."""
 LEAST_SEEN = 10
 """Fewest points that may be left if some are hidden."""
 SURFACES = (".stl", ".ply")
@@ -32,7 +37,11 @@ def interface_of(contents: Contents, how: Reading, name: str) -> Interface:
         InvalidInterface: The points form no interface.
     """
     places, moved = _places(contents, how, name)
-    found = _of_cells(contents, places, moved, how, name) if contents.blocks else _of_table(places, moved, how, name)
+    found = (
+        _of_cells(contents, places, moved, how, name)
+        if contents.blocks
+        else _of_table(contents, places, moved, how, name)
+    )
     if how.count is not None and len(found.points) != how.count:
         raise refused(
             f"{name}: number of points", len(found.points), f"{how.count}", "Check what writes the file, or `count`."
@@ -64,8 +73,8 @@ def point_sds(contents: Contents, how: Reading, name: str) -> Float[np.ndarray, 
         Unreadable: One is not above 0.
     """
     places, moved = _places(contents, how, name)
-    order = _order(places, how, name)
-    if len(order) > 3 and (moved[order[0]] == moved[order[-1]]).all():
+    order = _order(contents, places, how, name)
+    if _closes(moved[order]):
         order = order[:-1]
     sds = how.factor * np.asarray(contents.data[SD], float)[order]
     if not (np.isfinite(sds) & (sds > 0)).all():
@@ -80,24 +89,40 @@ def point_sds(contents: Contents, how: Reading, name: str) -> Float[np.ndarray, 
 
 
 def _of_table(
-    places: Float[np.ndarray, "point xyz"], moved: Float[np.ndarray, "point xyz"], how: Reading, name: str
+    contents: Contents,
+    places: Float[np.ndarray, "point xyz"],
+    moved: Float[np.ndarray, "point xyz"],
+    how: Reading,
+    name: str,
 ) -> Interface:
-    order = _order(places, how, name)
+    order = _order(contents, places, how, name)
     _require_finite(moved[order], name)
     chain = moved[order]
-    closed = len(chain) > 3 and bool((chain[0] == chain[-1]).all())
+    closed = _closes(chain)
     polyline = Interface.polyline(chain[:-1] if closed else chain, closed=closed)
     polyline.require_simple()
     return polyline
 
 
-def _order(places: Float[np.ndarray, "point xyz"], how: Reading, name: str) -> Int[np.ndarray, " chosen"]:
+def _closes(chain: Float[np.ndarray, "point 2"]) -> bool:
+    """Return whether a chain repeats its first point at its end, but for rounding."""
+    if len(chain) <= 3:
+        return False
+    lengths = np.linalg.norm(np.diff(chain, axis=0), axis=1)
+    return bool(np.linalg.norm(chain[0] - chain[-1]) <= CLOSING * np.median(lengths))
+
+
+def _order(
+    contents: Contents, places: Float[np.ndarray, "point xyz"], how: Reading, name: str
+) -> Int[np.ndarray, " chosen"]:
     """Return the numbers of the chosen points of a table, along the interface."""
     if places.shape[1] != 2:
         raise refused(f"{name} holds points and no cells", f"{len(places)} points", "lines or faces between them")
     order = np.arange(len(places))
     if how.select is not None:
         order = order[_inside(places, how.select)]
+    if contents.pieces is not None:
+        order = _one_piece(order, contents.pieces[order], places, how, name)
     if how.sort is not None:
         order = order[np.argsort(places[order, "xy".index(how.sort)], kind="stable")]
     elif (np.diff(order) != 1).any():
@@ -121,6 +146,30 @@ def _order(places: Float[np.ndarray, "point xyz"], how: Reading, name: str) -> I
     return order
 
 
+def _one_piece(
+    order: Int[np.ndarray, " chosen"],
+    pieces: Int[np.ndarray, " chosen"],
+    places: Float[np.ndarray, "point xyz"],
+    how: Reading,
+    name: str,
+) -> Int[np.ndarray, " chosen"]:
+    """Return the points of the piece that `near` or `keep` chooses."""
+    found = [order[pieces == one] for one in np.unique(pieces)]
+    if len(found) == 1:
+        return order
+    if how.near is not None:
+        near = np.asarray(how.near)[:2]
+        return min(found, key=lambda one: float(np.linalg.norm(places[one] - near, axis=1).min()))
+    if how.keep is not None:
+        return max(found, key=lambda one: float(np.linalg.norm(np.diff(places[one], axis=0), axis=1).sum()))
+    raise refused(
+        f"{name} holds several pieces or times",
+        f"{len(found)}, of {', '.join(str(len(one)) for one in found[:5])} points",
+        "one polyline: no blank line or comment between its points, no column that tells pieces apart",
+        "Leave one in the file, or choose by `keep: longest` or `near: [x, y]` in mm.",
+    )
+
+
 def _of_cells(
     contents: Contents,
     places: Float[np.ndarray, "point xyz"],
@@ -128,15 +177,17 @@ def _of_cells(
     how: Reading,
     name: str,
 ) -> Interface:
-    blocks = _chosen(contents, how, name)
+    blocks = cells.joined(_chosen(contents, how, name), places)
     used = np.unique(np.concatenate([block.nodes.ravel() for block in blocks]))
     _require_finite(places[used], name)
     _require_finite(moved[used], name)
     lowest = min(cells.dimension(block.kind) or 0 for block in blocks)
     flat = _is_flat(places[used], how.axes) and _is_flat(moved[used], how.axes)
     if lowest == 3 or (lowest == 2 and (not flat or how.suffix in SURFACES)):
-        parts = cells.boundary_triangles(blocks) if lowest == 3 else cells.surface_triangles(blocks)
-        return _surface(_kept(parts, contents, places, how, name), moved, places)
+        parts = cells.surface_triangles(blocks) if lowest == 2 else cells.boundary_triangles(blocks)
+        if lowest == 3 and signed_volume(places, parts) < 0:
+            parts = parts[:, ::-1]  # solids that are numbered inside out
+        return _surface(_chosen_part(_kept(parts, contents, places, how, name), places, how), moved, places)
     parts = cells.line_edges(blocks) if lowest == 1 else cells.boundary_edges(blocks)
     if not flat:
         raise refused(f"{name}: the line leaves its plane", how.plane, "a line in a plane", "Choose `plane`.")
@@ -256,6 +307,29 @@ def _surface(
     triangles = _merged(triangles, places)
     used, corners = np.unique(triangles, return_inverse=True)
     return Interface(np.ascontiguousarray(moved[used]), corners.reshape(-1, 3).astype(np.int64))
+
+
+def _chosen_part(
+    triangles: Int[np.ndarray, "cell 3"], places: Float[np.ndarray, "point xyz"], how: Reading
+) -> Int[np.ndarray, "chosen 3"]:
+    """Return the connected part of a surface that `near` or `keep` chooses, if one of them is given."""
+    if how.near is None and how.keep is None:
+        return triangles
+    triangles = _merged(triangles, places)
+    sides = np.concatenate([triangles[:, :2], triangles[:, 1:]])
+    number = len(places)
+    part = connected_components(coo_array((np.ones(len(sides)), sides.T), shape=(number, number)), directed=False)[1]
+    if how.near is not None:
+        used = np.unique(triangles)
+        chosen = part[used[np.argmin(np.linalg.norm(places[used] - _place(how.near), axis=1))]]
+    else:
+        areas = np.linalg.norm(vector_areas(places, triangles), axis=1)
+        chosen = np.argmax(np.bincount(part[triangles[:, 0]], weights=areas))
+    return np.asarray(triangles[part[triangles[:, 0]] == chosen])
+
+
+def _place(near: tuple[float, ...]) -> Float[np.ndarray, "3"]:
+    return np.array([*near, 0.0][:3])
 
 
 def _is_flat(points: Float[np.ndarray, "point xyz"], axes: tuple[int, int]) -> bool:

@@ -1,10 +1,14 @@
 """Points in their order: text with two or more columns, and NumPy arrays."""
 
+import csv
+import math
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from strandline.readers.contents import Contents
 from strandline.readers.options import Reading
@@ -14,44 +18,68 @@ __all__ = ["SD", "missing", "read_npy", "read_text", "require_end"]
 
 SD = "sd of each point"
 """Name of the point data that hold standard deviations, in the file's unit."""
-Row = tuple[int, list[str]]
-"""Number of a line and its fields."""
+DOWN = ("y", "row", "rows", "axis-0", "axis0", "axis_0")
+ACROSS = ("x", "col", "cols", "column", "axis-1", "axis1", "axis_1")
+"""Names of the vertical coordinate and of the horizontal one."""
+COMMENT = re.compile(r"\s*([#%]|\*+\s*($|[^\W\d]|\())")
+"""Beginning of a comment; stars alone may also stand for a number that overflowed, in a row of several."""
+LABEL = re.compile(
+    r"(contour|curve|path|line|shape|piece|part|group|object|particle|cell|roi|slice|track|label|frame|step|time|t|id"
+    r"|index)\b"
+)
+"""Name of a column that tells pieces or times apart."""
+TOUCHING = re.compile(r"[+-]?\d*\.\d*([eEdD][+-]?\d+)?[+-]\d")
+"""Two numbers without a blank between them."""
+OTHER_MARKS = 'With decimal commas give `decimal: ","`; else correct the line, or give `delimiter`.'
+SHORTEST_PIECE = 3
+"""Fewest points of each piece that a column of whole numbers tells apart."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of a table.
+
+    Args:
+        number: Number of the line in the file, from 1.
+        fields: Its fields, without blanks and quotes around them.
+        after_gap: Whether a blank line or a comment stands between it and the row before.
+    """
+
+    number: int
+    fields: tuple[str, ...]
+    after_gap: bool = False
+
+    def __str__(self) -> str:
+        return " ".join(self.fields)
 
 
 def read_text(path: Path, how: Reading, name: str) -> Contents:
     """Return the points of a text file, one per line.
 
-    A line of column names and lines that begin with # are skipped. Without `columns` each line holds x and y.
+    A line of column names and lines that begin with # or * are skipped. Without `columns` each line holds x and y.
     """
     lines = _lines(path, name)
     separator = _separator(lines, how, name)
-    rows = [(number, _fields(line, separator)) for number, line in enumerate(lines, 1)]
-    comments = [fields for _, fields in rows if fields and fields[0].startswith("#")]
-    rows = [(number, fields) for number, fields in rows if any(fields) and not fields[0].startswith("#")]
-    header = [[field.lstrip("# ") for field in fields if field != "#"] for fields in comments[-1:]]
-    names = rows[0][1] if rows else []
+    rows, comment = _rows(lines, separator)
+    titles = rows[0].fields if rows and _is_header(rows[0]) else ()
+    rows = rows[1:] if titles else rows
     if how.decimal == ",":
         rows = _with_points(name, rows)
-    if rows and not any(_is_number(field) for field in rows[0][1]):
-        header, rows = [names], rows[1:]
     if not rows:
         raise refused(f"{name} holds no points", None, "two columns x, y with one point per line")
-    titles = header[0] if header else []
-    if how.columns is None and titles is names and [title.lower() for title in titles[:2]] == ["y", "x"]:
-        raise refused(
-            f"{name} names its columns {titles[0]}, {titles[1]}",
-            " ".join(titles),
-            "x before y, or `columns`",
-            f"Give `columns: [{titles[1]}, {titles[0]}]`.",
-        )
-    if how.columns is None and how.field is None and how.sd is None:
-        return Contents(np.array([_point(name, number, fields, titles) for number, fields in rows]))
     by_name = any(isinstance(column, str) for column in (*(how.columns or ()), *(how.field or ()), how.sd))
-    _require_one_width(name, rows, titles if by_name or titles is names else ())
+    titles = titles or (comment if len(comment) == len(rows[0].fields) or by_name else ())
+    _require_one_width(name, rows, titles)
+    if how.columns is None:
+        if len(rows[0].fields) == len(titles) == 2:
+            _require_x_before_y(name, titles)
+        if len(rows[0].fields) != 2 and how.field is None and how.sd is None:
+            raise _no_point(name, rows[0], titles)
+    _require_no_count(name, rows)
     points = _columns(name, rows, titles, how.columns or (1, 2))
     moved = None if how.field is None else _columns(name, rows, titles, tuple(how.field))
     data = {} if how.sd is None else {SD: _columns(name, rows, titles, (how.sd,))[:, 0]}
-    return Contents(points, data=data, displacement=moved)
+    return Contents(points, data=data, displacement=moved, pieces=_pieces(rows, titles, how))
 
 
 def read_npy(path: Path, how: Reading, name: str) -> Contents:
@@ -63,10 +91,14 @@ def read_npy(path: Path, how: Reading, name: str) -> Contents:
     if not (isinstance(array, np.ndarray) and array.ndim == 2 and array.dtype.kind in "fiu" and len(array)):
         found = f"{array.dtype} of the shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
         raise refused(f"{name} holds no points", found, "an array of numbers (point, 2)")
-    if how.columns is None and array.shape[1] != 2 and how.field is None and how.sd is None:
-        remedy = _say_columns([], array.shape[1])
-        raise refused(f"{name} holds no points", f"the shape {array.shape}", "two columns x, y", remedy)
-    points = _of_array(name, array.astype(float), how.columns or (1, 2))
+    if how.columns is None:
+        remedy = (
+            _say_columns((), array.shape[1])
+            if array.shape[1] != 2
+            else "Give `columns: [1, 2]` for x, y; `columns: [2, 1]` for (row, column), as scikit-image finds contours."
+        )
+        raise refused(f"{name} does not say which column is x", f"the shape {array.shape}", "`columns`", remedy)
+    points = _of_array(name, array.astype(float), how.columns)
     moved = None if how.field is None else _of_array(name, array.astype(float), tuple(how.field))
     data = {} if how.sd is None else {SD: _of_array(name, array.astype(float), (how.sd,))[:, 0]}
     return Contents(points, data=data, displacement=moved)
@@ -77,83 +109,154 @@ def _of_array(
 ) -> Float[np.ndarray, "point chosen"]:
     for column in columns:
         if isinstance(column, str) or column > array.shape[1]:
-            found, remedy = f"{array.shape[1]} columns", _say_columns([], array.shape[1])
+            found, remedy = f"{array.shape[1]} columns", _say_columns((), array.shape[1])
             raise refused(f"{name} has no column {column}", found, "columns by number from 1", remedy)
     return np.ascontiguousarray(array[:, [int(column) - 1 for column in columns]])
+
+
+def _rows(lines: Sequence[str], separator: str) -> tuple[list[Row], tuple[str, ...]]:
+    """Return the rows, and the fields of the last comment before the first one."""
+    rows: list[Row] = []
+    comment, gap = "", False
+    for number, line in enumerate(lines, 1):
+        if not line.strip(" \t,;") or COMMENT.match(line):
+            gap = bool(rows)
+            comment = line.lstrip(" #%") if line.strip() and not rows else comment
+            continue
+        rows.append(Row(number, _fields(line, separator), gap))
+        gap = False
+    return rows, _fields(comment, separator) if comment else ()
+
+
+def _fields(line: str, separator: str) -> tuple[str, ...]:
+    """Return the fields of a line, of which one in quotes may hold the separator; one may end the line."""
+    text = " ".join(line.split()) if separator == " " else line
+    found = tuple(field.strip() for field in next(csv.reader([text], delimiter=separator, skipinitialspace=True)))
+    return found[:-1] if len(found) > 1 and not found[-1] else found
+
+
+def _is_header(row: Row) -> bool:
+    """Return whether a first row holds names: letters first, and none of what programs write for numbers."""
+    return all(re.match(r"[^\W\d]|[\[(]|$", field) and not _is_number(field) for field in row.fields)
 
 
 def _columns(
     name: str, rows: Sequence[Row], titles: Sequence[str], columns: Sequence[str | int]
 ) -> Float[np.ndarray, "point column"]:
     """Return columns of a table."""
-    chosen = [_place(name, column, titles, rows[0][1], pair=len(columns) > 1) for column in columns]
-    for number, fields in rows:
-        if len(fields) <= max(chosen) or not all(_is_number(fields[k]) for k in chosen):
-            raise refused(
-                f"{name} has no point in line {number}",
-                " ".join(fields),
-                f"numbers in the columns {', '.join(map(str, columns))}",
-            )
-    return np.array([[float(fields[k]) for k in chosen] for _, fields in rows])
+    chosen = [_place(name, column, titles, rows[0], pair=len(columns) > 1) for column in columns]
+    for row in rows:
+        if len(row.fields) <= max(chosen) or not all(_is_number(row.fields[k]) for k in chosen):
+            raise _no_point(name, row, titles, columns)
+    return np.array([[float(row.fields[k]) for k in chosen] for row in rows])
 
 
-def _place(name: str, column: str | int, titles: Sequence[str], fields: Sequence[str], *, pair: bool) -> int:
+def _place(name: str, column: str | int, titles: Sequence[str], row: Row, *, pair: bool) -> int:
     if isinstance(column, int):
         return column - 1
     if list(titles).count(column) != 1:
         shown = ", ".join(titles) or "no line of column names"
-        remedy = _say_columns(titles, len(fields)) if pair else "Name the column in `sd`, or give its number from 1."
+        remedy = (
+            _say_columns(titles, len(row.fields)) if pair else "Name the column in `sd`, or give its number from 1."
+        )
         raise refused(f"{name} has no column {column}", shown, f"one column called {column}", remedy)
-    return titles.index(column)
+    return list(titles).index(column)
 
 
 def _with_points(name: str, rows: Sequence[Row]) -> list[Row]:
     """Return rows with decimal commas replaced by decimal points."""
-    for number, fields in rows:
-        odd = next((field for field in fields if _is_number(field) and "." in field), None)
+    for row in rows:
+        odd = next((field for field in row.fields if _is_number(field) and "." in field), None)
         if odd is not None:
             expected = 'decimal commas, as `decimal: ","` says'
-            raise refused(f"{name} has a decimal point in line {number}", odd, expected, "Remove one of the two.")
-    return [(number, [field.replace(",", ".") for field in fields]) for number, fields in rows]
+            raise refused(f"{name} has a decimal point in line {row.number}", odd, expected, "Remove one of the two.")
+    return [Row(row.number, tuple(field.replace(",", ".") for field in row.fields), row.after_gap) for row in rows]
 
 
 def _require_one_width(name: str, rows: Sequence[Row], titles: Sequence[str]) -> None:
-    """Refuse rows with more fields than there are column names, or than most rows have, and a last row with fewer."""
-    counts = [len(fields) - (not fields[-1]) for _, fields in rows]  # a separator may end the line
-    usual = max(set(counts), key=counts.count)
-    most = len(titles) or usual
-    for (number, fields), count in zip(rows, counts, strict=True):
-        if count > most:
+    """Refuse rows with more or fewer fields than there are column names, or than most rows have."""
+    counts = [len(row.fields) for row in rows]
+    usual = len(titles) or max(set(counts), key=counts.count)
+    for row, count in zip(rows, counts, strict=True):
+        if count != usual:
             raise refused(
-                f"{name} has too many fields in line {number}",
-                f"{count}: {' '.join(fields)}",
-                f"{most}, as there are {'column names' if titles else 'in most lines'}",
-                'With decimal commas give `decimal: ","`; else correct the line, or give `delimiter`.',
+                f"{name} has too {'many' if count > usual else 'few'} fields in line {row.number}",
+                f"{count}: {row}",
+                f"{usual}, as there are {'column names' if titles else 'in most lines'}",
+                _touching(row)
+                or 'With decimal commas give `decimal: ","`; else correct the line, or give `delimiter`.',
             )
-    if counts[-1] < usual:
-        number, fields = rows[-1]
-        raise refused(f"{name} has too few fields in its last line, {number}", " ".join(fields), f"{usual}, as before")
+
+
+def _require_x_before_y(name: str, titles: Sequence[str]) -> None:
+    """Refuse columns whose names say that y comes first."""
+    if _plain(titles[0]) in DOWN or _plain(titles[1]) in ACROSS:
+        raise refused(
+            f"{name} names its columns {titles[0]}, {titles[1]}",
+            " ".join(titles),
+            "x before y, or `columns`",
+            f"Give `columns: [{titles[1]}, {titles[0]}]`.",
+        )
+
+
+def _plain(title: str) -> str:
+    """Return the name of a column without its unit, in lower case."""
+    return re.split(r"[\s\[(/]", title.strip().lower(), maxsplit=1)[0]
+
+
+def _require_no_count(name: str, rows: Sequence[Row]) -> None:
+    """Refuse a first row that counts the rows and columns after it."""
+    if len(rows) > 1 and rows[0].fields == (str(len(rows) - 1), str(len(rows[1].fields))):
+        raise refused(
+            f"{name} counts its points in line {rows[0].number}", str(rows[0]), "points alone", "Remove this line."
+        )
+
+
+def _pieces(rows: Sequence[Row], titles: Sequence[str], how: Reading) -> Int[np.ndarray, " point"] | None:
+    """Return the number of each point's piece, if a blank line, a comment or a column tells several pieces apart.
+
+    A column does if it holds whole numbers, or words, each in a single run of at least three rows, and has no name or
+    such a one. Points that are sorted may have gaps.
+    """
+    for k in range(len(rows[0].fields)):
+        if titles and not LABEL.match(titles[k].lower()):
+            continue
+        values = [row.fields[k] for row in rows]
+        runs = np.cumsum([0, *(one != other for one, other in zip(values[1:], values, strict=False))])
+        lengths, different = np.bincount(runs), len(set(values))
+        if 1 < different == len(lengths) and lengths.min() >= SHORTEST_PIECE and all(map(_is_label, values)):
+            return np.asarray(runs)
+    gaps = np.cumsum([row.after_gap for row in rows])
+    return gaps if gaps[-1] and how.sort is None else None
+
+
+def _is_label(text: str) -> bool:
+    return not _is_number(text) or (math.isfinite(float(text)) and float(text).is_integer())
 
 
 def _separator(lines: Sequence[str], how: Reading, name: str) -> str:
-    """Return the characters that separate fields: one, or several of which any one separates.
+    """Return the character that separates fields; blanks are any number of spaces and tabs.
 
     Raises:
-        Unreadable: a line has semicolons and commas, and no option says which are decimal.
+        Unreadable: A line has two of them, of which one may be decimal commas.
     """
     if how.delimiter is not None:
         return how.delimiter
-    if how.decimal == ",":
-        return "; \t"
+    marks = ";\t" if how.decimal == "," else ",;\t"
     for number, line in enumerate(lines, 1):
-        if ";" in line and "," in line and not line.lstrip().startswith("#"):
+        bare = re.sub(r'"[^"]*"', "", line)
+        found = [mark for mark in marks if mark in bare.strip()]
+        if COMMENT.match(line) or not any(character.isdigit() for character in bare):
+            continue
+        if "," in found and len(found) > 1:
             raise refused(
-                f"{name} has semicolons and commas in line {number}",
+                f"{name} has {'semicolons' if ';' in found else 'tabs'} and commas in line {number}",
                 line.strip(),
                 "one of them between the fields",
                 'With decimal commas give `decimal: ","`; else say what separates the fields, e.g. `delimiter: ";"`.',
             )
-    return ",; \t"
+        return found[0] if found else " "
+    return "," if any("," in line for line in lines) and how.decimal != "," else " "
 
 
 def _lines(path: Path, name: str) -> list[str]:
@@ -189,19 +292,19 @@ def require_end(path: Path, name: str) -> None:
         )
 
 
-def _fields(line: str, separator: str) -> list[str]:
-    if len(separator) == 1:
-        return [field.strip().strip('"') for field in line.split(separator)] if line.strip() else []
-    for character in separator:
-        line = line.replace(character, " ")
-    return line.split()
+def _no_point(name: str, row: Row, titles: Sequence[str], columns: Sequence[str | int] = ()) -> Unreadable:
+    expected = f"numbers in the columns {', '.join(map(str, columns))}" if columns else "two numbers x, y"
+    remedy = "Correct the line, or what writes it."
+    if not columns and len(row.fields) > 2:
+        remedy = _say_columns(titles, len(row.fields))
+    return refused(f"{name} has no point in line {row.number}", str(row), expected, _touching(row) or remedy)
 
 
-def _point(name: str, number: int, fields: list[str], titles: Sequence[str]) -> tuple[float, float]:
-    if len(fields) != 2 or not all(_is_number(field) for field in fields):
-        remedy = _say_columns(titles, len(fields)) if len(fields) > 2 else "Correct the line, or what writes it."
-        raise refused(f"{name} has no point in line {number}", " ".join(fields), "two numbers x, y", remedy)
-    return float(fields[0]), float(fields[1])
+def _touching(row: Row) -> str | None:
+    """Return the remedy if numbers of a row touch, as in columns of fixed width."""
+    if not any(TOUCHING.match(field) for field in row.fields):
+        return None
+    return "Numbers touch: let the program write blanks between them, or give a `reader` of your own."
 
 
 def _say_columns(titles: Sequence[str], number: int) -> str:

@@ -89,7 +89,8 @@ def test_a_box_selects_before_the_displacement_and_does_not_cut(tmp_path):
 
 def test_arrays(tmp_path):
     np.save(tmp_path / "a.npy", POINTS.astype(np.float32))
-    np.testing.assert_array_equal(read(tmp_path / "a.npy").points, POINTS)
+    np.testing.assert_array_equal(read(tmp_path / "a.npy", columns=[1, 2]).points, POINTS)
+    refused(r"which column is x.*`columns: \[2, 1\]` for \(row, column\)", tmp_path / "a.npy")
     np.save(tmp_path / "b.npy", np.column_stack([np.arange(3), POINTS]))
     np.testing.assert_array_equal(read(tmp_path / "b.npy", columns=[2, 3]).points, POINTS)
     whole = (tmp_path / "b.npy").read_bytes()
@@ -123,13 +124,20 @@ def test_a_pickle_is_never_read(tmp_path):
 
 XY, FIRST = {"columns": ["x", "y"]}, {"columns": [1, 2]}
 BAD = [
-    ("x,y\n0,0\n1,", XY, "no point in line 3"),
+    ("x,y\n0,0\n1,", XY, "too few fields in line 3"),
+    ("x,y,p\n0,0,1\n1,1\n2,2,1\n", XY, "too few fields in line 3"),
+    ("x,y\n0,0\n,1\n2,2\n", XY, "no point in line 3"),
+    ("n x y\n1 0.5-0.25\n2 0.5 0.25\n", XY, "too few fields in line 2: got 2: 1 0.5-0.25; expected 3"),
+    ("1 0.5-0.25 3\n2 0.5-0.25 3", FIRST, "Numbers touch"),
+    ("0,5\t1,0\n1,5\t2,0\n", FIRST, "tabs and commas in line 1"),
+    ("***** *****\n0 0\n1 1\n", {}, "no point in line 1"),
+    ("1.0D-03 0\n1 1\n", {}, "no point in line 1"),
+    ("2 2\n0 0\n1 1\n", {}, "counts its points in line 1"),
     ("x,y\n0,0\n1,1\n", {"columns": ["x", "z"]}, "no column z"),
     (b"\x00\xff\xfe" * 100, {}, "cannot be read"),
     ("x;y\n0,5;1,0\n1,5;2,0\n", XY, "semicolons and commas in line 2"),
     ("x y\n0,5 1,0\n1,5 2,0\n", XY, "too many fields in line 2"),
-    ("x y\n0,5 1,0\n1,5 2,0\n", FIRST, "4: 0 5 1 0; expected 2"),
-    ("n,x,y\n1,0,0\n2,1,1\n3,2", FIRST, "too few fields in its last line, 4"),
+    ("n,x,y\n1,0,0\n2,1,1\n3,2", FIRST, "too few fields in line 4"),
     ("0,5;1.0\n", {"decimal": ","}, "decimal point in line 1: got 1.0"),
 ]
 REMEDIES = [
@@ -153,9 +161,55 @@ def test_the_remedy_of_missing_columns_is_what_to_write(tmp_path):
         message = refused(told.replace("[", r"\["), written(tmp_path, text), **options)
         names = message.rpartition("[")[2].partition("]")[0].split(", ")
         assert len(read(tmp_path / "points.csv", columns=[int(n) if n.isdigit() else n for n in names]).points) == 2
-    path = written(tmp_path, "y,x\n0,1\n2,3\n")
-    refused(r"names its columns y, x.*Give `columns: \[x, y\]`", path)
-    np.testing.assert_array_equal(read(path, columns=["x", "y"]).points, [[1.0, 0.0], [3.0, 2.0]])
+
+
+@pytest.mark.parametrize(
+    "names", ["y,x", '"y","x"', "Y [mm],X [mm]", "row,col", "axis-0,axis-1", "# y,x", "y(px),x(px)"]
+)
+def test_y_before_x_is_told_by_the_names(tmp_path, names):
+    path = written(tmp_path, f"{names}\n0,1\n2,3\n")
+    refused(r"names its columns .*; expected x before y, or `columns`\. Give `columns: \[", path)
+    y, x = names.replace('"', "").removeprefix("# ").split(",")
+    np.testing.assert_array_equal(read(path, columns=[x, y]).points, [[1.0, 0.0], [3.0, 2.0]])
+
+
+ONE, TWO = "0 0\n1 0\n2 1\n", "5 5\n6 5\n7 5\n9 5\n"
+
+
+def labelled(names="id x y", labels=("1", "2")):
+    rows = (f"{label} {row}" for label, part in zip(labels, (ONE, TWO), strict=True) for row in part.splitlines())
+    return "\n".join([names, *rows])
+
+
+@pytest.mark.parametrize(
+    ("text", "options"),
+    [
+        (ONE + "\n" + TWO, {}),
+        (f"{ONE}# the other one\n{TWO}", {}),
+        (f"*Step = 1\n{ONE}*Step = 2\n{TWO}", {}),
+        (labelled(), XY),
+        (labelled("t x y", ("0.0", "1.0")), XY),
+        (labelled("shape x y", ("left", "right")), XY),
+        (labelled("# no names", ("1", "2")), {"columns": [2, 3]}),
+    ],
+)
+def test_several_pieces_or_times_are_refused_or_chosen_from(tmp_path, text, options):
+    path = written(tmp_path, text, "points.txt")
+    refused("several pieces or times: got 2, of 3, 4 points", path, **options)
+    assert read(path, keep="longest", **options).points[0].tolist() == [5.0, 5.0]
+    assert read(path, near=[1, 1], **options).points[-1].tolist() == [2.0, 1.0]
+
+
+def test_a_column_of_values_or_of_the_numbers_of_points_tells_no_pieces_apart(tmp_path):
+    text = "n,p,x,y\n1,0,0,0\n2,0,1,0\n3,0,2,0\n4,7,3,0\n5,7,4,0\n6,7,5,0\n"
+    assert len(read(written(tmp_path, text), columns=["x", "y"]).points) == 6
+    assert len(read(written(tmp_path, ONE + "\n" + TWO, "a.txt"), sort="x").points) == 7
+
+
+def test_names_in_quotes_may_hold_what_separates_them_and_a_last_point_closes_but_for_rounding(tmp_path):
+    text = '"Points, 0","Points, 1"\n0,0\n1,0\n1,1\n-1e-9,1e-9\n'
+    found = read(written(tmp_path, text), columns=["Points, 0", "Points, 1"])
+    assert (found.closed, len(found.points)) == (True, 3)
 
 
 OPTIONS = [
@@ -194,9 +248,9 @@ def test_standard_deviations_have_the_unit_of_the_points(tmp_path):
     np.save(path, table)
     np.savetxt(tmp_path / "a.csv", table, delimiter=",")
     for name in ("a.npy", "a.csv"):
-        how = Reading.from_options({"file": name, "unit": "um", "sd": 3}, "result")
+        how = Reading.from_options({"file": name, "unit": "um", "sd": 3, "columns": [1, 2]}, "result")
         np.testing.assert_allclose(read_point_sds(tmp_path / name, how), [0.002, 0.003, 0.004])
-        np.testing.assert_allclose(read(tmp_path / name, sd=3).points, table[:, :2])
+        np.testing.assert_allclose(read(tmp_path / name, sd=3, columns=[1, 2]).points, table[:, :2])
 
 
 def test_a_reader_of_ones_own_that_returns_something_else_is_refused(tmp_path, monkeypatch):

@@ -1,0 +1,35 @@
+"""Meshes whose cells have nodes of their own, and parts of surfaces."""
+
+import meshio
+import numpy as np
+import pytest
+from tests.unit.readers.reads import read
+
+CUBE = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0)])
+TETRA = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
+
+
+def written(path, points, kind, cells):
+    meshio.write(path, meshio.Mesh(points, [(kind, cells)]))
+    return path
+
+
+@pytest.mark.parametrize("inside_out", [False, True])
+@pytest.mark.parametrize("shaken", [0.0, 1e-13])
+def test_inner_faces_are_no_surface_if_each_cell_repeats_its_nodes(tmp_path, inside_out, shaken):
+    cells = TETRA[:, [0, 2, 1, 3]] if inside_out else TETRA
+    points = CUBE[cells.ravel()] + shaken * np.random.default_rng(0).standard_normal((24, 3))
+    found = read(written(tmp_path / "a.vtu", points, "tetra", np.arange(24).reshape(-1, 4)))
+    assert (found.closed, len(found.points)) == (True, 8)
+    assert found.areas.sum() == pytest.approx(6.0)
+    middle = found.centres - 0.5
+    assert (np.sum(middle * found.normals, axis=1) > 0).all()
+
+
+def test_near_and_keep_choose_a_part_of_a_surface(tmp_path):
+    points = np.concatenate([CUBE[[0, 1, 2, 4]], 2.0 * CUBE[[0, 1, 2, 4]] + 5.0])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    path = written(tmp_path / "a.stl", points, "triangle", np.concatenate([faces, faces + 4]))
+    assert len(read(path).points) == 8
+    assert read(path, keep="longest").points.min() == 5.0
+    assert read(path, near=[0, 0, 0]).points.max() == 1.0
