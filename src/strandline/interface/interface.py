@@ -148,13 +148,15 @@ class Interface:
             return Interface(self.points, np.ascontiguousarray(self.cells[:, ::-1]))
         return Interface.polyline(self.points[::-1], closed=self.closed)
 
-    def resampled(self, number: int) -> "Interface":
+    def resampled(self, number: int, *, start: float = 0.0) -> "Interface":
         """Return the polyline through `number` of its points, equally spaced by arclength.
 
-        An open one keeps its two ends, a closed one its first point.
+        An open one keeps its two ends; a closed one begins after the share `start` of its length.
         """
         arclength = np.concatenate([[0.0], np.cumsum(self.lengths)])
         wanted = np.linspace(0.0, arclength[-1], number, endpoint=not self.closed)
+        if self.closed:
+            wanted = (wanted + start * arclength[-1]) % arclength[-1]
         return Interface.polyline(self._at(wanted, arclength), closed=self.closed)
 
     def runs_against(self, other: "Interface") -> bool:

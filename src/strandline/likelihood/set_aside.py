@@ -1,7 +1,7 @@
 """Single runs that ended ok but cannot be used: they are named and set aside, and the study goes on.
 
-A run may have another number of points than the measure needs, coordinates of 1e160, or an interface that runs the
-other way round. Such a run counts as `invalid` for this analysis; the ledger keeps it as it is.
+A run may have another number of points than the measure needs, or coordinates of 1e160. Such a run counts as `invalid`
+for this analysis; the ledger keeps it as it is. An interface that runs the other way is turned round.
 """
 
 import math
@@ -18,13 +18,13 @@ from strandline.likelihood import InterfaceLikelihood
 from strandline.likelihood.field import noise_length
 from strandline.runs import FailurePolicy, RunRecord
 from strandline.runs.tables import EXCLUDED
-from strandline.surrogate.field.odd import FLIPPED, flipped, odd_ones
+from strandline.surrogate.field.odd import flipped, odd_ones
 
 __all__ = ["Judge", "SetAside", "says_whether_runs_succeed"]
 
 NOT_COMPARABLE = "not_comparable"
 NO_COMMON_POINTS = "no_common_points"
-KINDS = frozenset({NOT_COMPARABLE, FLIPPED, NO_COMMON_POINTS})
+KINDS = frozenset({NOT_COMPARABLE, NO_COMMON_POINTS})
 FARTHEST = 1e6
 """Distance from the observed interface, in its extents, beyond which there is nothing to compare."""
 EXCEPTIONS = 0.1
@@ -38,7 +38,7 @@ class SetAside:
     Args:
         key: Content address of the run.
         inputs: Inputs by name.
-        kind: ``not_comparable``, ``flipped`` or ``no_common_points``.
+        kind: ``not_comparable`` or ``no_common_points``.
         measure: Name of the measure it is set aside for; None if it is not used at all.
         why: Reason in words.
     """
@@ -54,7 +54,7 @@ class Judge:
     """Evaluate the measures on runs, each once, and decide which runs cannot be used.
 
     The first runs show at which end an interface begins. An observation that begins at the other end is turned round,
-    and `turned` names its condition.
+    and `turned` names its condition; so is the interface of a run that clearly begins at the other end.
 
     Args:
         observations: One for each observed condition.
@@ -75,7 +75,7 @@ class Judge:
         self._exceptions: dict[str, SetAside] = {}
 
     def usable(self, records: Sequence[RunRecord]) -> tuple[RunRecord, ...]:
-        """Return `records` with those that cannot be used marked `invalid`.
+        """Return `records` in the observation's direction, with those that cannot be used marked `invalid`.
 
         Raises:
             InvalidInput: The measure cannot be evaluated on any of the runs, so the runs are not the cause.
@@ -85,8 +85,6 @@ class Judge:
         good = [record for record in records if record.ok]
         self._orient(good)
         self._aside |= {one.key: one for one in self._not_comparable(good)}
-        if not self._aside and not self._exceptions:
-            return tuple(records)
         out = tuple(self._judged(record) for record in records)
         self._heed(out)
         return out
@@ -157,7 +155,7 @@ class Judge:
         if key not in self._known:
             try:
                 _require_near(record, self.observations)
-                self._known[key] = self.likelihoods[measure](record.interfaces)
+                self._known[key] = self.likelihoods[measure](self._turned(record).interfaces)
             except (InvalidInput, NumericsError, ArithmeticError) as error:
                 self._known[key] = error
         return self._known[key]
@@ -170,19 +168,27 @@ class Judge:
         for record, one in zip(good, found, strict=True):
             if not isinstance(one, float):
                 yield SetAside(record.key, record.inputs, NOT_COMPARABLE, self.first, _one_line(one))
-        rest = [record for record, one in zip(good, found, strict=True) if isinstance(one, float)]
-        turned = [record for record in rest if self._flipped(record)]
-        if 2 * len(turned) < len(rest):  # otherwise the observation runs the other way
-            for record in turned:
-                yield SetAside(record.key, record.inputs, FLIPPED, None, "its points run from the other end")
 
-    def _flipped(self, record: RunRecord) -> bool:
-        return any(flipped(record.interfaces.get(seen.condition), seen.interface) for seen in self.observations)
+    def _turned(self, record: RunRecord) -> RunRecord:
+        """Return the record with the interfaces turned round that run against the observation."""
+        against = {
+            seen.condition
+            for seen in self.observations
+            if seen.condition in record.interfaces and flipped(record.interfaces[seen.condition], seen.interface)
+        }
+        if not against:
+            return record
+        turned = {name: one.reversed() if name in against else one for name, one in record.interfaces.items()}
+        slopes = dict(record.sensitivities)
+        for name in against & slopes.keys():
+            if turned[name].dim == 2:  # a surface keeps the order of its nodes
+                slopes[name] = {of: slope[::-1] for of, slope in slopes[name].items()}
+        return replace(record, interfaces=turned, sensitivities=slopes)
 
     def _judged(self, record: RunRecord) -> RunRecord:
         found = self._aside.get(record.key) or self._exceptions.get(record.key)
         if found is None or not record.ok:
-            return record
+            return self._turned(record) if record.ok else record
         nothing: dict[str, Any] = {"interfaces": {}, "sensitivities": {}}
         return replace(record, state="invalid", failure_kind=found.kind, message=found.why, **nothing)
 

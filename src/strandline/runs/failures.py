@@ -31,7 +31,6 @@ COMMON_KINDS = (
     "preempted",
     "damaged_result",
     "not_comparable",
-    "flipped",
     "no_common_points",
 )
 """Kinds of failure of any model, in addition to those that the model itself defines."""

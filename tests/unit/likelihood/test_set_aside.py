@@ -1,5 +1,7 @@
 """One odd run among many is named and left out; where all are odd, the measure is to blame."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -35,7 +37,6 @@ def test_one_odd_run_is_named_and_left_out():
         ("not_comparable", curve(0.3, 11)),
         ("not_comparable", curve(0.3) + 1e9),  # a million times the extent
         ("not_comparable", curve(0.3) * 1e160),
-        ("flipped", curve(0.31)[::-1]),
     ):
         records, found = [*regular(), record(99, odd)], judge()
         used = found.usable(records)
@@ -56,6 +57,22 @@ def test_good_runs_are_what_they_were():
     assert all(one.ok for one in judge().usable(flipped))
     with pytest.raises(InvalidInterface, match="do not correspond"):
         judge().usable([record(i, curve(0.3, 11)) for i in range(5)])
+
+
+def test_a_run_that_runs_from_the_other_end_is_turned_round_with_its_derivatives():
+    """A closed one, too, wherever it begins; a line that cannot be told from its reverse stays."""
+    slope = np.arange(18.0).reshape(9, 2)
+    odd = replace(record(99, curve(0.31)[::-1]), sensitivities={"": {"E": slope}})
+    used = judge().usable([*regular(), odd])
+    np.testing.assert_array_equal(used[-1].interface.points, curve(0.31))
+    np.testing.assert_array_equal(used[-1].sensitivities[""]["E"], slope[::-1])
+    assert judge().value("tracked_points", odd) == judge().value("tracked_points", record(99, curve(0.31)))
+    angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    seen = Observation(Interface.polyline(ring, closed=True), 0.01)
+    found = Judge((seen,), CLOSEST, FailurePolicy())
+    rings = [record(i, (1 + 0.01 * i) * ring[:: -1 if i == 3 else 1], closed=True) for i in range(6)]
+    assert all(not one.interface.runs_against(seen.interface) for one in found.usable(rings))
 
 
 def test_the_errors_of_each_point_are_turned_with_the_points():

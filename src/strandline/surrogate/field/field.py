@@ -75,7 +75,7 @@ class FieldSurrogate:
 
     @property
     def ways(self) -> tuple[str, ...]:
-        """How the interfaces of the conditions share their points: ``nodes``, ``arclength``, ``projection``."""
+        """How the interfaces of the conditions share their points, as `Layout` names it."""
         return tuple(sorted({layout.way for layout in self.layouts.values()}))
 
     @property
@@ -173,7 +173,8 @@ def fit_field(training: FieldTraining, *, tolerance: float = TOLERANCE) -> Field
             expected=f"at least {needed} for {dim} input(s)",
             remedy="Add runs to the design, or look at why runs failed.",
         )
-    layouts = {name: common_layout([run[name] for run in training.interfaces]) for name in training.interfaces[0]}
+    x = (training.x - training.low) / (training.high - training.low)
+    layouts = {name: common_layout([run[name] for run in training.interfaces], x) for name in training.interfaces[0]}
     fields, error = fields_of(training.interfaces, layouts)
     if not np.ptp(fields, axis=0).any():
         raise InvalidInput(
@@ -182,8 +183,7 @@ def fit_field(training: FieldTraining, *, tolerance: float = TOLERANCE) -> Field
             expected="interfaces that the inputs change",
             remedy="Look at the model: does it read its inputs?",
         )
-    corresponding = all(layout.way == "nodes" for layout in layouts.values())
-    gradients = _gradients(training, layouts) if corresponding else None
+    gradients = _gradients(training, layouts) if all(one.by_nodes for one in layouts.values()) else None
     weights = np.concatenate([np.repeat(layout.weights, layout.template.dim) for layout in layouts.values()])
     data = Data(training.x, fields, weights, gradients)
     with one_thread():
@@ -197,4 +197,9 @@ def _gradients(training: FieldTraining, layouts: Mapping[str, Layout]) -> Float[
     if training.gradients is None:
         return None
     dim = training.x.shape[1]
-    return np.array([np.concatenate([run[name].reshape(-1, dim) for name in layouts]) for run in training.gradients])
+    return np.array(
+        [
+            np.concatenate([slopes[name][one.order(run[name])].reshape(-1, dim) for name, one in layouts.items()])
+            for run, slopes in zip(training.interfaces, training.gradients, strict=True)
+        ]
+    )

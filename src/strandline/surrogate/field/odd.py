@@ -10,9 +10,8 @@ from strandline.interface import Interface
 from strandline.surrogate.field.correspondence import Layout, common_layout, registered
 from strandline.surrogate.field.projection import Reference
 
-__all__ = ["FLIPPED", "flipped", "odd_ones"]
+__all__ = ["flipped", "odd_ones"]
 
-FLIPPED = "flipped"
 CANDIDATES = 3
 """Number of surfaces tried as the reference of the projections."""
 SHARES = 33
@@ -20,12 +19,14 @@ NEARER = 0.1
 """An open polyline counts as flipped if reversing it reduces the sum of squared distances to less than this share."""
 
 
-def flipped(interface: Interface | None, other: Interface) -> bool:
-    """Return whether a polyline is clearly `other`, or one close to it, in the opposite direction."""
-    if interface is None or interface.dim != 2 or other.dim != 2 or interface.closed != other.closed:
+def flipped(interface: Interface, other: Interface) -> bool:
+    """Return whether an interface is clearly `other`, or one close to it, in the opposite direction."""
+    if interface.dim != other.dim or interface.closed != other.closed:
         return False
     if interface.closed:
         return interface.runs_against(other)
+    if interface.dim == 3:
+        return False
     mine, theirs = interface.resampled(SHARES).points, other.resampled(SHARES).points
     return bool(np.sum((mine - theirs[::-1]) ** 2) < NEARER * np.sum((mine - theirs) ** 2))
 

@@ -1,0 +1,116 @@
+"""Closed outlines that begin anywhere, in either direction, against the same outlines with fixed nodes.
+
+Random families of outlines of two inputs; the posterior by a sum over a grid, through the surrogate of the interface.
+
+Run it with:  python -m verification.validation.first_nodes [--problems 40]
+"""
+
+import argparse
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from verification.validation.tables import Cell, Table
+
+from strandline.design import sobol
+from strandline.discrepancy import NormalOffset, squared_discrepancies
+from strandline.interface import Interface, PointErrors
+from strandline.surrogate.field import FieldTraining, fit_field
+
+__all__ = ["Family", "posterior", "table"]
+
+SD = 0.01
+"""Standard deviation of the observed points, mm; outlines have a radius of about 1 mm."""
+RUNS, SEEN, GRID = 48, 50, 41
+LOW, HIGH = np.zeros(2), np.ones(2)
+WAVES = np.array([-2, -1, 1, 2, 3])
+
+
+class Moments(NamedTuple):
+    """Mean and standard deviation of each input."""
+
+    mean: np.ndarray
+    sd: np.ndarray
+
+
+class Family:
+    """Outlines as Fourier series whose coefficients are quadratic in two inputs; the nodes slide with the second."""
+
+    def __init__(self, seed: int) -> None:
+        random = np.random.default_rng([seed, 1])
+        size = 0.3 / np.abs(WAVES) ** 1.5
+        self.terms = size * (random.standard_normal((6, 5)) + 1j * random.standard_normal((6, 5))) / 3
+        self.terms[0, 2] += 1.0
+        self.sliding = random.uniform(-0.3, 0.3)
+        self.truth = random.uniform(0.3, 0.7, 2)
+
+    def __call__(self, x: np.ndarray, nodes: int, *, begin: float = 0.0) -> np.ndarray:
+        """Return the points of the outline at inputs x, from an angle on."""
+        a, b = x - 0.5
+        terms = np.array([1.0, a, b, a * a, a * b, b * b]) @ self.terms
+        t = begin + 2 * np.pi * np.arange(nodes) / nodes
+        t = t + self.sliding * b + 0.2 * np.sin(t)
+        z = np.exp(1j * np.outer(t, WAVES)) @ terms
+        return np.stack([z.real, z.imag], axis=1)
+
+
+def closed(points: np.ndarray, first: int = 0, *, back: bool = False) -> Interface:
+    """Return the outline through points from another first one on."""
+    return Interface.polyline(np.roll(points[::-1] if back else points, -first, axis=0), closed=True)
+
+
+def posterior(family: Family, make: Callable[[np.ndarray], Interface], nodes: int) -> tuple[Moments, str]:
+    """Return the posterior by runs of `make`, and how they share their points."""
+    x = np.asarray(sobol(RUNS, 2, scramble=3))
+    surrogate = fit_field(FieldTraining(x, [{"": make(row)} for row in x], None, LOW, HIGH))
+    template = surrogate.layouts[""].template
+    seen = PointErrors(SD).draw(closed(family(family.truth, SEEN)), np.random.default_rng([7, nodes]))
+    seen = seen.reversed() if seen.runs_against(template) else seen
+    low, high = LOW, HIGH
+    for _ in range(3):
+        axes = [np.linspace(a, b, GRID) for a, b in zip(low, high, strict=True)]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+        squares = squared_discrepancies(NormalOffset(), surrogate.points(surrogate.mean(grid))[""], template, seen)
+        weights = np.exp(-0.5 * (squares - squares.min()) / SD**2)
+        mean = weights @ grid / weights.sum()
+        sd = np.sqrt(weights @ (grid - mean) ** 2 / weights.sum())
+        reach = 6 * np.maximum(sd, (high - low) / GRID)
+        low, high = np.clip(mean - reach, 0, 1), np.clip(mean + reach, 0, 1)
+    return Moments(mean, sd), ", ".join(surrogate.ways)
+
+
+def compared(seed: int) -> list[tuple[str, float, float, str]]:
+    """Return for each kind of outlines how far mean and width are from those with fixed nodes, in sd and as a ratio."""
+    family, random, found = Family(seed), np.random.default_rng([seed, 2]), []
+
+    def wandering(x: np.ndarray) -> Interface:
+        return closed(family(x, 60), int(random.integers(60)), back=bool(random.integers(2)))
+
+    def anywhere(x: np.ndarray) -> Interface:
+        begin, nodes = random.uniform(0, 2 * np.pi), int(random.integers(200, 280))
+        return closed(family(x, nodes, begin=begin), back=bool(random.integers(2)))
+
+    for kind, nodes, make in (("equal numbers of nodes", 60, wandering), ("other numbers", 240, anywhere)):
+        fixed, _ = posterior(family, lambda x, nodes=nodes: closed(family(x, nodes)), nodes)
+        other, ways = posterior(family, make, nodes)
+        off = float(np.max(np.abs(other.mean - fixed.mean) / fixed.sd))
+        found.append((kind, off, float(np.max(np.abs(other.sd / fixed.sd - 1))), ways))
+    return found
+
+
+def table(problems: int) -> Table:
+    """Return the largest differences over the problems."""
+    results = [one for seed in range(problems) for one in compared(seed)]
+    rows: list[tuple[Cell, ...]] = []
+    for kind in dict.fromkeys(one[0] for one in results):
+        mine = [one for one in results if one[0] == kind]
+        ways = "; ".join(sorted({one[3] for one in mine}))
+        rows.append((kind, len(mine), max(one[1] for one in mine), max(one[2] for one in mine), ways))
+    columns = "outlines", "problems", "mean off, sd, worst", "width off, share, worst", "common points"
+    return Table("first nodes", "Against fixed nodes", columns, ("s", "d", ".2g", ".2g", "s"), tuple(rows))
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--problems", type=int, default=40)
+    print(table(parser.parse_args().problems).markdown())
