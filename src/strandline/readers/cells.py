@@ -14,7 +14,7 @@ from strandline.readers.contents import Block
 __all__ = ["boundary_edges", "boundary_triangles", "dimension", "joined", "line_edges", "surface_triangles"]
 
 COINCIDENT = 1e-9
-"""Distance of points that count as one, as a share of the mesh's extent: programs that repeat a point round it anew."""
+"""Distance of points that count as one, as a share of the mesh's extent: a repeated point may be rounded otherwise."""
 
 LINES = {"line": (0, 1), "line3": (0, 2, 1)}
 """Nodes in their order along the cell."""

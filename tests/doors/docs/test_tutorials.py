@@ -20,6 +20,7 @@ import yaml
 
 from strandline.cli.main import COMMANDS
 from strandline.models.offers import undeformed_interface
+from strandline.models.protocol import declared_conditions
 from strandline.studies import load_study
 from strandline.studies.template import write_template
 
@@ -149,9 +150,11 @@ def test_studies_and_commands_of_a_page_are_valid(page: str, tmp_path: Path, mon
             if step.text.startswith("strandline init"):
                 study = write_template(folder).parent
             if step.text.startswith("strandline forward") and "--csv" in step.text:
-                # In place of the interface that the command would write.
-                outline = undeformed_interface(load_study(folder).model)
-                np.savetxt(step.text.split("--csv ")[1].split()[0], outline.points, delimiter=",")
+                # In place of the interfaces that the command would write.
+                model, file = load_study(folder).model, Path(step.text.split("--csv ")[1].split()[0])
+                for name in declared_conditions(model):
+                    path = file.with_stem(f"{file.stem}-{name}") if name else file
+                    np.savetxt(path, undeformed_interface(model).points, delimiter=",")
             assert (folder / "study.yaml").is_file(), f"{step.text}: no such study yet"
         else:
             compile(step.text, page, "exec")

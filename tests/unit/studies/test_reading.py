@@ -112,7 +112,7 @@ def test_priors_labels_and_nuisance(tmp_path):
 class TestObserved:
     def test_units_and_sizes(self, tmp_path):
         points, path = np.array([[0.0, 0.0], [0.5, 0.25], [1.0, -0.125]]), tmp_path / "observed.csv"
-        path.write_bytes(b"\xef\xbb\xbfx,y\r\n# by hand\r\n0,0\r\n0.5 , 2.5E-1\r\n\r\n1,-0.125\r\n")
+        path.write_bytes(b"\xef\xbb\xbfx,y\r\n# by hand\r\n\r\n0,0\r\n0.5 , 2.5E-1\r\n1,-0.125\r\n\r\n")
         for unit, factor in (("mm", 1), ("um", 1e-3), ("µm", 1e-3), ("m", 1e3)):
             np.testing.assert_allclose(read_points(path, unit).points, points * factor, rtol=1e-15)
         model = Interface.polyline(points)

@@ -80,7 +80,7 @@ def test_readers_conform_and_a_wrong_one_is_noticed(tmp_path):
     np.savetxt(tmp_path / "seen.csv", np.stack([x, x * (1 - x)], axis=1))
     np.save(tmp_path / "seen.npy", np.stack([x, x * (1 - x)], axis=1))
     for name in ("seen.csv", "seen.npy"):
-        assert complaints(readers.CHECKS, tmp_path / name, Reading(name, "mm")) == "", name
+        assert complaints(readers.CHECKS, tmp_path / name, Reading(name, "mm", columns=(1, 2))) == "", name
     how = Reading("seen.csv", "mm", reader=f"{HERE}:half_read")
     found = complaints(readers.CHECKS, tmp_path / "seen.csv", how)
     assert "half a file, whose points are counted, is read" in found
