@@ -281,18 +281,3 @@ def test_the_least_order_of_a_gauss_rule_is_that_of_its_bound():
         assert bound(order - 1, ratio) > 0.99 * tolerance
     with pytest.raises(NumericsError, match="larger tolerance"):
         gauss_order(500.0, 1e-12)
-
-
-def errors_of(measure, product, inner, outer, shapes):
-    """Return relative errors of d² of concentric shapes, from coarse to fine ones."""
-    pairs = ((inner, inner), (inner, outer), (outer, outer))
-    exact = np.dot([1, -2, 1], [product(*pair, measure.width) for pair in pairs])
-    return np.abs([measure(shape(inner), shape(outer)) / exact - 1 for shape in shapes])
-
-
-@pytest.mark.parametrize("quadrature", ["refined", "centre"])
-def test_concentric_spheres_converge_to_the_closed_form_with_order_two(quadrature):
-    measure = Currents(0.4, quadrature=quadrature, tolerance=1e-4)
-    errors = errors_of(measure, sphere_product, 1.0, 1.2, [lambda radius, k=k: sphere(radius, k) for k in (2, 3)])
-    assert errors[-1] < 0.05
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.2)
