@@ -52,9 +52,9 @@ styled: $(VENV)/.installed-check
 	$(BIN)/lint-imports
 	$(PYTEST) -q -m "not long" tests/check
 
-# Types and shapes of arrays at run time: twice the seconds of the same tests without.
+# Types and shapes of arrays at run time: twice the seconds of the same tests without. Whole studies call the same functions.
 typed: $(VENV)/.installed-check
-	$(PYTEST) -q -m "not long and not stand_in" --jaxtyping-packages=strandline,verification.reproduction,beartype.beartype tests/unit tests/study
+	$(PYTEST) -q -m "not long and not stand_in" --jaxtyping-packages=strandline,verification.reproduction,beartype.beartype tests/unit
 
 documented: $(VENV)/.installed-check
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html

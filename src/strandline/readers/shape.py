@@ -152,7 +152,7 @@ def _one_piece(
     places: Float[np.ndarray, "point xyz"],
     how: Reading,
     name: str,
-) -> Int[np.ndarray, " chosen"]:
+) -> Int[np.ndarray, " piece"]:
     """Return the points of the piece that `near` or `keep` chooses."""
     found = [order[pieces == one] for one in np.unique(pieces)]
     if len(found) == 1:

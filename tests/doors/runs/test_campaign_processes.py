@@ -50,7 +50,7 @@ class Kept:
 def test_the_time_that_the_driver_takes_for_itself_makes_no_run_slow(path, tmp_path):
     """While a record is dealt with, the other run ends; it lies there when the next batch is chosen.
 
-    The workers are kept from batch to batch.
+    The workers are kept from batch to batch; one of them may make all runs.
     """
     executor, shown = Kept(), []
 
@@ -64,7 +64,7 @@ def test_the_time_that_the_driver_takes_for_itself_makes_no_run_slow(path, tmp_p
 
     batches(path, Counted(str(tmp_path)), [design(300, 400)], choose, executor, on_record=pause, patience=3.0)
     assert shown == [[300.0, 400.0], [300.0, 400.0, 450.0]]
-    assert len(set(pids(tmp_path))) == 2
+    assert len(set(pids(tmp_path))) <= 2
 
 
 def follow(folder, executor):

@@ -57,11 +57,11 @@ def detached(folder, model, number, **options):
         campaign(folder, model, number, detach=True, **options)
 
 
-def collected(folder, model, number):
-    """Collect the runs; require that each was started and made once."""
+def collected(folder, model, number, tries=1):
+    """Collect the runs; require that each was made once, and started so many times."""
     assert states(campaign(folder, model, number)) == ["ok"] * number
     assert sorted(calls(folder).values()) == [1] * number
-    assert attempts(ledger_of(folder)) == [1] * number
+    assert attempts(ledger_of(folder)) == [tries] * number
 
 
 def job_of(folder):
