@@ -233,11 +233,3 @@ def test_a_cancelled_job_is_made_again(slurm, tmp_path):
     assert states(done) == ["ok"] * 10
     assert ends == {("ok", None): 10, ("killed", "cancelled"): 1}
     assert calls(tmp_path).total() <= 11
-
-
-@pytest.mark.long
-def test_a_run_past_its_walltime_is_a_timeout(slurm, tmp_path):
-    """Even where it could not say so itself: here its own process is stopped, and SLURM ends the job."""
-    model = Counted(str(tmp_path), Faulty(fault="hang", above=302.0))
-    done = campaign(tmp_path, model, 2, walltime="00:01:00", extra=("--signal=B:USR1@5",))
-    assert [(record.state, record.failure_kind) for record in done] == [("ok", None), ("timeout", "walltime")]
