@@ -94,6 +94,7 @@ def complaints(folder, seed, number):
     return found
 
 
+@pytest.mark.stand_in
 @pytest.mark.parametrize("number", [80, pytest.param(2000, marks=pytest.mark.long)])
 def test_mutated_studies(tmp_path, number):
     seed = 20260 if number == 80 else time.time_ns()
