@@ -177,10 +177,11 @@ def _of_cells(
     how: Reading,
     name: str,
 ) -> Interface:
-    blocks = cells.joined(_chosen(contents, how, name), places)
+    blocks = _chosen(contents, how, name)
     used = np.unique(np.concatenate([block.nodes.ravel() for block in blocks]))
     _require_finite(places[used], name)
     _require_finite(moved[used], name)
+    blocks = cells.joined(blocks, places)
     lowest = min(cells.dimension(block.kind) or 0 for block in blocks)
     flat = _is_flat(places[used], how.axes) and _is_flat(moved[used], how.axes)
     if lowest == 3 or (lowest == 2 and (not flat or how.suffix in SURFACES)):

@@ -183,8 +183,7 @@ def _require_one_width(name: str, rows: Sequence[Row], titles: Sequence[str]) ->
                 f"{name} has too {'many' if count > usual else 'few'} fields in line {row.number}",
                 f"{count}: {row}",
                 f"{usual}, as there are {'column names' if titles else 'in most lines'}",
-                _touching(row)
-                or 'With decimal commas give `decimal: ","`; else correct the line, or give `delimiter`.',
+                _touching(row) or (OTHER_MARKS if count > usual else "Correct the line, or what writes it."),
             )
 
 
@@ -235,7 +234,7 @@ def _is_label(text: str) -> bool:
 
 
 def _separator(lines: Sequence[str], how: Reading, name: str) -> str:
-    """Return the character that separates fields; blanks are any number of spaces and tabs.
+    """Return the character that separates fields; a blank stands for any number of them.
 
     Raises:
         Unreadable: A line has two of them, of which one may be decimal commas.

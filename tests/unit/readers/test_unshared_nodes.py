@@ -3,7 +3,7 @@
 import meshio
 import numpy as np
 import pytest
-from tests.unit.readers.reads import read
+from tests.unit.readers.reads import read, refused
 
 CUBE = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0)])
 TETRA = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
@@ -24,6 +24,13 @@ def test_inner_faces_are_no_surface_if_each_cell_repeats_its_nodes(tmp_path, ins
     assert found.areas.sum() == pytest.approx(6.0)
     middle = found.centres - 0.5
     assert (np.sum(middle * found.normals, axis=1) > 0).all()
+
+
+def test_a_repeated_node_that_is_not_finite_is_named(tmp_path):
+    points = CUBE[TETRA.ravel()]
+    points[5] = np.nan
+    path = written(tmp_path / "a.vtu", points, "tetra", np.arange(24).reshape(-1, 4))
+    refused("point 5 of the interface is not finite", path, "non_finite")
 
 
 def test_near_and_keep_choose_a_part_of_a_surface(tmp_path):

@@ -22,8 +22,6 @@ __all__ = ["Layout", "common_layout", "fields_of", "registered"]
 
 FEWEST_POINTS = 33
 """Smallest number of points of an interface taken at equal shares of its arclength."""
-
-
 FINER = 6
 """Points of a closed outline for each of its nodes. Chords cut corners off: with 60 nodes and errors of 1 % of
 the radius, 3 points move the posterior by .1 standard deviations, 6 by .04."""
