@@ -65,7 +65,6 @@ def test_a_run_that_was_interrupted_goes_on(tmp_path, capsys, monkeypatch):
     assert (runs["ok"], runs["new"], runs["reused"]) == (32, 32 - kept, kept)
 
 
-@pytest.mark.smoke
 def test_a_folder_that_cannot_be_written_to(tmp_path):
     """Permissions bind the process, also if it is the superuser's."""
     folder, command = write_study(tmp_path / "study"), [*STRANDLINE, "run", str(tmp_path / "study")]
@@ -109,7 +108,6 @@ def test_bars_fit_a_terminal_of_80_columns(capsys, monkeypatch):
     assert "…" not in shown.partition("sampling")[0]
 
 
-@pytest.mark.smoke
 def test_view_prints_its_address_and_ends_with_ctrl_c(tmp_path):
     folder = write_study(tmp_path / "beam")
     with subprocess.Popen([*STRANDLINE, "view", str(folder), "--no-browser"], **PIPES) as process:

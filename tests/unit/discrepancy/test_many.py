@@ -142,6 +142,10 @@ def test_no_segment_is_left_out(measure, module, monkeypatch):
         expect = one_by_one(measure, points, template, seen)
         np.testing.assert_allclose(measure.many(points, template, seen), expect, rtol=1e-10, atol=1e-14)
 
+    if module is many_distances:  # Here lines have a reach in mm.
+        far = Interface(10 * seen.points, seen.cells)
+        np.testing.assert_allclose(measure.many(10 * points, template, far), 100 * expect, rtol=1e-10)
+
     def tenth(array):
         middle, moved = blocks.motion(array)
         return middle, 0.1 * moved
