@@ -147,7 +147,7 @@ def check(info: Info, before: float, state: Particles) -> None:
     if not float(state.temperature) > before:
         raise NumericsError(
             f"the temperature stalls at {before:.6g}: one particle outweighs all others. "
-            "Clip extreme log-likelihoods or use more particles."
+            "State a larger noise or use more particles."
         )
 
 

@@ -7,6 +7,8 @@ from jaxtyping import Array, Float, Int
 __all__ = ["effective_sample_size", "next_temperature", "reweighted"]
 
 _HALVINGS = 64
+_LEAST = 1e-100
+"""Least increment of the temperature: noise of 1e-50 of the range still leaves one."""
 
 Scalar = Float[Array, ""]
 PerParticle = Float[Array, " particle"]
@@ -26,7 +28,7 @@ def reweighted(log_weights: PerParticle, log_likelihood: PerParticle, increment:
 def next_temperature(
     log_weights: PerParticle, log_likelihood: PerParticle, temperature: Scalar, zeta: Scalar | float
 ) -> Scalar:
-    """Return γ' with ESS(γ') = ζ·ESS(γ) by bisection, or 1 if ESS(1) is at least that.
+    """Return γ' with ESS(γ') = ζ·ESS(γ) by bisection of log(γ' - γ), or 1 if ESS(1) is at least that.
 
     Particles of zero likelihood die at the first positive increment, whatever its size, so ESS(γ) counts only the
     others.
@@ -46,9 +48,9 @@ def next_temperature(
 
     def halve(_: Int[Array, ""], bracket: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
         low, high = bracket
-        middle = 0.5 * (low + high)
+        middle = jnp.sqrt(low) * jnp.sqrt(high)
         enough = size(middle) >= wanted
         return jnp.where(enough, middle, low), jnp.where(enough, high, middle)
 
-    low, _ = jax.lax.fori_loop(0, _HALVINGS, halve, (jnp.zeros_like(full), full))
+    low, _ = jax.lax.fori_loop(0, _HALVINGS, halve, (jnp.full_like(full, _LEAST), full))
     return jnp.where(size(full) >= wanted, 1.0, temperature + low)
