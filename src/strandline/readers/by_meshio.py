@@ -1,4 +1,4 @@
-"""Files that meshio reads: STL, PLY and legacy VTK files."""
+"""Files that meshio reads: STL, PLY, unstructured grids of legacy VTK, meshes of gmsh and FreeFEM (Medit)."""
 
 import contextlib
 import importlib
@@ -14,7 +14,7 @@ from strandline.readers.options import Reading
 
 __all__ = ["converted", "imported", "read_by_meshio"]
 
-MODULES = {".stl": "stl", ".ply": "ply", ".vtk": "vtk"}
+MODULES = {".stl": "stl", ".ply": "ply", ".vtk": "vtk", ".msh": "gmsh", ".mesh": "medit"}
 READS_AT_END = 100
 """Attempts to read past the end after which a PLY file counts as cut off; its reader would go on forever."""
 

@@ -14,12 +14,14 @@ from strandline.registry import imported
 __all__ = ["MESHES", "SERIES", "TO_MM", "Reading"]
 
 TO_MM = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "m": 1e3}
-MESHES = (".vtu", ".vtp", ".pvtu", ".pvtp", ".pvd", ".xdmf", ".xmf", ".stl", ".ply", ".vtk")
+MESHES = (".vtu", ".vtp", ".pvtu", ".pvtp", ".pvd", ".xdmf", ".xmf", ".stl", ".ply", ".vtk", ".vts", ".vtr", ".vtm")
+MESHES += (".msh", ".mesh", ".frd")
 """Suffixes of files that hold cells; any other file is a table of points in their order."""
-SERIES = (".pvd", ".xdmf", ".xmf")
+SERIES = (".pvd", ".xdmf", ".xmf", ".frd")
 """Suffixes of files that hold several times."""
 COMMON = {"file", "unit", "field", "select", "count", "reader"}
-OF_TABLES = COMMON | {"columns", "delimiter", "decimal", "hide", "keep", "near", "sd", "sort"}
+OF_TABLES = COMMON | {"closed", "columns", "delimiter", "decimal", "hide", "keep", "near", "sd", "sort"}
+OF_TABLES |= {"plane", "time"}
 OF_MESHES = COMMON | {"block", "cells", "points", "near", "keep", "start", "plane"}
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
@@ -36,6 +38,8 @@ class Reading:
         decimal: Decimal mark of a text table, ``.`` or ``,``; with commas the fields are separated by semicolons or
             blanks.
         sd: Column of a table, by name or number from 1, that holds the standard deviation of each point, in `unit`.
+        closed: Whether the last point of a table is joined to the first; needed if the file does not repeat its first
+            point and its ends nearly meet.
         sort: Coordinate, ``x`` or ``y``, that sorts the points of a table if they are not in order along the interface.
         field: Displacement to add: the name of point data of a mesh, or two columns of a table.
         time: Time of a series: ``last``, ``{index: 3}`` or ``{value: 0.5}``.
@@ -62,6 +66,7 @@ class Reading:
     delimiter: str | None = None
     decimal: str | None = None
     sd: str | int | None = None
+    closed: bool | None = None
     sort: str | None = None
     field: str | tuple[str | int, ...] | None = None
     time: str | Mapping[str, Any] | None = None
@@ -159,6 +164,8 @@ def _checked_types(values: dict[str, Any], place: str) -> Reading:
     for name, words in (("sort", ("x", "y")), ("keep", ("longest",)), ("decimal", (".", ","))):
         if name in values and values[name] not in words:
             raise _unfit(f"{place}.{name}", values[name], " or ".join(words))
+    if not isinstance(values.get("closed", True), bool):
+        raise _unfit(f"{place}.closed", values["closed"], "true or false")
     if "sd" in values and not _is_column(values["sd"]):
         raise _unfit(f"{place}.sd", values["sd"], "a column, by name or by number from 1")
     if "delimiter" in values and len(values["delimiter"]) != 1:

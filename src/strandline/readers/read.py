@@ -1,5 +1,6 @@
 """A file → the interface in it."""
 
+import re
 import stat
 import warnings
 from collections.abc import Callable
@@ -11,10 +12,10 @@ from jaxtyping import Float
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
 from strandline.readers.contents import Contents
+from strandline.readers.foreign import require_known
 from strandline.readers.options import Reading
-from strandline.readers.pictures import require_no_picture
 from strandline.readers.problems import Unreadable, refused
-from strandline.readers.shape import interface_of, point_sds
+from strandline.readers.shape import interface_of, point_sds, unused_displacement
 from strandline.readers.tables import missing, require_end
 from strandline.registry import imported
 
@@ -24,6 +25,8 @@ _TABLE = "strandline.readers.tables:read_text"
 _MESH = "strandline.readers.by_meshio:read_by_meshio"
 _VTK = "strandline.readers.vtk_xml:read_vtk_xml"
 _XDMF = "strandline.readers.xdmf:read_xdmf"
+_BY_VTK = "strandline.readers.by_vtk:read_by_vtk"
+_JSON = "strandline.readers.json_outlines:read_json"
 
 READERS: dict[str, str] = {
     ".csv": _TABLE,
@@ -40,14 +43,32 @@ READERS: dict[str, str] = {
     ".xmf": _XDMF,
     ".stl": _MESH,
     ".ply": _MESH,
-    ".vtk": _MESH,
+    ".msh": "strandline.readers.freefem:read_msh",
+    ".mesh": _MESH,
+    ".vtk": "strandline.readers.by_vtk:read_legacy",
+    ".vts": _BY_VTK,
+    ".vtr": _BY_VTK,
+    ".vtm": "strandline.readers.series:read_vtm",
+    ".frd": "strandline.readers.calculix:read_frd",
+    ".json": _JSON,
+    ".geojson": _JSON,
 }
 """Suffixes of files → ``module:name`` of the function that reads them; others are read as text."""
+TEXTS: dict[str, str] = {
+    r"\*Step +=": "strandline.readers.febio:read_febio",
+    r"(?s).*displacements \(vx,vy,vz\) for set": "strandline.readers.calculix:read_dat",
+    r"MeshVersionFormatted": _MESH,
+}
+"""Patterns of the first lines of a text file → the same, whatever its suffix."""
+ENDED = (".npy", ".json", ".geojson")
+"""Suffixes of files of points whose end shows that they are whole."""
 Reader = Callable[[Path, Reading, str], Contents]
 """(path, how to read it, its name in messages) → contents of the file."""
 
 
-def read_interface(path: Path, how: Reading, *, name: str = "", ended: bool = False) -> Interface:
+def read_interface(
+    path: Path, how: Reading, *, name: str = "", ended: bool = False, unused: Callable[[str], None] | None = None
+) -> Interface:
     """Return the interface in the file at `path`, in mm.
 
     Args:
@@ -55,6 +76,7 @@ def read_interface(path: Path, how: Reading, *, name: str = "", ended: bool = Fa
         how: How to read the file.
         name: Name of the file in messages.
         ended: Whether a text table without a `count` must end with a line break, as programs write it.
+        unused: Receives the name of point data that look like displacements and are not used.
 
     Raises:
         Unreadable: the file is missing, cut off, garbage, not finite, or holds no recognisable interface.
@@ -62,10 +84,13 @@ def read_interface(path: Path, how: Reading, *, name: str = "", ended: bool = Fa
     """
     name = name or path.name
     _require_file(path, name)
-    require_no_picture(path, name)
-    if ended and how.count is None and _reader(how) == _TABLE:
+    require_known(path, how, name)
+    if ended and how.count is None and how.is_table and how.suffix not in ENDED:
         require_end(path, name)
     contents = _contents(path, how, name)
+    key = unused_displacement(contents, how)
+    if unused is not None and key is not None:
+        unused(key)
     try:
         return interface_of(contents, how, name)
     except Unreadable:
@@ -97,12 +122,15 @@ def read_point_sds(path: Path, how: Reading, *, name: str = "") -> Float[np.ndar
 
 def _contents(path: Path, how: Reading, name: str) -> Contents:
     """Return the contents of the file; any error of its reader on a damaged file becomes `Unreadable`."""
-    reader: Reader = imported(_reader(how), f"reader of {name}")
+    target = _reader(path, how)
+    reader: Reader = imported(target, f"reader of {name}")
+    if target == _TABLE and (how.time is not None or how.plane != "xy"):
+        raise refused(f"{name} is a table of one time", "`time` or `plane`", "`columns` alone", "Remove it.")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             contents = reader(path, how, name)
-        _require_contents(contents, how)
+        _require_contents(contents, target)
         _require_whole(contents)
     except InvalidInput:
         raise
@@ -114,9 +142,16 @@ def _contents(path: Path, how: Reading, name: str) -> Contents:
     return contents
 
 
-def _reader(how: Reading) -> str:
-    """Return ``module:name`` of the function that reads the file."""
-    return how.reader or READERS.get(how.suffix, _TABLE)
+def _reader(path: Path, how: Reading) -> str:
+    """Return ``module:name`` of the function that reads the file, by its suffix or else its first lines."""
+    if how.reader is not None:
+        return how.reader
+    target = READERS.get(how.suffix, _TABLE)
+    if target != _TABLE:
+        return target
+    with path.open("rb") as file:
+        begin = file.read(1000).decode("utf-8-sig", "replace").lstrip()
+    return next((found for pattern, found in TEXTS.items() if re.match(pattern, begin)), target)
 
 
 def _require_file(path: Path, name: str) -> None:
@@ -131,13 +166,13 @@ def _require_file(path: Path, name: str) -> None:
         raise refused(f"{name} cannot be read", f"{path} is not a file", "a readable text file")
 
 
-def _require_contents(found: object, how: Reading) -> None:
+def _require_contents(found: object, target: str) -> None:
     """Refuse anything but contents from a reader of the user's own."""
     if isinstance(found, Contents) and isinstance(found.points, np.ndarray):
         return
     what = f"a {type(found).__name__}" if not isinstance(found, Contents) else "points that are not a NumPy array"
     raise InvalidInput(
-        f"what the reader {_reader(how)} returns",
+        f"what the reader {target} returns",
         value=what,
         expected="strandline.readers.Contents, its points a NumPy array (point, xyz)",
         remedy="Correct the reader.",

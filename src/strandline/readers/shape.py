@@ -1,5 +1,6 @@
 """Points and cells of a file → the interface that the options choose."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,10 +15,11 @@ from strandline.readers import cells
 from strandline.readers.chains import Chain, chains, chosen_chain
 from strandline.readers.contents import Block, Contents
 from strandline.readers.options import Reading
+from strandline.readers.order import require_clear_ends, require_in_order
 from strandline.readers.problems import refused
 from strandline.readers.tables import SD
 
-__all__ = ["interface_of", "point_sds"]
+__all__ = ["interface_of", "point_sds", "unused_displacement"]
 
 FLATNESS = 1e-9
 """Share of the extent by which points may leave a plane."""
@@ -27,6 +29,8 @@ LEAST_SEEN = 10
 """Fewest points that may be left if some are hidden."""
 SURFACES = (".stl", ".ply")
 """Suffixes of files that hold surfaces, even plane ones."""
+DISPLACEMENT = re.compile(r"u|disp.*|deplacement", re.IGNORECASE)
+"""Names that programs give to displacements."""
 
 
 def interface_of(contents: Contents, how: Reading, name: str) -> Interface:
@@ -66,6 +70,17 @@ def _places(
     return places * how.factor, (places + moved) * how.factor
 
 
+def unused_displacement(contents: Contents, how: Reading) -> str | None:
+    """Return the name of point data that look like displacements, are not 0 and are not added to the points."""
+    if how.field is not None or contents.displacement is not None:
+        return None
+    for key, values in contents.data.items():
+        vectors = values.ndim == 2 and 2 <= values.shape[1] <= 3
+        if vectors and DISPLACEMENT.fullmatch(key) and np.nan_to_num(values).any():
+            return key
+    return None
+
+
 def point_sds(contents: Contents, how: Reading, name: str) -> Float[np.ndarray, " point"]:
     """Return the standard deviations of the points of the interface that `interface_of` returns, in mm.
 
@@ -74,7 +89,7 @@ def point_sds(contents: Contents, how: Reading, name: str) -> Float[np.ndarray, 
     """
     places, moved = _places(contents, how, name)
     order = _order(contents, places, how, name)
-    if _closes(moved[order]):
+    if _repeats_first(moved[order], how):
         order = order[:-1]
     sds = how.factor * np.asarray(contents.data[SD], float)[order]
     if not (np.isfinite(sds) & (sds > 0)).all():
@@ -98,15 +113,19 @@ def _of_table(
     order = _order(contents, places, how, name)
     _require_finite(moved[order], name)
     chain = moved[order]
-    closed = _closes(chain)
-    polyline = Interface.polyline(chain[:-1] if closed else chain, closed=closed)
+    if how.sort is None:
+        require_in_order(chain, name, "Put the points in order along the interface, or `sort` them by x or y.")
+    repeated = _repeats_first(chain, how)
+    if not repeated and how.closed is None:
+        require_clear_ends(chain, name)
+    polyline = Interface.polyline(chain[:-1] if repeated else chain, closed=repeated or how.closed is True)
     polyline.require_simple()
     return polyline
 
 
-def _closes(chain: Float[np.ndarray, "point 2"]) -> bool:
+def _repeats_first(chain: Float[np.ndarray, "point 2"], how: Reading) -> bool:
     """Return whether a chain repeats its first point at its end, but for rounding."""
-    if len(chain) <= 3:
+    if len(chain) <= 3 or how.closed is False:
         return False
     lengths = np.linalg.norm(np.diff(chain, axis=0), axis=1)
     return bool(np.linalg.norm(chain[0] - chain[-1]) <= CLOSING * np.median(lengths))
@@ -191,7 +210,9 @@ def _of_cells(
         return _surface(_chosen_part(_kept(parts, contents, places, how, name), places, how), moved, places)
     parts = cells.line_edges(blocks) if lowest == 1 else cells.boundary_edges(blocks)
     if not flat:
-        raise refused(f"{name}: the line leaves its plane", how.plane, "a line in a plane", "Choose `plane`.")
+        faces = next((block.kind for block in contents.blocks if cells.dimension(block.kind) == 2), None)
+        remedy = f"For the surface give `block: {faces}`; for a line choose `plane`." if faces else "Choose `plane`."
+        raise refused(f"{name}: the line leaves its plane", how.plane, "a line in a plane", remedy)
     edges = _merged(_kept(parts, contents, places, how, name), places)
     plane = places[:, how.axes]
     found = chains(edges, plane, name)
@@ -219,7 +240,10 @@ def _chosen(contents: Contents, how: Reading, name: str) -> list[Block]:
         raise refused(f"{name} has no such cells", shown, "cells that form the interface", "Correct `cells`.")
     unknown = [block.kind for block in blocks if cells.dimension(block.kind) is None]
     if unknown:
-        raise refused(f"{name} has cells that are not read", unknown[0], "lines, faces or solids up to second order")
+        remedy = "Choose other cells by `block`, or save these as such."
+        raise refused(
+            f"{name} has cells that are not read", unknown[0], "lines, faces or solids up to second order", remedy
+        )
     lowest = min(cells.dimension(block.kind) or 0 for block in blocks)
     return [block for block in blocks if cells.dimension(block.kind) == lowest]
 

@@ -12,7 +12,7 @@ from strandline.readers.contents import Block, Contents
 from strandline.readers.options import Reading
 from strandline.readers.vtk_arrays import Encoding, numbers, split
 
-__all__ = ["beside", "joined", "read_vtk_xml", "require_each_once"]
+__all__ = ["beside", "contents_of", "joined", "read_vtk_xml", "require_each_once"]
 
 KINDS = {
     3: "line",
@@ -20,6 +20,7 @@ KINDS = {
     8: "pixel",
     9: "quad",
     10: "tetra",
+    11: "voxel",
     12: "hexahedron",
     13: "wedge",
     14: "pyramid",
@@ -34,7 +35,7 @@ KINDS = {
 OF_ORDER = {(68, 2): "line", (68, 3): "line3", (69, 3): "triangle", (69, 6): "triangle6", (70, 4): "quad"}
 OF_ORDER |= {(70, 9): "quad9", (71, 4): "tetra", (71, 10): "tetra10"}
 """Lagrange cells by VTK's number and number of nodes."""
-POLYLINE, POLYGON = 4, 7
+POLYLINE, STRIP, POLYGON = 4, 6, 7
 POINT_LIKE = (0, 1, 2)
 
 
@@ -44,19 +45,19 @@ def read_vtk_xml(path: Path, how: Reading, name: str) -> Contents:
     Raises:
         ValueError: (also KeyError, IndexError, SyntaxError) a damaged file, or one of another kind.
     """
-    return _read(path, parallel=True)
+    return contents_of(path.read_bytes(), path)
 
 
-def _read(path: Path, *, parallel: bool) -> Contents:
-    """Return the contents of a file; one that lists other files is read only if `parallel`."""
-    root, encoding = split(path.read_bytes())
+def contents_of(content: bytes, parallel: Path | None = None) -> Contents:
+    """Return the contents of a file's bytes; one that lists other files, beside `parallel`, is read only with it."""
+    root, encoding = split(content)
     form = root.get("type", "")
     (data,) = [child for child in root if child.tag == form] or [root]
     pieces = data.findall("Piece")
-    if parallel and form in ("PUnstructuredGrid", "PPolyData"):
+    if parallel is not None and form in ("PUnstructuredGrid", "PPolyData"):
         files = [piece.attrib["Source"] for piece in pieces]
         require_each_once(files)
-        parts = [_read(beside(path, file), parallel=False) for file in files]
+        parts = [contents_of(beside(parallel, file).read_bytes()) for file in files]
     elif form in ("UnstructuredGrid", "PolyData"):
         parts = [_piece(piece, encoding, poly=form == "PolyData") for piece in pieces]
     else:
@@ -136,7 +137,7 @@ def _grid_cells(piece: ElementTree.Element, encoding: Encoding) -> Iterator[tupl
 
 def _poly_cells(piece: ElementTree.Element, encoding: Encoding) -> Iterator[tuple[int, Any]]:
     """Yield the cells of a VTP file in the order of its cell data."""
-    for tag, kind in (("Verts", 2), ("Lines", POLYLINE), ("Polys", POLYGON), ("Strips", 6)):
+    for tag, kind in (("Verts", 2), ("Lines", POLYLINE), ("Polys", POLYGON), ("Strips", STRIP)):
         cells = _arrays(piece.find(tag), encoding)
         if cells and len(cells["offsets"]):
             yield from ((kind, nodes) for nodes in _sliced(cells))
@@ -177,6 +178,8 @@ def _parts(kind: int, nodes: Any) -> tuple[str, list[Any]]:
         return "line", [nodes[k : k + 2] for k in range(len(nodes) - 1)]
     if kind == POLYGON:
         return "triangle", [nodes[[0, k, k + 1]] for k in range(1, len(nodes) - 1)]
+    if kind == STRIP:  # every second triangle runs the other way
+        return "triangle", [nodes[[k + k % 2, k + 1 - k % 2, k + 2]] for k in range(len(nodes) - 2)]
     name = KINDS.get(kind) or OF_ORDER.get((kind, len(nodes)))
     if name is None:
         raise ValueError(f"a cell of VTK's type {kind} with {len(nodes)} nodes, which is not read")
