@@ -1,6 +1,7 @@
 """HDF5 and MATLAB 7.3: an array (…, row, column), which MATLAB stores with its axes reversed."""
 
 import importlib
+import json
 from pathlib import Path
 from typing import Any
 
@@ -49,18 +50,43 @@ def _opened(file: Any, h5py: Any, how: PictureReading, name: str) -> PictureFile
     if values.size and not values.id.get_storage_size():
         raise refused(f"{name}: {key} was never written", "no numbers", "an array with its numbers")
     reversed_axes = "MATLAB_class" in values.attrs
-    columns, rows = values.shape[-2:] if reversed_axes else values.shape[:-3:-1]
+    channels = _channels(values, name)
+    plane = values.shape[: values.ndim - (channels > 0)]
+    columns, rows = plane[-2:] if reversed_axes else plane[:-3:-1]
     require_pixels(name, rows, columns)
-    leading = values.shape[:-2]
+    leading = plane[:-2]
 
     def load(frame: int) -> Any:
         found = np.asarray(values[np.unravel_index(frame, leading)] if leading else values[()])
+        found = found[..., 0] if channels == 1 else found
         return found.T if reversed_axes else found
 
+    if channels:
+        notes = (*notes, "its last axis holds the channels")
     if reversed_axes:
         notes = (*notes, "axes of the MATLAB array turned back to (row, column)")
     axes = tuple((f"axis {k}", length) for k, length in enumerate(leading) if length != 1)
     return PictureFile((rows, columns), load, axes, notes=notes, close=file.close)
+
+
+def _channels(values: Any, name: str) -> int:
+    """Return the number of channels along the last axis, 0 if it is another; ilastik and others name the axes.
+
+    Raises:
+        Unreadable: Rows and columns are not the last axes but for channels, or there are channels that are no colours.
+    """
+    axes = [axis.get("key", "") for axis in json.loads(values.attrs.get("axistags", "{}")).get("axes", [])]
+    labels = [one.decode() if isinstance(one, bytes) else str(one) for one in values.attrs.get("DIMENSION_LABELS", ())]
+    last = (axes or [label.lower() for label in labels] or [""])[-1]
+    number = int(values.shape[-1]) if last in ("c", "channel", "channels") else 0
+    if number not in (0, 1, 3) or (axes and [axis for axis in axes if axis != "c"][-2:] != ["y", "x"]):
+        raise refused(
+            f"{name}: axes {''.join(axes) or ', '.join(labels)}",
+            " × ".join(map(str, values.shape)),
+            "rows y, columns x, and at the end one channel or three colours, or none",
+            "Save one channel, as yx or zyx; in ilastik: Export Settings, Cutout Subregion and Transpose.",
+        )
+    return number
 
 
 def _dataset(file: Any, h5py: Any, asked: str | None, name: str) -> tuple[str, tuple[str, ...]]:

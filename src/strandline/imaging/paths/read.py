@@ -15,16 +15,20 @@ PathReader = Callable[[bytes], FirstPath]
 PATHS: dict[str, str] = {
     "fiji_roi": "strandline.imaging.paths.fiji_roi:path_of_roi",
     "fiji_xy": "strandline.imaging.paths.fiji_xy:path_of_xy",
+    "json": "strandline.imaging.paths.outlines:path_of_json",
+    "cellpose": "strandline.imaging.paths.outlines:path_of_cellpose",
     "napari": "strandline.imaging.paths.napari:path_of_shapes",
 }
 """Formats of paths → ``module:name`` of the function that reads them."""
 
+FEW = 4
+"""Most commas in a line with one point; a line of Cellpose holds a whole cell."""
 LARGEST = 1 << 23
 """Bytes of a file that is read."""
 
 
 def read_path(path: Path, *, size: tuple[int, int] | None = None, form: str | None = None) -> FirstPath:
-    """Return the path in a file that Fiji or napari exported.
+    """Return the path in a file that another program exported.
 
     Files of clicks are read by `read_clicks`, which knows the picture that they belong to.
 
@@ -71,11 +75,15 @@ def _form(content: bytes) -> str:
         )
     begin = content[:200].decode("utf-8-sig", "replace").lstrip().lower()
     if begin.startswith("{"):
+        if b'"shapes"' in content or b'"coordinates"' in content:
+            return "json"
         raise _refused("is JSON, but is not used as a file of clicks", "{ …", "Name it NAME.path.json.")
     first = begin.partition("\n")[0]
-    return "napari" if "axis-" in first and "vertex-index" in first else "fiji_xy"
+    if "axis-" in first and "vertex-index" in first:
+        return "napari"
+    return "cellpose" if first.count(",") > FEW else "fiji_xy"
 
 
 def _refused(what: str, value: object, remedy: str = "Correct the file, or its name.") -> InvalidInput:
-    expected = "a path saved by Fiji (.roi, XY coordinates) or by napari (Shapes, .csv)"
+    expected = "a path saved by Fiji (.roi, XY coordinates), napari (.csv), labelme, QuPath or Cellpose"
     return InvalidInput(what, value=value, expected=expected, remedy=remedy)
