@@ -7,9 +7,13 @@ from pathlib import Path
 from strandline.errors import ForwardModelError, InvalidInput
 from strandline.interface import Interface
 from strandline.models.command.names import relative_name
+from strandline.models.protocol import Simulation
 from strandline.readers import Reading, Unreadable, read_interface
 
-__all__ = ["LogText", "read_results", "readings_of"]
+__all__ = ["UNUSED_DISPLACEMENT", "LogText", "read_results", "readings_of"]
+
+UNUSED_DISPLACEMENT = "unused_displacement"
+"""Entry of a run's diagnostics: 1 if its result holds displacements that are not used."""
 
 
 @dataclass(frozen=True)
@@ -86,8 +90,8 @@ def readings_of(result: object, results: object) -> dict[str, Reading]:
     return readings
 
 
-def read_results(readings: Mapping[str, Reading], folder: Path, started: int) -> dict[str, Interface]:
-    """Return the interfaces by condition.
+def read_results(readings: Mapping[str, Reading], folder: Path, started: int) -> Simulation:
+    """Return the interfaces by condition, and as a diagnostic whether displacements are not used.
 
     Args:
         readings: How to read the result file of each condition.
@@ -97,10 +101,12 @@ def read_results(readings: Mapping[str, Reading], folder: Path, started: int) ->
     Raises:
         ForwardModelError: A result cannot be used; the state is ``invalid``, the kind says why.
     """
-    return {condition: _read(reading, folder, started) for condition, reading in readings.items()}
+    unused: list[str] = []
+    found = {condition: _read(reading, folder, started, unused) for condition, reading in readings.items()}
+    return Simulation(found, {UNUSED_DISPLACEMENT: 1.0} if unused else {})
 
 
-def _read(reading: Reading, folder: Path, started: int) -> Interface:
+def _read(reading: Reading, folder: Path, started: int, unused: list[str]) -> Interface:
     path = folder / reading.file
     if not path.resolve().is_relative_to(folder.resolve()):
         raise ForwardModelError(
@@ -109,7 +115,7 @@ def _read(reading: Reading, folder: Path, started: int) -> Interface:
     if path.exists() and path.stat().st_mtime_ns < started:
         raise ForwardModelError("result_old", f"{reading.file} is older than the run", state="invalid")
     try:
-        return read_interface(path, reading, name=reading.file, ended=True)
+        return read_interface(path, reading, name=reading.file, ended=True, unused=unused.append)
     except Unreadable as error:
         raise ForwardModelError(error.kind, _told(error, folder), state="invalid") from None
 
