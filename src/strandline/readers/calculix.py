@@ -69,7 +69,8 @@ def read_dat(path: Path, how: Reading, name: str) -> Contents:
 
 def _deck(path: Path) -> dict[int, Float[np.ndarray, "3"]]:
     """Return the places by node of the ``*NODE`` cards of a deck."""
-    found, reads = {}, False
+    found: dict[int, Float[np.ndarray, "3"]] = {}
+    reads = False
     for line in path.read_text().splitlines():
         if line.startswith("*"):
             reads = reads if line.startswith("**") else re.match(r"\*NODE\s*(,|$)", line, re.IGNORECASE) is not None
@@ -97,7 +98,7 @@ def read_frd(path: Path, how: Reading, name: str) -> Contents:
     order = {node: k for k, node in enumerate(nodes)}
     results = [k for k, line in enumerate(lines) if line.startswith("  100C")]
     times = list(dict.fromkeys(float(lines[k][12:24]) for k in results))
-    data = {}
+    data: dict[str, Float[np.ndarray, "point component"]] = {}
     if times:
         time = times[chosen_time(times, how, name)]
         for k in (k for k in results if float(lines[k][12:24]) == time):

@@ -16,10 +16,10 @@ MESH = "Mesh it, and save the mesh as .vtu, .stl or .msh."
 TABLE = "Save the sheet as .csv."
 
 BEGINNINGS = {
-    rb"\x89PNG\r\n\x1a\n": ("a picture, PNG", PICTURE),
-    rb"\xff\xd8\xff": ("a picture, JPEG", PICTURE),
-    rb"II[*+]\0|MM\0[*+]": ("a picture, TIFF", PICTURE),
-    rb"GIF8[79]a": ("a picture, GIF", PICTURE),
+    rb"\x89PNG\r\n\x1a\n": ("a picture: a PNG image", PICTURE),
+    rb"\xff\xd8\xff": ("a picture: a JPEG image", PICTURE),
+    rb"II[*+]\0|MM\0[*+]": ("a picture: a TIFF image", PICTURE),
+    rb"GIF8[79]a": ("a picture: a GIF image", PICTURE),
     rb"Iout": ("a selection of ImageJ", OF_PICTURE),
     rb"\s*\{.{0,400}\"shapes\"": ("an annotation of labelme", OF_PICTURE),
     rb"PK\x03\x04": ("an archive or a workbook", "Save what is in it as .csv or .npy."),
@@ -84,5 +84,6 @@ def require_known(path: Path, how: Reading, name: str) -> None:
     by_name = (found for end, found in SUFFIXES.items() if how.file.lower().endswith(end))
     form, remedy = next(by_content, None) or next(by_name, ("", ""))
     if form:
-        expected = "the points of an interface: a table, a mesh or a surface"
-        raise refused(f"{name} is {form}", path.suffix or "no suffix", expected, remedy)
+        form, _, kind = form.partition(": ")
+        expected = "the points of an interface: a table in order, a mesh or a surface"
+        raise refused(f"{name} is {form}", kind or path.suffix or "no suffix", expected, remedy)

@@ -28,7 +28,8 @@ def read_xdmf(path: Path, how: Reading, name: str) -> Contents:
         return converted(meshio.xdmf.read(str(path)))
     with meshio.xdmf.TimeSeriesReader(str(path)) as series:
         points, cells = series.read_points_cells()
-        point_data, cell_data = {}, {}
+        point_data: dict[str, Any] = {}
+        cell_data: dict[str, Any] = {}
         for grid in (grid for grid in series.domain if grid.get("GridType") == "Collection"):
             series.collection = list(grid)
             times = [float(step.find("Time").attrib["Value"]) for step in series.collection]
