@@ -7,6 +7,7 @@ value (CalculiX Graphix' manual, "Result Format"). Places are those of the undef
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -69,7 +70,7 @@ def read_dat(path: Path, how: Reading, name: str) -> Contents:
 
 def _deck(path: Path) -> dict[int, Float[np.ndarray, "3"]]:
     """Return the places by node of the ``*NODE`` cards of a deck."""
-    found: dict[int, Float[np.ndarray, "3"]] = {}
+    found: dict[int, Any] = {}
     reads = False
     for line in path.read_text().splitlines():
         if line.startswith("*"):
