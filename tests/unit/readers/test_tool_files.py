@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 from tests.unit.readers.reads import read, refused
 
+from strandline.models.command.results import UNUSED_DISPLACEMENT, read_results
 from strandline.readers import Reading
+from strandline.studies.keys.observation import ObservationFile
+from strandline.studies.observations import read_observation
 from strandline.testing.readers import CHECKS
 
 ARC = [[0.0, 0.0], [0.2, 0.15], [0.4, 0.25], [0.6, 0.25], [0.8, 0.15], [1.0, 0.0]]
@@ -195,17 +198,17 @@ def test_each_function_of_an_xdmf_file_may_have_its_own_series(tmp_path):
 
 
 def test_displacements_that_are_not_used_are_reported(tmp_path):
-    from strandline.readers import read_interface
-
     mesh = meshio.Mesh(np.array([[0.0, 0, 0], [1, 0, 0]]), [("line", [[0, 1]])])
-    for data, field, told in (
-        ({"displacement": np.ones((2, 3))}, None, ["displacement"]),
-        ({"displacement": np.ones((2, 3))}, "displacement", []),
-        ({"displacement": np.zeros((2, 3))}, None, []),
-        ({"U": np.ones((2, 3)), "T": np.ones(2)}, None, ["U"]),
-        ({"velocity": np.ones((2, 3))}, None, []),
+    for data, field, key in (
+        ({"displacement": np.ones((2, 3))}, None, "displacement"),
+        ({"displacement": np.ones((2, 3))}, "displacement", None),
+        ({"displacement": np.zeros((2, 3))}, None, None),
+        ({"U": np.ones((2, 3)), "T": np.ones(2)}, None, "U"),
+        ({"velocity": np.ones((2, 3))}, None, None),
     ):
-        mesh.point_data, found = data, []
+        mesh.point_data = data
         meshio.vtu.write(str(tmp_path / "a.vtu"), mesh)
-        read_interface(tmp_path / "a.vtu", Reading("a.vtu", "mm", field=field), unused=found.append)
-        assert found == told
+        observed = ObservationFile(file="a.vtu", unit="mm", field=field)
+        assert read_observation(tmp_path, observed, object()).unused == ((key,) if key else ())
+        result = read_results({"": Reading("a.vtu", "mm", field=field)}, tmp_path, 0)
+        assert result.diagnostics == ({UNUSED_DISPLACEMENT: 1.0} if key else {})
