@@ -14,14 +14,17 @@ from strandline.registry import imported
 __all__ = ["MESHES", "SERIES", "TO_MM", "Reading"]
 
 TO_MM = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "m": 1e3}
-MESHES = (".vtu", ".vtp", ".pvtu", ".pvtp", ".pvd", ".xdmf", ".xmf", ".stl", ".ply", ".vtk", ".vts", ".vtr", ".vtm")
-MESHES += (".msh", ".mesh", ".frd")
+MESHES = (
+    *(".vtu", ".vtp", ".pvtu", ".pvtp", ".pvd", ".xdmf", ".xmf", ".stl", ".ply", ".vtk", ".vts", ".vtr", ".vtm"),
+    *(".msh", ".mesh", ".frd"),
+)
 """Suffixes of files that hold cells; any other file is a table of points in their order."""
 SERIES = (".pvd", ".xdmf", ".xmf", ".frd")
 """Suffixes of files that hold several times."""
 COMMON = {"file", "unit", "field", "select", "count", "reader"}
 OF_TABLES = COMMON | {"closed", "columns", "delimiter", "decimal", "hide", "keep", "near", "sd", "sort"}
-OF_TABLES |= {"plane", "time"}
+ONE_TIME = (".csv", ".tsv", ".npy", ".json", ".geojson")
+"""Suffixes of tables of a single time; others may be lists that a simulator prints."""
 OF_MESHES = COMMON | {"block", "cells", "points", "near", "keep", "start", "plane"}
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
@@ -139,6 +142,8 @@ class Reading:
         if self.near is not None and self.keep is not None:
             raise _unfit(place, "near and keep", "one of the two")
         allowed = OF_TABLES if self.is_table else OF_MESHES
+        if self.is_table and self.suffix not in ONE_TIME:
+            allowed = allowed | {"plane", "time"}
         if self.suffix in SERIES:
             allowed = allowed | {"time"}
         if self.reader is not None:

@@ -55,7 +55,7 @@ READERS: dict[str, str] = {
 }
 """Suffixes of files → ``module:name`` of the function that reads them; others are read as text."""
 TEXTS: dict[str, str] = {
-    r"\*Step +=": "strandline.readers.febio:read_febio",
+    r"\*Step *=.*\n\*Time *=.*\n\*Data *=": "strandline.readers.febio:read_febio",
     r"(?s).*displacements \(vx,vy,vz\) for set": "strandline.readers.calculix:read_dat",
     r"MeshVersionFormatted": _MESH,
 }

@@ -56,7 +56,7 @@ def test_files_of_simulators_and_maps(tmp_path):
         ("a.json", json.dumps(RINGS), {"keep": "longest"}, SQUARE),
         ("nodes.txt", FEBIO, {"time": {"index": 0}}, ARC),
         ("nodes.log", FEBIO, {}, [[x, 2 * y] for x, y in ARC]),
-        ("nodes.csv", FEBIO.replace(" 0\n", ",0\n"), {"time": {"value": 0.5}, "plane": "xz"}, [[x, 0] for x, _ in ARC]),
+        ("nodes.dat", FEBIO.replace(" 0\n", ",0\n"), {"time": {"value": 0.5}, "plane": "xz"}, [[x, 0] for x, _ in ARC]),
         ("job.dat", DAT, {}, [[1.0, 1.2], [0.5, 1.2], [0.0, 1.2]]),
         ("job.dat", DAT, {"time": {"value": 1}, "sort": "x"}, [[0.0, 1.1], [0.5, 1.1], [1.0, 1.1]]),
         ("job.frd", FRD, {"start": [0, -0.2]}, ENDS),
@@ -118,8 +118,8 @@ def test_known_formats_are_refused_by_name(tmp_path):
     ):  # fmt: skip
         (tmp_path / name).write_bytes(content)
         refused(words, tmp_path / name)
-    (tmp_path / "plain.csv").write_text("0,0\n1,1\n2,0\n")
-    refused("of one time", tmp_path / "plain.csv", time="last")
+    (tmp_path / "plain.txt").write_text("0,0\n1,1\n2,0\n")
+    refused("of one time", tmp_path / "plain.txt", time="last")
 
 
 VTU = """<VTKFile type="UnstructuredGrid" version="0.1"><UnstructuredGrid>

@@ -62,7 +62,7 @@ def _points(content: bytes) -> Float[np.ndarray, "point 2"]:
 
 def _unsigned(numbers: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
     """Return 16-bit integers, of which ImageJ takes those far below 0 as unsigned ones above 32767."""
-    return np.where(numbers < FAR_BELOW, numbers + 2**16, numbers)
+    return np.asarray(np.where(numbers < FAR_BELOW, numbers + 2**16, numbers))
 
 
 def _integer(content: bytes, offset: int, size: int) -> int:
