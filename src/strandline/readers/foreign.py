@@ -37,7 +37,7 @@ BEGINNINGS = {
 }
 """Pattern of the first bytes of a file → its format, and the way out."""
 SUFFIXES = {
-    "_cp_outlines.txt": ("outlines of Cellpose", OF_PICTURE),
+    "_cp_outlines.txt": ("a list of outlines by Cellpose", OF_PICTURE),
     ".gz": ("a packed file", "Unpack it."),
     ".mhd": ("MetaImage", STACK),
     ".mha": ("MetaImage", STACK),
