@@ -61,7 +61,6 @@ def command(study: Path, plot: bool, as_json: bool, widths: bool) -> None:
 
 def _about(study: "Study", record: "RunRecord") -> Iterator[str]:
     """Yield what the study states: inputs, conditions, how pictures were read."""
-    from strandline.models.command.results import UNUSED_DISPLACEMENT
     from strandline.report.warnings import small_share
     from strandline.studies.first_run import turned_lines
     from strandline.studies.read_how import read_lines
@@ -75,16 +74,8 @@ def _about(study: "Study", record: "RunRecord") -> Iterator[str]:
         yield f"observed conditions: {', '.join(conditions)}"
     yield from turned_lines(study)
     yield from read_lines(study)
-    for condition, names in study.unused.items():
-        yield _unused(f"the observed file{f' of {condition}' if condition else ''}", names[0])
-    if record.diagnostics.get(UNUSED_DISPLACEMENT):
-        yield _unused("the result of a run", "of displacements")
     for shown in study.pictures.values():
         yield from (f"warning: {shown.name}: {said}" for said in shown.ignored)
-
-
-def _unused(file: str, name: str) -> str:
-    return f"warning: {file} holds point data {name} that are not used; to add them, give their name as `field`"
 
 
 def _prepared(study: "Study") -> Iterator[str]:

@@ -1,6 +1,6 @@
 """The contents of a file, whatever its format: points, cells in blocks, and data on both."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -41,12 +41,3 @@ class Contents:
     data: Mapping[str, Shaped[np.ndarray, "..."]] = field(default_factory=dict)
     displacement: Float[np.ndarray, "point xyz"] | None = None
     pieces: Int[np.ndarray, " point"] | None = None
-
-    @classmethod
-    def of_outlines(cls, outlines: Sequence[tuple[Float[np.ndarray, "point 2"], bool]]) -> "Contents":
-        """Return outlines (points, whether they are closed) as pieces; a closed one repeats its first point."""
-        whole = [
-            np.concatenate([points, points[:1]]) if closed and (points[0] != points[-1]).any() else points
-            for points, closed in outlines
-        ]
-        return cls(np.concatenate(whole), pieces=np.repeat(np.arange(len(whole)), [len(points) for points in whole]))

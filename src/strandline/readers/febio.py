@@ -1,7 +1,6 @@
-"""Logfiles of FEBio with the places of nodes: ``<node_data data="x;y;z" file="nodes.txt"/>``.
+"""Logfiles of FEBio with the places of nodes, of the deformed body: ``<node_data data="x;y;z" file="nodes.txt"/>``.
 
-Each time begins with lines ``*Step``, ``*Time`` and ``*Data``; then come number and values of each node, in the
-order of the node set and separated by blanks or by the file's `delim`. The places are those of the deformed body.
+After the lines ``*Step``, ``*Time`` and ``*Data`` come number and values of each node, in the order of the node set.
 """
 
 import re
@@ -16,25 +15,15 @@ from strandline.readers.series import chosen_time
 
 __all__ = ["read_febio"]
 
+STEP = re.compile(r"^\*Step *=.*\n\*Time *=(.*)\n\*Data *=(.*)\n([^*]*)", re.MULTILINE)
+
 
 def read_febio(path: Path, how: Reading, name: str) -> Contents:
     """Return the places of the nodes at one time, in the two coordinates of `plane`."""
-    content = path.read_text()
-    blocks = re.split(r"^\*Step *=.*\n", content, flags=re.MULTILINE)[1:]
-    times = [float(_said(block, "Time")) for block in blocks]
-    block = blocks[chosen_time(times, how, name)]
-    titles = [title.strip() for title in _said(block, "Data").split(";")]
-    if any(axis not in titles for axis in how.plane):
-        raise refused(f"{name} holds no places of nodes", ";".join(titles), "data x;y;z", "Let FEBio write x;y;z.")
-    lines = [line for line in block.splitlines() if line.strip() and not line.startswith("*")]
-    values = np.array([re.split(r"[,;\s]+", line.strip(" ,;\t")) for line in lines], dtype=float)
-    if values.ndim != 2 or values.shape[1] != len(titles) + 1:
-        raise ValueError(f"rows of {values.shape[-1]} numbers instead of {len(titles) + 1}")
-    return Contents(values[:, [1 + titles.index(axis) for axis in how.plane]])
-
-
-def _said(block: str, key: str) -> str:
-    found = re.search(rf"^\*{key} *=(.*)$", block, flags=re.MULTILINE)
-    if found is None:
-        raise ValueError(f"a time without *{key}")
-    return found[1].strip()
+    steps = STEP.findall(path.read_text())
+    _, data, rows = steps[chosen_time([float(time) for time, _, _ in steps], how, name)]
+    titles = ["", *(title.strip() for title in data.split(";"))]
+    if not set(how.plane) <= set(titles):
+        raise refused(f"{name} holds no places of nodes", data.strip(), "data x;y;z", "Let FEBio write x;y;z.")
+    values = np.array([re.findall(r"[^,;\s]+", row) for row in rows.splitlines() if row.strip()], dtype=float)
+    return Contents(values.reshape(-1, len(titles))[:, [titles.index(axis) for axis in how.plane]])

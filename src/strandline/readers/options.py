@@ -14,10 +14,7 @@ from strandline.registry import imported
 __all__ = ["MESHES", "SERIES", "TO_MM", "Reading"]
 
 TO_MM = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "m": 1e3}
-MESHES = (
-    *(".vtu", ".vtp", ".pvtu", ".pvtp", ".pvd", ".xdmf", ".xmf", ".stl", ".ply", ".vtk", ".vts", ".vtr", ".vtm"),
-    *(".msh", ".mesh", ".frd"),
-)
+MESHES = (".vtu", ".vtp", ".pvtu", ".pvtp", ".pvd", ".xdmf", ".xmf", ".stl", ".ply", ".vtk", ".msh", ".mesh", ".frd")
 """Suffixes of files that hold cells; any other file is a table of points in their order."""
 SERIES = (".pvd", ".xdmf", ".xmf", ".frd")
 """Suffixes of files that hold several times."""
@@ -41,10 +38,9 @@ class Reading:
         decimal: Decimal mark of a text table, ``.`` or ``,``; with commas the fields are separated by semicolons or
             blanks.
         sd: Column of a table, by name or number from 1, that holds the standard deviation of each point, in `unit`.
-        closed: Whether the last point of a table is joined to the first; needed if the file does not repeat its first
-            point and its ends nearly meet.
+        closed: Whether the last point of a table is joined to the first; needed if its ends nearly meet.
         sort: Coordinate, ``x`` or ``y``, that sorts the points of a table if they are not in order along the interface.
-        field: Displacement to add: the name of point data of a mesh, or two columns of a table.
+        field: Displacement to add: the name of point data of a mesh, or ``none``; or two columns of a table.
         time: Time of a series: ``last``, ``{index: 3}`` or ``{value: 0.5}``.
         block: Block of cells, by number from 0 or by kind.
         cells: Cell data, ``{name: value}``, of the cells that are read.

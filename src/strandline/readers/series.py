@@ -1,4 +1,4 @@
-"""Files that list others: PVD with several times, of which one is chosen, and VTM with several blocks."""
+"""Files with several times: PVD, and the choice of one time."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +11,7 @@ from strandline.readers.options import Reading
 from strandline.readers.problems import refused
 from strandline.readers.vtk_xml import beside, joined, read_vtk_xml, require_each_once
 
-__all__ = ["chosen_time", "read_pvd", "read_vtm"]
+__all__ = ["chosen_time", "read_pvd"]
 
 
 def read_pvd(path: Path, how: Reading, name: str) -> Contents:
@@ -23,14 +23,6 @@ def read_pvd(path: Path, how: Reading, name: str) -> Contents:
     times = sorted({time for time, _ in found})
     chosen = times[chosen_time(times, how, name)]
     files = [file for time, file in found if time == chosen]
-    require_each_once(files)
-    return joined([read_vtk_xml(beside(path, file), how, name) for file in files])
-
-
-def read_vtm(path: Path, how: Reading, name: str) -> Contents:
-    """Return the joined contents of the files that a VTM file names, whatever its blocks."""
-    found = ElementTree.fromstring(path.read_bytes()).iter("DataSet")
-    files = [item.attrib["file"] for item in found if item.get("file")]
     require_each_once(files)
     return joined([read_vtk_xml(beside(path, file), how, name) for file in files])
 

@@ -19,7 +19,7 @@ from strandline.readers.order import require_clear_ends, require_in_order
 from strandline.readers.problems import refused
 from strandline.readers.tables import SD
 
-__all__ = ["interface_of", "point_sds", "unused_displacement"]
+__all__ = ["interface_of", "point_sds"]
 
 FLATNESS = 1e-9
 """Share of the extent by which points may leave a plane."""
@@ -58,7 +58,11 @@ def _places(
 ) -> tuple[Float[np.ndarray, "point xyz"], Float[np.ndarray, "point xyz"]]:
     """Return the points as they are in the file and with the displacement added, mm."""
     places, displacement = contents.points, contents.displacement
-    if isinstance(how.field, str):
+    vectors = [key for key, v in contents.data.items() if DISPLACEMENT.fullmatch(key) and v.shape[1:] in ((2,), (3,))]
+    if how.field is None and displacement is None and vectors and np.nan_to_num(contents.data[vectors[0]]).any():
+        remedy = f"Say `field: {vectors[0]}` to add them, or `field: none` if they are none or the points have moved."
+        raise refused(f"{name} holds what may be displacements", vectors[0], "`field`", remedy)
+    if isinstance(how.field, str) and how.field != "none":
         displacement = np.asarray(_data(contents.data, how.field, f"{name} has no point data", how.field), float)
         if displacement.ndim != 2 or not 2 <= displacement.shape[1] <= 3:
             raise refused(f"{name}: point data {how.field}", f"the shape {displacement.shape}", "one vector per point")
@@ -68,17 +72,6 @@ def _places(
     moved = np.zeros_like(places)
     moved[:, : min(width, displacement.shape[1])] = displacement[:, :width]
     return places * how.factor, (places + moved) * how.factor
-
-
-def unused_displacement(contents: Contents, how: Reading) -> str | None:
-    """Return the name of point data that look like displacements, are not 0 and are not added to the points."""
-    if how.field is not None or contents.displacement is not None:
-        return None
-    for key, values in contents.data.items():
-        vectors = values.ndim == 2 and 2 <= values.shape[1] <= 3
-        if vectors and DISPLACEMENT.fullmatch(key) and np.nan_to_num(values).any():
-            return key
-    return None
 
 
 def point_sds(contents: Contents, how: Reading, name: str) -> Float[np.ndarray, " point"]:
@@ -113,8 +106,7 @@ def _of_table(
     order = _order(contents, places, how, name)
     _require_finite(moved[order], name)
     chain = moved[order]
-    if how.sort is None:
-        require_in_order(chain, name, "Put the points in order along the interface, or `sort` them by x or y.")
+    require_in_order(chain, name, "Put them in order along the interface; `sort` does it if x or y grows along it.")
     repeated = _repeats_first(chain, how)
     if not repeated and how.closed is None:
         require_clear_ends(chain, name)
@@ -240,10 +232,7 @@ def _chosen(contents: Contents, how: Reading, name: str) -> list[Block]:
         raise refused(f"{name} has no such cells", shown, "cells that form the interface", "Correct `cells`.")
     unknown = [block.kind for block in blocks if cells.dimension(block.kind) is None]
     if unknown:
-        remedy = "Choose other cells by `block`, or save these as such."
-        raise refused(
-            f"{name} has cells that are not read", unknown[0], "lines, faces or solids up to second order", remedy
-        )
+        raise refused(f"{name} has cells that are not read", unknown[0], "lines, faces or solids up to second order")
     lowest = min(cells.dimension(block.kind) or 0 for block in blocks)
     return [block for block in blocks if cells.dimension(block.kind) == lowest]
 

@@ -12,7 +12,7 @@ from strandline.readers.contents import Block, Contents
 from strandline.readers.options import Reading
 from strandline.readers.vtk_arrays import Encoding, numbers, split
 
-__all__ = ["beside", "contents_of", "joined", "read_vtk_xml", "require_each_once"]
+__all__ = ["POLYGON", "POLYLINE", "STRIP", "beside", "blocks_of", "joined", "read_vtk_xml", "require_each_once"]
 
 KINDS = {
     3: "line",
@@ -45,19 +45,19 @@ def read_vtk_xml(path: Path, how: Reading, name: str) -> Contents:
     Raises:
         ValueError: (also KeyError, IndexError, SyntaxError) a damaged file, or one of another kind.
     """
-    return contents_of(path.read_bytes(), path)
+    return _read(path, parallel=True)
 
 
-def contents_of(content: bytes, parallel: Path | None = None) -> Contents:
-    """Return the contents of a file's bytes; one that lists other files, beside `parallel`, is read only with it."""
-    root, encoding = split(content)
+def _read(path: Path, *, parallel: bool) -> Contents:
+    """Return the contents of a file; one that lists other files is read only if `parallel`."""
+    root, encoding = split(path.read_bytes())
     form = root.get("type", "")
     (data,) = [child for child in root if child.tag == form] or [root]
     pieces = data.findall("Piece")
-    if parallel is not None and form in ("PUnstructuredGrid", "PPolyData"):
+    if parallel and form in ("PUnstructuredGrid", "PPolyData"):
         files = [piece.attrib["Source"] for piece in pieces]
         require_each_once(files)
-        parts = [contents_of(beside(parallel, file).read_bytes()) for file in files]
+        parts = [_read(beside(path, file), parallel=False) for file in files]
     elif form in ("UnstructuredGrid", "PolyData"):
         parts = [_piece(piece, encoding, poly=form == "PolyData") for piece in pieces]
     else:
@@ -111,7 +111,7 @@ def _piece(piece: ElementTree.Element, encoding: Encoding, *, poly: bool) -> Con
     cells = _poly_cells(piece, encoding) if poly else _grid_cells(piece, encoding)
     data = _arrays(piece.find("CellData"), encoding)
     visible = data.pop("vtkGhostType", None)
-    blocks = _blocks(list(cells), data, None if visible is None else visible == 0)
+    blocks = blocks_of(list(cells), data, None if visible is None else visible == 0)
     for block in blocks:
         if block.nodes.min() < 0 or block.nodes.max() >= len(coordinates):
             raise ValueError("cells with points that do not exist")
@@ -151,10 +151,10 @@ def _sliced(cells: dict[str, Shaped[np.ndarray, "..."]]) -> list[Int[np.ndarray,
     return np.split(connectivity, ends[:-1]) if len(ends) else []
 
 
-def _blocks(
+def blocks_of(
     cells: Sequence[tuple[int, Any]],
     data: dict[str, Shaped[np.ndarray, "..."]],
-    visible: Shaped[np.ndarray, "..."] | None,
+    visible: Shaped[np.ndarray, "..."] | None = None,
 ) -> tuple[Block, ...]:
     """Return the cells by kind; polylines become lines, polygons with more than three corners fans of triangles."""
     nodes: dict[str, list[Any]] = {}

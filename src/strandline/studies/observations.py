@@ -29,7 +29,6 @@ class Found:
         sds: Standard deviation of each point, mm, if the file holds them.
         picture: The picture in which it was found, if it was.
         stack: The stack of pictures in which it was found, if it was.
-        unused: Names of data in the file that look like displacements and are not used.
     """
 
     interface: Interface
@@ -37,7 +36,6 @@ class Found:
     sds: Float[np.ndarray, " point"] | None = None
     picture: Photographed | None = None
     stack: Scanned | None = None
-    unused: tuple[str, ...] = ()
 
     @property
     def errors(self) -> PointErrors | None:
@@ -93,9 +91,7 @@ def read_observation(folder: Path, source: ObservationFile, model: ForwardModel)
     else:
         path, name, unit = folder / str(source.file), f"observation {source.file}", str(source.unit)
         sds = read_sds(path, unit, options=source.reading)
-        unused: list[str] = []
-        interface = read_points(path, unit, options=source.reading, unused=unused.append)
-        found = Found(interface, sds=sds, unused=tuple(unused))
+        found = Found(read_points(path, unit, options=source.reading), sds=sds)
     if undeformed is None:
         return found
     require_plausible(name, found.interface, undeformed, unit=unit)

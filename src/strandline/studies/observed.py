@@ -1,6 +1,6 @@
 """Observed interfaces: from files of points, or synthetic ones with noise."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -60,12 +60,7 @@ def _disturbed(interface: Interface, condition: str, noise: SyntheticNoise) -> I
 
 
 def read_points(
-    path: Path,
-    unit: str,
-    *,
-    what: str = "observation",
-    options: Mapping[str, Any] | None = None,
-    unused: Callable[[str], None] | None = None,
+    path: Path, unit: str, *, what: str = "observation", options: Mapping[str, Any] | None = None
 ) -> Interface:
     """Return the interface in a file, in mm; for a text file without `options`, the open polyline of its points.
 
@@ -77,14 +72,13 @@ def read_points(
         unit: Unit of the numbers in the file, a key of `TO_MM`.
         what: Name of the points in messages.
         options: How to read the file, see `strandline.readers.Reading`.
-        unused: Receives the name of point data that look like displacements and are not used.
 
     Raises:
         InvalidStudy: The file is missing, empty or damaged, or holds no simple interface.
     """
     try:
         reading = Reading.from_options({**(options or {}), "file": path.name, "unit": unit}, what)
-        return read_interface(path, reading, name=f"{what} {path.name}", unused=unused)
+        return read_interface(path, reading, name=f"{what} {path.name}")
     except InvalidInput as error:
         raise InvalidStudy(
             error.what,

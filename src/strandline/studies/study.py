@@ -65,7 +65,6 @@ class Study:
         pictures: The pictures, by condition, in which observed interfaces were found.
         stacks: The stacks of pictures, by condition, in which observed surfaces were found.
         undeformed: The model's undeformed outline, if it comes from a picture.
-        unused: Names of displacements in the observed files that are not used, by condition.
         settings: How the posterior is computed.
         executor: Where forward runs are made.
         reuse: Ledgers of other studies whose runs are taken over if they fit.
@@ -93,7 +92,6 @@ class Study:
     executor: Executor
     reuse: tuple[Path, ...]
     candidates: tuple[Candidate, ...] = ()
-    unused: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     with_report: bool = True
     as_loaded: "Study | None" = field(default=None, repr=False, compare=False)
 
@@ -206,7 +204,6 @@ def study_of(folder: Path, content: StudyFile, text: str) -> Study:
         pictures={condition: one.picture for condition, one in read.items() if one.picture is not None},
         stacks={condition: one.stack for condition, one in read.items() if one.stack is not None},
         undeformed=undeformed,
-        unused={condition: one.unused for condition, one in read.items() if one.unused},
         settings=_settings(content, model),
         executor=build_executor(content.executor, folder),
         reuse=reuse,

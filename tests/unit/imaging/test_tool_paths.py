@@ -43,10 +43,10 @@ def test_paths_with_the_pixels_that_their_tools_count(tmp_path):
 def test_paths_that_are_refused(tmp_path):
     rows = "".join(f"{100 - k:.1f},{k:.1f}\n{100 + k:.1f},{k:.1f}\n" for k in range(1, 40))
     for name, content, words in (
-        ("a.json", labelme(("polygon", SQUARE), ("polygon", SQUARE)), "2 outlines"),
-        ("a.json", labelme(("point", [[1, 1]])), "no outline"),
+        ("a.json", labelme(("polygon", SQUARE), ("polygon", SQUARE)), "number of outlines: got 2"),
+        ("a.json", labelme(("point", [[1, 1]])), "number of outlines: got 0"),
         ("a.json", labelme()[:-9], "cannot be read"),
-        ("a_cp_outlines.txt", "10,5,19,5,19,14\n40,5,49,5,49,14\n", "2 outlines"),
+        ("a_cp_outlines.txt", "10,5,19,5,19,14\n40,5,49,5,49,14\n", "number of outlines: got 2"),
         ("extracted.csv", rows, "jumps to and fro.*fit.csv"),
     ):
         with pytest.raises(InvalidInput, match=words):

@@ -7,10 +7,7 @@ import numpy as np
 import pytest
 from tests.unit.readers.reads import read, refused
 
-from strandline.models.command.results import UNUSED_DISPLACEMENT, read_results
 from strandline.readers import Reading
-from strandline.studies.keys.observation import ObservationFile
-from strandline.studies.observations import read_observation
 from strandline.testing.readers import CHECKS
 
 ARC = [[0.0, 0.0], [0.2, 0.15], [0.4, 0.25], [0.6, 0.25], [0.8, 0.15], [1.0, 0.0]]
@@ -59,7 +56,7 @@ def test_files_of_simulators_and_maps(tmp_path):
         ("nodes.dat", FEBIO.replace(" 0\n", ",0\n"), {"time": {"value": 0.5}, "plane": "xz"}, [[x, 0] for x, _ in ARC]),
         ("job.dat", DAT, {}, [[1.0, 1.2], [0.5, 1.2], [0.0, 1.2]]),
         ("job.dat", DAT, {"time": {"value": 1}, "sort": "x"}, [[0.0, 1.1], [0.5, 1.1], [1.0, 1.1]]),
-        ("job.frd", FRD, {"start": [0, -0.2]}, ENDS),
+        ("job.frd", FRD, {"start": [0, -0.2], "field": "none"}, ENDS),
         ("job.frd", FRD, {"start": [0, -0.2], "field": "DISP"}, MOVED),
         ("th.msh", FREEFEM, {"cells": {"label": [2, 3]}, "start": [2, 0]}, [[2, 0], [2, 1], [0, 1]]),
         ("U_patch.raw", RAW, {"columns": ["x", "y"], "sort": "x"}, ARC),
@@ -75,7 +72,8 @@ def test_each_new_reader_passes_the_conformance_suite(tmp_path):
         ("a.geojson", json.dumps(LINE)), ("job.dat", DAT), ("job.frd", FRD), ("nodes.txt", FEBIO), ("th.msh", FREEFEM),
     ):  # fmt: skip
         (tmp_path / name).write_text(content)
-        how = Reading(name, "mm", cells={"label": (1, 2)} if name == "th.msh" else None)
+        part, field = {"label": (1, 2)} if name == "th.msh" else None, "DISP" if name == "job.frd" else None
+        how = Reading(name, "mm", cells=part, field=field)
         for check in CHECKS.values():
             check(tmp_path / name, how)
 
@@ -112,7 +110,9 @@ def test_known_formats_are_refused_by_name(tmp_path):
         ("d.txt", b"***\n*** Digital Image Correlation Engine (DICe)\n", "DICe.*grid of subsets"),
         ("U.raw", b"# U  FACE_DATA 6\n# x y z U_x U_y U_z\n0 0 0 0 0 0\n", r"OpenFOAM.*columns: \[x, y\].*sort: x"),
         ("p.csv", b'"Points:0","Points:1","Points:2"\n0,0,0\n', 'columns: \\["Points:0", "Points:1"\\]'),
-        ("j.dat", DAT.encode(), "without places: got no j.inp"),
+        ("two.vtm", b"<VTKFile/>", "list of blocks by VTK.*Merge"),
+        ("j.dat", DAT.encode(), "without places: got no node 9 in j.inp"),
+        ("j.frd", FRD.encode(), "may be displacements: got DISP.*`field: DISP`.*`field: none`"),
         ("c.dat", DAT[: DAT.rindex("         1")].encode(), "cut off"),
         ("nodes.txt", FEBIO.replace("x;y;z", "ux;uy;uz").encode(), "no places of nodes"),
     ):  # fmt: skip
@@ -129,7 +129,7 @@ VTU = """<VTKFile type="UnstructuredGrid" version="0.1"><UnstructuredGrid>
 </DataArray><DataArray type="UInt8" Name="types">{kind}</DataArray></Cells></Piece></UnstructuredGrid></VTKFile>"""
 
 
-def test_voxels_strips_and_blocks(tmp_path):
+def test_voxels_and_strips(tmp_path):
     box = np.array([[x, y, z] for z in (0, 1) for y in (0, 2) for x in (0, 3)])
     strip = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1], [0, 2, 1]])
     for kind, points, area in ((11, box, 22.0), (6, strip, 0.5 + np.sqrt(3))):
@@ -139,44 +139,43 @@ def test_voxels_strips_and_blocks(tmp_path):
         assert found.areas.sum() == pytest.approx(area)
         directions = found.normals * (found.centres - found.points.mean(axis=0))
         assert (directions.sum(axis=1) > 0).all() if kind == 11 else (found.normals[:, 2] > 0).all()
-    (tmp_path / "two").mkdir()
-    for k in range(2):
-        mesh = meshio.Mesh(np.array([[k, 0.0, 0], [k + 1, k, 0]]), [("line", [[0, 1]])])
-        meshio.vtu.write(str(tmp_path / "two" / f"{k}.vtu"), mesh)
-    blocks = "".join(f'<Block><DataSet index="{k}" file="two/{k}.vtu"/></Block>' for k in range(2))
-    (tmp_path / "two.vtm").write_text(f'<VTKFile type="vtkMultiBlockDataSet">{blocks}</VTKFile>')
-    assert read(tmp_path / "two.vtm", start=[0, 0]).points.tolist() == [[0, 0], [1, 0], [2, 1]]
 
 
-POLYDATA = """# vtk DataFile Version 3.0
-a line
-ASCII
-DATASET POLYDATA
-POINTS 4 double
-0 0 0 1 0.5 0 2 0.5 0 3 0 0
-LINES 1 5
-4 0 1 2 3
-"""
+STRIP = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1]])
 
 
-def test_legacy_polygonal_data_needs_vtk_and_says_so(tmp_path):
+def legacy(version, form, key, nodes):
+    """Polygonal data as VTK writes it in a version, with its two ways to list cells, and with data and remarks."""
+
+    def packed(values, kind):
+        values = np.ravel(values).astype(kind)
+        return " ".join(map(str, values.tolist())).encode() + b"\n" if form == "ASCII" else values.tobytes() + b"\n"
+
+    parts = [f"# vtk DataFile Version {version}\nx\n{form}\nDATASET POLYDATA\nPOINTS 4 float\n".encode()]
+    parts += [packed(STRIP, ">f4"), b"METADATA\nINFORMATION 1\nNAME L2 LOCATION x\nDATA 2 0 2\n\n"]
+    if version > 5:
+        ends = np.cumsum([0, *map(len, nodes)])
+        parts += [f"{key} {len(ends)} {ends[-1]}\nOFFSETS vtktypeint64\n".encode(), packed(ends, ">i8")]
+        parts += [b"CONNECTIVITY vtktypeint64\n", packed(np.concatenate(nodes), ">i8")]
+    else:
+        flat = np.concatenate([[len(one), *one] for one in nodes])
+        parts += [f"{key} {len(nodes)} {len(flat)}\n".encode(), packed(flat, ">i4")]
+    parts += [b"CELL_DATA 1\nSCALARS part int\nLOOKUP_TABLE default\n", packed([7], ">i4")]
+    parts += [b"POINT_DATA 4\nNORMALS n float\n", packed(STRIP, ">f4"), b"FIELD FieldData 1\nshift 3 4 double\n"]
+    return b"".join([*parts, packed(STRIP[:, [2, 0, 2]], ">f8")])
+
+
+@pytest.mark.parametrize("form", ["ASCII", "BINARY"])
+@pytest.mark.parametrize("version", [3.0, 5.1])
+def test_legacy_polygonal_data(tmp_path, version, form):
     path = tmp_path / "a.vtk"
-    path.write_text(POLYDATA)
-    try:
-        import vtkmodules.vtkIOXML  # noqa: F401
-    except ModuleNotFoundError:
-        with pytest.raises(Exception, match=r"a\.vtk needs VTK.*strandline\[vtk\]"):
-            read(path)
-        return
+    for key, nodes, area in (("TRIANGLE_STRIPS", [0, 1, 2, 3], (1 + 3**0.5) / 2), ("POLYGONS", [0, 1, 3, 2], 2**0.5)):
+        path.write_bytes(legacy(version, form, key, [nodes]))
+        assert read(path).areas.sum() == pytest.approx(area)
+    path.write_bytes(legacy(version, form, "LINES", [[0, 1, 2]]))
     for check in CHECKS.values():
-        check(path, Reading("a.vtk", "mm"))
-    assert read(path, start=[0, 0]).points.tolist() == [[0, 0], [1, 0.5], [2, 0.5], [3, 0]]
-    grid = (
-        '<VTKFile type="StructuredGrid"><StructuredGrid WholeExtent="0 2 0 1 0 0"><Piece Extent="0 2 0 1 0 0"><Points>'
-    )
-    grid += '<DataArray type="Float64" NumberOfComponents="3" format="ascii">0 0 0 1 0 0 2 0 0 0 1 0 1 1 0 2 1 0'
-    (tmp_path / "a.vts").write_text(grid + "</DataArray></Points></Piece></StructuredGrid></VTKFile>")
-    assert read(tmp_path / "a.vts").lengths.sum() == 6
+        check(path, Reading("a.vtk", "mm", cells={"part": 7}))
+    assert read(path, cells={"part": 7}, field="shift", start=[0, 0]).points.tolist() == [[0, 0], [1, 1], [0, 1]]
 
 
 XDMF = """<Xdmf Version="3.0"><Domain><Grid Name="m" GridType="Uniform">
@@ -197,18 +196,16 @@ def test_each_function_of_an_xdmf_file_may_have_its_own_series(tmp_path):
         assert read(tmp_path / "a.xdmf", field=name, start=[0, 0]).points.tolist() == [[0, 1], [1, 1]]
 
 
-def test_displacements_that_are_not_used_are_reported(tmp_path):
+def test_displacements_are_added_or_declined(tmp_path):
     mesh = meshio.Mesh(np.array([[0.0, 0, 0], [1, 0, 0]]), [("line", [[0, 1]])])
-    for data, field, key in (
-        ({"displacement": np.ones((2, 3))}, None, "displacement"),
-        ({"displacement": np.ones((2, 3))}, "displacement", None),
-        ({"displacement": np.zeros((2, 3))}, None, None),
-        ({"U": np.ones((2, 3)), "T": np.ones(2)}, None, "U"),
-        ({"velocity": np.ones((2, 3))}, None, None),
-    ):
-        mesh.point_data = data
+    for key, values, field, moved in (
+        ("displacement", np.ones((2, 3)), "displacement", 1), ("displacement", np.ones((2, 3)), "none", 0),
+        ("displacement", np.zeros((2, 3)), None, 0), ("velocity", np.ones((2, 3)), None, 0), ("u", np.ones(2), None, 0),
+        ("u", np.ones((2, 3)), None, None), ("Disp", np.ones((2, 3)), None, None),
+    ):  # fmt: skip
+        mesh.point_data = {key: values}
         meshio.vtu.write(str(tmp_path / "a.vtu"), mesh)
-        observed = ObservationFile(file="a.vtu", unit="mm", field=field)
-        assert read_observation(tmp_path, observed, object()).unused == ((key,) if key else ())
-        result = read_results({"": Reading("a.vtu", "mm", field=field)}, tmp_path, 0)
-        assert result.diagnostics == ({UNUSED_DISPLACEMENT: 1.0} if key else {})
+        if moved is None:
+            refused(f"may be displacements.*`field: {key}`.*`field: none`", tmp_path / "a.vtu")
+        else:
+            assert read(tmp_path / "a.vtu", field=field, start=[0, 0]).points[0].tolist() == [moved, moved]

@@ -61,8 +61,6 @@ def _opened(file: Any, h5py: Any, how: PictureReading, name: str) -> PictureFile
         found = found[..., 0] if channels == 1 else found
         return found.T if reversed_axes else found
 
-    if channels:
-        notes = (*notes, "its last axis holds the channels")
     if reversed_axes:
         notes = (*notes, "axes of the MATLAB array turned back to (row, column)")
     axes = tuple((f"axis {k}", length) for k, length in enumerate(leading) if length != 1)
@@ -75,17 +73,15 @@ def _channels(values: Any, name: str) -> int:
     Raises:
         Unreadable: Rows and columns are not the last axes but for channels, or there are channels that are no colours.
     """
-    axes = [axis.get("key", "") for axis in json.loads(values.attrs.get("axistags", "{}")).get("axes", [])]
-    labels = [one.decode() if isinstance(one, bytes) else str(one) for one in values.attrs.get("DIMENSION_LABELS", ())]
-    last = (axes or [label.lower() for label in labels] or [""])[-1]
-    number = int(values.shape[-1]) if last in ("c", "channel", "channels") else 0
-    if number not in (0, 1, 3) or (axes and [axis for axis in axes if axis != "c"][-2:] != ["y", "x"]):
-        raise refused(
-            f"{name}: axes {''.join(axes) or ', '.join(labels)}",
+    tags = json.loads(values.attrs.get("axistags", "{}")).get("axes", ())
+    axes = [tag["key"] for tag in tags] or [axis.label.lower()[:1] for axis in values.dims]
+    number = int(values.shape[-1]) if axes[-1:] == ["c"] else 0
+    if number not in (0, 1, 3) or ("y" in axes and [axis for axis in axes if axis != "c"][-2:] != ["y", "x"]):
+        shape, expected = (
             " × ".join(map(str, values.shape)),
-            "rows y, columns x, and at the end one channel or three colours, or none",
-            "Save one channel, as yx or zyx; in ilastik: Export Settings, Cutout Subregion and Transpose.",
+            "rows y, columns x, then nothing, 1 channel or 3 colours",
         )
+        raise refused(f"{name}: axes {''.join(axes)}", shape, expected, "Save one channel, its axes as yx or zyx.")
     return number
 
 

@@ -1,8 +1,7 @@
-"""Outlines of labelme, GeoJSON (QuPath, rasterio, shapely) and Cellpose, in pixels of a picture.
+"""Outlines of labelme, GeoJSON (QuPath, rasterio) and Cellpose, in pixels of a picture.
 
-labelme and GeoJSON count from the top left corner of the picture: the centre of the first pixel is (0.5, 0.5). An
-outline of Cellpose, like those of OpenCV, runs through the centres of the outermost pixels of a cell, the first pixel's
-at (0, 0); the edge itself is half a pixel outside.
+labelme and GeoJSON count from the corner of the picture: the centre of the first pixel is (0.5, 0.5). An outline of
+Cellpose, as of OpenCV, runs through the centres of a cell's outermost pixels, that of the first pixel (0, 0).
 """
 
 import numpy as np
@@ -10,45 +9,25 @@ import numpy as np
 from strandline.errors import InvalidInput
 from strandline.imaging.paths.first_path import FirstPath
 from strandline.imaging.paths.repeats import without_repeats
-from strandline.readers.json_outlines import Outline, outlines
+from strandline.readers.outlines import outlines
 
-__all__ = ["path_of_cellpose", "path_of_json"]
+__all__ = ["path_of_outline"]
 
 
-def path_of_json(content: bytes) -> FirstPath:
-    """Return the only outline of a labelme or GeoJSON file.
+def path_of_outline(content: bytes) -> FirstPath:
+    """Return the only outline in a file in JSON, or in a list of Cellpose: x and y in turn, a cell in each line.
 
     Raises:
         InvalidInput: A damaged file, no outline or several, or points that make no path.
     """
+    in_json = content.lstrip().startswith(b"{")
+    cells = [] if in_json else [line.split(b",") for line in content.splitlines() if line.strip()]
+    expected, remedy = "one line or polygon, the path along the edge", "Keep only that one in the file."
     try:
-        found = outlines(content)
+        found = outlines(content) if in_json else [(np.array(x, dtype=float).reshape(-1, 2), True) for x in cells]
     except (ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
-        raise _refused("cannot be read", f"{type(error).__name__}: {error}") from None
-    path = _only(found)
-    return FirstPath(path.points - 0.5, path.closed)
-
-
-def path_of_cellpose(content: bytes) -> FirstPath:
-    """Return the only outline of ``NAME_cp_outlines.txt``, which has a cell in each line: x and y in turn.
-
-    Raises:
-        InvalidInput: A damaged file, several cells, or points that make no path.
-    """
-    lines = [line for line in content.decode("utf-8", "replace").splitlines() if line.strip()]
-    try:
-        return _only([(np.array(line.split(","), dtype=float).reshape(-1, 2), True) for line in lines])
-    except ValueError as error:
-        raise _refused("cannot be read", str(error)) from None
-
-
-def _only(found: list[Outline]) -> FirstPath:
+        raise InvalidInput("cannot be read", value=str(error), expected=expected, remedy=remedy) from None
     if len(found) != 1:
-        raise _refused(f"holds {len(found) or 'no'} outlines", f"{len(found)} outlines")
-    points, closed = found[0]
-    return without_repeats(points, closed=closed)
-
-
-def _refused(what: str, value: str) -> InvalidInput:
-    expected = "one line or polygon, the path along the edge"
-    return InvalidInput(what, value=value, expected=expected, remedy="Keep the one that is meant in a file of its own.")
+        raise InvalidInput("number of outlines", value=len(found), expected=expected, remedy=remedy)
+    path = without_repeats(found[0][0], closed=found[0][1])
+    return FirstPath(path.points - 0.5 * in_json, path.closed)

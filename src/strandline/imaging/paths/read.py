@@ -15,14 +15,11 @@ PathReader = Callable[[bytes], FirstPath]
 PATHS: dict[str, str] = {
     "fiji_roi": "strandline.imaging.paths.fiji_roi:path_of_roi",
     "fiji_xy": "strandline.imaging.paths.fiji_xy:path_of_xy",
-    "json": "strandline.imaging.paths.outlines:path_of_json",
-    "cellpose": "strandline.imaging.paths.outlines:path_of_cellpose",
+    "outlines": "strandline.imaging.paths.outlines:path_of_outline",
     "napari": "strandline.imaging.paths.napari:path_of_shapes",
 }
 """Formats of paths → ``module:name`` of the function that reads them."""
 
-FEW = 4
-"""Most commas in a line with one point; a line of Cellpose holds a whole cell."""
 LARGEST = 1 << 23
 """Bytes of a file that is read."""
 
@@ -76,12 +73,12 @@ def _form(content: bytes) -> str:
     begin = content[:200].decode("utf-8-sig", "replace").lstrip().lower()
     if begin.startswith("{"):
         if b'"shapes"' in content or b'"coordinates"' in content:
-            return "json"
+            return "outlines"
         raise _refused("is JSON, but is not used as a file of clicks", "{ …", "Name it NAME.path.json.")
     first = begin.partition("\n")[0]
     if "axis-" in first and "vertex-index" in first:
         return "napari"
-    return "cellpose" if first.count(",") > FEW else "fiji_xy"
+    return "outlines" if first.count(",") > 4 else "fiji_xy"  # a line of Cellpose holds a whole cell
 
 
 def _refused(what: str, value: object, remedy: str = "Correct the file, or its name.") -> InvalidInput:

@@ -173,7 +173,7 @@ class CommandModel:
                 self._require_success(ended, arguments[0])
             if parts.success is not None:
                 parts.success.require(workdir, workdir / LOG)
-            return read_results(parts.readings, workdir, started)
+            return Simulation(read_results(parts.readings, workdir, started))
         except ForwardModelError as error:
             error.log = error.log or log
             raise

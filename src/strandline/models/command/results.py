@@ -7,13 +7,9 @@ from pathlib import Path
 from strandline.errors import ForwardModelError, InvalidInput
 from strandline.interface import Interface
 from strandline.models.command.names import relative_name
-from strandline.models.protocol import Simulation
 from strandline.readers import Reading, Unreadable, read_interface
 
-__all__ = ["UNUSED_DISPLACEMENT", "LogText", "read_results", "readings_of"]
-
-UNUSED_DISPLACEMENT = "unused_displacement"
-"""Entry of a run's diagnostics: 1 if its result holds displacements that are not used."""
+__all__ = ["LogText", "read_results", "readings_of"]
 
 
 @dataclass(frozen=True)
@@ -90,8 +86,8 @@ def readings_of(result: object, results: object) -> dict[str, Reading]:
     return readings
 
 
-def read_results(readings: Mapping[str, Reading], folder: Path, started: int) -> Simulation:
-    """Return the interfaces by condition, and as a diagnostic whether displacements are not used.
+def read_results(readings: Mapping[str, Reading], folder: Path, started: int) -> dict[str, Interface]:
+    """Return the interfaces by condition.
 
     Args:
         readings: How to read the result file of each condition.
@@ -101,12 +97,10 @@ def read_results(readings: Mapping[str, Reading], folder: Path, started: int) ->
     Raises:
         ForwardModelError: A result cannot be used; the state is ``invalid``, the kind says why.
     """
-    unused: list[str] = []
-    found = {condition: _read(reading, folder, started, unused) for condition, reading in readings.items()}
-    return Simulation(found, {UNUSED_DISPLACEMENT: 1.0} if unused else {})
+    return {condition: _read(reading, folder, started) for condition, reading in readings.items()}
 
 
-def _read(reading: Reading, folder: Path, started: int, unused: list[str]) -> Interface:
+def _read(reading: Reading, folder: Path, started: int) -> Interface:
     path = folder / reading.file
     if not path.resolve().is_relative_to(folder.resolve()):
         raise ForwardModelError(
@@ -115,7 +109,7 @@ def _read(reading: Reading, folder: Path, started: int, unused: list[str]) -> In
     if path.exists() and path.stat().st_mtime_ns < started:
         raise ForwardModelError("result_old", f"{reading.file} is older than the run", state="invalid")
     try:
-        return read_interface(path, reading, name=reading.file, ended=True, unused=unused.append)
+        return read_interface(path, reading, name=reading.file, ended=True)
     except Unreadable as error:
         raise ForwardModelError(error.kind, _told(error, folder), state="invalid") from None
 

@@ -61,7 +61,7 @@ class ObservationFile(Section):
     sort: Any = None
     """of tables: `x` or `y`, which sorts points that are not in order"""
     field: Any = None
-    """displacement to add: point data by name, or two columns"""
+    """displacement to add: point data by name, or `none`; or two columns"""
     time: Any = None
     """of series: `last`, `{index: 3}` or `{value: 0.5}`"""
     block: Any = None
