@@ -14,8 +14,8 @@ SIDE = 20
 """Most points between a jump and the jump back."""
 ZIGZAG = 0.1
 """Share of points that jump and come back, from which a table lists two sides at once."""
-FEWEST = 8
-"""Fewest points whose distances show that the ends of an outline nearly meet."""
+CLOSE, GAP = 1.5, 0.1
+"""Distance of ends that nearly meet, at most, in median distances of neighbours and as a share of the length."""
 
 
 def require_in_order(points: Float[np.ndarray, "point 2"], name: str, remedy: str) -> None:
@@ -39,7 +39,7 @@ def require_clear_ends(chain: Float[np.ndarray, "point 2"], name: str) -> None:
     """Refuse an outline whose ends are as near to each other as neighbours are: it may be closed."""
     lengths = np.linalg.norm(np.diff(chain, axis=0), axis=1)
     gap, usual = float(np.linalg.norm(chain[0] - chain[-1])), float(np.median(lengths))
-    if len(chain) >= FEWEST and gap <= max(2 * usual, min(float(lengths.max()), 5 * usual)):
+    if gap <= min(GAP * lengths.sum(), CLOSE * usual):
         value, expected = f"{gap:.3g} mm apart, neighbours {usual:.3g} mm", "an outline that is clearly open or closed"
         remedy = "Say `closed: true`, as for outlines of OpenCV, or `closed: false`."
         raise refused(f"{name} ends near its first point and does not repeat it", value, expected, remedy)
