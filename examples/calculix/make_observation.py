@@ -3,14 +3,14 @@
 The truth is mu = 22 kPa, stiffening = 0.25, p = 2.04 kPa. Run it in this folder: python make_observation.py
 """
 
-import shutil
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
 from jinja2 import Environment, StrictUndefined
+
+from strandline.readers import Reading, read_interface
 
 TRUTH = {"mu": 22.0, "stiffening": 0.25, "p": 2.04}
 NOISE, PLACES, SEED = 0.1, 20, 1
@@ -24,11 +24,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "bulge.inp").write_text(environment.from_string(template).render(**TRUTH), encoding="ascii")
-        shutil.copy(here / "extract.py", folder)
         subprocess.run(["ccx", "-i", "bulge"], cwd=folder, check=True, stdout=subprocess.DEVNULL)
-        subprocess.run([sys.executable, "extract.py"], cwd=folder, check=True)
-        for load in ("half", "full"):
-            outline = np.loadtxt(folder / f"{load}.csv", delimiter=",", skiprows=1)
+        for time, load in enumerate(("half", "full"), 1):
+            printed = Reading("bulge.dat", "mm", time={"value": time})
+            outline = read_interface(folder / "bulge.dat", printed).points
             length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(outline, axis=0), axis=1)))
             seen = np.linspace(0.0, length[-1], PLACES)
             points = np.stack([np.interp(seen, length, column) for column in outline.T], axis=1)

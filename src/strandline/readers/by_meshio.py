@@ -1,4 +1,4 @@
-"""Files that meshio reads: STL, PLY and legacy VTK files."""
+"""Files that meshio reads: STL, PLY, legacy VTK, meshes of gmsh and Medit; and those of FreeFEM."""
 
 import contextlib
 import importlib
@@ -12,9 +12,9 @@ from strandline.errors import InvalidInput
 from strandline.readers.contents import Block, Contents
 from strandline.readers.options import Reading
 
-__all__ = ["converted", "imported", "read_by_meshio"]
+__all__ = ["converted", "imported", "read_by_meshio", "read_msh"]
 
-MODULES = {".stl": "stl", ".ply": "ply", ".vtk": "vtk"}
+MODULES = {".stl": "stl", ".ply": "ply", ".vtk": "vtk", ".msh": "gmsh", ".mesh": "medit"}
 READS_AT_END = 100
 """Attempts to read past the end after which a PLY file counts as cut off; its reader would go on forever."""
 
@@ -27,6 +27,26 @@ def read_by_meshio(path: Path, how: Reading, name: str) -> Contents:
     with contextlib.redirect_stdout(io.StringIO()):
         source = _Whole(path.read_bytes()) if how.suffix == ".ply" else str(path)
         return converted(getattr(meshio, MODULES[how.suffix]).read(source))
+
+
+def read_msh(path: Path, how: Reading, name: str) -> Contents:
+    """Return a mesh of gmsh, or of FreeFEM, which uses the same suffix for plane meshes.
+
+    FreeFEM's first line counts vertices, triangles and edges; then come x, y and label of each vertex, and the
+    vertices, from 1, and the label of each triangle and edge (FreeFEM's documentation, chapter on meshes).
+    """
+    content = path.read_bytes()
+    if content.lstrip().startswith(b"$"):
+        return read_by_meshio(path, how, name)
+    numbers = np.array(content.split(), dtype=float)
+    sizes = np.array([3, 4, 3]) * numbers[:3].astype(int)
+    if len(numbers) != 3 + sizes.sum():
+        raise ValueError(f"{len(numbers)} numbers instead of {3 + sizes.sum()}")
+    vertices, triangles, edges = np.split(numbers[3:], np.cumsum(sizes)[:2])
+    cells = {"triangle": triangles.reshape(-1, 4).astype(np.int64), "line": edges.reshape(-1, 3).astype(np.int64)}
+    blocks = [Block(kind, rows[:, :-1] - 1, {"label": rows[:, -1]}) for kind, rows in cells.items() if len(rows)]
+    places = vertices.reshape(-1, 3)
+    return Contents(places[:, :2], tuple(blocks), {"label": places[:, 2]})
 
 
 def _require_end(content: bytes) -> None:

@@ -44,7 +44,7 @@ def chains(edges: Int[np.ndarray, "edge 2"], points: Float[np.ndarray, "point 2"
                 f"{name}: the interface branches at {_place(points[node])} mm",
                 f"{len(others)} segments meet there",
                 "one line without branches",
-                "Choose a part of it with `cells`, `points` or `select`.",
+                "Choose a part of it with `block`, `cells`, `points` or `select`.",
             )
     forward = set(map(tuple, edges.tolist()))
     return [_directed(chain, forward) for chain in _walked(neighbours)]

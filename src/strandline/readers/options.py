@@ -14,12 +14,14 @@ from strandline.registry import imported
 __all__ = ["MESHES", "SERIES", "TO_MM", "Reading"]
 
 TO_MM = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "m": 1e3}
-MESHES = (".vtu", ".vtp", ".pvtu", ".pvtp", ".pvd", ".xdmf", ".xmf", ".stl", ".ply", ".vtk")
+MESHES = (".vtu", ".vtp", ".pvtu", ".pvtp", ".pvd", ".xdmf", ".xmf", ".stl", ".ply", ".vtk", ".msh", ".mesh", ".frd")
 """Suffixes of files that hold cells; any other file is a table of points in their order."""
-SERIES = (".pvd", ".xdmf", ".xmf")
+SERIES = (".pvd", ".xdmf", ".xmf", ".frd")
 """Suffixes of files that hold several times."""
 COMMON = {"file", "unit", "field", "select", "count", "reader"}
-OF_TABLES = COMMON | {"columns", "delimiter", "decimal", "hide", "keep", "near", "sd", "sort"}
+OF_TABLES = COMMON | {"closed", "columns", "delimiter", "decimal", "hide", "keep", "near", "sd", "sort"}
+ONE_TIME = (".csv", ".tsv", ".npy", ".json", ".geojson")
+"""Suffixes of tables of a single time; others may be lists that a simulator prints."""
 OF_MESHES = COMMON | {"block", "cells", "points", "near", "keep", "start", "plane"}
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
@@ -36,8 +38,9 @@ class Reading:
         decimal: Decimal mark of a text table, ``.`` or ``,``; with commas the fields are separated by semicolons or
             blanks.
         sd: Column of a table, by name or number from 1, that holds the standard deviation of each point, in `unit`.
+        closed: Whether the last point of a table is joined to the first; needed if its ends nearly meet.
         sort: Coordinate, ``x`` or ``y``, that sorts the points of a table if they are not in order along the interface.
-        field: Displacement to add: the name of point data of a mesh, or two columns of a table.
+        field: Displacement to add: the name of point data of a mesh, or ``none``; or two columns of a table.
         time: Time of a series: ``last``, ``{index: 3}`` or ``{value: 0.5}``.
         block: Block of cells, by number from 0 or by kind.
         cells: Cell data, ``{name: value}``, of the cells that are read.
@@ -62,6 +65,7 @@ class Reading:
     delimiter: str | None = None
     decimal: str | None = None
     sd: str | int | None = None
+    closed: bool | None = None
     sort: str | None = None
     field: str | tuple[str | int, ...] | None = None
     time: str | Mapping[str, Any] | None = None
@@ -134,6 +138,8 @@ class Reading:
         if self.near is not None and self.keep is not None:
             raise _unfit(place, "near and keep", "one of the two")
         allowed = OF_TABLES if self.is_table else OF_MESHES
+        if self.is_table and self.suffix not in ONE_TIME:
+            allowed = allowed | {"plane", "time"}
         if self.suffix in SERIES:
             allowed = allowed | {"time"}
         if self.reader is not None:
@@ -159,6 +165,8 @@ def _checked_types(values: dict[str, Any], place: str) -> Reading:
     for name, words in (("sort", ("x", "y")), ("keep", ("longest",)), ("decimal", (".", ","))):
         if name in values and values[name] not in words:
             raise _unfit(f"{place}.{name}", values[name], " or ".join(words))
+    if not isinstance(values.get("closed", True), bool):
+        raise _unfit(f"{place}.closed", values["closed"], "true or false")
     if "sd" in values and not _is_column(values["sd"]):
         raise _unfit(f"{place}.sd", values["sd"], "a column, by name or by number from 1")
     if "delimiter" in values and len(values["delimiter"]) != 1:

@@ -1,5 +1,6 @@
 """A file → the interface in it."""
 
+import re
 import stat
 import warnings
 from collections.abc import Callable
@@ -12,7 +13,6 @@ from strandline.errors import InvalidInput
 from strandline.interface import Interface
 from strandline.readers.contents import Contents
 from strandline.readers.options import Reading
-from strandline.readers.pictures import require_no_picture
 from strandline.readers.problems import Unreadable, refused
 from strandline.readers.shape import interface_of, point_sds
 from strandline.readers.tables import missing, require_end
@@ -24,6 +24,7 @@ _TABLE = "strandline.readers.tables:read_text"
 _MESH = "strandline.readers.by_meshio:read_by_meshio"
 _VTK = "strandline.readers.vtk_xml:read_vtk_xml"
 _XDMF = "strandline.readers.xdmf:read_xdmf"
+_JSON = "strandline.readers.outlines:read_json"
 
 READERS: dict[str, str] = {
     ".csv": _TABLE,
@@ -40,9 +41,58 @@ READERS: dict[str, str] = {
     ".xmf": _XDMF,
     ".stl": _MESH,
     ".ply": _MESH,
-    ".vtk": _MESH,
+    ".msh": "strandline.readers.by_meshio:read_msh",
+    ".mesh": _MESH,
+    ".vtk": "strandline.readers.vtk_legacy:read_legacy",
+    ".frd": "strandline.readers.calculix:read_frd",
+    ".json": _JSON,
+    ".geojson": _JSON,
 }
 """Suffixes of files → ``module:name`` of the function that reads them; others are read as text."""
+TEXTS: dict[str, str] = {
+    r"\*Step *=.*\n\*Time *=.*\n\*Data *=": "strandline.readers.febio:read_febio",
+    r"(?s).*displacements \(vx,vy,vz\) for set": "strandline.readers.calculix:read_dat",
+}
+"""Patterns of the first lines of a text file → the same, whatever its suffix."""
+OF_PICTURE = "Its pixels, y down, belong to a picture: give it as `path` in `observation: {image: {path: …}}`."
+PICTURE = "To find the interface in it, write `observation: {image: {file: …}}`; see the guide on pictures."
+STACK = "To find the surface in it, save it as .tif or .h5 and write `observation: {stack: {file: …}}`."
+CURVE = "Save points along the curve as .csv, in order and in the unit of the study."
+GRID = "It is a grid of subsets in pixels, y down, and no edge: write the points of the edge as .csv, y up."
+PATCH = "Give `columns: [x, y]`, and `sort: x` since its points are not in order along the patch."
+
+BEGINNINGS = {
+    rb"\x89PNG\r\n\x1a\n": ("a picture: a PNG image", PICTURE),
+    rb"\xff\xd8\xff": ("a picture: a JPEG image", PICTURE),
+    rb"II[*+]\0|MM\0[*+]": ("a picture: a TIFF image", PICTURE),
+    rb"GIF8[79]a": ("a picture: a GIF image", PICTURE),
+    rb"Iout": ("a selection of ImageJ", OF_PICTURE),
+    rb"\s*\{.{0,400}\"shapes\"": ("an annotation of labelme", OF_PICTURE),
+    rb"PK\x03\x04": ("an archive or a workbook", "Save what is in it as .csv or .npy."),
+    rb"\x89HDF": ("HDF5", "A picture goes with `observation: {image: {dataset: …}}`; save a mesh as .vtu or .xdmf."),
+    rb"ISO-10303-21": ("STEP", "Mesh it, and save the mesh as .vtu, .stl or .msh."),
+    rb"(<\?xml.{0,200}?)?\s*<svg": ("SVG", CURVE),
+    rb"\s*0\s+SECTION|AutoCAD Binary DXF": ("DXF", CURVE),
+    rb"NRRD000": ("NRRD", STACK),
+    rb".{344}n[i+]1\0": ("NIfTI", STACK),
+    rb".{128}DICM": ("DICOM", STACK),
+    rb"\*{3}[^\n]*\n\*\*\* Digital Image Correlation Engine": ("a solution of DICe", GRID),
+}
+"""Pattern of the first bytes of a file → its format, and the way out."""
+ENDS = {
+    "_cp_outlines.txt": ("a list of outlines by Cellpose", OF_PICTURE),
+    ".inp": ("a deck of Abaqus or CalculiX", "It holds no results: read the .frd or .dat, or a table by `post`."),
+    ".odb": ("an output database of Abaqus", "Write a table in `post`; see the guide on your own simulator."),
+    ".xplt": ("a plot file of FEBio", "Let FEBio write a logfile with x;y;z of the nodes along the interface."),
+    ".vtm": ("a list of blocks by VTK", "Merge its blocks, or read one of its files."),
+    ".vts": ("a structured grid by VTK", "Save it as an unstructured grid, .vtu."),
+}
+"""End of the file's name → the same, for formats that do not begin alike."""
+TABLES = {
+    rb"# \S+ +(POINT|FACE)_DATA \d+": ("a raw surface of OpenFOAM", PATCH),
+    rb"index,shape-type,vertex-index,": ("a shapes layer of napari", OF_PICTURE),
+}
+"""As `BEGINNINGS`, of tables that are read if the study names their columns."""
 Reader = Callable[[Path, Reading, str], Contents]
 """(path, how to read it, its name in messages) → contents of the file."""
 
@@ -62,8 +112,8 @@ def read_interface(path: Path, how: Reading, *, name: str = "", ended: bool = Fa
     """
     name = name or path.name
     _require_file(path, name)
-    require_no_picture(path, name)
-    if ended and how.count is None and _reader(how) == _TABLE:
+    _require_known(_beginning(path), how, name)
+    if ended and how.count is None and _reader(path, how) in (_TABLE, *TEXTS.values()):
         require_end(path, name)
     contents = _contents(path, how, name)
     try:
@@ -97,12 +147,15 @@ def read_point_sds(path: Path, how: Reading, *, name: str = "") -> Float[np.ndar
 
 def _contents(path: Path, how: Reading, name: str) -> Contents:
     """Return the contents of the file; any error of its reader on a damaged file becomes `Unreadable`."""
-    reader: Reader = imported(_reader(how), f"reader of {name}")
+    target = _reader(path, how)
+    reader: Reader = imported(target, f"reader of {name}")
+    if target == _TABLE and (how.time is not None or how.plane != "xy"):
+        raise refused(f"{name} is a table of one time", "`time` or `plane`", "`columns` alone", "Remove it.")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             contents = reader(path, how, name)
-        _require_contents(contents, how)
+        _require_contents(contents, target)
         _require_whole(contents)
     except InvalidInput:
         raise
@@ -114,9 +167,19 @@ def _contents(path: Path, how: Reading, name: str) -> Contents:
     return contents
 
 
-def _reader(how: Reading) -> str:
-    """Return ``module:name`` of the function that reads the file."""
-    return how.reader or READERS.get(how.suffix, _TABLE)
+def _reader(path: Path, how: Reading) -> str:
+    """Return ``module:name`` of the function that reads the file, by its suffix or else its first lines."""
+    target = how.reader or READERS.get(how.suffix, _TABLE)
+    begin = _beginning(path).decode("utf-8-sig", "replace").lstrip() if target == _TABLE else ""
+    return next((found for pattern, found in TEXTS.items() if re.match(pattern, begin)), target)
+
+
+def _beginning(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(1000)
+    except OSError:
+        return b""  # the reader reports why
 
 
 def _require_file(path: Path, name: str) -> None:
@@ -131,13 +194,24 @@ def _require_file(path: Path, name: str) -> None:
         raise refused(f"{name} cannot be read", f"{path} is not a file", "a readable text file")
 
 
-def _require_contents(found: object, how: Reading) -> None:
+def _require_known(begin: bytes, how: Reading, name: str) -> None:
+    """Refuse a file whose format is known and not read, whatever its suffix; never with a reader of the user's own."""
+    patterns = BEGINNINGS | (TABLES if how.columns is None else {})
+    known = [found for pattern, found in patterns.items() if re.match(pattern, begin, re.DOTALL)]
+    known += [found for end, found in ENDS.items() if how.file.lower().endswith(end)]
+    if known and how.reader is None:
+        (form, _, kind), remedy = known[0][0].partition(": "), known[0][1]
+        expected = "the points of an interface: a table in order, a mesh or a surface"
+        raise refused(f"{name} is {form}", kind or how.suffix or "no suffix", expected, remedy)
+
+
+def _require_contents(found: object, target: str) -> None:
     """Refuse anything but contents from a reader of the user's own."""
     if isinstance(found, Contents) and isinstance(found.points, np.ndarray):
         return
     what = f"a {type(found).__name__}" if not isinstance(found, Contents) else "points that are not a NumPy array"
     raise InvalidInput(
-        f"what the reader {_reader(how)} returns",
+        f"what the reader {target} returns",
         value=what,
         expected="strandline.readers.Contents, its points a NumPy array (point, xyz)",
         remedy="Correct the reader.",

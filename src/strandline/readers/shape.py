@@ -1,5 +1,6 @@
 """Points and cells of a file → the interface that the options choose."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,6 +15,7 @@ from strandline.readers import cells
 from strandline.readers.chains import Chain, chains, chosen_chain
 from strandline.readers.contents import Block, Contents
 from strandline.readers.options import Reading
+from strandline.readers.order import require_clear_ends, require_in_order
 from strandline.readers.problems import refused
 from strandline.readers.tables import SD
 
@@ -27,6 +29,8 @@ LEAST_SEEN = 10
 """Fewest points that may be left if some are hidden."""
 SURFACES = (".stl", ".ply")
 """Suffixes of files that hold surfaces, even plane ones."""
+DISPLACEMENT = re.compile(r"u|disp.*|deplacement", re.IGNORECASE)
+"""Names that programs give to displacements."""
 
 
 def interface_of(contents: Contents, how: Reading, name: str) -> Interface:
@@ -54,7 +58,11 @@ def _places(
 ) -> tuple[Float[np.ndarray, "point xyz"], Float[np.ndarray, "point xyz"]]:
     """Return the points as they are in the file and with the displacement added, mm."""
     places, displacement = contents.points, contents.displacement
-    if isinstance(how.field, str):
+    vectors = [key for key, v in contents.data.items() if DISPLACEMENT.fullmatch(key) and v.shape[1:] in ((2,), (3,))]
+    if how.field is None and displacement is None and vectors and np.nan_to_num(contents.data[vectors[0]]).any():
+        remedy = f"Say `field: {vectors[0]}` to add them, or `field: none` if they are none or the points have moved."
+        raise refused(f"{name} holds what may be displacements", vectors[0], "`field`", remedy)
+    if isinstance(how.field, str) and how.field != "none":
         displacement = np.asarray(_data(contents.data, how.field, f"{name} has no point data", how.field), float)
         if displacement.ndim != 2 or not 2 <= displacement.shape[1] <= 3:
             raise refused(f"{name}: point data {how.field}", f"the shape {displacement.shape}", "one vector per point")
@@ -74,7 +82,7 @@ def point_sds(contents: Contents, how: Reading, name: str) -> Float[np.ndarray, 
     """
     places, moved = _places(contents, how, name)
     order = _order(contents, places, how, name)
-    if _closes(moved[order]):
+    if _repeats_first(moved[order], how):
         order = order[:-1]
     sds = how.factor * np.asarray(contents.data[SD], float)[order]
     if not (np.isfinite(sds) & (sds > 0)).all():
@@ -98,15 +106,18 @@ def _of_table(
     order = _order(contents, places, how, name)
     _require_finite(moved[order], name)
     chain = moved[order]
-    closed = _closes(chain)
-    polyline = Interface.polyline(chain[:-1] if closed else chain, closed=closed)
+    require_in_order(chain, name, "Put them in order along the interface; `sort` does it if x or y grows along it.")
+    repeated = _repeats_first(chain, how)
+    if not repeated and how.closed is None:
+        require_clear_ends(chain, name)
+    polyline = Interface.polyline(chain[:-1] if repeated else chain, closed=repeated or how.closed is True)
     polyline.require_simple()
     return polyline
 
 
-def _closes(chain: Float[np.ndarray, "point 2"]) -> bool:
+def _repeats_first(chain: Float[np.ndarray, "point 2"], how: Reading) -> bool:
     """Return whether a chain repeats its first point at its end, but for rounding."""
-    if len(chain) <= 3:
+    if len(chain) <= 3 or how.closed is False:
         return False
     lengths = np.linalg.norm(np.diff(chain, axis=0), axis=1)
     return bool(np.linalg.norm(chain[0] - chain[-1]) <= CLOSING * np.median(lengths))
@@ -191,7 +202,9 @@ def _of_cells(
         return _surface(_chosen_part(_kept(parts, contents, places, how, name), places, how), moved, places)
     parts = cells.line_edges(blocks) if lowest == 1 else cells.boundary_edges(blocks)
     if not flat:
-        raise refused(f"{name}: the line leaves its plane", how.plane, "a line in a plane", "Choose `plane`.")
+        faces = next((block.kind for block in contents.blocks if cells.dimension(block.kind) == 2), None)
+        remedy = f"For the surface give `block: {faces}`; for a line choose `plane`." if faces else "Choose `plane`."
+        raise refused(f"{name}: the line leaves its plane", how.plane, "a line in a plane", remedy)
     edges = _merged(_kept(parts, contents, places, how, name), places)
     plane = places[:, how.axes]
     found = chains(edges, plane, name)

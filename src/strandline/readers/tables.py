@@ -28,6 +28,8 @@ LABEL = re.compile(
     r"|index)\b"
 )
 """Name of a column that tells pieces or times apart."""
+PAIRS = (("x", "y"), ("points:0", "points:1"), ("points_0", "points_1"), ("axis-1", "axis-0"))
+"""Names of two columns x and y; of ParaView's and napari's as well."""
 TOUCHING = re.compile(r"[+-]?\d*\.\d*([eEdD][+-]?\d+)?[+-]\d")
 """Two numbers without a blank between them."""
 OTHER_MARKS = 'With decimal commas give `decimal: ","`; else correct the line, or give `delimiter`.'
@@ -309,7 +311,8 @@ def _touching(row: Row) -> str | None:
 def _say_columns(titles: Sequence[str], number: int) -> str:
     """Return the remedy for a table whose columns x and y must be named, with an example."""
     named = {title.lower(): title for title in titles if len(titles) == number and titles.count(title) == 1}
-    pair = f"{named['x']}, {named['y']}" if {"x", "y"} <= named.keys() else "1, 2"
+    known = next((pair for pair in PAIRS if named.keys() >= set(pair)), None)
+    pair = ", ".join(f'"{named[one]}"' if ":" in one else named[one] for one in known) if known else "1, 2"
     return f"Say which of the {number} columns to take, by name or by number from 1, e.g. `columns: [{pair}]`."
 
 

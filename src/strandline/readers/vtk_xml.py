@@ -12,7 +12,7 @@ from strandline.readers.contents import Block, Contents
 from strandline.readers.options import Reading
 from strandline.readers.vtk_arrays import Encoding, numbers, split
 
-__all__ = ["beside", "joined", "read_vtk_xml", "require_each_once"]
+__all__ = ["POLYGON", "POLYLINE", "STRIP", "beside", "blocks_of", "joined", "read_vtk_xml", "require_each_once"]
 
 KINDS = {
     3: "line",
@@ -20,6 +20,7 @@ KINDS = {
     8: "pixel",
     9: "quad",
     10: "tetra",
+    11: "voxel",
     12: "hexahedron",
     13: "wedge",
     14: "pyramid",
@@ -34,7 +35,7 @@ KINDS = {
 OF_ORDER = {(68, 2): "line", (68, 3): "line3", (69, 3): "triangle", (69, 6): "triangle6", (70, 4): "quad"}
 OF_ORDER |= {(70, 9): "quad9", (71, 4): "tetra", (71, 10): "tetra10"}
 """Lagrange cells by VTK's number and number of nodes."""
-POLYLINE, POLYGON = 4, 7
+POLYLINE, STRIP, POLYGON = 4, 6, 7
 POINT_LIKE = (0, 1, 2)
 
 
@@ -110,7 +111,7 @@ def _piece(piece: ElementTree.Element, encoding: Encoding, *, poly: bool) -> Con
     cells = _poly_cells(piece, encoding) if poly else _grid_cells(piece, encoding)
     data = _arrays(piece.find("CellData"), encoding)
     visible = data.pop("vtkGhostType", None)
-    blocks = _blocks(list(cells), data, None if visible is None else visible == 0)
+    blocks = blocks_of(list(cells), data, None if visible is None else visible == 0)
     for block in blocks:
         if block.nodes.min() < 0 or block.nodes.max() >= len(coordinates):
             raise ValueError("cells with points that do not exist")
@@ -136,7 +137,7 @@ def _grid_cells(piece: ElementTree.Element, encoding: Encoding) -> Iterator[tupl
 
 def _poly_cells(piece: ElementTree.Element, encoding: Encoding) -> Iterator[tuple[int, Any]]:
     """Yield the cells of a VTP file in the order of its cell data."""
-    for tag, kind in (("Verts", 2), ("Lines", POLYLINE), ("Polys", POLYGON), ("Strips", 6)):
+    for tag, kind in (("Verts", 2), ("Lines", POLYLINE), ("Polys", POLYGON), ("Strips", STRIP)):
         cells = _arrays(piece.find(tag), encoding)
         if cells and len(cells["offsets"]):
             yield from ((kind, nodes) for nodes in _sliced(cells))
@@ -150,10 +151,10 @@ def _sliced(cells: dict[str, Shaped[np.ndarray, "..."]]) -> list[Int[np.ndarray,
     return np.split(connectivity, ends[:-1]) if len(ends) else []
 
 
-def _blocks(
+def blocks_of(
     cells: Sequence[tuple[int, Any]],
     data: dict[str, Shaped[np.ndarray, "..."]],
-    visible: Shaped[np.ndarray, "..."] | None,
+    visible: Shaped[np.ndarray, "..."] | None = None,
 ) -> tuple[Block, ...]:
     """Return the cells by kind; polylines become lines, polygons with more than three corners fans of triangles."""
     nodes: dict[str, list[Any]] = {}
@@ -177,6 +178,8 @@ def _parts(kind: int, nodes: Any) -> tuple[str, list[Any]]:
         return "line", [nodes[k : k + 2] for k in range(len(nodes) - 1)]
     if kind == POLYGON:
         return "triangle", [nodes[[0, k, k + 1]] for k in range(1, len(nodes) - 1)]
+    if kind == STRIP:  # every second triangle runs the other way
+        return "triangle", [nodes[[k + k % 2, k + 1 - k % 2, k + 2]] for k in range(len(nodes) - 2)]
     name = KINDS.get(kind) or OF_ORDER.get((kind, len(nodes)))
     if name is None:
         raise ValueError(f"a cell of VTK's type {kind} with {len(nodes)} nodes, which is not read")

@@ -20,7 +20,7 @@ __all__ = ["read_xdmf"]
 
 
 def read_xdmf(path: Path, how: Reading, name: str) -> Contents:
-    """Return the contents of an XDMF file, or of one of its times."""
+    """Return the contents of an XDMF file, or of one of its times; each function may have a series of its own."""
     meshio = imported(name)
     root = ElementTree.fromstring(path.read_bytes())
     _require_own_data(path, root)
@@ -28,8 +28,14 @@ def read_xdmf(path: Path, how: Reading, name: str) -> Contents:
         return converted(meshio.xdmf.read(str(path)))
     with meshio.xdmf.TimeSeriesReader(str(path)) as series:
         points, cells = series.read_points_cells()
-        times = [float(step.find("Time").attrib["Value"]) for step in series.collection]
-        _, point_data, cell_data = series.read_data(chosen_time(times, how, name))
+        point_data: dict[str, Any] = {}
+        cell_data: dict[str, Any] = {}
+        for grid in (grid for grid in series.domain if grid.get("GridType") == "Collection"):
+            series.collection = list(grid)
+            times = [float(step.find("Time").attrib["Value"]) for step in series.collection]
+            _, of_points, of_cells = series.read_data(chosen_time(times, how, name))
+            point_data |= of_points
+            cell_data |= of_cells
     return converted(meshio.Mesh(points, cells, point_data=point_data, cell_data=cell_data))
 
 

@@ -44,7 +44,7 @@ def grid(kind="triangle"):
     return meshio.Mesh(
         points,
         [(kind, cells), ("line", lines)],
-        point_data={"u": moved, "top": (points[:, 1] == NY).astype(float)},
+        point_data={"du": moved, "top": (points[:, 1] == NY).astype(float)},
         cell_data={"region": [region, np.full(NX, 7)]},
     )
 
@@ -64,7 +64,7 @@ def pvd(folder):
     entries, mesh = "", grid()
     (folder / "steps").mkdir(exist_ok=True)
     for k in range(3):
-        mesh.point_data["u"] = k * grid().point_data["u"]
+        mesh.point_data["du"] = k * grid().point_data["du"]
         meshio.vtu.write(str(folder / "steps" / f"{k}.vtu"), mesh)
         entries += f'<DataSet timestep="{k}.0" part="0" file="steps/{k}.vtu"/>'
     path = folder / "series.pvd"
@@ -74,12 +74,12 @@ def pvd(folder):
 
 def test_line_cells_in_any_order_with_a_displacement(tmp_path):
     for options in ({"binary": False}, {"compression": None}, {"compression": "zlib"}, {"compression": "lzma"}):
-        found = read(vtu(tmp_path, grid(), **options), **LINE, field="u", start=[0, 2])
+        found = read(vtu(tmp_path, grid(), **options), **LINE, field="du", start=[0, 2])
         np.testing.assert_array_equal(found.points, BENT)
         assert not found.closed
     for suffix in (".xdmf", ".xmf"):
         meshio.xdmf.write(str(tmp_path / f"mesh{suffix}"), grid(), data_format="XML")
-        found = read(tmp_path / f"mesh{suffix}", **LINE, field="u", start=[0, 2])
+        found = read(tmp_path / f"mesh{suffix}", **LINE, field="du", start=[0, 2])
         np.testing.assert_array_equal(found.points, BENT)
     for suffix in (".vtu", ".vtk"):
         meshio.write(str(tmp_path / f"mesh{suffix}"), grid())
@@ -103,7 +103,7 @@ def test_the_boundary_of_a_region_is_closed_and_counter_clockwise(tmp_path):
 def test_a_box_and_point_data_choose_a_part_of_a_boundary(tmp_path):
     path = vtu(tmp_path, grid())
     for part in ({"block": "triangle", "select": {"y": [1.9, 2.1]}}, {"block": 0, "points": {"top": 1}}):
-        np.testing.assert_array_equal(read(path, **part, field="u", start=[0, 2]).points, BENT)
+        np.testing.assert_array_equal(read(path, **part, field="du", start=[0, 2]).points, BENT)
 
 
 def test_quadratic_cells_keep_their_middle_nodes(tmp_path):
@@ -184,9 +184,9 @@ def test_times_of_a_series(tmp_path, data_format, monkeypatch):
         with meshio.xdmf.TimeSeriesWriter("series.xdmf", data_format=data_format) as writer:
             writer.write_points_cells(mesh.points, mesh.cells[1:])
             for at in (0.0, 1.0, 2.0):
-                writer.write_data(at, point_data={"u": at * mesh.point_data["u"]})
+                writer.write_data(at, point_data={"du": at * mesh.point_data["du"]})
     for time, factor in ((None, 2.0), ("last", 2.0), ({"index": 0}, 0.0), ({"value": 1.0}, 1.0)):
-        found = read(path, **options, field="u", start=[0, 2], time=time)
+        found = read(path, **options, field="du", start=[0, 2], time=time)
         np.testing.assert_allclose(found.points, TOP + factor * (BENT - TOP), rtol=1e-15)
     for time in ({"index": 3}, {"value": 1.5}):
         refused("has no time of .*: got 3 times from 0 to 2", path, time=time)
@@ -225,6 +225,8 @@ def whole_file(folder, suffix):
         path.write_text(VTP_ASCII)
     elif suffix in (".xdmf", ".xmf"):
         meshio.xdmf.write(str(path), grid(), data_format="XML")
+    elif suffix == ".msh":
+        meshio.gmsh.write(str(path), grid(), fmt_version="2.2")
     elif suffix in (".stl", ".ply"):
         meshio.write_points_cells(str(path), TETRA, [("triangle", FACES)])
     else:
@@ -233,10 +235,10 @@ def whole_file(folder, suffix):
 
 
 GARBAGE = [bytes(range(256)) * 8, b"<VTKFile/>", b"solid nothing\nendsolid nothing\n"]
-TABLES = {".csv", ".tsv", ".txt", ".dat", ".npy", ".pvtu", ".pvtp"}
+OTHERS = {".csv", ".tsv", ".txt", ".dat", ".npy", ".pvtu", ".pvtp", ".frd", ".json", ".geojson"}
 
 
-@pytest.mark.parametrize("suffix", sorted(set(READERS) - TABLES))
+@pytest.mark.parametrize("suffix", sorted(set(READERS) - OTHERS))
 def test_damaged_files_are_one_clear_error(tmp_path, suffix, capsys):
     path = whole_file(tmp_path, suffix)
     whole = path.read_bytes()
@@ -251,7 +253,7 @@ def test_damaged_files_are_one_clear_error(tmp_path, suffix, capsys):
 
 def test_selections_that_are_not_there_and_numbers_that_are_not_finite(tmp_path):
     mesh = grid()
-    mesh.point_data["u"][NX + 1 + NX + 1 + 1, 1] = np.nan
+    mesh.point_data["du"][NX + 1 + NX + 1 + 1, 1] = np.nan
     path = vtu(tmp_path, mesh)
     for options, words in (
         ({"cells": {"regoin": 7}}, "no cell data regoin: got region"),
@@ -260,7 +262,7 @@ def test_selections_that_are_not_there_and_numbers_that_are_not_finite(tmp_path)
         ({**LINE, "count": 9}, "number of points: got 5; expected 9"),
     ):
         refused(words, path, **options)
-    refused("not finite", path, "non_finite", **LINE, field="u")
+    refused("not finite", path, "non_finite", **LINE, field="du")
 
 
 def test_a_missing_extra_names_its_command(tmp_path, monkeypatch):

@@ -1,6 +1,7 @@
 """HDF5 and MATLAB 7.3: an array (…, row, column), which MATLAB stores with its axes reversed."""
 
 import importlib
+import json
 from pathlib import Path
 from typing import Any
 
@@ -49,18 +50,39 @@ def _opened(file: Any, h5py: Any, how: PictureReading, name: str) -> PictureFile
     if values.size and not values.id.get_storage_size():
         raise refused(f"{name}: {key} was never written", "no numbers", "an array with its numbers")
     reversed_axes = "MATLAB_class" in values.attrs
-    columns, rows = values.shape[-2:] if reversed_axes else values.shape[:-3:-1]
+    channels = _channels(values, name)
+    plane = values.shape[: values.ndim - (channels > 0)]
+    columns, rows = plane[-2:] if reversed_axes else plane[:-3:-1]
     require_pixels(name, rows, columns)
-    leading = values.shape[:-2]
+    leading = plane[:-2]
 
     def load(frame: int) -> Any:
         found = np.asarray(values[np.unravel_index(frame, leading)] if leading else values[()])
+        found = found[..., 0] if channels == 1 else found
         return found.T if reversed_axes else found
 
     if reversed_axes:
         notes = (*notes, "axes of the MATLAB array turned back to (row, column)")
     axes = tuple((f"axis {k}", length) for k, length in enumerate(leading) if length != 1)
     return PictureFile((rows, columns), load, axes, notes=notes, close=file.close)
+
+
+def _channels(values: Any, name: str) -> int:
+    """Return the number of channels along the last axis, 0 if it is another; ilastik and others name the axes.
+
+    Raises:
+        Unreadable: Rows and columns are not the last axes but for channels, or there are channels that are no colours.
+    """
+    tags = json.loads(values.attrs.get("axistags", "{}")).get("axes", ())
+    axes = [tag["key"] for tag in tags] or [axis.label.lower()[:1] for axis in values.dims]
+    number = int(values.shape[-1]) if axes[-1:] == ["c"] else 0
+    if number not in (0, 1, 3) or ("y" in axes and [axis for axis in axes if axis != "c"][-2:] != ["y", "x"]):
+        shape, expected = (
+            " × ".join(map(str, values.shape)),
+            "rows y, columns x, then nothing, 1 channel or 3 colours",
+        )
+        raise refused(f"{name}: axes {''.join(axes)}", shape, expected, "Save one channel, its axes as yx or zyx.")
+    return number
 
 
 def _dataset(file: Any, h5py: Any, asked: str | None, name: str) -> tuple[str, tuple[str, ...]]:

@@ -1,6 +1,6 @@
 """Typed paths, and paths that other programs exported: Fiji (.roi, XY coordinates), napari (Shapes as .csv).
 
-OpenDrop needs no path, but the profile of the drop that it saves, `profile_extracted.csv`, serves as one.
+OpenDrop needs no path, but the profile of the drop that it saves, `fit.csv`, serves as one.
 """
 
 from strandline.imaging.paths.first_path import FirstPath, typed_path

@@ -20,6 +20,8 @@ OTHERS = {1: "rectangle", 2: "ellipse", 3: "straight line", 6: "empty selection"
 HEADER = 64
 TYPE, LEFT_TOP, NUMBER, LARGE_NUMBER, COMPOSITE, OPTIONS = 6, 8, 16, 18, 36, 50
 """Offsets of the fields that are read, in bytes."""
+FAR_BELOW = -5000
+"""Integers below it are unsigned ones above 32767, as ImageJ takes them."""
 SUB_PIXEL = 128
 """Bit of the options: coordinates as floats follow the integers."""
 
@@ -55,8 +57,9 @@ def _points(content: bytes) -> Float[np.ndarray, "point 2"]:
     if floats:
         return np.frombuffer(content, ">f4", 2 * number, HEADER + 4 * number).reshape(2, -1).T.astype(float)
     relative = np.frombuffer(content, ">i2", 2 * number, HEADER).reshape(2, -1).T.astype(float)
-    top, left = np.frombuffer(content, ">i2", 2, LEFT_TOP).astype(float)
-    return np.asarray(relative + np.array([left, top]))
+    top_left = np.frombuffer(content, ">i2", 2, LEFT_TOP).astype(float)
+    relative, corner = (np.where(x < FAR_BELOW, x + 2**16, x) for x in (relative, top_left[::-1]))
+    return np.asarray(relative + corner)
 
 
 def _integer(content: bytes, offset: int, size: int) -> int:

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from strandline.errors import InvalidInput
 from strandline.imaging.paths.first_path import FirstPath
 from strandline.imaging.paths.repeats import without_repeats
+from strandline.readers.order import require_in_order
 from strandline.text import decimal
 
 __all__ = ["path_of_xy"]
@@ -34,6 +35,7 @@ def path_of_xy(content: bytes) -> FirstPath:
         InvalidInput: A line without two numbers, coordinates that cannot be pixels, or points that make no path.
     """
     points = _points(content)
+    require_in_order(points, "the path", "Of OpenDrop take fit.csv, which runs along the profile.")
     found = without_repeats(points)
     extent = float(np.ptp(found.points, axis=0).max())
     if extent < SMALLEST:

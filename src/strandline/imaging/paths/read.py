@@ -15,6 +15,7 @@ PathReader = Callable[[bytes], FirstPath]
 PATHS: dict[str, str] = {
     "fiji_roi": "strandline.imaging.paths.fiji_roi:path_of_roi",
     "fiji_xy": "strandline.imaging.paths.fiji_xy:path_of_xy",
+    "outlines": "strandline.imaging.paths.outlines:path_of_outline",
     "napari": "strandline.imaging.paths.napari:path_of_shapes",
 }
 """Formats of paths → ``module:name`` of the function that reads them."""
@@ -24,7 +25,7 @@ LARGEST = 1 << 23
 
 
 def read_path(path: Path, *, size: tuple[int, int] | None = None, form: str | None = None) -> FirstPath:
-    """Return the path in a file that Fiji or napari exported.
+    """Return the path in a file that another program exported.
 
     Files of clicks are read by `read_clicks`, which knows the picture that they belong to.
 
@@ -71,11 +72,15 @@ def _form(content: bytes) -> str:
         )
     begin = content[:200].decode("utf-8-sig", "replace").lstrip().lower()
     if begin.startswith("{"):
+        if b'"shapes"' in content or b'"coordinates"' in content:
+            return "outlines"
         raise _refused("is JSON, but is not used as a file of clicks", "{ …", "Name it NAME.path.json.")
     first = begin.partition("\n")[0]
-    return "napari" if "axis-" in first and "vertex-index" in first else "fiji_xy"
+    if "axis-" in first and "vertex-index" in first:
+        return "napari"
+    return "outlines" if first.count(",") > 4 else "fiji_xy"  # a line of Cellpose holds a whole cell
 
 
 def _refused(what: str, value: object, remedy: str = "Correct the file, or its name.") -> InvalidInput:
-    expected = "a path saved by Fiji (.roi, XY coordinates) or by napari (Shapes, .csv)"
+    expected = "a path saved by Fiji (.roi, XY coordinates), napari (.csv), labelme, QuPath or Cellpose"
     return InvalidInput(what, value=value, expected=expected, remedy=remedy)

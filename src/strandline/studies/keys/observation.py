@@ -51,24 +51,43 @@ class ObservationFile(Section):
     unit: Literal["mm", "um", "µm", "m"] | None = None
     """unit of length: `mm`, `um`, `µm` or `m`; required with `file`"""
     columns: Any = None
-    """this key to `observation.reader`: [how to read the file](#files)"""
+    """of tables: x and y, `[x, y]` by name or `[1, 2]` by number; more on this and the next keys: [files](#files)"""
     delimiter: Any = None
+    """of text: the character between fields"""
     decimal: Any = None
+    """of text: decimal mark, `.` or `","`"""
+    closed: Any = None
+    """of tables: whether the last point is joined to the first, if the file does not repeat it"""
     sort: Any = None
+    """of tables: `x` or `y`, which sorts points that are not in order"""
     field: Any = None
+    """displacement to add: point data by name, or `none`; or two columns"""
     time: Any = None
+    """of series: `last`, `{index: 3}` or `{value: 0.5}`"""
     block: Any = None
+    """of meshes: block of cells, by number from 0 or by kind such as `line`"""
     cells: Any = None
+    """of meshes: `{region: 3}`, only cells with this cell data"""
     points: Any = None
+    """of meshes: `{wall: 1}`, only parts whose nodes all have this point data"""
     select: Any = None
+    """`{x: [0, 1], y: [0, 1]}`: only what is in this box, mm"""
     hide: Any = None
+    """of tables: boxes whose points are left out, as parts that cannot be seen"""
     sd: Any = None
+    """of tables: column with the standard deviation of each point, in `unit`"""
     near: Any = None
+    """of several pieces, the one nearest to `[x, y]`, mm"""
     keep: Any = None
+    """`longest`: of several pieces, the longest"""
     start: Any = None
+    """of meshes: `[x, y]`, mm, where the line begins"""
     plane: Any = None
+    """of meshes: the coordinates of a line, `xy`, `xz` or `yz`"""
     count: Any = None
+    """required number of points"""
     reader: Any = None
+    """function that reads the file, `module:name`"""
     synthetic: dict[str, Number] | None = None
     """instead of `file`: a value for each input; the model makes the observation"""
     image: ImageFile | None = None
