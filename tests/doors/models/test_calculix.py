@@ -3,6 +3,7 @@
 Skipped where CalculiX is not installed (Debian: calculix-ccx).
 """
 
+import re
 import shutil
 from pathlib import Path
 
@@ -10,9 +11,11 @@ import pytest
 
 from strandline.runs import RunRequest, attempt
 from strandline.studies import load_study
+from strandline.studies.build import build_model
 
 pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not installed")
 
+GUIDE = Path(__file__).parents[3] / "docs" / "how-to" / "own-simulator.md"
 EXAMPLE = Path(__file__).parents[3] / "examples" / "calculix"
 RADIUS, THICKNESS, BULK_OVER_SHEAR = 10.0, 1.0, 50.0
 
@@ -46,3 +49,64 @@ def test_beyond_its_limit_point_the_run_fails_and_says_how_the_log_ends(study):
     assert (record.state, record.failure_kind) == ("failed", "exit_code")
     assert not record.interfaces
     assert "increment size smaller than minimum" in f"{record.message}{record.log}"
+
+
+BLOCK = """*NODE, NSET=NALL
+1,0,0,0
+2,1,0,0
+3,1,1,0
+4,0,1,0
+5,0,0,1
+6,1,0,1
+7,1,1,1
+8,0,1,1
+*ELEMENT, TYPE=C3D8, ELSET=EALL
+1,1,2,3,4,5,6,7,8
+*MATERIAL, NAME=M
+*ELASTIC
+1000.,0.3
+*SOLID SECTION, ELSET=EALL, MATERIAL=M
+*BOUNDARY
+1,1,3
+2,1,3
+3,1,3
+4,1,3
+*STEP, NLGEOM
+*STATIC
+1.,1.
+*CLOAD
+5,3,{{ -load }}
+6,3,{{ -load }}
+7,3,{{ -load }}
+8,3,{{ -load }}
+*NODE PRINT, NSET=NALL
+U
+*END STEP
+"""
+
+
+@pytest.mark.parametrize(("load", "ends"), [(30.0, None), (100.0, "exit_code"), (1800.0, "exit_code")])
+def test_the_script_of_the_guide_refuses_a_block_pushed_through_its_own_foot(tmp_path, load, ends):
+    (script,) = re.findall(r"```python\n(import sys\n.*?)```", GUIDE.read_text("utf-8"), re.DOTALL)
+    (tmp_path / "post.py").write_text(script)
+    (tmp_path / "block.inp.j2").write_text(BLOCK)
+    model = build_model(
+        {
+            "command": {
+                "templates": {"block.inp.j2": "block.inp"},
+                "files": ["post.py"],
+                "command": ["ccx", "-i", "block"],
+                "post": ["{{ python }}", "post.py"],
+                "success": {"log": "Job finished"},
+                "result": {"file": "edge.csv", "unit": "mm"},
+            }
+        },
+        tmp_path,
+    )
+    (tmp_path / "run").mkdir()
+    record = attempt(model, RunRequest("run", {"load": load}), tmp_path / "run")
+    assert record.failure_kind == ends, record.message
+    if ends:
+        assert "element 1 is inside out" in record.log
+    else:
+        assert record.interfaces[""].points[0, 1] == pytest.approx(0.864, abs=1e-3)

@@ -5,6 +5,7 @@ import gzip
 import json
 import re
 import socket
+import threading
 import time
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -173,9 +174,26 @@ def test_a_server_that_misbehaves_costs_the_runs_that_it_hits(kind):
             records = [run(forward, modulus) for modulus in (300.0, 600.0, 400.0)]
         assert [record.ok for record in records] == [True, False, True]
         assert records[1].failure_kind == kind
-        assert records[1].state == ("timeout" if kind == "timeout" else "failed")
+        assert records[1].state == {"timeout": "timeout", "connection": "killed"}.get(kind, "failed")
         assert re.search(message, str(records[1].message)), records[1].message
         np.testing.assert_array_equal(records[2].interfaces[""].points, outline([[400.0, LOAD]]))
+
+
+@pytest.mark.parametrize(("longest", "third"), [(1.0, None), (5.0, "connection")])
+def test_an_evaluation_that_was_given_up_does_not_cost_the_next_run(longest, third):
+    """The server makes one evaluation at a time: the third run waits for the second one's, not for ever."""
+    lane, ended = threading.Lock(), threading.Event()
+
+    def queued(blocks):
+        with lane:
+            ended.wait(longest if blocks[0][0] > 500 else 0.1)
+        return [outline(blocks).ravel().tolist()]
+
+    with served(replace(POINTS, evaluate=queued)) as url:
+        forward = model(url, timeout=0.3)
+        records = [run(forward, modulus) for modulus in (300.0, 600.0, 400.0)]
+        ended.set()
+    assert [record.failure_kind for record in records] == [None, "timeout", third]
 
 
 def test_what_a_server_says_behind_the_first_line_is_the_log():
