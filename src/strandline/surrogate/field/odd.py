@@ -10,13 +10,21 @@ from strandline.interface import Interface
 from strandline.surrogate.field.correspondence import Layout, common_layout, registered
 from strandline.surrogate.field.projection import Reference
 
-__all__ = ["flipped", "odd_ones"]
+__all__ = ["flipped", "odd_ones", "stopped_early"]
 
 CANDIDATES = 3
 """Number of surfaces tried as the reference of the projections."""
 SHARES = 33
 NEARER = 0.1
 """An open polyline counts as flipped if reversing it reduces the sum of squared distances to less than this share."""
+
+WHOLE_SHARE = 0.25
+"""Share of the runs that must have the largest number of points for it to be that of a whole run; where meshes follow
+the length of the interface, each number is rarer."""
+SHORTER = 0.9
+"""Share of a whole run's points and length below which a run counts as cut off."""
+HELD = 3
+"""Equal last values that are no chance."""
 
 
 def flipped(interface: Interface, other: Interface) -> bool:
@@ -81,3 +89,54 @@ def _left_out(interfaces: Mapping[int, Interface], layout: Layout, hidden: float
         if error > hidden:
             out[i] = f"common points would lie {error:.3g} mm away from its interface, more than {hidden:.3g} mm"
     return out
+
+
+def stopped_early(runs: Sequence[Mapping[str, Interface]]) -> dict[int, str]:
+    """Return the numbers of the runs that seem to end before their end, each with the reason.
+
+    Such a simulator leaves fewer points at the same spacing, or repeats its last value. Values that several runs hold
+    alike, a floor for example, are not taken for this, and neither is what most runs do.
+
+    Args:
+        runs: Interfaces by condition; only open polylines are looked at.
+    """
+    found: dict[int, str] = {}
+    for name in runs[0] if runs else ():
+        some = {i: run[name] for i, run in enumerate(runs) if _kind(run[name]) == "an open polyline"}
+        if len(some) == len(runs):
+            found |= _cut_off(some) | _holding(some)
+    return found
+
+
+def _cut_off(interfaces: Mapping[int, Interface]) -> dict[int, str]:
+    """Return the runs with clearly fewer points than whole ones, clearly shorter, at about the same spacing."""
+    number = {i: len(one.points) for i, one in interfaces.items()}
+    whole = max(number.values())
+    lengths = {i: float(np.linalg.norm(np.diff(one.points, axis=0), axis=1).sum()) for i, one in interfaces.items()}
+    full = [lengths[i] for i, n in number.items() if n == whole]
+    if len(full) < WHOLE_SHARE * len(number):
+        return {}
+    length = float(np.median(full))
+    return {
+        i: f"its interface has {n} of {whole} points and {lengths[i] / length:.0%} of the length of others"
+        for i, n in number.items()
+        if n < SHORTER * whole
+        and lengths[i] < SHORTER * length
+        and 0.5 < lengths[i] / (n - 1) / (length / (whole - 1)) < 2.0
+    }
+
+
+def _holding(interfaces: Mapping[int, Interface]) -> dict[int, str]:
+    """Return the runs that end with a value of their own, repeated; unless most runs end so."""
+    ends: dict[int, tuple[int, float]] = {}
+    for i, one in interfaces.items():
+        for values in (one.points[::-1, -1], one.points[:, -1]):
+            different = np.flatnonzero(values != values[0])
+            held = int(different[0]) if len(different) else 0
+            if held >= HELD:
+                ends[i] = held, float(values[0])
+    shared = Counter(value for _, value in ends.values())
+    own = {i: end for i, end in ends.items() if shared[end[1]] == 1}
+    if len(own) > (1 - WHOLE_SHARE) * len(interfaces):
+        return {}
+    return {i: f"its last {held} values are {value:.6g}" for i, (held, value) in own.items()}
