@@ -43,7 +43,7 @@ ENDINGS: Mapping[str, tuple[State, str]] = {
     "PREEMPTED": ("killed", "preempted"),
 }
 """How a run ended if its job left no result, by the state of the job; for other states, its process died."""
-MEMORY_KILL = re.compile(r"^slurmstepd: error: .*exceeded .*memory limit", re.IGNORECASE | re.MULTILINE)
+MEMORY_KILL = re.compile(r"^slurmstepd\S*: error: .*exceeded .*memory limit", re.IGNORECASE | re.MULTILINE)
 """What only a job's output says if SLURM watches its memory without cgroups (OverMemoryKill): the job is ``FAILED``."""
 
 
