@@ -1,7 +1,7 @@
 """What a forward model may offer in addition to its runs: one protocol each, satisfied by having the method.
 
 All are optional. `undeformed` adds a check and a figure, `on_finer_mesh` adds the mesh error to `strandline check`,
-`prepare_runs` is called once before the first run, `require_server` if runs in a row do not reach their server.
+`prepare_runs` is called once before the first run.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -13,20 +13,15 @@ from strandline.interface import Interface
 from strandline.models.protocol import ForwardModel
 
 __all__ = [
-    "UNREACHED",
     "DrawsFields",
     "KeepsFolders",
     "KnowsUndeformed",
     "PreparesRuns",
     "SolvesOnFinerMesh",
     "UsesNames",
-    "UsesServer",
     "prepare_runs",
     "undeformed_interface",
 ]
-
-UNREACHED = "connection"
-"""Failure kind of a run that did not reach the server that makes it."""
 
 
 @runtime_checkable
@@ -114,19 +109,6 @@ class UsesNames(Protocol):
 
         Raises:
             InvalidInput: There is one, or one is missing.
-        """
-        ...
-
-
-@runtime_checkable
-class UsesServer(Protocol):
-    """A model whose runs are made by a server; one that it does not get ends ``killed`` with the kind `UNREACHED`."""
-
-    def require_server(self) -> None:
-        """Return if the server answers.
-
-        Raises:
-            ForwardModelError: `UNREACHED` if it does not.
         """
         ...
 

@@ -174,7 +174,7 @@ def _stopped_early(calibration: Calibration) -> Iterator[str]:
         key, inputs = good[number].key[:12], good[number].inputs
         where = ", ".join(f"{name} = {value:.6g}" for name, value in inputs.items())
         yield (
-            f"{len(found)} of {len(good)} runs seem to have STOPPED EARLY, e.g. {key} at {where}: {why}. "
+            f"{len(found)} of {len(good)} runs seem to have STOPPED EARLY; the first is {key} at {where}: {why}. "
             "The surrogate takes the jump for the model's. Let the simulator fail there, or leave such runs out: "
             f"`strandline runs STUDY --exclude {key} --why early`."
         )

@@ -31,7 +31,7 @@ class Progress:
         failed: Runs settled without an interface.
         reused: Runs settled before this campaign began.
         elapsed: Seconds since the campaign began.
-        waiting: Whether the campaign looks whether the model's server answers, since runs did not reach it.
+        waiting: Whether the campaign now waits for the model's server, which runs in a row did not reach.
     """
 
     total: int
@@ -66,8 +66,8 @@ def run_campaign(
     is data: look at `state`.
     If an executor makes runs without a driver (its `outstanding` says which), the campaign waits for them and does not
     start them again. If the model must return sensitivities, a run that the ledger holds without them is run again, and
-    its new outcome replaces the old one. If several runs in a row do not reach the server of the model (`UsesServer`),
-    the campaign waits for it.
+    its new outcome replaces the old one. If several runs in a row do not reach the server of the model, the campaign
+    waits for it.
 
     Args:
         model: The simulator.
@@ -148,7 +148,7 @@ class Campaign:
             further: Function that returns more runs when none is waiting; with it, runs that deserve another attempt
                 are tried again at once.
         """
-        self.outages.before_trying_again(self.ledger.latest(request.key for request in self.pending).values())
+        self.outages.require_server(self.ledger.latest(request.key for request in self.pending).values())
         starts = Starts(self.ledger, self.pending, self.outstanding, further, getattr(self.model, "at_once", None))
         try:
             self._consume(starts)
@@ -205,8 +205,7 @@ class Campaign:
         if self.policy.aborts(record):
             raise aborted(record)
         self.policy.require_worth_going_on(self.made)
-        if self.outages.suspected:
-            self.outages.wait()
+        self.outages.require_server()
 
     def _plan(self, candidates: Iterable[RunRequest]) -> list[RunRequest]:
         """Return the runs that may be tried (again); settle those that have used up their attempts."""
@@ -263,8 +262,7 @@ class Campaign:
         ok = sum(record.ok for record in self.settled.values())
         finished = len(self.settled)
         elapsed = time.monotonic() - self.began
-        waiting = self.outages.suspected
-        return Progress(len(self.requests), finished, ok, finished - ok, self.reused, elapsed, waiting)
+        return Progress(len(self.requests), finished, ok, finished - ok, self.reused, elapsed, self.outages.suspected)
 
 
 class Starts:

@@ -1,5 +1,6 @@
 """Campaigns: what is run and what is not, what becomes of runs that fail or are lost, and executors that err."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from operator import length_hint
 from pathlib import Path
@@ -9,20 +10,10 @@ from tests.unit.runs import fakes
 from tests.unit.runs.fakes import Elsewhere, Moody, Noted, Seen, Served, begun_before, campaign, counts, design, states
 
 from strandline.errors import CampaignStopped, InvalidInput, LedgerError, NumericsError
-from strandline.runs import (
-    Counts,
-    FailurePolicy,
-    InProcess,
-    Ledger,
-    Progress,
-    Retry,
-    RunRecord,
-    attempt,
-    outages,
-    run_campaign,
-)
+from strandline.runs import Counts, FailurePolicy, InProcess, Ledger, Progress, Retry, RunRecord, attempt, run_campaign
 from strandline.runs.campaign import Starts
 from strandline.runs.ledger import INTERRUPTED
+from strandline.runs.outages import IN_A_ROW, Outages
 from strandline.testing.executors import same_outcome
 from strandline.testing.models import Cantilever, Counted, Faulty, TwoLoads
 
@@ -296,23 +287,32 @@ def test_abort_leaves_a_run_beside_it_to_be_made_without_an_attempt_less(path):
     assert model.calls == {300.0: 1, 400.0: 5}
 
 
-def test_a_server_that_goes_down_is_waited_for_and_costs_no_run_of_the_design(path, monkeypatch):
-    monkeypatch.setattr(outages, "SECONDS_BETWEEN_PROBES", 0.0)
-    model, seen, inputs = Served(runs=5, probes=3), Seen(), design(*MANY)
-    assert states(campaign(path, model, inputs, on_record=seen)) == ["ok"] * len(MANY)
-    assert (model.lost, max(fakes.attempts(path))) == (outages.IN_A_ROW, 2)
+def test_a_server_that_goes_down_is_waited_for_and_costs_no_run(path):
+    model, seen = Served(runs=5, probes=0), Seen()
+    assert states(campaign(path, model, design(*MANY), on_record=seen)) == ["ok"] * len(MANY)
+    assert (model.lost, max(fakes.attempts(path))) == (IN_A_ROW, 2)
     assert [progress.waiting for _, progress in seen].count(True) == 1
 
 
-def test_a_server_that_stays_away_stops_the_campaign_and_no_start_of_it_uses_up_runs(path, monkeypatch):
-    monkeypatch.setattr(outages, "LONGEST_SECONDS", 0.0)
-    model, inputs = Served(runs=5, probes=1000), design(*MANY)
+def test_a_server_that_stays_away_stops_the_campaign_and_no_start_of_it_uses_up_runs(path):
+    model = Served(runs=0, probes=1000)
     for _ in range(4):
         with pytest.raises(CampaignStopped, match=r"server: no server\n.*not lost"):
-            campaign(path, model, inputs)
-        assert (counts(path).ok, model.lost) == (5, outages.IN_A_ROW)
+            campaign(path, model, design(*MANY))
+        assert model.lost == IN_A_ROW
     model.probes = 0
-    assert states(campaign(path, model, inputs)) == ["ok"] * len(MANY)
+    assert states(campaign(path, model, design(*MANY))) == ["ok"] * len(MANY)
+
+
+def test_a_server_that_has_made_a_run_is_waited_for_ten_minutes():
+    lost = RunRecord("key", {}, "killed", failure_kind="connection")
+    for probes, seconds, end in ((3, 15, nullcontext()), (1000, 600, pytest.raises(CampaignStopped))):
+        waits = []
+        server = Outages(Served(runs=0, probes=probes), waits.append)
+        server.note(RunRecord("key", {}, "ok"))
+        with end:
+            server.require_server([lost])
+        assert sum(waits) == seconds
 
 
 def test_executors_start_no_more_workers_than_the_model_allows_runs(path):

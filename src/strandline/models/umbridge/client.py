@@ -1,20 +1,20 @@
 """The client's side of UM-Bridge 1.0: one request at a time, a limit on everything, and a kind for every failure.
 
-The kinds of `ForwardModelError`: ``connection`` (no server, it hung up, or it is still busy with an earlier request),
-``timeout``, ``protocol`` (an answer that does not follow UM-Bridge or does not belong to this model), ``model_error``
-(the server says that its model failed), ``non_finite``. A run that ends with ``connection`` deserves another try.
+The kinds of `ForwardModelError`: ``connection`` (no server, or it hung up), ``timeout``, ``protocol`` (an answer that
+does not follow UM-Bridge or does not belong to this model), ``model_error`` (the server says that its model failed),
+``non_finite``. A run that did not reach the server ends ``killed``, so that it is tried again.
 """
 
 import contextlib
 import json
 import os
 import re
+import socket
 import ssl
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
@@ -35,7 +35,7 @@ SHOWN_CHARACTERS = 200
 LONGEST_LOG = 8192
 """Characters kept of a server's error message after its first line; a served study ends it with the log."""
 PATIENCE = 10
-"""Multiple of the timeout for which a request waits while the server works on one that was given up."""
+"""Multiple of `timeout` for which an evaluation is waited for; one that takes longer may never end."""
 NUMBERS_OF_PYTHON = re.compile(r"(?<![\w\"])-?(nan|inf)(?![\w\"])")
 """Numbers that are not finite, as `repr` writes them; servers that build JSON with it send these."""
 BLAMES_THE_CALL = ("ModelNotFound", "UnsupportedFeature", "Unauthorized", "Forbidden")
@@ -43,17 +43,6 @@ TOKEN_VARIABLE = "STRANDLINE_TOKEN"
 """Environment variable with the secret of a server started by `strandline serve --token`."""
 
 Vector = Float[np.ndarray, " number"]
-Answered = tuple[int, bytes]
-"""Status and body of an answer."""
-
-
-class _Last:
-    """The last request, answered or given up; it belongs to one process and is not pickled."""
-
-    call: "Future[Answered] | None" = None
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _Last, ()
 
 
 @dataclass(frozen=True)
@@ -72,8 +61,8 @@ class Client:
     Every call has its own connection, so that a load balancer can distribute calls; redirects, proxies and .netrc are
     ignored. The environment variable STRANDLINE_TOKEN, if set, is sent as ``Authorization: Bearer``.
 
-    A server does not notice that a call was given up: it finishes that evaluation, and many servers make one at a time.
-    So the time of the next call counts from the end of that evaluation, if it is not answered before.
+    A server finishes an evaluation even if nobody waits for it, and many servers make one at a time. A call that takes
+    longer than `timeout` has failed, but returns only once the server is free, so that the next one need not queue.
 
     Args:
         url: URL of the server.
@@ -86,7 +75,6 @@ class Client:
     name: str
     config: Mapping[str, Any] = field(default_factory=dict)
     timeout: float = 600.0
-    last: _Last = field(default_factory=_Last, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         parts = urlsplit(self.url)
@@ -94,7 +82,7 @@ class Client:
             raise InvalidInput(
                 "url", value=self.url, expected="e.g. http://127.0.0.1:4242", remedy="Give the server's own address."
             )
-        if not 0 < self.timeout < threading.TIMEOUT_MAX / (2 * PATIENCE):
+        if not 0 < self.timeout < threading.TIMEOUT_MAX / PATIENCE:
             raise InvalidInput(
                 "timeout", value=self.timeout, expected="seconds above 0", remedy="Leave it out for 10 minutes."
             )
@@ -105,7 +93,7 @@ class Client:
         Raises:
             ForwardModelError: no server, another protocol or version, no such model, or one without Evaluate.
         """
-        info = self.info()
+        info = self._mapping("Info", None)
         version, models = info.get("protocolVersion"), info.get("models")
         if not _is_number(version) or version != PROTOCOL_VERSION:
             raise self._breach(f"speaks version {_short(version)} of the protocol; expected {PROTOCOL_VERSION}")
@@ -119,14 +107,6 @@ class Client:
             self._sizes("OutputSizes", "outputSizes"),
             {str(feature): offered is True for feature, offered in support.items()},
         )
-
-    def info(self) -> dict[str, Any]:
-        """Return what the server says about itself, before any check.
-
-        Raises:
-            ForwardModelError: no server, or not one of UM-Bridge.
-        """
-        return self._mapping("Info", None)
 
     def evaluate(self, blocks: Sequence[Sequence[float]], sizes: Sequence[int]) -> list[Vector]:
         """Return the output blocks, with the `sizes` that the server declared."""
@@ -185,8 +165,8 @@ class Client:
             )
             reason, _, log = str(error.get("message")).strip().partition("\n")
             message = f"the server says {_short(error.get('type'))}: {_told(reason)}"
-            state = "killed" if kind == "connection" else None
-            raise ForwardModelError(kind, message, state=state, log=log[-LONGEST_LOG:])
+            lost = kind == "connection"
+            raise ForwardModelError(kind, message, state="killed" if lost else None, log=log[-LONGEST_LOG:])
         if status >= 500:
             raise ForwardModelError("model_error", f"HTTP {status} without a reason: {_told(body)}")
         if not 200 <= status < 300:
@@ -195,35 +175,33 @@ class Client:
             raise self._breach(f"answered {endpoint} with no JSON object: {_told(body)}")
         return answer
 
-    def _exchange(self, endpoint: str, asked: Mapping[str, Any] | None) -> Answered:
-        """Return the answer to one request, which may take `timeout` seconds in total."""
-        import httpx
-
-        before, call = self.last.call, _in_thread(partial(self._sent, endpoint, asked))
-        self.last.call = call
-        if before is not None and not before.done():
-            wait([call, before], PATIENCE * self.timeout, FIRST_COMPLETED)
-            if not (call.done() or before.done()):
-                raise self._lost(f"{self.url} still works on an earlier request, which took too long: restart it")
-        wait([call], self.timeout)
-        if not call.done():
-            raise ForwardModelError("timeout", f"no answer of {self.url} within {self.timeout:g} s")
-        try:
-            return call.result()
-        except (httpx.HTTPError, httpx.InvalidURL, OSError) as error:
-            raise self._mishap(error) from None
-
-    def _sent(self, endpoint: str, asked: Mapping[str, Any] | None) -> Answered:
+    def _exchange(self, endpoint: str, asked: Mapping[str, Any] | None) -> tuple[int, bytes]:
+        """Return status and body of one request; one that takes more than `timeout` seconds in total is a failure."""
         import httpx
 
         method, place = ("GET", "Info") if asked is None else ("POST", endpoint)
         verify = ssl.create_default_context() if self.url.startswith("https:") else False
-        limits = httpx.Timeout(2 * PATIENCE * self.timeout, connect=self.timeout / 2)
-        with (
-            httpx.Client(verify=verify, timeout=limits, follow_redirects=False, trust_env=False) as client,
-            client.stream(method, f"{self.url.rstrip('/')}/{place}", json=asked, headers=_headers()) as response,
-        ):
-            return response.status_code, self._body(response, endpoint)
+        longest = self.timeout * (PATIENCE if "input" in (asked or ()) else 1)
+        limits = httpx.Timeout(longest, connect=self.timeout)
+        begun = time.monotonic()
+        try:
+            with (
+                _deadline(longest) as trace,
+                httpx.Client(verify=verify, timeout=limits, follow_redirects=False, trust_env=False) as client,
+                client.stream(
+                    method,
+                    f"{self.url.rstrip('/')}/{place}",
+                    json=asked,
+                    headers=_headers(),
+                    extensions={"trace": trace},
+                ) as response,
+            ):
+                answer = response.status_code, self._body(response, endpoint)
+        except (httpx.HTTPError, httpx.InvalidURL, OSError) as error:
+            raise self._mishap(error, time.monotonic() - begun) from None
+        if (seconds := time.monotonic() - begun) >= self.timeout:
+            raise self._late(f"it came after {seconds:.3g} s")
+        return answer
 
     def _body(self, response: "httpx.Response", endpoint: str) -> bytes:
         if response.has_redirect_location:
@@ -236,20 +214,22 @@ class Client:
                 raise self._breach(f"answers {endpoint} with more than {LARGEST_ANSWER // 2**20} MB")
         return b"".join(chunks)
 
-    def _mishap(self, error: Exception) -> ForwardModelError:
+    def _mishap(self, error: Exception, seconds: float) -> ForwardModelError:
         import httpx
 
         told = _told(str(error))
         if isinstance(error, httpx.ConnectError | httpx.ConnectTimeout | httpx.UnsupportedProtocol | httpx.InvalidURL):
-            return self._lost(
-                f"no UM-Bridge server answers at {self.url} ({told or 'in time'}): start it, or correct `url`"
-            )
+            message = f"no UM-Bridge server answers at {self.url} ({told or 'in time'}): start it, or correct `url`"
+            return ForwardModelError("connection", message, state="killed")
+        if isinstance(error, httpx.TimeoutException) or seconds >= self.timeout:
+            return self._late(f"none came in {seconds:.3g} s")
         if isinstance(error, httpx.DecodingError):
             return self._breach(f"sends data that cannot be unpacked: {told}")
-        return self._lost(f"{self.url} broke off: {told or type(error).__name__}")
-
-    def _lost(self, message: str) -> ForwardModelError:
+        message = f"{self.url} broke off: {told or type(error).__name__}"
         return ForwardModelError("connection", message, state="killed")
+
+    def _late(self, found: str) -> ForwardModelError:
+        return ForwardModelError("timeout", f"no answer of {self.url} within {self.timeout:g} s; {found}")
 
     def _breach(self, what: str) -> ForwardModelError:
         return ForwardModelError("protocol", f"the server at {self.url} {what}")
@@ -262,18 +242,30 @@ def _headers() -> dict[bytes, bytes]:
     return {b"Accept-Encoding": b"identity", **secret}
 
 
-def _in_thread(send: Callable[[], Answered]) -> "Future[Answered]":
-    """Return the answer to come; `send` works in a thread that keeps nobody from ending the program."""
-    answer: Future[Answered] = Future()
+@contextlib.contextmanager
+def _deadline(seconds: float) -> Iterator[Any]:
+    """Yield a listener for the connection's events; after `seconds` the connection that it has seen is closed.
 
-    def work() -> None:
-        try:
-            answer.set_result(send())
-        except BaseException as error:
-            answer.set_exception(error)
+    The client's own limits apply to each read from the socket, and a server that sends slowly never exceeds them.
+    """
+    opened: list[socket.socket] = []
 
-    threading.Thread(target=work, daemon=True).start()
-    return answer
+    def trace(event: str, info: Mapping[str, Any]) -> None:
+        if event == "connection.connect_tcp.complete":
+            opened.append(info["return_value"].get_extra_info("socket"))
+
+    def cut() -> None:
+        for connection in opened:
+            with contextlib.suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
+
+    timer = threading.Timer(seconds, cut)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield trace
+    finally:
+        timer.cancel()
 
 
 def _parsed(body: bytes) -> Any:

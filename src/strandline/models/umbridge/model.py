@@ -89,7 +89,7 @@ class UMBridgeModel:
         version: Part of the fingerprint.
         sensitivities: Whether runs yield d(points)/d(input) too: by ApplyJacobian, one call for each input, or, if the
             server lacks it, by Gradient, one call for each coordinate.
-        at_once: Largest number of runs under way, since a server that is busy lets further ones wait.
+        at_once: Number of evaluations that the server makes at a time, and so of runs under way.
 
     Raises:
         InvalidInput: an unknown unit, or a number below 1.
@@ -151,9 +151,9 @@ class UMBridgeModel:
         """Return if the server answers.
 
         Raises:
-            ForwardModelError: ``connection`` if there is none.
+            ForwardModelError: As for `Client.describe`.
         """
-        self.client.info()
+        self.client.describe()
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
         """Return the interface that the server computes.

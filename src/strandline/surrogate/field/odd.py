@@ -18,13 +18,15 @@ SHARES = 33
 NEARER = 0.1
 """An open polyline counts as flipped if reversing it reduces the sum of squared distances to less than this share."""
 
-WHOLE_SHARE = 0.25
-"""Share of the runs that must have the largest number of points for it to be that of a whole run; where meshes follow
-the length of the interface, each number is rarer."""
+COMMON = 0.25
+"""Share of the runs that must have the most points for this to be the number of a whole run; where the mesh follows the
+length of the interface, each number is rarer."""
 SHORTER = 0.9
-"""Share of a whole run's points and length below which a run counts as cut off."""
+"""Share of a whole run's points, and of its length, below which a run counts as cut off."""
+SPACING = 1.5
+"""Ratio of spacings up to which a short run has the mesh of a whole one."""
 HELD = 3
-"""Equal last values that are no chance."""
+"""Equal last values that are no chance after a step of usual size."""
 
 
 def flipped(interface: Interface, other: Interface) -> bool:
@@ -94,49 +96,45 @@ def _left_out(interfaces: Mapping[int, Interface], layout: Layout, hidden: float
 def stopped_early(runs: Sequence[Mapping[str, Interface]]) -> dict[int, str]:
     """Return the numbers of the runs that seem to end before their end, each with the reason.
 
-    Such a simulator leaves fewer points at the same spacing, or repeats its last value. Values that several runs hold
-    alike, a floor for example, are not taken for this, and neither is what most runs do.
+    A simulator that stops early leaves fewer points at the same spacing, or repeats its last value.
 
     Args:
         runs: Interfaces by condition; only open polylines are looked at.
     """
     found: dict[int, str] = {}
     for name in runs[0] if runs else ():
-        some = {i: run[name] for i, run in enumerate(runs) if _kind(run[name]) == "an open polyline"}
-        if len(some) == len(runs):
-            found |= _cut_off(some) | _holding(some)
+        interfaces = [run[name] for run in runs]
+        if all(_kind(one) == "an open polyline" for one in interfaces):
+            found |= _cut_off(interfaces) | _holding(interfaces)
     return found
 
 
-def _cut_off(interfaces: Mapping[int, Interface]) -> dict[int, str]:
-    """Return the runs with clearly fewer points than whole ones, clearly shorter, at about the same spacing."""
-    number = {i: len(one.points) for i, one in interfaces.items()}
-    whole = max(number.values())
-    lengths = {i: float(np.linalg.norm(np.diff(one.points, axis=0), axis=1).sum()) for i, one in interfaces.items()}
-    full = [lengths[i] for i, n in number.items() if n == whole]
-    if len(full) < WHOLE_SHARE * len(number):
+def _cut_off(interfaces: Sequence[Interface]) -> dict[int, str]:
+    """Return the runs that are clearly shorter than whole ones and have accordingly fewer points."""
+    points = np.array([len(one.points) for one in interfaces])
+    lengths = np.array([one.lengths.sum() for one in interfaces])
+    whole = points == points.max()
+    if whole.mean() < COMMON:
         return {}
-    length = float(np.median(full))
+    share, length = points / points.max(), lengths / np.median(lengths[whole])
+    short = (share < SHORTER) & (length < SHORTER) & (np.abs(np.log(length / share)) < np.log(SPACING))
     return {
-        i: f"its interface has {n} of {whole} points and {lengths[i] / length:.0%} of the length of others"
-        for i, n in number.items()
-        if n < SHORTER * whole
-        and lengths[i] < SHORTER * length
-        and 0.5 < lengths[i] / (n - 1) / (length / (whole - 1)) < 2.0
+        int(i): f"its interface has {points[i]} of {points.max()} points and {length[i]:.0%} of the length of others"
+        for i in np.flatnonzero(short)
     }
 
 
-def _holding(interfaces: Mapping[int, Interface]) -> dict[int, str]:
-    """Return the runs that end with a value of their own, repeated; unless most runs end so."""
+def _holding(interfaces: Sequence[Interface]) -> dict[int, str]:
+    """Return the runs that end abruptly with a repeated value; not if others share it, a floor, or if most end so."""
     ends: dict[int, tuple[int, float]] = {}
-    for i, one in interfaces.items():
-        for values in (one.points[::-1, -1], one.points[:, -1]):
-            different = np.flatnonzero(values != values[0])
-            held = int(different[0]) if len(different) else 0
-            if held >= HELD:
+    for i, one in enumerate(interfaces):
+        for values in (one.points[::-1, 1], one.points[:, 1]):
+            steps = np.abs(np.diff(values))
+            held = int(np.argmax(steps > 0)) + 1
+            if held >= HELD and steps[held - 1] > np.median(steps[held - 1 :]) / 2:
                 ends[i] = held, float(values[0])
     shared = Counter(value for _, value in ends.values())
     own = {i: end for i, end in ends.items() if shared[end[1]] == 1}
-    if len(own) > (1 - WHOLE_SHARE) * len(interfaces):
+    if len(own) > (1 - COMMON) * len(interfaces):
         return {}
     return {i: f"its last {held} values are {value:.6g}" for i, (held, value) in own.items()}

@@ -109,6 +109,8 @@ def rod(height, *, points=41, of=41, floor=None, held=0, tilt=0.3):
 
 
 WHOLE = [rod(0.01 * k) for k in range(12)]
+S = np.linspace(0, 1, 41)
+FLAT = [{"": line(S, np.round(0.01 * k + 0.3 * np.exp(-9 * S), 3))} for k in range(6)]  # three digits of a decay
 
 
 @pytest.mark.parametrize(
@@ -117,12 +119,13 @@ WHOLE = [rod(0.01 * k) for k in range(12)]
         (WHOLE, []),
         ([*WHOLE, rod(0.2, points=21), rod(0.3, points=30)], [12, 13]),
         ([*(rod(0.01 * k, points=21) for k in range(20)), *WHOLE], list(range(20))),
-        ([*WHOLE, rod(0.2, of=21, points=21)], []),  # a coarser one
+        ([*WHOLE, rod(0.2, of=21, points=18)], []),  # one of a coarser mesh
         ([rod(0.1, points=n) for n in range(20, 41)], []),  # as long as its mesh
         ([*WHOLE, rod(0.2, held=1)], []),
         ([*WHOLE, rod(0.2, held=5), {"": rod(0.3, held=7)[""].reversed()}], [12, 13]),
         ([rod(0.01 * k, tilt=-0.3, floor=0.0) for k in range(12)], []),
         ([rod(0.01 * k, held=7) for k in range(12)], []),
+        ([*WHOLE, *FLAT], []),
         ([], []),
     ],
 )
