@@ -27,8 +27,9 @@ STAGES = {
 
 
 def run_note(state: Progress) -> str:
-    """Return how many runs have ended well, how many not, and the time left."""
-    return f"{state.ok} ok, {state.failed} failed{_left(state)}"
+    """Return how many runs have ended well, how many not, and the time left, or that a server is waited for."""
+    rest = ", waiting for the model's server" if state.waiting else _left(state)
+    return f"{state.ok} ok, {state.failed} failed{rest}"
 
 
 def part_note(state: Progress) -> str:

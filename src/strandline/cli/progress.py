@@ -166,7 +166,7 @@ def _lines(console: Console, clock: Callable[[], float]) -> Observer:
         return True
 
     def run(record: RunRecord, state: Runs) -> None:
-        if due(state.finished == state.total):
+        if due(state.waiting or state.finished == state.total):
             say(f"  {state.finished}/{state.total} {run_note(state)}")
 
     def step(info: StepInfo) -> None:

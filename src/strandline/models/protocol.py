@@ -102,11 +102,13 @@ class ForwardModel(Protocol):
     A plain function of the same signature works too. It may return a bare `Interface`, which is one unnamed condition.
     A model may declare `inputs` (a tuple of `ModelInput`) and `fingerprint` (a string that changes whenever its results
     do). If a run yields several interfaces, or one with a name, the model declares their `conditions` (a tuple of
-    names). It may declare `failure_kinds` (a tuple of words); a study then accepts no other kinds of failure. A model
-    that can compute sensitivities is a dataclass with a boolean field `sensitivities` that switches them on; they
-    change no interface, so they are not part of its fingerprint. A model with a method ``on_finer_mesh(inputs)``, which
-    returns the interfaces by condition, lets `strandline check` report the error of its mesh. The model is pickled once
-    per worker process.
+    names). It may declare `failure_kinds` (a tuple of words); a study then accepts no other kinds of failure. It may
+    declare `at_once`, the largest number of runs under way; executors then start no more workers. A model that can
+    compute sensitivities is a dataclass with a boolean field `sensitivities` that switches them on; they change no
+    interface, so they are not part of its fingerprint. A model with a method ``on_finer_mesh(inputs)``, which returns
+    the interfaces by condition, lets `strandline check` report the error of its mesh. A model whose runs a server makes
+    may have a method ``require_server()``, which raises an error if the server does not answer; a run that does not
+    reach it ends ``killed``, with the kind ``connection``. The model is pickled once per worker process.
 
     Raises:
         ForwardModelError: the run failed, with its kind.

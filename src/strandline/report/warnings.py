@@ -13,6 +13,7 @@ from strandline.posterior import Posterior
 from strandline.posterior.quadrature import mixture
 from strandline.report.field_warnings import field_warnings
 from strandline.runs.tables import EXCLUDED
+from strandline.surrogate.field.odd import stopped_early
 
 __all__ = ["find_warnings", "noise_at_an_end", "reason_to_doubt", "small_share"]
 
@@ -65,6 +66,7 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
     else:
         yield from field_warnings(calibration, calibration.field)
     yield from _runs(calibration)
+    yield from _stopped_early(calibration)
     yield from _set_aside(calibration)
     yield from _prior(calibration)
     yield from _sampler(calibration)
@@ -161,6 +163,20 @@ def _runs(calibration: Calibration) -> Iterator[str]:
         yield (
             f"{failed} of {len(calibration.records)} forward runs failed: the surrogate knows nothing there. "
             "See where they lie before you trust a posterior close to them."
+        )
+
+
+def _stopped_early(calibration: Calibration) -> Iterator[str]:
+    good = [record for record in calibration.records if record.ok]
+    found = stopped_early([record.interfaces for record in good])
+    if found:
+        number, why = next(iter(found.items()))
+        key, inputs = good[number].key[:12], good[number].inputs
+        where = ", ".join(f"{name} = {value:.6g}" for name, value in inputs.items())
+        yield (
+            f"{len(found)} of {len(good)} runs seem to have STOPPED EARLY; the first is {key} at {where}: {why}. "
+            "The surrogate takes the jump for the model's. Let the simulator fail there, or leave such runs out: "
+            f"`strandline runs STUDY --exclude {key} --why early`."
         )
 
 

@@ -13,6 +13,7 @@ from strandline.models.protocol import ForwardModel, asks_sensitivities, fingerp
 from strandline.runs.executors import Executor
 from strandline.runs.failures import FailurePolicy, aborted
 from strandline.runs.ledger import INTERRUPTED, Ledger
+from strandline.runs.outages import Outages
 from strandline.runs.record import NOT_NOW, RunRecord, RunRequest, run_key
 from strandline.runs.tables import EXCLUDED
 
@@ -30,6 +31,7 @@ class Progress:
         failed: Runs settled without an interface.
         reused: Runs settled before this campaign began.
         elapsed: Seconds since the campaign began.
+        waiting: Whether the campaign now waits for the model's server, which runs in a row did not reach.
     """
 
     total: int
@@ -38,6 +40,7 @@ class Progress:
     failed: int
     reused: int
     elapsed: float
+    waiting: bool = False
 
     @property
     def remaining_seconds(self) -> float | None:
@@ -63,7 +66,8 @@ def run_campaign(
     is data: look at `state`.
     If an executor makes runs without a driver (its `outstanding` says which), the campaign waits for them and does not
     start them again. If the model must return sensitivities, a run that the ledger holds without them is run again, and
-    its new outcome replaces the old one.
+    its new outcome replaces the old one. If several runs in a row do not reach the server of the model, the campaign
+    waits for it.
 
     Args:
         model: The simulator.
@@ -75,7 +79,7 @@ def run_campaign(
         policy: What to do about failed runs; None leaves them out, however many there are.
 
     Raises:
-        CampaignStopped: The `policy` ends the campaign; finished runs are in the ledger.
+        CampaignStopped: The `policy` ends the campaign, or the server does not answer; finished runs are in the ledger.
         LedgerError: the ledger belongs to another model, or cannot be written.
     """
     policy = policy or FailurePolicy(stop_share=2.0)
@@ -110,6 +114,7 @@ class Campaign:
         self.reused = 0
         self.made: list[RunRecord] = []
         self.outstanding: set[str] = set()
+        self.outages = Outages(model)
         self.pending = self.add(inputs)
 
     def add(self, inputs: Sequence[Mapping[str, float]]) -> list[RunRequest]:
@@ -143,7 +148,8 @@ class Campaign:
             further: Function that returns more runs when none is waiting; with it, runs that deserve another attempt
                 are tried again at once.
         """
-        starts = Starts(self.ledger, self.pending, self.outstanding, further)
+        self.outages.require_server(self.ledger.latest(request.key for request in self.pending).values())
+        starts = Starts(self.ledger, self.pending, self.outstanding, further, getattr(self.model, "at_once", None))
         try:
             self._consume(starts)
         except BaseException:
@@ -171,6 +177,7 @@ class Campaign:
                 self.ledger.finished(record)
                 starts.running.pop(record.key, None)
                 self._settle(record)
+                self.outages.note(record)
                 if record.key not in self.settled:
                     starts.put_back(self.requests[record.key])
                 if self.on_record is not None:
@@ -198,6 +205,7 @@ class Campaign:
         if self.policy.aborts(record):
             raise aborted(record)
         self.policy.require_worth_going_on(self.made)
+        self.outages.require_server()
 
     def _plan(self, candidates: Iterable[RunRequest]) -> list[RunRequest]:
         """Return the runs that may be tried (again); settle those that have used up their attempts."""
@@ -254,7 +262,7 @@ class Campaign:
         ok = sum(record.ok for record in self.settled.values())
         finished = len(self.settled)
         elapsed = time.monotonic() - self.began
-        return Progress(len(self.requests), finished, ok, finished - ok, self.reused, elapsed)
+        return Progress(len(self.requests), finished, ok, finished - ok, self.reused, elapsed, self.outages.suspected)
 
 
 class Starts:
@@ -263,13 +271,19 @@ class Starts:
     Runs in `outstanding` were started by an earlier driver and only need waiting for. When no request is waiting,
     `further` may return some; if it returns none for now, `NOT_NOW` is handed out. The first call that finds none
     waiting gets `NOT_NOW` before `further` is called: until all records are handed over, `further` might not know which
-    runs have ended.
+    runs have ended. The length hint, of which executors start no more workers, is at most `at_once`.
     """
 
     def __init__(
-        self, ledger: Ledger, requests: Iterable[RunRequest], outstanding: set[str], further: "Further | None" = None
+        self,
+        ledger: Ledger,
+        requests: Iterable[RunRequest],
+        outstanding: set[str],
+        further: "Further | None" = None,
+        at_once: int | None = None,
     ) -> None:
         self.ledger, self.waiting, self.outstanding, self.further = ledger, deque(requests), outstanding, further
+        self.at_once = at_once
         self.running: dict[str, RunRequest] = {}
         self.begun: dict[str, float] = {}
         self.told_to_wait = False
@@ -292,7 +306,9 @@ class Starts:
         return request
 
     def __length_hint__(self) -> int:
-        return len(self.waiting) if self.further is None else NotImplemented
+        if self.further is None:
+            return min(len(self.waiting), self.at_once or len(self.waiting))
+        return self.at_once or NotImplemented
 
     def put_back(self, request: RunRequest) -> None:
         """Let the same call of the executor start a run that has ended once more, if that call goes on."""

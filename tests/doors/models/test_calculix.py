@@ -3,9 +3,13 @@
 Skipped where CalculiX is not installed (Debian: calculix-ccx).
 """
 
+import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from strandline.runs import RunRequest, attempt
@@ -13,6 +17,7 @@ from strandline.studies import load_study
 
 pytestmark = pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not installed")
 
+GUIDE = Path(__file__).parents[3] / "docs" / "how-to" / "own-simulator.md"
 EXAMPLE = Path(__file__).parents[3] / "examples" / "calculix"
 RADIUS, THICKNESS, BULK_OVER_SHEAR = 10.0, 1.0, 50.0
 
@@ -46,3 +51,48 @@ def test_beyond_its_limit_point_the_run_fails_and_says_how_the_log_ends(study):
     assert (record.state, record.failure_kind) == ("failed", "exit_code")
     assert not record.interfaces
     assert "increment size smaller than minimum" in f"{record.message}{record.log}"
+
+
+BLOCK = """*NODE, NSET=NALL
+1,0,0,0
+2,1,0,0
+3,1,1,0
+4,0,1,0
+5,0,0,1
+6,1,0,1
+7,1,1,1
+8,0,1,1
+*ELEMENT, TYPE=C3D8, ELSET=EALL
+1,1,2,3,4,5,6,7,8
+*NSET, NSET=FOOT
+1,2,3,4
+*NSET, NSET=TOP
+5,6,7,8
+*MATERIAL, NAME=M
+*ELASTIC
+1000.,0.3
+*SOLID SECTION, ELSET=EALL, MATERIAL=M
+*BOUNDARY
+FOOT,1,3
+*STEP, NLGEOM
+*STATIC
+1.,1.
+*CLOAD
+TOP,3,{load}
+*NODE PRINT, NSET=NALL
+U
+*END STEP
+"""
+
+
+def test_the_script_of_the_guide_refuses_a_block_pushed_through_its_own_foot(tmp_path):
+    (script,) = re.findall(r"```python\n(import sys\n.*?)```", GUIDE.read_text("utf-8"), re.DOTALL)
+    ends = []
+    for load in (-30.0, -100.0, -1800.0):
+        (tmp_path / "block.inp").write_text(BLOCK.format(load=load))
+        solved = subprocess.run(["ccx", "-i", "block"], cwd=tmp_path, capture_output=True, text=True, check=True)
+        assert "Job finished" in solved.stdout
+        post = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+        ends.append(post.stderr.strip())
+    assert ends == ["", "element 1 is inside out", "element 1 is inside out"]
+    np.testing.assert_allclose(np.loadtxt(tmp_path / "edge.csv", delimiter=",", skiprows=1)[:, 1], 0.864, atol=1e-3)

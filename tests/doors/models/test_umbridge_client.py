@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from tests.unit.models.umbridge.served import running, served
 
+from strandline.errors import ForwardModelError
 from strandline.models.protocol import with_sensitivities
 from strandline.models.umbridge import client as client_module
 from strandline.models.umbridge.answers import ServedModel, answer
@@ -138,6 +139,11 @@ def drips(handler, body):
         time.sleep(0.1)
 
 
+def late(handler, body):
+    time.sleep(0.1)
+    handler.send(200, b"{}")
+
+
 def breaks_off(handler, body):
     handler.wfile.write(b'HTTP/1.1 200 OK\r\nContent-Length: 1000\r\n\r\n{"output": [[')
     handler.connection.shutdown(socket.SHUT_RDWR)
@@ -146,7 +152,6 @@ def breaks_off(handler, body):
 ZIPPED = ("Content-Encoding", "gzip")
 BOMB = gzip.compress(b" " * (client_module.LARGEST_ANSWER + 1))
 MISHAPS = {
-    "timeout": [(drips, "no answer of .* within 1 s")],
     "model_error": [
         (says(500, "ModelError", "singular"), "ModelError'?: singular"),
         (sends(500, "<h1>500</h1><p>Internal  error"), "HTTP 500 without a reason: 500 Internal error"),
@@ -165,17 +170,26 @@ MISHAPS = {
 }
 
 
-@pytest.mark.parametrize("kind", ["timeout", *(pytest.param(k, marks=pytest.mark.smoke) for k in list(MISHAPS)[1:])])
+@pytest.mark.smoke
+@pytest.mark.parametrize("kind", MISHAPS)
 def test_a_server_that_misbehaves_costs_the_runs_that_it_hits(kind):
     for reply, message in MISHAPS[kind]:
         with hostile(reply) as url:
-            forward = model(url, timeout=1.0 if kind == "timeout" else 30.0)
+            forward = model(url, timeout=30.0)
             records = [run(forward, modulus) for modulus in (300.0, 600.0, 400.0)]
         assert [record.ok for record in records] == [True, False, True]
         assert records[1].failure_kind == kind
-        assert records[1].state == ("timeout" if kind == "timeout" else "failed")
+        assert records[1].state == ("killed" if kind == "connection" else "failed")
         assert re.search(message, str(records[1].message)), records[1].message
         np.testing.assert_array_equal(records[2].interfaces[""].points, outline([[400.0, LOAD]]))
+
+
+@pytest.mark.smoke
+@pytest.mark.parametrize(("reply", "found"), [(late, "it came after"), (drips, "none came in 0.2")])
+def test_an_evaluation_that_takes_too_long_fails_once_the_server_is_free_or_never_will_be(reply, found):
+    with hostile(reply) as url, pytest.raises(ForwardModelError, match=rf"within 0.02 s; {found}") as caught:
+        client_module.Client(url, "beam", timeout=0.02).evaluate([[600.0, LOAD]], (12,))
+    assert caught.value.state == "timeout"
 
 
 def test_what_a_server_says_behind_the_first_line_is_the_log():

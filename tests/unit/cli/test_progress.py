@@ -1,5 +1,7 @@
 """What is told while a study runs: progress as plain lines, none when quiet, details, and `strandline status`."""
 
+from dataclasses import replace
+
 import pytest
 
 from strandline.calibration import progress_text
@@ -31,6 +33,7 @@ def test_a_stage_has_a_line_now_and_then_and_one_at_its_end(capsys):
         observer.run(RECORD, state(1))
         now[0] += 1
         observer.run(RECORD, state(50, elapsed=70.0))
+        observer.run(RECORD, replace(state(51), waiting=True))
         observer.run(RECORD, state(100))
         observer.stage("sampling")
         observer.step(FIRST)
@@ -47,6 +50,7 @@ def test_a_stage_has_a_line_now_and_then_and_one_at_its_end(capsys):
     assert shown.err.splitlines() == [
         "forward runs …",
         "  50/100 49 ok, 1 failed, 1 min 10 s left",
+        "  51/100 50 ok, 1 failed, waiting for the model's server",
         "  100/100 99 ok, 1 failed",
         "sampling …",
         "  tempering exponent 1.0000, ESS 1234, accepted 25%",

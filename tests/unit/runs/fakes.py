@@ -153,6 +153,28 @@ class Moody:
         return Cantilever()(inputs, workdir)
 
 
+class Served:
+    """A server that goes down after some runs and comes back when it has been probed several times."""
+
+    fingerprint, at_once = "served", 1
+
+    def __init__(self, runs, probes):
+        self.runs, self.probes, self.lost = runs, probes, 0
+
+    def require_server(self):
+        self.probes -= 1
+        if self.probes >= 0:
+            raise ForwardModelError("connection", "no server", state="killed")
+        self.runs = 100
+
+    def __call__(self, inputs, workdir):
+        self.runs -= 1
+        if self.runs < 0:
+            self.lost += 1
+            raise ForwardModelError("connection", "no server", state="killed")
+        return Cantilever()(inputs, workdir)
+
+
 class Noted:
     """Runs one after the other; notes the runs of each of its calls. One that waits takes `NOT_NOW`."""
 

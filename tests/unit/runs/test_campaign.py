@@ -1,15 +1,19 @@
 """Campaigns: what is run and what is not, what becomes of runs that fail or are lost, and executors that err."""
 
+from contextlib import nullcontext
 from dataclasses import replace
+from operator import length_hint
 from pathlib import Path
 
 import pytest
 from tests.unit.runs import fakes
-from tests.unit.runs.fakes import Elsewhere, Moody, Noted, Seen, begun_before, campaign, counts, design, states
+from tests.unit.runs.fakes import Elsewhere, Moody, Noted, Seen, Served, begun_before, campaign, counts, design, states
 
 from strandline.errors import CampaignStopped, InvalidInput, LedgerError, NumericsError
 from strandline.runs import Counts, FailurePolicy, InProcess, Ledger, Progress, Retry, RunRecord, attempt, run_campaign
+from strandline.runs.campaign import Starts
 from strandline.runs.ledger import INTERRUPTED
+from strandline.runs.outages import IN_A_ROW, Outages
 from strandline.testing.executors import same_outcome
 from strandline.testing.models import Cantilever, Counted, Faulty, TwoLoads
 
@@ -281,3 +285,44 @@ def test_abort_leaves_a_run_beside_it_to_be_made_without_an_attempt_less(path):
             assert ledger.attempts(beside.key) == 0
     assert states(campaign(path, model, design(300, 400), **options)) == ["ok", "ok"]
     assert model.calls == {300.0: 1, 400.0: 5}
+
+
+def test_a_server_that_goes_down_is_waited_for_and_costs_no_run(path):
+    model, seen = Served(runs=5, probes=0), Seen()
+    assert states(campaign(path, model, design(*MANY), on_record=seen)) == ["ok"] * len(MANY)
+    assert (model.lost, max(fakes.attempts(path))) == (IN_A_ROW, 2)
+    assert [progress.waiting for _, progress in seen].count(True) == 1
+
+
+def test_a_server_that_stays_away_stops_the_campaign_and_no_start_of_it_uses_up_runs(path):
+    model = Served(runs=0, probes=1000)
+    for _ in range(4):
+        with pytest.raises(CampaignStopped, match=r"server: no server\n.*not lost"):
+            campaign(path, model, design(*MANY))
+        assert model.lost == IN_A_ROW
+    model.probes = 0
+    assert states(campaign(path, model, design(*MANY))) == ["ok"] * len(MANY)
+
+
+def test_a_server_that_has_made_a_run_is_waited_for_ten_minutes():
+    lost = RunRecord("key", {}, "killed", failure_kind="connection")
+    for probes, seconds, end in ((3, 15, nullcontext()), (1000, 600, pytest.raises(CampaignStopped))):
+        waits = []
+        server = Outages(Served(runs=0, probes=probes), waits.append)
+        server.note(RunRecord("key", {}, "ok"))
+        with end:
+            server.require_server([lost])
+        assert sum(waits) == seconds
+
+
+def test_executors_start_no_more_workers_than_the_model_allows_runs(path):
+    hints = []
+
+    def hinted(model, requests):
+        hints.append(length_hint(requests, 7))
+        return InProcess()(model, requests)
+
+    campaign(path, Served(runs=100, probes=0), design(300, 400), hinted)
+    for further, at_once in ((None, None), (None, 2), (None, 9), (list, None), (list, 2)):
+        hints.append(length_hint(Starts(None, range(3), set(), further, at_once), 7))
+    assert hints == [1, 3, 2, 3, 7, 2]

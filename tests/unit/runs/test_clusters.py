@@ -173,6 +173,14 @@ def test_a_job_without_a_result_is_told_by_its_state(tmp_path):
         assert (record.state, record.failure_kind) == end
         assert record.log == "the last words"
     assert "SLURM no longer knows it" in record.message
+    for said, kind in (
+        ("slurmstepd: error: Exceeded job memory limit", "out_of_memory"),
+        ("slurmstepd-n1: error: StepId=7.batch exceeded memory limit (480 > 300), being killed", "out_of_memory"),
+        ("my solver: Exceeded job memory limit", "worker_died"),
+    ):
+        (batch.folder / "logs" / "3.txt").write_text(f"step 7\n{said}\nslurmstepd: error: *** JOB 7 ***\n")
+        assert _without_result(batch, 3, REQUESTS[3], "FAILED").failure_kind == kind
+        assert _without_result(batch, 3, REQUESTS[3], "TIMEOUT").failure_kind == "walltime"
 
 
 @pytest.mark.stand_in

@@ -225,6 +225,7 @@ class Biofilm:
             if self.sensitivities:
                 found = cell.sensitivities(solution, [q.name for q in self.fluid.inputs])
                 sensitivities[name] = self._by_input(found, self.course.shares()[name] if self.course else 1.0)
+        figures["mkl"] = float(linear_solver() == "pardiso")
         return Simulation(interfaces, figures, sensitivities)
 
     @property

@@ -2,7 +2,7 @@
 
 The kinds of `ForwardModelError`: ``connection`` (no server, or it hung up), ``timeout``, ``protocol`` (an answer that
 does not follow UM-Bridge or does not belong to this model), ``model_error`` (the server says that its model failed),
-``non_finite``.
+``non_finite``. A run that did not reach the server ends ``killed``, so that it is tried again.
 """
 
 import contextlib
@@ -34,6 +34,8 @@ LARGEST_ANSWER = 64 * 2**20
 SHOWN_CHARACTERS = 200
 LONGEST_LOG = 8192
 """Characters kept of a server's error message after its first line; a served study ends it with the log."""
+PATIENCE = 10
+"""Multiple of `timeout` for which an evaluation is waited for; one that takes longer may never end."""
 NUMBERS_OF_PYTHON = re.compile(r"(?<![\w\"])-?(nan|inf)(?![\w\"])")
 """Numbers that are not finite, as `repr` writes them; servers that build JSON with it send these."""
 BLAMES_THE_CALL = ("ModelNotFound", "UnsupportedFeature", "Unauthorized", "Forbidden")
@@ -59,6 +61,9 @@ class Client:
     Every call has its own connection, so that a load balancer can distribute calls; redirects, proxies and .netrc are
     ignored. The environment variable STRANDLINE_TOKEN, if set, is sent as ``Authorization: Bearer``.
 
+    A server finishes an evaluation even if nobody waits for it, and many servers make one at a time. A call that takes
+    longer than `timeout` has failed, but returns only once the server is free, so that the next one need not queue.
+
     Args:
         url: URL of the server.
         name: Name of the model.
@@ -77,7 +82,7 @@ class Client:
             raise InvalidInput(
                 "url", value=self.url, expected="e.g. http://127.0.0.1:4242", remedy="Give the server's own address."
             )
-        if not 0 < self.timeout < threading.TIMEOUT_MAX:
+        if not 0 < self.timeout < threading.TIMEOUT_MAX / PATIENCE:
             raise InvalidInput(
                 "timeout", value=self.timeout, expected="seconds above 0", remedy="Leave it out for 10 minutes."
             )
@@ -160,7 +165,8 @@ class Client:
             )
             reason, _, log = str(error.get("message")).strip().partition("\n")
             message = f"the server says {_short(error.get('type'))}: {_told(reason)}"
-            raise ForwardModelError(kind, message, log=log[-LONGEST_LOG:])
+            lost = kind == "connection"
+            raise ForwardModelError(kind, message, state="killed" if lost else None, log=log[-LONGEST_LOG:])
         if status >= 500:
             raise ForwardModelError("model_error", f"HTTP {status} without a reason: {_told(body)}")
         if not 200 <= status < 300:
@@ -170,16 +176,18 @@ class Client:
         return answer
 
     def _exchange(self, endpoint: str, asked: Mapping[str, Any] | None) -> tuple[int, bytes]:
-        """Return status and body of one request, which may take `timeout` seconds in total."""
+        """Return status and body of one request; one that takes more than `timeout` seconds in total is a failure."""
         import httpx
 
         method, place = ("GET", "Info") if asked is None else ("POST", endpoint)
         verify = ssl.create_default_context() if self.url.startswith("https:") else False
+        longest = self.timeout * (PATIENCE if "input" in (asked or ()) else 1)
+        limits = httpx.Timeout(longest, connect=self.timeout)
         begun = time.monotonic()
         try:
             with (
-                _deadline(self.timeout) as trace,
-                httpx.Client(verify=verify, timeout=self.timeout, follow_redirects=False, trust_env=False) as client,
+                _deadline(longest) as trace,
+                httpx.Client(verify=verify, timeout=limits, follow_redirects=False, trust_env=False) as client,
                 client.stream(
                     method,
                     f"{self.url.rstrip('/')}/{place}",
@@ -188,9 +196,12 @@ class Client:
                     extensions={"trace": trace},
                 ) as response,
             ):
-                return response.status_code, self._body(response, endpoint)
+                answer = response.status_code, self._body(response, endpoint)
         except (httpx.HTTPError, httpx.InvalidURL, OSError) as error:
             raise self._mishap(error, time.monotonic() - begun) from None
+        if (seconds := time.monotonic() - begun) >= self.timeout:
+            raise self._late(f"it came after {seconds:.3g} s")
+        return answer
 
     def _body(self, response: "httpx.Response", endpoint: str) -> bytes:
         if response.has_redirect_location:
@@ -206,14 +217,19 @@ class Client:
     def _mishap(self, error: Exception, seconds: float) -> ForwardModelError:
         import httpx
 
+        told = _told(str(error))
         if isinstance(error, httpx.ConnectError | httpx.ConnectTimeout | httpx.UnsupportedProtocol | httpx.InvalidURL):
-            message = f"no UM-Bridge server answers at {self.url} ({_told(str(error)) or 'in time'})"
-            return ForwardModelError("connection", f"{message}: start it, or correct `url`")
+            message = f"no UM-Bridge server answers at {self.url} ({told or 'in time'}): start it, or correct `url`"
+            return ForwardModelError("connection", message, state="killed")
         if isinstance(error, httpx.TimeoutException) or seconds >= self.timeout:
-            return ForwardModelError("timeout", f"no answer of {self.url} within {self.timeout:g} s")
+            return self._late(f"none came in {seconds:.3g} s")
         if isinstance(error, httpx.DecodingError):
-            return self._breach(f"sends data that cannot be unpacked: {_told(str(error))}")
-        return ForwardModelError("connection", f"{self.url} broke off: {_told(str(error)) or type(error).__name__}")
+            return self._breach(f"sends data that cannot be unpacked: {told}")
+        message = f"{self.url} broke off: {told or type(error).__name__}"
+        return ForwardModelError("connection", message, state="killed")
+
+    def _late(self, found: str) -> ForwardModelError:
+        return ForwardModelError("timeout", f"no answer of {self.url} within {self.timeout:g} s; {found}")
 
     def _breach(self, what: str) -> ForwardModelError:
         return ForwardModelError("protocol", f"the server at {self.url} {what}")

@@ -36,6 +36,7 @@ class UMBridge:
         timeout: Largest duration of a call, seconds.
         version: Any text that distinguishes this server's model from its earlier versions, see `UMBridgeModel`.
         sensitivities: Whether the server computes derivatives too.
+        at_once: Number of evaluations that the server makes at a time.
     """
 
     url: str
@@ -47,6 +48,7 @@ class UMBridge:
     timeout: float = 600.0
     version: str | float | int | None = None
     sensitivities: bool = False
+    at_once: int = 1
 
     @classmethod
     def from_options(cls, **options: Any) -> "UMBridgeModel":
@@ -66,6 +68,7 @@ class UMBridge:
             given.unit,
             "" if given.version is None else str(given.version),
             given.sensitivities,
+            given.at_once,
         )
 
 
@@ -86,9 +89,10 @@ class UMBridgeModel:
         version: Part of the fingerprint.
         sensitivities: Whether runs yield d(points)/d(input) too: by ApplyJacobian, one call for each input, or, if the
             server lacks it, by Gradient, one call for each coordinate.
+        at_once: Number of evaluations that the server makes at a time, and so of runs under way.
 
     Raises:
-        InvalidInput: an unknown unit.
+        InvalidInput: an unknown unit, or a number below 1.
     """
 
     client: Client
@@ -98,11 +102,14 @@ class UMBridgeModel:
     unit: str = "mm"
     version: str = ""
     sensitivities: bool = False
+    at_once: int = 1
     failure_kinds: ClassVar[tuple[str, ...]] = ("connection", "protocol", "model_error", "inputs", "no_sensitivities")
 
     def __post_init__(self) -> None:
         if self.unit not in UNITS:
             raise InvalidInput("unit", value=self.unit, expected=f"one of {', '.join(UNITS)}", remedy="Correct it.")
+        if self.at_once < 1:
+            raise InvalidInput("at_once", value=self.at_once, expected="at least 1", remedy="Correct the number.")
 
     @property
     def inputs(self) -> tuple[ModelInput, ...]:
@@ -139,6 +146,14 @@ class UMBridgeModel:
                 f"blocks of {list(sizes)}",
             )
         return described
+
+    def require_server(self) -> None:
+        """Return if the server answers.
+
+        Raises:
+            ForwardModelError: As for `Client.describe`.
+        """
+        self.client.describe()
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
         """Return the interface that the server computes.

@@ -29,7 +29,8 @@ EXECUTORS = {
 class Executor(Protocol):
     """Makes runs: (model, requests) → their records, in order of completion.
 
-    Each request is answered exactly once, whatever the simulator does, and pulled only when it is started. A fault that
+    Each request is answered exactly once, whatever the simulator does, and pulled only when it is started. An executor
+    with workers starts no more of them than the length hint of the requests, if they have one. A fault that
     cannot be attributed to one run (a model that cannot be loaded) raises an exception. Closing the iterator early
     stops the runs, unless they go on by themselves: such an executor has a method ``outstanding(model, keys)`` that
     returns the runs in `keys` that were started earlier and not answered, and that it will answer when requested again.

@@ -5,6 +5,7 @@ batches. If a driver was killed or left, another one can collect the results.
 """
 
 import contextlib
+import re
 import shlex
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -42,6 +43,8 @@ ENDINGS: Mapping[str, tuple[State, str]] = {
     "PREEMPTED": ("killed", "preempted"),
 }
 """How a run ended if its job left no result, by the state of the job; for other states, its process died."""
+MEMORY_KILL = re.compile(r"^slurmstepd\S*: error: .*exceeded .*memory limit", re.IGNORECASE | re.MULTILINE)
+"""What only a job's output says if SLURM watches its memory without cgroups (OverMemoryKill): the job is ``FAILED``."""
 
 
 class Detached(StrandlineError):
@@ -302,8 +305,10 @@ def _found(batch: Batch) -> bool:
 def _without_result(batch: Batch, index: int, request: RunRequest, job_state: str | None) -> RunRecord:
     """Return the record of a run whose job ended with this state and left no result."""
     word = (job_state or "").split("+")[0]
-    state, kind = ENDINGS.get(word, ("killed", "worker_died"))
+    log = batch.log_tail(index)
+    died = "out_of_memory" if MEMORY_KILL.search(log) else "worker_died"
+    state, kind = ENDINGS.get(word, ("killed", died))
     told = f"SLURM says {job_state}" if job_state else "SLURM no longer knows it"
     message = f"job {batch.job}_{index} of this run ended without a result; {told}"
     record = RunRecord(request.key, request.inputs, state, failure_kind=kind, message=message)
-    return with_log(record, batch.log_tail(index))
+    return with_log(record, log)

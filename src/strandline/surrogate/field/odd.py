@@ -10,13 +10,23 @@ from strandline.interface import Interface
 from strandline.surrogate.field.correspondence import Layout, common_layout, registered
 from strandline.surrogate.field.projection import Reference
 
-__all__ = ["flipped", "odd_ones"]
+__all__ = ["flipped", "odd_ones", "stopped_early"]
 
 CANDIDATES = 3
 """Number of surfaces tried as the reference of the projections."""
 SHARES = 33
 NEARER = 0.1
 """An open polyline counts as flipped if reversing it reduces the sum of squared distances to less than this share."""
+
+COMMON = 0.25
+"""Share of the runs that must have the most points for this to be the number of a whole run; where the mesh follows the
+length of the interface, each number is rarer."""
+SHORTER = 0.9
+"""Share of a whole run's points, and of its length, below which a run counts as cut off."""
+SPACING = 1.5
+"""Ratio of spacings up to which a short run has the mesh of a whole one."""
+HELD = 3
+"""Equal last values that are no chance after a step of usual size."""
 
 
 def flipped(interface: Interface, other: Interface) -> bool:
@@ -81,3 +91,50 @@ def _left_out(interfaces: Mapping[int, Interface], layout: Layout, hidden: float
         if error > hidden:
             out[i] = f"common points would lie {error:.3g} mm away from its interface, more than {hidden:.3g} mm"
     return out
+
+
+def stopped_early(runs: Sequence[Mapping[str, Interface]]) -> dict[int, str]:
+    """Return the numbers of the runs that seem to end before their end, each with the reason.
+
+    A simulator that stops early leaves fewer points at the same spacing, or repeats its last value.
+
+    Args:
+        runs: Interfaces by condition; only open polylines are looked at.
+    """
+    found: dict[int, str] = {}
+    for name in runs[0] if runs else ():
+        interfaces = [run[name] for run in runs]
+        if all(_kind(one) == "an open polyline" for one in interfaces):
+            found |= _cut_off(interfaces) | _holding(interfaces)
+    return found
+
+
+def _cut_off(interfaces: Sequence[Interface]) -> dict[int, str]:
+    """Return the runs that are clearly shorter than whole ones and have accordingly fewer points."""
+    points = np.array([len(one.points) for one in interfaces])
+    lengths = np.array([one.lengths.sum() for one in interfaces])
+    whole = points == points.max()
+    if whole.mean() < COMMON:
+        return {}
+    share, length = points / points.max(), lengths / np.median(lengths[whole])
+    short = (share < SHORTER) & (length < SHORTER) & (np.abs(np.log(length / share)) < np.log(SPACING))
+    return {
+        int(i): f"its interface has {points[i]} of {points.max()} points and {length[i]:.0%} of the length of others"
+        for i in np.flatnonzero(short)
+    }
+
+
+def _holding(interfaces: Sequence[Interface]) -> dict[int, str]:
+    """Return the runs that end abruptly with a repeated value; not if others share it, a floor, or if most end so."""
+    ends: dict[int, tuple[int, float]] = {}
+    for i, one in enumerate(interfaces):
+        for values in (one.points[::-1, 1], one.points[:, 1]):
+            steps = np.abs(np.diff(values))
+            held = int(np.argmax(steps > 0)) + 1
+            if held >= HELD and steps[held - 1] > np.median(steps[held - 1 :]) / 2:
+                ends[i] = held, float(values[0])
+    shared = Counter(value for _, value in ends.values())
+    own = {i: end for i, end in ends.items() if shared[end[1]] == 1}
+    if len(own) > (1 - COMMON) * len(interfaces):
+        return {}
+    return {i: f"its last {held} values are {value:.6g}" for i, (held, value) in own.items()}

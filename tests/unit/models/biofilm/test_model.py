@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from tests.unit.models.biofilm.cells import INPUTS, SOLID, coarse, failure, largest, moved, rough
 
+from strandline.models.biofilm.linear import linear_solver
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.biofilm.outline import Outline
 from strandline.models.biofilm.paraview import write_vtu
@@ -27,6 +28,7 @@ def test_it_bends_downstream_as_in_the_study_with_the_same_bits_whatever_ran_bef
     assert shift[:, 0].mean() > 0.01
     np.testing.assert_allclose(shift[[0, -1]], 0.0, atol=1e-15)
     assert 0 < result.diagnostics["min_J_solid"] < 1
+    assert result.diagnostics["mkl"] == (linear_solver() == "pardiso")
     model({"E": 250.0, "nu": -0.5, "V_in": 40.0})
     failure(model, INPUTS | {"E": 60.0})
     assert model(INPUTS).interface.points.tobytes() == result.interface.points.tobytes()

@@ -148,6 +148,7 @@ WRONG = [
     ({"url": "127.0.0.1:4242"}, "url"),
     ({"inputs": ["E", "E"]}, "inputs"),
     ({"unit": "inch"}, "unit"),
+    ({"at_once": 0}, "at_once"),
     ({"config": {"a": float("nan")}}, "config"),
     ({"interface": {"shape": "mesh"}}, "interface.shape"),
     ({"interface": {"dim": 3, "closed": True}}, "interface.closed"),

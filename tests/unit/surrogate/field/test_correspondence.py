@@ -8,7 +8,7 @@ from tests.unit.discrepancy.surfaces import divided, sheet
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface
 from strandline.surrogate.field.correspondence import FEWEST_POINTS, common_layout, fields_of, registered
-from strandline.surrogate.field.odd import flipped, odd_ones
+from strandline.surrogate.field.odd import flipped, odd_ones, stopped_early
 
 
 def line(s, y):
@@ -98,3 +98,36 @@ def test_an_interface_close_to_another_one_in_the_opposite_direction_is_flipped(
         other = line(s, 0 * s + off * 0.58)
         assert flipped(other.reversed(), line(s, 0 * s)) == is_flipped
         assert not flipped(other, line(s, 0 * s))
+
+
+def rod(height, *, points=41, of=41, floor=None, held=0, tilt=0.3):
+    """Return part of a line of 41 points on [0, 1], perhaps with a floor, or with its last values held."""
+    y = height + tilt * np.linspace(0, 1, of)
+    y[of - held :] = y[of - held - 1]
+    xy = np.stack([np.linspace(0, 1, of), y if floor is None else np.maximum(y, floor)], axis=1)
+    return {"": Interface.polyline(xy[:points])}
+
+
+WHOLE = [rod(0.01 * k) for k in range(12)]
+S = np.linspace(0, 1, 41)
+FLAT = [{"": line(S, np.round(0.01 * k + 0.3 * np.exp(-9 * S), 3))} for k in range(6)]  # three digits of a decay
+
+
+@pytest.mark.parametrize(
+    ("runs", "early"),
+    [
+        (WHOLE, []),
+        ([*WHOLE, rod(0.2, points=21), rod(0.3, points=30)], [12, 13]),
+        ([*(rod(0.01 * k, points=21) for k in range(20)), *WHOLE], list(range(20))),
+        ([*WHOLE, rod(0.2, of=21, points=18)], []),  # one of a coarser mesh
+        ([rod(0.1, points=n) for n in range(20, 41)], []),  # as long as its mesh
+        ([*WHOLE, rod(0.2, held=1)], []),
+        ([*WHOLE, rod(0.2, held=5), {"": rod(0.3, held=7)[""].reversed()}], [12, 13]),
+        ([rod(0.01 * k, tilt=-0.3, floor=0.0) for k in range(12)], []),
+        ([rod(0.01 * k, held=7) for k in range(12)], []),
+        ([*WHOLE, *FLAT], []),
+        ([], []),
+    ],
+)
+def test_runs_that_stop_early_are_found_and_other_meshes_floors_and_habits_are_not(runs, early):
+    assert list(stopped_early(runs)) == early
