@@ -139,6 +139,7 @@ noise: {variance: 1, unit: um} | a `variance` is already in the unit of d²
 noise: {sd: 1, length: 5} | `length` with the `sd` of the observed points
 noise: {sd: 1, unit: um, length: -5}; noise: {sd: 1, unit: inch}; noise: {sd: 1, unit: um, unknown: {shift: -5}}
 noise: {sd: 1, unit: um, unknown: {rotation: 50}}; noise: {sd: 1, unit: um, unknown: {scale: 5}}
+noise: {sd: 2}, discrepancy: {normal_offset: {}} | noise.sd, of an observed point: got 2 without a unit | unit: um
 noise: {sd: image, unit: um} | comes from a picture
 noise: {sd: column, length: 20, unit: um} | a table with the standard deviation
 noise: {sd: unknown, unit: um}; noise: {sd: 3, model_error: true, unit: um} | normal_offset and a surrogate of the field
