@@ -16,6 +16,7 @@ from strandline.design.active.elsewhere import Surprise
 from strandline.design.active.outcome import Certificate
 from strandline.design.active.posterior_check import PosteriorCheck
 from strandline.design.active.state import Remembered, State
+from strandline.errors import InvalidInput
 from strandline.posterior import reweight
 
 FIRST = even(12)
@@ -72,6 +73,16 @@ def test_a_posterior_that_stays_is_checked_and_that_is_all():
     certificate = Certificate(one.converged, one.reasons, tuple(one.steps), tuple(one.batches), None, 0.1)
     assert "<td>12</td><td>initial</td><td></td>" in certificate._repr_html_()
     assert one.check.chosen == {row.tobytes() for batch in batches[1:3] for row in batch.points}
+
+
+def test_a_small_budget_keeps_half_of_it_for_a_check():
+    for runs, kept in ((100, 25), (29, 25), (24, 10), (12, 8)):
+        assert Active(runs, initial=4).kept_for_check == kept
+    with pytest.raises(InvalidInput, match="at least 12: 4 first ones and a check of 8"):
+        Active(11, initial=4)
+    one = design(Active(24, initial=12, unseen=1.0))
+    assert sizes(played(one))[:2] == [("initial", 12), ("posterior", 4)]
+    assert "check" in kinds(one.batches)
 
 
 @pytest.mark.parametrize(("drift", "worse", "checks"), [(0.0, False, 1), (0.015, False, 2), (0.0, True, 2)])
