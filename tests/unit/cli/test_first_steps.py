@@ -57,6 +57,7 @@ def test_a_study_of_an_observed_interface(tmp_path, monkeypatch, capsys):
         assert (study.observed[""].points.shape, study.settings.active.runs) == ((40, 2), 60)
         assert study.noise == PointErrors(0.003, 0.015, rotation=0.5, scale=0.005)
         assert "observed.csv" not in contents(tmp_path / name)
+    capsys.readouterr()
     words = refused(capsys, "init", str(tmp_path / "d"), "--example", "oct", "--observed", "my edge.csv")
     assert "one of biofilm, python, command" in words
     unknown = ["--observed", str(tmp_path / "my edge.csv"), "--unit", "mm", "--sd", "unknown"]

@@ -42,7 +42,7 @@ def test_the_data_contradict_a_prior():
         assert all("contradict the prior of E, Normal(mean=100, sd=15): the posterior, " in str(one) for one in found)
         return len(found)
 
-    for noise in (0.5, 15, 100):
+    for noise in (0.5, 15, 40):
         assert 1 <= sum(alarm(random.normal(100, 15), noise) for _ in range(600)) <= 15
     assert sum(alarm(100 + 4 * 15, 2) for _ in range(50)) == 50
 

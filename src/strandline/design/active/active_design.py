@@ -190,7 +190,7 @@ class ActiveDesign:
             self._around_odd = True
             if len(around):
                 return self._noted(around, "elsewhere")
-        room = left - self.active.kept_for_check
+        room = left - self.active.kept_for_check(self.space.dim)
         ready = (stable and check is None and room >= 0) or room < 1
         if ready and self._can_be_checked(records, left) and (self._confirmed() or room < 1):
             return self._noted(self.check.begin(self.state, x, records, left, self._losses()), "check")

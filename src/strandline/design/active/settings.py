@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from strandline.design.active.checking import FEWEST_DRAWS, Tolerances
+from strandline.design.active.checking import FEWEST_DRAWS, Tolerances, number_of_probes
 from strandline.design.active.choice import criterion_named
 from strandline.errors import InvalidInput
 
@@ -91,11 +91,10 @@ class Active:
             f"at least {least}: {self.initial or 3} first ones and a check of {FEWEST_DRAWS}",
         )
 
-    @property
-    def kept_for_check(self) -> int:
-        """Number of runs that are kept for a check: half of those after the first ones if these are few."""
+    def kept_for_check(self, dim: int) -> int:
+        """Return the number of runs kept for a check: half of those after the first ones if these are few."""
         left = self.runs - (self.initial or 3)
-        return self.check if left >= self.check else max(FEWEST_DRAWS, left // 2)
+        return self.check if left >= self.check else max(number_of_probes(dim, 0), left // 2)
 
     @property
     def tolerances(self) -> Tolerances:

@@ -77,12 +77,11 @@ def test_a_posterior_that_stays_is_checked_and_that_is_all():
 
 def test_a_small_budget_keeps_half_of_it_for_a_check():
     for runs, kept in ((100, 25), (29, 25), (24, 10), (12, 8)):
-        assert Active(runs, initial=4).kept_for_check == kept
+        assert Active(runs, initial=4).kept_for_check(1) == kept
     with pytest.raises(InvalidInput, match="at least 12: 4 first ones and a check of 8"):
         Active(11, initial=4)
-    one = design(Active(24, initial=12, unseen=1.0))
-    assert sizes(played(one))[:2] == [("initial", 12), ("posterior", 4)]
-    assert "check" in kinds(one.batches)
+    one = design(Active(16 + PROBES, initial=12, unseen=1.0))
+    assert kinds(played(one))[:3] == ["initial", "posterior", "check"]
 
 
 @pytest.mark.parametrize(("drift", "worse", "checks"), [(0.0, False, 1), (0.015, False, 2), (0.0, True, 2)])
