@@ -1,6 +1,6 @@
 """The posterior as weighted draws, and what is computed from them."""
 
-from strandline.posterior.against_prior import FLAT, PriorConflict, prior_conflicts
+from strandline.posterior.against_prior import FLAT, prior_conflicts
 from strandline.posterior.gaussian import GaussianApproximation
 from strandline.posterior.importance import Reweighting, reweight, subset
 from strandline.posterior.kde import KernelDensity
@@ -46,7 +46,6 @@ __all__ = [
     "LaplaceApproximation",
     "Offsets",
     "Posterior",
-    "PriorConflict",
     "Reading",
     "Reweighting",
     "SmoothedWeights",

@@ -5,59 +5,37 @@ prior, and its variance the prior's minus the posterior's. Other priors are firs
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from strandline.parameters import Parameter
 from strandline.posterior.posterior import Posterior
 from strandline.posterior.weighted import Weighted
 from strandline.priors import LogUniform, Uniform
 
-__all__ = ["FLAT", "PriorConflict", "prior_conflicts"]
+__all__ = ["FLAT", "prior_conflicts"]
 
 FLAT = (Uniform, LogUniform)
-"""Priors that say no more than where their ends are; a posterior at an end is told otherwise."""
+"""Priors that say no more than where their ends are; a posterior at an end has a warning of its own."""
 LEVEL = 0.01
-"""Probability of a posterior as far from a right prior, below which it is told: one false alarm in 100 inputs."""
-TOLD = 0.05
+"""Probability, if prior and model are right, below which there is a warning: one false alarm in 100 inputs."""
+LEAST_REMOVED = 0.05
 """Least share of the prior's variance that is taken to be removed: less is within the error of the draws."""
 EDGE = 1e-12
 """Keeps normal quantiles finite."""
 
 
-@dataclass(frozen=True)
-class PriorConflict:
-    """An input whose prior the data contradict.
-
-    Args:
-        parameter: The input.
-        mean: Its posterior mean.
-        sd: Its posterior standard deviation.
-        p: Probability of a posterior mean as far from the prior, if prior and model are right.
-    """
-
-    parameter: Parameter
-    mean: float
-    sd: float
-    p: float
-
-    def __str__(self) -> str:
-        unit = "" if self.parameter.unit in ("", "1") else f" {self.parameter.unit}"
-        return (
-            f"The data contradict the prior of {self.parameter.name}, {self.parameter.prior}: the posterior, "
-            f"{self.mean:.4g} ± {self.sd:.2g}{unit}, lies where a right prior and a right model would put it with "
-            f"probability {self.p:.1g} only. It is a compromise of both; check the prior, its unit, and the model."
-        )
-
-
-def prior_conflicts(posterior: Posterior) -> Iterator[PriorConflict]:
-    """Yield the inputs whose prior the data contradict, those with flat priors excepted."""
+def prior_conflicts(posterior: Posterior) -> Iterator[str]:
+    """Yield a warning for each input whose prior the data contradict, unless that prior is flat."""
     shares = np.clip(posterior.space.prior_shares(posterior.draws), EDGE, 1 - EDGE)
     normal = Weighted(ndtri(shares), posterior.weights)
-    z = normal.mean / np.sqrt(np.maximum(1 - normal.sd**2, TOLD))
-    for k, parameter in enumerate(posterior.space):
+    z = normal.mean / np.sqrt(np.maximum(1 - normal.sd**2, LEAST_REMOVED))
+    for k, one in enumerate(posterior.space):
         p = float(2 * ndtr(-abs(z[k])))
-        if p < LEVEL and not isinstance(parameter.prior, FLAT):
-            yield PriorConflict(parameter, float(posterior.mean[k]), float(posterior.sd[k]), p)
+        if p < LEVEL and not isinstance(one.prior, FLAT):
+            unit = "" if one.unit in ("", "1") else f" {one.unit}"
+            yield (
+                f"The data contradict the prior of {one.name}, {one.prior}: a right prior and a right model would put "
+                f"the posterior, {posterior.mean[k]:.4g} ± {posterior.sd[k]:.2g}{unit}, as far out with probability "
+                f"{p:.1g} only. It is a compromise of both; check the prior, its unit, and the model."
+            )

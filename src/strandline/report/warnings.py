@@ -202,7 +202,7 @@ def _prior(calibration: Calibration) -> Iterator[str]:
             "The data tell nothing: the posterior is the prior. The noise hides what the inputs change; check the "
             "noise and its unit, and the unit of the observation."
         )
-    yield from map(str, prior_conflicts(calibration.posterior))
+    yield from prior_conflicts(calibration.posterior)
     for parameter in calibration.problem.space:
         if parameter.mass_cut > MASS_CUT_TOLD:
             low, high = parameter.interval

@@ -61,10 +61,9 @@ def write_example(name: str, folder: Path, observed: Observed | None = None, *, 
 
 def _observing(text: str, observed: Observed, folder: Path) -> str:
     """Return the text of an example with another observed interface, and with a design and surrogate that suit it."""
-    text = re.sub(r"^(discrepancy|noise|surrogate): .*\n", "", text, flags=re.MULTILINE)
-    for key, section in (("observation", observed.section(folder)), ("design", ACTIVE)):
-        text = re.sub(rf"^{key}: .*\n", lambda _, new=section: new, text, count=1, flags=re.MULTILINE)  # type: ignore[misc]
-    return text
+    text = re.sub(r"^(discrepancy|noise|design|surrogate): .*\n", "", text, flags=re.MULTILINE)
+    before, after = re.split(r"^observation: .*\n", text, maxsplit=1, flags=re.MULTILINE)
+    return f"{before}{observed.section(folder)}{ACTIVE}{after}"
 
 
 def _source(name: str, package: Path) -> Path:

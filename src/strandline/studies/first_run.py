@@ -44,7 +44,7 @@ MESH_SHARE = 0.1
 """Share of the noise above which the difference to the next finer mesh is worth a warning."""
 MOST_KNOWN = 200
 """Known runs whose log-likelihood is computed."""
-ENOUGH_KNOWN, TOLD = 10, 0.5
+ENOUGH_KNOWN, ALIKE = 10, 0.5
 """Number of known runs whose log-likelihoods, if they differ by less than this, show that the data tell nothing."""
 
 
@@ -260,7 +260,7 @@ def known_lines(study: Study) -> Iterator[str]:
         f"log-likelihood over the box: from {values.min():.4g} to {values.max():.4g}, median {np.median(values):.4g}, "
         f"by{of} {len(known)} known runs"
     )
-    if len(values) >= ENOUGH_KNOWN and np.ptp(values) < TOLD:
+    if len(values) >= ENOUGH_KNOWN and np.ptp(values) < ALIKE:
         yield (
             f"warning: the data tell nothing: the log-likelihoods of {len(values)} runs differ by at most "
             f"{np.ptp(values):.2g}; check the noise and its unit"

@@ -10,12 +10,11 @@ from typing import Any, Protocol, runtime_checkable
 
 from strandline.calibration import Settings
 from strandline.design import sobol
-from strandline.errors import InvalidStudy, LedgerError
+from strandline.errors import InvalidStudy
 from strandline.models.fidelities import CHEAPER, first_runs, run_identity
 from strandline.models.protocol import ForwardModel, fingerprint
 from strandline.parameters import ParameterSpace
 from strandline.runs import Ledger, RunRecord, run_key
-from strandline.runs.overview import Overview
 from strandline.runs.plans import Plan
 from strandline.runs.tables import ATTEMPTS, EXCLUDED
 from strandline.studies.build import failure_words
@@ -244,26 +243,8 @@ class StudyRuns:
     def _own_and_reused(self) -> Iterator[Ledger]:
         for path in (self.study.ledger_path, *self.study.reuse):
             if path.is_file():
-                if path in self.study.reuse:
-                    self._require_reusable(path)
                 with self._reading(path) as ledger:
                     yield ledger
-
-    def _require_reusable(self, path: Path) -> None:
-        """Refuse another study's ledger that keeps the runs of another model.
-
-        Raises:
-            LedgerError: It does.
-        """
-        with Overview(path) as ledger:
-            kept = ledger.model()
-        if kept not in (None, self.identity):
-            raise LedgerError(
-                f"reuse: {path.parent} has runs of another model, which this study cannot use",
-                value=f"{kept}, and {self.identity} here",
-                expected="the same simulator: its command, files, results and conditions",
-                remedy="Remove it from `reuse`. Runs return all conditions, so another condition needs new runs.",
-            )
 
     def _at_hand(self, ledger: Ledger) -> list[dict[str, float]]:
         """Return the inputs of settled runs in the box that have the study's known inputs, in a fixed order."""

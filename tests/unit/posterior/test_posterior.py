@@ -29,7 +29,7 @@ def importance_posterior(number=20_000):
 
 
 def test_the_data_contradict_a_prior():
-    """In one of 100 inputs if prior and model are right, whatever the data tell; nearly always if the prior is off."""
+    """A false alarm in one of 100 inputs, however good the data are; a wrong prior is nearly always found."""
     space = ParameterSpace((Parameter("E", Normal(100, 15), "Pa", (0, 250)), Parameter("nu", Uniform(0.0, 1.0))))
     levels, random = (np.arange(500) + 0.5) / 500, np.random.default_rng(1)
 
@@ -39,7 +39,7 @@ def test_the_data_contradict_a_prior():
         draws = np.stack([mean + sd * ndtri(levels), np.full(500, 0.999)], axis=1)
         zeros = np.zeros(500)
         found = list(prior_conflicts(Posterior(space, draws, zeros - np.log(500), zeros, zeros, 0.0)))
-        assert all("contradict the prior of E, Normal(mean=100, sd=15): the posterior, " in str(one) for one in found)
+        assert all("contradict the prior of E, Normal(mean=100, sd=15): " in one for one in found)
         return len(found)
 
     for noise in (0.5, 15, 40):

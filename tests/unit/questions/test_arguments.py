@@ -162,8 +162,8 @@ def test_a_verdict_that_a_prior_decides_says_so():
     even = {"a": Evidence(0.55, 0.1), "b": Evidence(0.0, 0.1)}
     found, flat = ModelComparison({**even, "a": Evidence(4.59, 0.1)}), ModelComparison(even)
     text = _verdict(found, flat, ["EI"])
-    assert text.startswith("The data favour a over b: ln B = 4.59 ± 0.14, strong evidence; but the prior of EI decides")
-    assert text.endswith("with a uniform one on the same box, ln B = 0.55 ± 0.14 of a over b, cannot tell.")
+    assert text.startswith("The data favour a over b: ln B = 4.59 ± 0.14, strong evidence. But the prior of EI decides")
+    assert text.endswith("same box, the data cannot tell a and b apart: ln B = 0.55 ± 0.14 of a over b, below 1.")
     assert _verdict(found, None, []) == _verdict(found, found, ["EI"]) == found.verdict
     paid = {name: Mock(posterior=Mock(information=one)) for name, one in {"a": 2.0, "b": 6.0}.items()}
     parts = _factor(found.factors[0], paid, flat)

@@ -106,9 +106,8 @@ def test_the_displacement_in_units_of_the_noise(tmp_path):
 
 
 def test_a_noise_larger_than_the_whole_interface(tmp_path):
-    size = extent(RUN)
-    for sd, warns in ((0.9 * size, False), (1.1 * size, True)):
-        study = load_study(write_study(tmp_path, noise={"sd": sd}))
+    for share, warns in ((0.9, False), (1.1, True)):
+        study = load_study(write_study(tmp_path, noise={"sd": share * float(np.ptp(RUN.points[:, 0]))}))
         lines = list(first_run.noise_lines(study, RECORD))
         assert ["the data tell nothing" in line for line in lines] == [True] * warns
 

@@ -140,7 +140,9 @@ def test_runs_of_others_and_interrupted_ones_make_no_pace(study, tmp_path):
     assert (study.runs.known, other.runs.known) == (4, 4)
     study.ledger_path.unlink()
     Ledger.open(study.ledger_path, model="something else").close()
-    with pytest.raises(LedgerError, match=r"beam has runs of another model.*conditions\. Remove it from `reuse`"):
+    with pytest.raises(
+        LedgerError, match=r"beam/ledger\.sqlite keeps the runs of another model.*`reuse`, remove it there"
+    ):
         other.runs.require_sound_ledgers()
 
 

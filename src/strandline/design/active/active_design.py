@@ -119,7 +119,8 @@ class ActiveDesign:
         self._odd: tuple[Surprise, ...] = ()
         self._looked_around: set[bytes] = set()
         self._passed: tuple[Remembered, BatchCheck] | None = None
-        self._around_odd, self._price = False, 1.0
+        self._around_odd = False
+        self._price = 1.0
         self.scattered = False
 
     def start(self, points: Float[np.ndarray, "run dim"], *, given: bool = False) -> None:
@@ -137,7 +138,8 @@ class ActiveDesign:
 
     def next(self, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]) -> Batch | None:
         """Return the next batch, given all runs that have ended; None to stop."""
-        kind, self._price = self.batches[-1].kind, price_of_a_hang(records)
+        kind = self.batches[-1].kind
+        self._price = price_of_a_hang(records)
         check: BatchCheck | None = None
         doubted = False
         if kind == "elsewhere":

@@ -15,9 +15,9 @@ from typing import Any, ClassVar
 from strandline.errors import ForwardModelError, InvalidInput
 from strandline.models.command.keep import kept_folder, require_keep
 from strandline.models.command.names import SourceFile, file_in, relative_name
-from strandline.models.command.options import commands_of, declared_by, exit_codes_of, seconds, texts_of
+from strandline.models.command.options import commands_of, declared_by, errors_of, exit_codes_of, seconds, texts_of
 from strandline.models.command.process import Ended, supervised
-from strandline.models.command.results import LogText, named_by, read_results, readings_of, require_errors
+from strandline.models.command.results import LogText, named_by, read_results, readings_of
 from strandline.models.command.templates import Template
 from strandline.models.protocol import ModelInput, Simulation
 from strandline.readers import Reading
@@ -95,7 +95,7 @@ class CommandModel:
     def __post_init__(self) -> None:
         object.__setattr__(self, "folder", self.folder.resolve())
         object.__setattr__(self, "_parts", _Parts.of(self))
-        object.__setattr__(self, "failure_kinds", (*type(self).failure_kinds, *self.errors))
+        object.__setattr__(self, "failure_kinds", (*type(self).failure_kinds, *self._parts.errors))
 
     @classmethod
     def from_options(cls, **options: Any) -> "CommandModel":
@@ -179,7 +179,7 @@ class CommandModel:
             return Simulation(read_results(parts.readings, workdir, started))
         except ForwardModelError as error:
             error.log = error.log or log
-            raise named_by(self.errors, workdir, error) from None
+            raise named_by(parts.errors, workdir, error) from None
 
     def retain(self, workdir: Path, key: str, *, ok: bool) -> Path | None:
         """Keep the folder of the run `key` if `keep` asks for it and return its new path; else return None."""
@@ -224,13 +224,13 @@ class _Parts:
     environment: Mapping[str, Template]
     readings: Mapping[str, Reading]
     exit_codes: frozenset[int] | None
+    errors: Mapping[str, str]
     success: LogText | None
 
     @classmethod
     def of(cls, model: CommandModel) -> "_Parts":
         """Return the checked options of a model."""
         require_keep(model.keep)
-        require_errors(model.errors, type(model).failure_kinds)
         for name, value in (("timeout", model.timeout), ("grace", model.grace)):
             seconds(name, value)
         if not isinstance(model.shell, bool):
@@ -249,6 +249,7 @@ class _Parts:
             },
             readings=readings_of(model.result, model.results),
             exit_codes=exit_codes_of(model.exit_codes),
+            errors=errors_of(model.errors, type(model).failure_kinds),
             success=None if model.success is None else LogText.of(model.success),
         )
 

@@ -1,6 +1,6 @@
 """The results that a run must leave, checked closely before they are used."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from strandline.interface import Interface
 from strandline.models.command.names import relative_name
 from strandline.readers import Reading, Unreadable, read_interface
 
-__all__ = ["LogText", "named_by", "read_results", "readings_of", "require_errors"]
+__all__ = ["LogText", "named_by", "read_results", "readings_of"]
 
 
 @dataclass(frozen=True)
@@ -56,24 +56,6 @@ class LogText:
             raise ForwardModelError("no_success", f"{path.name} does not say {self.text!r}")
 
 
-def require_errors(given: object, known: Collection[str]) -> None:
-    """Refuse anything but texts by new kinds of failure.
-
-    Raises:
-        InvalidInput: It is something else, or a kind of this name exists already.
-    """
-    fits = isinstance(given, Mapping) and all(
-        isinstance(one, str) and one.isidentifier() and one not in known for one in given
-    )
-    if not (fits and isinstance(given, Mapping) and all(isinstance(text, str) and text for text in given.values())):
-        raise InvalidInput(
-            "errors",
-            value=given,
-            expected="{KIND: TEXT}, with a new word for the kind and a text that such a run prints",
-            remedy="Write e.g. `errors: {diverged: no convergence}`.",
-        )
-
-
 def named_by(errors: Mapping[str, str], folder: Path, error: ForwardModelError) -> ForwardModelError:
     """Return the error of a run with the kind whose text the run has printed, and that line as its message.
 
@@ -82,16 +64,14 @@ def named_by(errors: Mapping[str, str], folder: Path, error: ForwardModelError) 
         folder: Folder of the run, with its logs.
         error: The error so far; it stays if something killed the run from outside.
     """
-    if error.state == "killed":
+    if not errors or error.state == "killed":
         return error
-    logs = [path.read_text("utf-8", "replace") for path in sorted(folder.glob("*.log"))] if errors else []
-    lines = [line.strip() for text in logs for line in text.splitlines()]
+    lines = [line for log in sorted(folder.glob("*.log")) for line in log.read_text("utf-8", "replace").splitlines()]
     for kind, text in errors.items():
-        found = next((line for line in lines if text in line), None)
-        if found is not None:
-            return ForwardModelError(
-                kind, f"{found} ({error.message})", error.evidence, state=error.state, log=error.log
-            )
+        for line in lines:
+            if text in line:
+                message = f"{line.strip()} ({error.message})"
+                return ForwardModelError(kind, message, error.evidence, state=error.state, log=error.log)
     return error
 
 

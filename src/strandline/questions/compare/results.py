@@ -171,22 +171,15 @@ def _verdict(found: ModelComparison, flat: ModelComparison | None, names: Sequen
     """Return the verdict, with what becomes of it under flat priors if that is another one."""
     if flat is None or flat.favoured == found.favoured:
         return found.verdict
-    first, second = found.factors[0].of, found.factors[0].over
-    one = _between(flat, first, second)
-    return (
-        f"{found.verdict[:-1]}; but the prior of {listed(names)} decides this: with a uniform one on the same box, "
-        f"ln B = {one.ln:.2f} ± {one.error:.2f} of {one.of} over {one.over}, {one.words}."
-    )
-
-
-def _between(found: ModelComparison, one: str, other: str) -> BayesFactor:
-    return next(factor for factor in found.factors if {factor.of, factor.over} == {one, other})
+    other = flat.verdict[0].lower() + flat.verdict[1:]
+    return f"{found.verdict} But the prior of {listed(names)} decides this: with a uniform one on the same box, {other}"
 
 
 def _factor(one: BayesFactor, compared: Mapping[str, Compared], flat: ModelComparison | None) -> dict[str, Any]:
     """Return a Bayes factor in two parts, ln B = fit + prior, and what it is with flat priors of the shared inputs."""
     paid = compared[one.over].posterior.information - compared[one.of].posterior.information
-    wide = None if flat is None else _between(flat, one.of, one.over)
+    pair = {one.of, one.over}
+    wide = None if flat is None else next(each for each in flat.factors if {each.of, each.over} == pair)
     return {
         "fit": one.ln - paid,
         "prior": paid,

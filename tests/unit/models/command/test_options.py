@@ -66,7 +66,7 @@ REFUSED = [
     ({"result": None}, "either result"),
     ({"result": {"file": "a.csv"}}, "result.unit"),
     ({"errors": {"exit_code": "x"}}, "a new word for the kind"),
-    ({"errors": {"a b": "x"}}, "errors: {diverged: no convergence}"),
+    ({"errors": {"a b": "x"}}, "{diverged: no convergence}"),
     ({"command": "cp a b"}, "program and arguments as a list"),
     ({"shell": True}, "one text for /bin/sh"),
     ({"files": ["run.sh", "run.sh"]}, "for the second time"),
