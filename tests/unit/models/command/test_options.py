@@ -65,7 +65,7 @@ def test_no_name_leads_out_of_the_study_folder_or_the_runs(folder):
 REFUSED = [
     ({"result": None}, "either result"),
     ({"result": {"file": "a.csv"}}, "result.unit"),
-    ({"errors": {"exit_code": "x"}}, "a new word for the kind"),
+    ({"errors": {"exit_code": "x"}}, "a new word for each kind"),
     ({"errors": {"a b": "x"}}, "{diverged: no convergence}"),
     ({"command": "cp a b"}, "program and arguments as a list"),
     ({"shell": True}, "one text for /bin/sh"),
