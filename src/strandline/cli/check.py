@@ -133,23 +133,22 @@ def _as_dict(
 def _lines(study: "Study", record: "RunRecord", log_likelihoods: Mapping[str, float]) -> Iterator[str]:
     """Yield what the run shows: shapes, their distance, log-likelihoods, displacement, error of the mesh."""
     from strandline.cli.forward import attempted
+    from strandline.studies import first_run
     from strandline.studies.cheaper import cheaper_lines
-    from strandline.studies.first_run import batch_lines, displacement_lines, known_range, mesh_lines, shape_lines
     from strandline.studies.measure_doubts import measure_lines
     from strandline.studies.simulated_nodes import node_lines
 
-    yield from shape_lines(study, record)
+    yield from first_run.shape_lines(study, record)
     yield from measure_lines(study, record)
+    yield from first_run.noise_lines(study, record)
     for name, value in log_likelihoods.items():
         yield f"{name}: log-likelihood {value:.6g} there"
-    known = known_range(study)
-    if known is not None:
-        yield known
-    yield from displacement_lines(study, record)
-    yield from mesh_lines(study, record)
+    yield from first_run.known_lines(study)
+    yield from first_run.displacement_lines(study, record)
+    yield from first_run.mesh_lines(study, record)
     yield from cheaper_lines(study.model, record, attempted)
     yield from node_lines(study, record)
-    yield from batch_lines(study, record)
+    yield from first_run.batch_lines(study, record)
 
 
 def _widths(study: "Study", record: "RunRecord", *, asked: bool) -> Iterator[str]:

@@ -50,7 +50,10 @@ def _show(content: Mapping[str, Any], page: Path) -> None:
             f"{name:>{width}} {evidence:>15} {one['best_log_likelihood']:>11.2f} {one['probability']:>12.1%}   {misfit}"
         )
     for one in content["bayes_factors"]:
-        click.echo(f"{one['of']} over {one['over']}: ln B = {one['ln']:.2f} ± {one['error']:.2f}, {one['words']}")
+        flat = "" if one["flat_ln"] is None else f"; with uniform priors {one['flat_ln']:.2f}, {one['flat_words']}"
+        parts = f"fit {one['fit']:.2f}, prior {one['prior']:.2f}{flat}"
+        bayes = f"ln B = {one['ln']:.2f} ± {one['error']:.2f}, {one['words']}"
+        click.echo(f"{one['of']} over {one['over']}: {bayes} ({parts})")
     if content["averaged"]:
         click.echo(f"{'averaged':>10} {'unit':>7} {'mean':>10} {'sd':>9} {'5 %':>10} {'95 %':>10}")
     for name, item in content["averaged"].items():

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from strandline.registry import suggestion
-from strandline.studies.examples import EXAMPLES, write_example
+from strandline.studies.examples import EXAMPLES, OWN, write_example
 
 if TYPE_CHECKING:
     from strandline.studies.template import Observed
@@ -64,34 +64,29 @@ class _Example(click.Choice[str]):
 def command(folder: Path, example: str | None, observed: Path | None, **stated: Any) -> None:
     """Write FOLDER/study.yaml, a commented study that runs as it is (a biofilm, at most 80 forward runs).
 
-    With --example it writes all files of another example. With --observed it is a study of your own interface; what you
-    do not state about its errors, it asks.
+    With --example it writes all files of another example. With --observed it is a study of your own interface, which
+    --example python or command combines with your own simulator; what you do not state about its errors, it asks.
     """
     import shlex
 
-    from strandline.studies.template import write_template
-
-    _require_example_alone(example, {"observed": observed, **stated})
+    _require_own(example, {"observed": observed, **stated})
     _require_observed(observed, stated)
-    if example is not None:
-        path = write_example(example, folder)
-    else:
-        path = write_template(folder, None if observed is None else _asked(observed, stated))
+    path = write_example(example or "biofilm", folder, None if observed is None else _asked(observed, stated))
     name = shlex.quote(str(folder))
     click.echo(f"wrote {path}\nnext: strandline check {name}, then strandline run {name}")
 
 
-def _require_example_alone(example: str | None, others: dict[str, Any]) -> None:
-    """Refuse options about an observed interface beside an example, which has its own."""
+def _require_own(example: str | None, others: dict[str, Any]) -> None:
+    """Refuse options about an observed interface beside an example that is about its own."""
     from strandline.errors import InvalidStudy
 
     given = [f"--{name}" for name, value in others.items() if value is not None]
-    if example is not None and given:
+    if example is not None and example not in OWN and given:
         raise InvalidStudy(
             f"--example {example} comes with its own observation",
             value=", ".join(given),
-            expected="--example alone",
-            remedy=f"Leave out --example, or {' and '.join(given)}.",
+            expected=f"--example alone, or one of {', '.join(OWN)}",
+            remedy=f"Take --example command for a simulator of your own, or leave out {' and '.join(given)}.",
         )
 
 

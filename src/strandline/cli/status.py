@@ -42,7 +42,8 @@ def lines_of(state: "StudyProgress") -> Iterator[str]:
     yield f"{state.name}: {state.done} of {most}{state.planned} runs of the design done"
     lost = f", {state.lost} of them lost with their driver" if state.lost else ""
     under_way = "under way (or lost)" if unsure else "under way"
-    yield f"  ok {state.ok}, failed {state.failed}, {under_way} {state.open}, to do {state.to_do}{lost}"
+    reused = f", to reuse {state.reused}" if state.reused else ""
+    yield f"  ok {state.ok}, failed {state.failed}, {under_way} {state.open}{reused}, to do {state.to_do}{lost}"
     if state.detached:
         yield "  jobs of a SLURM array are out, which go on without a driver; `strandline run` collects them"
     if state.driver is not None:

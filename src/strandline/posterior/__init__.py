@@ -1,5 +1,6 @@
 """The posterior as weighted draws, and what is computed from them."""
 
+from strandline.posterior.against_prior import FLAT, prior_conflicts
 from strandline.posterior.gaussian import GaussianApproximation
 from strandline.posterior.importance import Reweighting, reweight, subset
 from strandline.posterior.kde import KernelDensity
@@ -34,6 +35,7 @@ from strandline.posterior.under_uncertainty import (
 )
 
 __all__ = [
+    "FLAT",
     "NEARLY_EQUAL",
     "Cut",
     "GaussianApproximation",
@@ -65,6 +67,7 @@ __all__ = [
     "observed_offsets",
     "pareto_smoothed",
     "pooled",
+    "prior_conflicts",
     "read",
     "reliability_threshold",
     "reweight",

@@ -103,6 +103,12 @@ class Posterior:
         return np.asarray(self.log_likelihood + self.log_prior - self.log_evidence)
 
     @property
+    def information(self) -> float:
+        """What the data tell about the inputs, nats: the mean log-likelihood minus the log-evidence."""
+        known = np.isfinite(self.log_likelihood)
+        return float(self.weights[known] @ self.log_likelihood[known]) - self.log_evidence
+
+    @property
     def map_index(self) -> int:
         """Index of the particle with the highest posterior density.
 

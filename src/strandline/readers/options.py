@@ -221,7 +221,7 @@ def _box(found: object, place: str) -> dict[str, tuple[float, float]]:
         raise _unfit(place, found, "intervals of x, y or z, e.g. {x: [0, 1]}")
     box = {name: _numbers(interval, f"{place}.{name}", (2,)) for name, interval in found.items()}
     for name, (low, high) in box.items():
-        if not low < high:
+        if not low <= high:
             raise _unfit(f"{place}.{name}", [low, high], "[low, high]")
     return {name: (low, high) for name, (low, high) in box.items()}
 

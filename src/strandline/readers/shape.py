@@ -25,6 +25,8 @@ FLATNESS = 1e-9
 """Share of the extent by which points may leave a plane."""
 CLOSING = 1e-3
 """Distance of a last point from the first, in median distances of neighbours, up to which an outline is closed."""
+ROUNDED = 1e-6
+"""Slack of the sides of a box, as a share of the size of what is read: files print about six digits."""
 LEAST_SEEN = 10
 """Fewest points that may be left if some are hidden."""
 SURFACES = (".stl", ".ply")
@@ -277,10 +279,11 @@ def _kept(
 
 
 def _inside(places: Float[np.ndarray, "point xyz"], box: Mapping[str, Sequence[float]]) -> Bool[np.ndarray, " point"]:
-    good = np.ones(len(places), dtype=bool)
+    """Return which points lie in a box; its sides are as exact as files print coordinates."""
+    good, slack = np.ones(len(places), dtype=bool), ROUNDED * float(np.ptp(places, axis=0).max(initial=0.0))
     for axis, (low, high) in box.items():
         column = places[:, "xyz".index(axis)] if "xyz".index(axis) < places.shape[1] else np.zeros(len(places))
-        good &= (low <= column) & (column <= high)
+        good &= (low - slack <= column) & (column <= high + slack)
     return good
 
 

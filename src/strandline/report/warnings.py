@@ -1,5 +1,6 @@
 """Warnings about a finished calibration."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -9,7 +10,7 @@ from strandline.calibration import Calibration
 from strandline.calibration.misfit import unlikely_errors
 from strandline.interface import UnknownErrors
 from strandline.parameters import Parameter
-from strandline.posterior import Posterior
+from strandline.posterior import Posterior, prior_conflicts
 from strandline.posterior.quadrature import mixture
 from strandline.report.field_warnings import field_warnings
 from strandline.runs.tables import EXCLUDED
@@ -31,12 +32,16 @@ QUADRATURE_MEAN, QUADRATURE_SD = 0.05, 0.05
 FAILED_SHARE = 0.3
 ERRS = 0.5
 """Probability of an error of the model from which it is worth a warning."""
+PATIENCE = 4.0
+"""Time limit, in those of the slowest good run, above which a shorter one is suggested, of half of that."""
 AT_THE_END = 0.02
 """Relative distance of the median of inferred noise from the end of its range that is worth a warning."""
 NEARLY_SURE = 0.995
 """Probability from which it is not given as a number."""
 CUT_TAIL = 0.05
 """Share of the cut reading below the smallest log-likelihood that a warning reports."""
+NOTHING = 0.05
+"""Information, nats, below which the posterior is the prior: an input whose sd the data narrow by a twentieth."""
 MASS_CUT_TOLD = 1e-3
 """Share of a prior outside the design box above which the report says so."""
 
@@ -164,6 +169,13 @@ def _runs(calibration: Calibration) -> Iterator[str]:
             f"{failed} of {len(calibration.records)} forward runs failed: the surrogate knows nothing there. "
             "See where they lie before you trust a posterior close to them."
         )
+    good, hung = ([one.seconds for one in calibration.all_runs if one.state == state] for state in ("ok", "timeout"))
+    longest = max(good, default=math.inf)
+    if hung and min(hung) > PATIENCE * longest:
+        yield (
+            f"Runs ended at their time limit ({len(hung)}, {sum(hung):.0f} s together), but no good run took longer "
+            f"than {longest:.2g} s: `timeout: {math.ceil(PATIENCE / 2 * longest)}` would save most of that."
+        )
 
 
 def _stopped_early(calibration: Calibration) -> Iterator[str]:
@@ -201,6 +213,12 @@ def _set_aside(calibration: Calibration) -> Iterator[str]:
 
 
 def _prior(calibration: Calibration) -> Iterator[str]:
+    if calibration.posterior.information < NOTHING:
+        yield (
+            "The data tell nothing: the posterior is the prior. The noise hides what the inputs change; check the "
+            "noise and its unit, and the unit of the observation."
+        )
+    yield from prior_conflicts(calibration.posterior)
     for parameter in calibration.problem.space:
         if parameter.mass_cut > MASS_CUT_TOLD:
             low, high = parameter.interval

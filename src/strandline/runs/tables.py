@@ -232,7 +232,8 @@ def require_model(path: Path, connection: sqlite3.Connection, model: str) -> Non
             f"{path} keeps the runs of another model",
             value=f"{kept} in the ledger, {model} now",
             expected="one and the same model",
-            remedy=f"Move {path.name} away or use a new study folder for the changed model.",
+            remedy=f"Move {path.name} away or use a new study folder for the changed model; if the study names it in "
+            "`reuse`, remove it there. A further condition makes another model: each run returns all conditions.",
         )
 
 

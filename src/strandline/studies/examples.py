@@ -4,9 +4,9 @@ import re
 from pathlib import Path
 
 from strandline.studies.folder import STUDY, is_result
-from strandline.studies.template import made_folder, study_name, write_template
+from strandline.studies.template import Observed, made_folder, study_name, write_template
 
-__all__ = ["EXAMPLES", "write_example"]
+__all__ = ["EXAMPLES", "OWN", "write_example"]
 
 EXAMPLES = {
     "biofilm": "A biofilm in a flow cell, the built-in simulator.",
@@ -18,29 +18,37 @@ EXAMPLES = {
     "creep": "A creep test: stiffness and relaxation time of a biofilm.",
 }
 """Name of each example and what it shows."""
+OWN = ("biofilm", "python", "command")
+"""Examples of a simulator whose observed interface may be replaced."""
 FOLDERS = {"python": "strip", "oct": "oct-biofilm"}
 """Folders of the examples that are not called by their names."""
 PACKAGE = Path(__file__).parents[1]
+OF_OBSERVATION = ("observed.csv", "make_observation.py")
+ACTIVE = "\ndesign: {active: {runs: 60}}\nsurrogate: {field: {}}\n"
 SUFFIXES = {".yaml", ".py", ".j2", ".csv", ".png"}
 
 
-def write_example(name: str, folder: Path, *, package: Path = PACKAGE) -> Path:
+def write_example(name: str, folder: Path, observed: Observed | None = None, *, package: Path = PACKAGE) -> Path:
     """Write the files of an example into `folder`, created if needed; return the path of its study.yaml.
 
     Args:
         name: One of `EXAMPLES`.
         folder: Folder of the study.
+        observed: An observed interface in place of the example's, which must be one of `OWN`.
         package: Folder of the installed package.
 
     Raises:
         InvalidStudy: There is a study or one of the files already, or the folder cannot be created.
     """
     if name == "biofilm":
-        return write_template(folder)
+        return write_template(folder, observed)
     source = _source(name, package)
     files = {path.name: path.read_bytes() for path in source.iterdir() if _belongs(path)}
     text = files.pop(STUDY).decode("utf-8").replace(f"examples/{source.name}", str(folder))
     text = re.sub(r"^name: .*$", f"name: {study_name(folder)}", text, count=1, flags=re.MULTILINE)
+    if observed is not None:
+        text = _observing(text, observed, folder)
+        files = {one: content for one, content in files.items() if one not in OF_OBSERVATION}
     with made_folder(folder):
         for one in (STUDY, *files):
             if (folder / one).exists():
@@ -49,6 +57,13 @@ def write_example(name: str, folder: Path, *, package: Path = PACKAGE) -> Path:
             (folder / one).write_bytes(content)
         (folder / STUDY).write_text(text, encoding="utf-8")
     return folder / STUDY
+
+
+def _observing(text: str, observed: Observed, folder: Path) -> str:
+    """Return the text of an example with another observed interface, and with a design and surrogate that suit it."""
+    text = re.sub(r"^(discrepancy|noise|design|surrogate): .*\n", "", text, flags=re.MULTILINE)
+    before, after = re.split(r"^observation: .*\n", text, maxsplit=1, flags=re.MULTILINE)
+    return f"{before}{observed.section(folder)}{ACTIVE}{after}"
 
 
 def _source(name: str, package: Path) -> Path:

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.design.active import SLOW_BATCH, seconds_of_a_batch
-from strandline.discrepancy import Discrepancy, apart, oriented_like_runs
+from strandline.discrepancy import Discrepancy, apart, extent, oriented_like_runs
 from strandline.discrepancy.search.nearest import squared_distances
 from strandline.errors import ForwardModelError, InvalidInput, NumericsError
-from strandline.interface import Interface, Observation, PointErrors
+from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import InterfaceLikelihood, compared, errors_of, noise_length, sd_of_distances
 from strandline.models.offers import SolvesOnFinerMesh, undeformed_interface
 from strandline.runs import Ledger, RunRecord, run_key
@@ -24,8 +24,9 @@ __all__ = [
     "displacement_lines",
     "early_doubts",
     "facing",
-    "known_range",
+    "known_lines",
     "mesh_lines",
+    "noise_lines",
     "noise_of",
     "observations_of",
     "require_same_size",
@@ -43,6 +44,8 @@ MESH_SHARE = 0.1
 """Share of the noise above which the difference to the next finer mesh is worth a warning."""
 MOST_KNOWN = 200
 """Known runs whose log-likelihood is computed."""
+ENOUGH_KNOWN, ALIKE = 10, 0.5
+"""Number of known runs whose log-likelihoods, if they differ by less than this, show that the data tell nothing."""
 
 
 @dataclass(frozen=True)
@@ -217,11 +220,28 @@ def _hidden(measure: Discrepancy, run: Interface, undeformed: Observation) -> bo
         return apart(run, seen)[1] ** 2 < variance
 
 
-def known_range(study: Study) -> str | None:
-    """Return a line on the log-likelihoods of the runs in the ledger; None if there are none to compare."""
+def noise_lines(study: Study, record: RunRecord) -> Iterator[str]:
+    """Yield a warning if the stated noise is larger than the whole interface."""
+    for condition, run in record.interfaces.items():
+        if isinstance(study.noise_of(condition), UnknownErrors):
+            continue
+        try:
+            noise = noise_of(study, run, condition).mm
+        except (InvalidInput, NumericsError):
+            continue  # what the measure refuses is reported elsewhere
+        if noise > extent(run):
+            of = f" ({condition})" if condition else ""
+            yield (
+                f"warning{of}: the data tell nothing: the noise, {_length(noise)}, is larger than the whole interface, "
+                f"{_length(extent(run))} across; correct the noise or its unit"
+            )
+
+
+def known_lines(study: Study) -> Iterator[str]:
+    """Yield a line on the log-likelihoods of the runs in the ledger, and a warning if all are alike."""
     observed = observations_of(study)
     if not observed or not study.ledger_path.is_file():
-        return None
+        return
     identity = study.runs.identity
     truth = None if study.truth is None else run_key(identity, study.truth)
     with Ledger.open(study.ledger_path, model=identity, read_only=True) as ledger:
@@ -229,17 +249,22 @@ def known_range(study: Study) -> str | None:
     known = [latest[key] for key in sorted(latest) if latest[key].ok]
     chosen = known[:: max(1, -(-len(known) // MOST_KNOWN))]
     if not chosen:
-        return None
+        return
     observations = study.observations(observed)
     likelihood = InterfaceLikelihood(observations, _measure(study))
     values = np.array([value for record in chosen if (value := _value(likelihood, record)) is not None])
     if not len(values):
-        return None
+        return
     of = f" {len(values)} of" if len(values) < len(known) else ""
-    return (
+    yield (
         f"log-likelihood over the box: from {values.min():.4g} to {values.max():.4g}, median {np.median(values):.4g}, "
         f"by{of} {len(known)} known runs"
     )
+    if len(values) >= ENOUGH_KNOWN and np.ptp(values) < ALIKE:
+        yield (
+            f"warning: the data tell nothing: the log-likelihoods of {len(values)} runs differ by at most "
+            f"{np.ptp(values):.2g}; check the noise and its unit"
+        )
 
 
 def _value(likelihood: InterfaceLikelihood, record: RunRecord) -> float | None:

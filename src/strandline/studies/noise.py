@@ -22,6 +22,7 @@ __all__ = [
     "require_offset",
     "require_shared",
     "require_stated",
+    "require_unit",
 ]
 
 Stated = float | str | tuple[float, float] | None
@@ -134,6 +135,21 @@ def require_offset(given: ConditionNoise) -> None:
             value=0,
             expected="above 0 for an edge in a picture, which is always found a little too far in or out",
             remedy=f"Write `sd: {IMAGE}`, which estimates it, or about 0.1 pixels for a camera, 0.4 for OCT.",
+        )
+
+
+def require_unit(given: ConditionNoise, measures: Iterable[Discrepancy]) -> None:
+    """Refuse an sd of observed points without a unit: the measure normal_offset has no other noise.
+
+    Raises:
+        InvalidStudy: There is no unit.
+    """
+    if given.sd is not None and not given.of_points and any(isinstance(one, NormalOffset) for one in measures):
+        raise InvalidStudy(
+            "noise.sd, of an observed point",
+            value=f"{given.sd:g} without a unit",
+            expected="`unit: um` or `unit: mm` beside it, for the measure normal_offset",
+            remedy=f"Write `{{sd: {given.sd:g}, unit: um}}` if that is what you mean.",
         )
 
 

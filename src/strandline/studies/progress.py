@@ -67,6 +67,7 @@ class StudyProgress:
         failed: Number of runs that returned none and will not be tried again.
         open: Number of runs started and not ended whose driver is, or may be, at work.
         lost: Number of runs started and not ended whose driver is gone; they count as to do.
+        reused: Number of runs that other studies have made, and that the first start takes over.
         detached: Whether jobs of a SLURM array are out, which go on without a driver; `open` runs may be among them.
         failures: Failures by kind, the commonest first.
         rate: Runs per minute of the last driver that finished any.
@@ -85,6 +86,7 @@ class StudyProgress:
     failed: int = 0
     open: int = 0
     lost: int = 0
+    reused: int = 0
     detached: bool = False
     failures: Mapping[str, Failures] = field(default_factory=dict)
     rate: float | None = None
@@ -104,7 +106,7 @@ class StudyProgress:
     @property
     def to_do(self) -> int:
         """Runs neither done nor under way."""
-        return max(self.planned - self.done - self.open, 0)
+        return max(self.planned - self.done - self.open - self.reused, 0)
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything that the status shows, in types that JSON has."""
@@ -117,6 +119,7 @@ class StudyProgress:
             "failed": self.failed,
             "open": self.open,
             "lost": self.lost,
+            "reused": self.reused,
             "detached": self.detached,
             "to_do": self.to_do,
             "driver": None
@@ -154,8 +157,8 @@ def progress_in(folder: Path) -> StudyProgress:
 
 def progress_of(study: "Study") -> StudyProgress:
     """Return the progress of `study`; reads the ledger without the lock of its driver."""
-
-    return _progress(study.folder, study.runs.plan)
+    state = _progress(study.folder, study.runs.plan)
+    return replace(state, reused=max(study.runs.known - state.done - state.open, 0)) if study.reuse else state
 
 
 def progress_as_planned(study: "Study") -> StudyProgress:

@@ -27,7 +27,14 @@ from strandline.studies.inputs import build_fixed, build_space, check_complete
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.observation import COLUMN, IMAGE, ConditionFile, ConditionNoise, ObservationFile
 from strandline.studies.known_model import as_in_ledgers
-from strandline.studies.noise import build_noise, require_fits, require_inferable, require_offset, require_shared
+from strandline.studies.noise import (
+    build_noise,
+    require_fits,
+    require_inferable,
+    require_offset,
+    require_shared,
+    require_unit,
+)
 from strandline.studies.observations import Found, read_observations
 from strandline.studies.observed import SyntheticNoise
 from strandline.studies.parse import parse_study
@@ -215,6 +222,8 @@ def study_of(folder: Path, content: StudyFile, text: str) -> Study:
     stated = {name: study.noise_of(name) for name in observed or declared_conditions(model)}
     require_shared(stated)
     measure, by_field = next(iter(study.discrepancies.values())), study.settings.surrogate == "field"
+    for given in (content.noise, *content.noise.conditions.values()):
+        require_unit(given, study.discrepancies.values())
     require_inferable(stated.values(), measure, by_field=by_field)
     return replace(study, as_loaded=study)
 

@@ -74,6 +74,7 @@ OUTCOMES = [
     ({"success": {"log": "0,0", "file": "job.sta"}}, "no_success"),
     ({"exit_codes": "any", **NINE}, None),
     (NINE, "exit_code"),
+    ({"errors": {"gone": "0,0"}, "post": ["/bin/sh", "-c", "cat out.csv; exit 9"]}, "gone"),
     ({"result": RESULT | {"file": "input.txt"}}, "result_old"),
 ]
 

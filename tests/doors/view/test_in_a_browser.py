@@ -94,6 +94,17 @@ def test_a_campaign_while_it_runs(browser: Any, tmp_path: Path, monkeypatch: pyt
         person.leaves()
 
 
+def test_a_study_whose_model_has_changed_says_so(browser: Any, tmp_path: Path) -> None:
+    folder = write_study(tmp_path / "beam", **SMALL | {"observation": {"file": "seen.csv", "unit": "mm"}})
+    (folder / "seen.csv").write_text("0,0\n0.5,0.01\n1,0.03\n")
+    sl.Ledger.open(folder / "ledger.sqlite", model="an earlier one").close()
+    with serving(sl.load_study(folder)) as server:
+        person = Reader(browser, server.url, ready="#problem:not([hidden])")
+        assert "keeps the runs of another model" in person.text("#problem")
+        assert person.text("#status") == "Not shown, because of this:"
+        person.context.close()
+
+
 def test_sliders_of_the_inputs_move_the_interface(person: Person) -> None:
     person.slides("#sliders input[data-input=E]", 430)
     person.slides("#sliders input[data-input=tilt]", 0.013)

@@ -79,6 +79,12 @@ def of_one_draw(calibration: Calibration) -> Calibration:
     return put(replace(calibration, quadrature=None), "posterior", log_weights=log_weights)
 
 
+def hung(calibration: Calibration) -> Calibration:
+    """The first run hangs."""
+    first, *others = calibration.records
+    return replace(calibration, records=(replace(first, state="timeout", interfaces={}, seconds=60.0), *others))
+
+
 LIMITS: list[tuple[Callable[[Calibration, Any], Calibration], float, float, str]] = [
     (with_failures, 20, 19, "20 of 64 forward runs failed"),
     (validated, 0.6, 0.5, "leave-one-out error near the mode is 0.6"),
@@ -98,6 +104,8 @@ OTHERS: list[tuple[Callable[[Calibration], Calibration], str]] = [
         lambda c: moved(moved(moved(c, 0, 0.05, 0.01), 1, 0.1, 0.01), 1, 0.04, 0.99),
         "posterior reaches 3 ends of its box, with the mass within 2% of each: E from 300 Pa (",
     ),
+    (lambda c: put(c, "posterior", log_likelihood=0.0 * c.posterior.log_likelihood, log_evidence=0.0), "tell nothing"),
+    (hung, "`timeout: 1` would save most of that"),
     (lambda c: replace(c, laplace=laplace(np.diag([-1.0, 1.0]), c.posterior.map_estimate)), "no Laplace approximation"),
 ]
 

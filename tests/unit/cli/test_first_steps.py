@@ -33,7 +33,7 @@ def test_a_new_study_is_sound(tmp_path, capsys):
         assert f"# {item.meaning}" in (folder / "study.yaml").read_text("utf-8")
 
 
-def test_a_study_of_an_observed_interface(tmp_path, monkeypatch):
+def test_a_study_of_an_observed_interface(tmp_path, monkeypatch, capsys):
     """Its errors are stated, asked for, or unknown."""
     x = np.linspace(0.3, 0.9, 40)
     np.savetxt(tmp_path / "my edge.csv", np.stack([x, x * (1.2 - x)], axis=1), delimiter=",")
@@ -51,6 +51,15 @@ def test_a_study_of_an_observed_interface(tmp_path, monkeypatch):
         assert (list(study.observed), list(study.discrepancies)) == ([""], ["normal_offset"])
         assert study.noise == noise
     monkeypatch.setattr("sys.stdin", io.StringIO())
+    for name in ("command", "python"):
+        main(["init", str(tmp_path / name), "--example", name, "--observed", str(tmp_path / "my edge.csv"), *stated])
+        study = load_study(tmp_path / name)
+        assert (study.observed[""].points.shape, study.settings.active.runs) == ((40, 2), 60)
+        assert study.noise == PointErrors(0.003, 0.015, rotation=0.5, scale=0.005)
+        assert "observed.csv" not in contents(tmp_path / name)
+    capsys.readouterr()
+    words = refused(capsys, "init", str(tmp_path / "d"), "--example", "oct", "--observed", "my edge.csv")
+    assert "one of biofilm, python, command" in words
     unknown = ["--observed", str(tmp_path / "my edge.csv"), "--unit", "mm", "--sd", "unknown"]
     main(["init", str(tmp_path / "c"), *unknown])
     assert load_study(tmp_path / "c").noise == UnknownErrors(None, 0.0)

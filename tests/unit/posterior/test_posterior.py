@@ -3,13 +3,13 @@
 import jax
 import numpy as np
 import pytest
-from scipy.special import logsumexp
+from scipy.special import logsumexp, ndtri
 from scipy.stats import multivariate_normal
 
 from strandline.errors import InvalidInput, NumericsError
 from strandline.interface import Interface
 from strandline.parameters import Parameter, ParameterSpace
-from strandline.posterior import GaussianApproximation, Posterior, laplace, log_prior_hessian
+from strandline.posterior import GaussianApproximation, Posterior, laplace, log_prior_hessian, prior_conflicts
 from strandline.posterior.marginals import histogram, histogram_2d, histogram_mode
 from strandline.posterior.predictive import interface_band, normal_offsets, observed_offsets
 from strandline.priors import LogNormal, Normal, ScaledBeta, Uniform
@@ -26,6 +26,25 @@ def importance_posterior(number=20_000):
     log_evidence = float(logsumexp(log_likelihood) - np.log(number))
     log_weights = log_likelihood - logsumexp(log_likelihood)
     return Posterior(SPACE, draws, log_weights, log_likelihood, SPACE.log_prior(draws), log_evidence)
+
+
+def test_the_data_contradict_a_prior():
+    """A false alarm in one of 100 inputs, however good the data are; a wrong prior is nearly always found."""
+    space = ParameterSpace((Parameter("E", Normal(100, 15), "Pa", (0, 250)), Parameter("nu", Uniform(0.0, 1.0))))
+    levels, random = (np.arange(500) + 0.5) / 500, np.random.default_rng(1)
+
+    def alarm(truth, noise):
+        shrink = 15**2 / (15**2 + noise**2)
+        mean, sd = 100 + shrink * (truth + noise * random.standard_normal() - 100), noise * np.sqrt(shrink)
+        draws = np.stack([mean + sd * ndtri(levels), np.full(500, 0.999)], axis=1)
+        zeros = np.zeros(500)
+        found = list(prior_conflicts(Posterior(space, draws, zeros - np.log(500), zeros, zeros, 0.0)))
+        assert all("contradict the prior of E, Normal(mean=100, sd=15): " in one for one in found)
+        return len(found)
+
+    for noise in (0.5, 15, 40):
+        assert 1 <= sum(alarm(random.normal(100, 15), noise) for _ in range(600)) <= 15
+    assert sum(alarm(100 + 4 * 15, 2) for _ in range(50)) == 50
 
 
 def plain(draws, weights, log_likelihood=None, log_prior=None):

@@ -3,15 +3,19 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from filelock import FileLock
 
 import strandline as sl
+from strandline.calibration.evidence import Evidence
+from strandline.calibration.model_comparison import ModelComparison
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.planning.candidate import Candidate, Look
 from strandline.questions.compare.comparable import labels_of, may_err, require_comparable, require_several
+from strandline.questions.compare.results import _factor, _verdict
 from strandline.questions.compare.separation import require_settable
 from strandline.questions.knowledge import _thinned
 from strandline.questions.line_file import LineFile
@@ -151,6 +155,19 @@ def test_what_cannot_be_compared(study):
     synthetic = replace(study("other", **observed("other")), truth={"E": 400.0})
     with pytest.raises(InvalidStudy, match="A synthetic observation comes from the study's own model"):
         require_comparable({"tilted": one, "other": synthetic})
+
+
+def test_a_verdict_that_a_prior_decides_says_so():
+    """What the prior adds to ln B is the information that it must pay for."""
+    even = {"a": Evidence(0.55, 0.1), "b": Evidence(0.0, 0.1)}
+    found, flat = ModelComparison({**even, "a": Evidence(4.59, 0.1)}), ModelComparison(even)
+    text = _verdict(found, flat, ["EI"])
+    assert text.startswith("The data favour a over b: ln B = 4.59 ± 0.14, strong evidence. But the prior of EI decides")
+    assert text.endswith("same box, the data cannot tell a and b apart: ln B = 0.55 ± 0.14 of a over b, below 1.")
+    assert _verdict(found, None, []) == _verdict(found, found, ["EI"]) == found.verdict
+    paid = {name: Mock(posterior=Mock(information=one)) for name, one in {"a": 2.0, "b": 6.0}.items()}
+    parts = _factor(found.factors[0], paid, flat)
+    assert [round(parts[key], 2) for key in ("ln", "fit", "prior", "flat_ln")] == [4.59, 0.59, 4.0, 0.55]
 
 
 def test_fewer_than_two_studies_and_wrong_odds_are_refused(study):

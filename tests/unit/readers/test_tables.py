@@ -83,6 +83,8 @@ def test_a_box_selects_before_the_displacement_and_does_not_cut(tmp_path):
     path = written(tmp_path, "x,y,u,v\n0,0,9,0\n1,0,9,0\n2,0,9,0\n3,0,9,0\n")
     found = read(path, columns=["x", "y"], field=["u", "v"], select={"x": [0.5, 2.5]})
     np.testing.assert_array_equal(found.points, [[10.0, 0.0], [11.0, 0.0]])
+    path = written(tmp_path, "0,0\n1,1.0000001\n2,0.9999999\n3,1\n4,0\n")
+    np.testing.assert_array_equal(read(path, select={"y": [1, 1]}).points[:, 0], [1.0, 2.0, 3.0])
     path = written(tmp_path, "0,0\n1,0\n2,5\n3,0\n4,0\n")
     refused(r"into pieces: got the first one ends at \[1.0, 0.0\] mm", path, select={"y": [-1, 1]})
 

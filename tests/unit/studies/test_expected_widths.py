@@ -91,7 +91,8 @@ def test_a_campaign_says_them_once_after_its_first_runs(tmp_path):
         assert len(notes) == (number >= 12)
     assert "from the first 12 runs" in notes[0]
     (found,) = re.findall(r"E ± (\S+)", notes[0])
-    study = load_study(write_study(tmp_path, discrepancy={"normal_offset": {}}))  # a noise of d², as large
+    of_d2 = {"discrepancy": {"normal_offset": {}}, "noise": {"variance": 9e-6}}  # as large
+    study = load_study(write_study(tmp_path, **of_d2))
     record, slopes = run_with_slopes(study, AT, tmp_path)
     assert float(found) == pytest.approx(expected_sd(study, record.interfaces, slopes, {})[0], rel=0.3)
 

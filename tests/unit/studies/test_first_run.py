@@ -100,9 +100,16 @@ def test_the_displacement_in_units_of_the_noise(tmp_path):
     """With normal_offset many points together show what each alone does not."""
     moved = POINTS[-1, 1]
     for measure, sd, hidden in (("tracked_points", 10.0, True), ("normal_offset", 0.1, False)):
-        shown = told(load_study(write_study(tmp_path, discrepancy={measure: {}}, noise={"sd": sd})), Resting())
+        shown = told(load_study(write_study(tmp_path, discrepancy={measure: {}}, noise={"variance": sd**2})), Resting())
         assert f"largest displacement: {1e3 * moved:.3g} µm, {moved / sd:.3g} σ_N (σ_N = " in shown
         assert ("below the noise: the data cannot show it" in shown) == hidden
+
+
+def test_a_noise_larger_than_the_whole_interface(tmp_path):
+    for share, warns in ((0.9, False), (1.1, True)):
+        study = load_study(write_study(tmp_path, noise={"sd": share * float(np.ptp(RUN.points[:, 0]))}))
+        lines = list(first_run.noise_lines(study, RECORD))
+        assert ["the data tell nothing" in line for line in lines] == [True] * warns
 
 
 def test_a_norm_has_a_noise_length(tmp_path):
@@ -169,7 +176,7 @@ RUN = RECORD.interfaces[""]
 
 
 def doubts(folder, points, noise=None, **measure):
-    study = observing(folder, points, discrepancy=measure, noise=noise or {"sd": 0.003})
+    study = observing(folder, points, discrepancy=measure, noise=noise or {"variance": 9e-6})
     return list(measure_lines(study, RECORD))
 
 

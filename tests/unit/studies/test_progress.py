@@ -132,14 +132,17 @@ def test_runs_of_others_and_interrupted_ones_make_no_pace(study, tmp_path):
         make(ledger, study, 4)
     assert progress_of(study).rate is not None
     other = load_study(write_study(tmp_path / "other", design={"sobol": {"runs": RUNS}}, reuse=["../beam"]))
+    assert (progress_of(other).reused, progress_of(other).to_do) == (4, RUNS - 4)
     with opened(other) as ledger:
         ledger.copy_from(study.ledger_path, study.runs.design_keys)
         fail(ledger, requests(study)[5], "killed", "interrupted")
-    assert (progress_of(other).ok, progress_of(other).rate) == (4, None)
+    assert (progress_of(other).ok, progress_of(other).reused, progress_of(other).rate) == (4, 0, None)
     assert (study.runs.known, other.runs.known) == (4, 4)
     study.ledger_path.unlink()
     Ledger.open(study.ledger_path, model="something else").close()
-    with pytest.raises(LedgerError, match=r"beam/ledger\.sqlite keeps the runs of another model"):
+    with pytest.raises(
+        LedgerError, match=r"beam/ledger\.sqlite keeps the runs of another model.*`reuse`, remove it there"
+    ):
         other.runs.require_sound_ledgers()
 
 

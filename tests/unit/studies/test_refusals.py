@@ -139,6 +139,7 @@ noise: {variance: 1, unit: um} | a `variance` is already in the unit of d²
 noise: {sd: 1, length: 5} | `length` with the `sd` of the observed points
 noise: {sd: 1, unit: um, length: -5}; noise: {sd: 1, unit: inch}; noise: {sd: 1, unit: um, unknown: {shift: -5}}
 noise: {sd: 1, unit: um, unknown: {rotation: 50}}; noise: {sd: 1, unit: um, unknown: {scale: 5}}
+noise: {sd: 2}, discrepancy: {normal_offset: {}} | noise.sd, of an observed point: got 2 without a unit | unit: um
 noise: {sd: image, unit: um} | comes from a picture
 noise: {sd: column, length: 20, unit: um} | a table with the standard deviation
 noise: {sd: unknown, unit: um}; noise: {sd: 3, model_error: true, unit: um} | normal_offset and a surrogate of the field
@@ -153,7 +154,7 @@ design.refine: {runs: 201}, sampler: {smc: {particles: 200}} | design.refine.run
 design.active: {runs: 50}; design: {} | either `sobol
 design: {active: {runs: 50}, refine: {runs: 5}} | an active design refines itself
 design: {active: {runs: 60}}, surrogate: {log_likelihood: {}} | got an active design with a surrogate of the log-lik
-design: {active: {runs: 50, criterion: entropy}}; design: {active: {runs: 20}}; design: {active: {runs: 50, check: 5}}
+design: {active: {runs: 50, criterion: entropy}}; design: {active: {runs: 15}}; design: {active: {runs: 50, check: 5}}
 design: {active: {runs: 50, explore: 0.9}}; design: {active: {runs: 50, rounds: 2}}
 sampler.smc.particles: 3; sampler.smc.zeta: 1; sampler.smc.rejuvenation_steps: 0; sampler.cut.values: 1
 executor: {local: {workers: 0}}; executor: {local: {timeout: 1.0e+9}}; executor: {slurm_array: {cpus: -1}}

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from strandline.design.active.checking import BatchCheck, number_of_probes
 from strandline.design.active.choice import choose
 from strandline.design.active.elsewhere import Surprise, points_around, points_elsewhere
-from strandline.design.active.failing import Losses
+from strandline.design.active.failing import Losses, price_of_a_hang
 from strandline.design.active.posterior_check import PosteriorCheck
 from strandline.design.active.settings import LARGEST_BATCH, Active
 from strandline.design.active.state import Moved, Remembered, State
@@ -120,6 +120,7 @@ class ActiveDesign:
         self._looked_around: set[bytes] = set()
         self._passed: tuple[Remembered, BatchCheck] | None = None
         self._around_odd = False
+        self._price = 1.0
         self.scattered = False
 
     def start(self, points: Float[np.ndarray, "run dim"], *, given: bool = False) -> None:
@@ -138,6 +139,7 @@ class ActiveDesign:
     def next(self, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]) -> Batch | None:
         """Return the next batch, given all runs that have ended; None to stop."""
         kind = self.batches[-1].kind
+        self._price = price_of_a_hang(records)
         check: BatchCheck | None = None
         doubted = False
         if kind == "elsewhere":
@@ -190,7 +192,7 @@ class ActiveDesign:
             self._around_odd = True
             if len(around):
                 return self._noted(around, "elsewhere")
-        room = left - self.active.check
+        room = left - self.active.kept_for_check(self.space.dim)
         ready = (stable and check is None and room >= 0) or room < 1
         if ready and self._can_be_checked(records, left) and (self._confirmed() or room < 1):
             return self._noted(self.check.begin(self.state, x, records, left, self._losses()), "check")
@@ -251,7 +253,7 @@ class ActiveDesign:
     def _losses(self) -> Losses:
         assert self.state is not None
         first = (row for batch in self.batches if batch.kind in ("initial", "given") for row in batch.points)
-        return Losses(self.state.knowledge, self.active.runs, frozenset(row.tobytes() for row in first))
+        return Losses(self.state.knowledge, self.active.runs, frozenset(row.tobytes() for row in first), self._price)
 
     @property
     def _left(self) -> int:

@@ -5,7 +5,7 @@ inputs that fail, the likelihood outweighs it and batch after batch would go the
 has failed where that was likely, the others are placed where runs are expected to succeed.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +16,9 @@ from strandline.design.active.state import Knowledge, State
 from strandline.design.space_filling import sobol
 from strandline.parameters import ParameterSpace
 from strandline.posterior import subset
+from strandline.runs import RunRecord
 
-__all__ = ["MOST", "SAFE", "UNLIKELY", "Losses", "safe_candidates"]
+__all__ = ["MOST", "SAFE", "UNLIKELY", "Losses", "price_of_a_hang", "safe_candidates"]
 
 MOST = 0.1
 """Largest share of the runs allowed that may be lost where runs are known to fail."""
@@ -37,11 +38,13 @@ class Losses:
         knowledge: What the runs so far have taught.
         runs: Number of runs that were allowed.
         first: Inputs of the first runs, as bytes; these were placed before anything was known.
+        price: Time that a lost run takes, in those of a good one, at least 1: a hang costs as much as many runs.
     """
 
     knowledge: Knowledge
     runs: int
     first: Collection[bytes]
+    price: float = 1.0
 
     @property
     def lost(self) -> int:
@@ -52,7 +55,7 @@ class Losses:
     @property
     def left(self) -> float:
         """Number of further runs that may be lost."""
-        return MOST * self.runs - self.lost
+        return MOST * self.runs / self.price - self.lost
 
     def chance(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
         """Return the probability that a run succeeds, relative to the safest run."""
@@ -94,6 +97,12 @@ class Losses:
     def _risk(self, state: State) -> float:
         """Return the share of draws of the posterior whose run is expected to fail."""
         return float(np.exp(state.log_weights) @ (1 - self.chance(state.positions)))
+
+
+def price_of_a_hang(records: Sequence[RunRecord]) -> float:
+    """Return the mean time of the runs that ended at their time limit over the median of good ones, at least 1."""
+    good, hung = ([one.seconds for one in records if one.state == state] for state in ("ok", "timeout"))
+    return max(1.0, float(np.mean(hung) / max(np.median(good), 1e-9))) if good and hung else 1.0
 
 
 def safe_candidates(

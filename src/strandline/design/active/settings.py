@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from strandline.design.active.checking import Tolerances
+from strandline.design.active.checking import FEWEST_DRAWS, Tolerances, number_of_probes
 from strandline.design.active.choice import criterion_named
 from strandline.errors import InvalidInput
 
@@ -19,8 +19,9 @@ class Active:
     """How an active design goes on and when it stops.
 
     Args:
-        runs: Maximum number of runs, those of the checks included; at least `initial` + `check`. Runs from an earlier
-            ``study.yaml`` or a reused study do not count.
+        runs: Maximum number of runs, those of the checks included; at least `initial` + 8. With fewer than `initial` +
+            `check`, a check is smaller and settles less. Runs from an earlier ``study.yaml`` or a reused study do not
+            count.
         initial: First runs, from the Sobol sequence, at least 3; default: 4 + 2 × number of inputs; with sensitivities
             half that, but at least 3.
         batch: Runs chosen together; default: number of workers, or 5 % of the runs so far if that is more; within
@@ -82,13 +83,18 @@ class Active:
             self.batch,
             f"at most {max(left, 1)}, the runs that are left of {self.runs} after the first {self.initial or 3}",
         )
-        least = (self.initial or 3) + self.check
+        least = (self.initial or 3) + FEWEST_DRAWS
         _require(
             self.runs >= least,
             "runs",
             self.runs,
-            f"at least {least}: {self.initial or 3} first ones and a check of {self.check}",
+            f"at least {least}: {self.initial or 3} first ones and a check of {FEWEST_DRAWS}",
         )
+
+    def kept_for_check(self, dim: int) -> int:
+        """Return the number of runs kept for a check: half of those after the first ones if these are few."""
+        left = self.runs - (self.initial or 3)
+        return self.check if left >= self.check else max(number_of_probes(dim, 0), left // 2)
 
     @property
     def tolerances(self) -> Tolerances:

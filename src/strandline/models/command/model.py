@@ -15,9 +15,9 @@ from typing import Any, ClassVar
 from strandline.errors import ForwardModelError, InvalidInput
 from strandline.models.command.keep import kept_folder, require_keep
 from strandline.models.command.names import SourceFile, file_in, relative_name
-from strandline.models.command.options import commands_of, declared_by, exit_codes_of, seconds, texts_of
+from strandline.models.command.options import commands_of, declared_by, errors_of, exit_codes_of, seconds, texts_of
 from strandline.models.command.process import Ended, supervised
-from strandline.models.command.results import LogText, read_results, readings_of
+from strandline.models.command.results import LogText, named_by, read_results, readings_of
 from strandline.models.command.templates import Template
 from strandline.models.protocol import ModelInput, Simulation
 from strandline.readers import Reading
@@ -50,6 +50,7 @@ class CommandModel:
         grace: Seconds between SIGTERM and SIGKILL.
         exit_codes: Exit codes that count as success, or ``any``.
         success: ``{log: TEXT}``, a text that a good run prints, or writes to ``file``.
+        errors: ``{KIND: TEXT}``: a failed run that prints the text fails with this kind, and that line says why.
         keep: Which run folders are kept in the study's folder `runs`: ``all``, ``failed`` or ``none``.
         version: Version of the simulator; runs of different versions are different runs.
         inputs: Declared inputs; empty if units and ranges are unknown.
@@ -71,6 +72,7 @@ class CommandModel:
     grace: float = 5.0
     exit_codes: Any = field(default_factory=lambda: [0])
     success: Any = None
+    errors: Any = field(default_factory=dict)
     keep: str = "failed"
     version: str = ""
     inputs: tuple[ModelInput, ...] = ()
@@ -93,6 +95,7 @@ class CommandModel:
     def __post_init__(self) -> None:
         object.__setattr__(self, "folder", self.folder.resolve())
         object.__setattr__(self, "_parts", _Parts.of(self))
+        object.__setattr__(self, "failure_kinds", (*type(self).failure_kinds, *self._parts.errors))
 
     @classmethod
     def from_options(cls, **options: Any) -> "CommandModel":
@@ -176,7 +179,7 @@ class CommandModel:
             return Simulation(read_results(parts.readings, workdir, started))
         except ForwardModelError as error:
             error.log = error.log or log
-            raise
+            raise named_by(parts.errors, workdir, error) from None
 
     def retain(self, workdir: Path, key: str, *, ok: bool) -> Path | None:
         """Keep the folder of the run `key` if `keep` asks for it and return its new path; else return None."""
@@ -221,6 +224,7 @@ class _Parts:
     environment: Mapping[str, Template]
     readings: Mapping[str, Reading]
     exit_codes: frozenset[int] | None
+    errors: Mapping[str, str]
     success: LogText | None
 
     @classmethod
@@ -245,6 +249,7 @@ class _Parts:
             },
             readings=readings_of(model.result, model.results),
             exit_codes=exit_codes_of(model.exit_codes),
+            errors=errors_of(model.errors, type(model).failure_kinds),
             success=None if model.success is None else LogText.of(model.success),
         )
 

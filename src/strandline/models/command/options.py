@@ -1,7 +1,7 @@
 """Options of a command in study.yaml → checked values, with one clear line for each mistake."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from strandline.errors import InvalidInput
@@ -9,7 +9,7 @@ from strandline.models.command.templates import Template
 from strandline.models.protocol import ModelInput
 from strandline.text import decimal
 
-__all__ = ["commands_of", "declared_by", "exit_codes_of", "seconds", "texts_of"]
+__all__ = ["commands_of", "declared_by", "errors_of", "exit_codes_of", "seconds", "texts_of"]
 
 LONGEST_SECONDS = 366 * 24 * 3600
 DECLARED = {"unit", "low", "high", "meaning"}
@@ -51,6 +51,18 @@ def texts_of(given: object, place: str) -> dict[str, str]:
     ):
         raise _unfit(place, given, "names with texts, e.g. {NAME: text}")
     return {name: str(value) for name, value in given.items()}
+
+
+def errors_of(given: object, known: Collection[str]) -> dict[str, str]:
+    """Return the text that names each further kind of failure.
+
+    Raises:
+        InvalidInput: anything else, or a kind of this name exists already.
+    """
+    found = texts_of(given, "errors")
+    if not all(text and kind.isidentifier() and kind not in known for kind, text in found.items()):
+        raise _unfit("errors", given, "a new word for each kind and a text, e.g. {diverged: no convergence}")
+    return found
 
 
 def exit_codes_of(given: object) -> frozenset[int] | None:

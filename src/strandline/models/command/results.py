@@ -9,7 +9,7 @@ from strandline.interface import Interface
 from strandline.models.command.names import relative_name
 from strandline.readers import Reading, Unreadable, read_interface
 
-__all__ = ["LogText", "read_results", "readings_of"]
+__all__ = ["LogText", "named_by", "read_results", "readings_of"]
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,25 @@ class LogText:
             raise ForwardModelError("no_success", f"{path.name} cannot be read: {error.strerror}") from None
         if not found:
             raise ForwardModelError("no_success", f"{path.name} does not say {self.text!r}")
+
+
+def named_by(errors: Mapping[str, str], folder: Path, error: ForwardModelError) -> ForwardModelError:
+    """Return the error of a run with the kind whose text the run has printed, and that line as its message.
+
+    Args:
+        errors: Text of each kind; the first that is found counts.
+        folder: Folder of the run, with its logs.
+        error: The error so far; it stays if something killed the run from outside.
+    """
+    if not errors or error.state == "killed":
+        return error
+    lines = [line for log in sorted(folder.glob("*.log")) for line in log.read_text("utf-8", "replace").splitlines()]
+    for kind, text in errors.items():
+        for line in lines:
+            if text in line:
+                message = f"{line.strip()} ({error.message})"
+                return ForwardModelError(kind, message, error.evidence, state=error.state, log=error.log)
+    return error
 
 
 def readings_of(result: object, results: object) -> dict[str, Reading]:

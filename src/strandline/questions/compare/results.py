@@ -13,7 +13,7 @@ from strandline.design import sobol
 from strandline.design.active import Knowledge
 from strandline.interface import Interface
 from strandline.planning.discrimination import CLEAR, Discrimination
-from strandline.posterior import Posterior, interface_band
+from strandline.posterior import FLAT, Posterior, interface_band, prior_conflicts
 from strandline.posterior.weighted import Weighted
 from strandline.questions.compare.comparable import may_err
 from strandline.questions.compare.separation import Shown
@@ -21,9 +21,10 @@ from strandline.studies.check_file import offset_band, posterior_digest
 from strandline.studies.chosen import in_words
 from strandline.studies.study import Study
 from strandline.studies.summary import versions
+from strandline.text import listed
 from strandline.version import __version__
 
-__all__ = ["Compared", "describe_comparison"]
+__all__ = ["Compared", "describe_comparison", "not_flat"]
 
 QUANTILES = (0.05, 0.5, 0.95)
 PREDICTED = 200
@@ -63,13 +64,6 @@ class Compared:
         misfit = self.summary["misfit"]
         return misfit is not None and bool(misfit["flagged"])
 
-    @property
-    def information(self) -> float:
-        """What the data tell about the inputs, nats: the mean log-likelihood minus the log-evidence."""
-        known = np.isfinite(self.posterior.log_likelihood)
-        mean = float(self.posterior.weights[known] @ self.posterior.log_likelihood[known])
-        return mean - self.posterior.log_evidence
-
     def narrowing(self, name: str) -> float:
         """Return the standard deviation of an input's prior over that of its posterior."""
         space = self.study.space
@@ -78,8 +72,15 @@ class Compared:
         return float(prior.std() / self.posterior.sd[k])
 
 
+def not_flat(compared: Mapping[str, Compared], shared: Sequence[str]) -> list[str]:
+    """Return the shared inputs that have a prior with a preference inside its box in some model."""
+    spaces = [one.study.space for one in compared.values()]
+    return [name for name in shared if any(not isinstance(space[name].prior, FLAT) for space in spaces)]
+
+
 def describe_comparison(
     found: ModelComparison,
+    flat: ModelComparison | None,
     compared: Mapping[str, Compared],
     together: Weighted | None,
     shared: Sequence[str],
@@ -91,6 +92,7 @@ def describe_comparison(
 
     Args:
         found: Evidences, Bayes factors and probabilities.
+        flat: The same with uniform priors of the shared inputs; None if theirs are flat.
         compared: The studies by name.
         together: Model-averaged draws of the shared inputs.
         shared: Names of the shared inputs.
@@ -102,14 +104,14 @@ def describe_comparison(
         "version": __version__,
         "versions": versions(),
         "seed": seed,
-        "verdict": found.verdict,
+        "verdict": _verdict(found, flat, not_flat(compared, shared)),
         "favoured": found.favoured,
         "tied": list(found.tied),
         "remarks": list(_remarks(found, compared, shared)),
         "scale": [{"least": least, "words": words} for least, words in SCALE],
         "errors_needed": ERRORS,
         "models": {name: _model(found, name, one) for name, one in compared.items()},
-        "bayes_factors": [_factor(one) for one in found.factors],
+        "bayes_factors": [_factor(one, compared, flat) for one in found.factors],
         "averaged": {} if together is None else _averaged(together, compared, shared),
         "predictive": [
             {
@@ -158,15 +160,32 @@ def _model(found: ModelComparison, name: str, one: Compared) -> dict[str, Any]:
         "stored_log_evidence": posterior.log_evidence + one.constant,
         "constant": one.constant,
         "best_log_likelihood": float(np.max(posterior.log_likelihood)) + one.constant,
-        "information": one.information,
+        "information": one.posterior.information,
         "prior_probability": found.prior[name],
         "probability": found.probabilities[name],
         "misfit": None if misfit is None else {key: misfit[key] for key in OF_MISFIT},
     }
 
 
-def _factor(one: BayesFactor) -> dict[str, Any]:
+def _verdict(found: ModelComparison, flat: ModelComparison | None, names: Sequence[str]) -> str:
+    """Return the verdict, with what becomes of it under flat priors if that is another one."""
+    if flat is None or flat.favoured == found.favoured:
+        return found.verdict
+    other = flat.verdict[0].lower() + flat.verdict[1:]
+    return f"{found.verdict} But the prior of {listed(names)} decides this: with a uniform one on the same box, {other}"
+
+
+def _factor(one: BayesFactor, compared: Mapping[str, Compared], flat: ModelComparison | None) -> dict[str, Any]:
+    """Return a Bayes factor in two parts, ln B = fit + prior, and what it is with flat priors of the shared inputs."""
+    paid = compared[one.over].posterior.information - compared[one.of].posterior.information
+    pair = {one.of, one.over}
+    wide = None if flat is None else next(each for each in flat.factors if {each.of, each.over} == pair)
     return {
+        "fit": one.ln - paid,
+        "prior": paid,
+        "flat_ln": None if wide is None else wide.ln if wide.of == one.of else -wide.ln,
+        "flat_error": None if wide is None else wide.error,
+        "flat_words": None if wide is None else wide.words,
         "of": one.of,
         "over": one.over,
         "ln": one.ln,
@@ -236,6 +255,8 @@ def _remarks(found: ModelComparison, compared: Mapping[str, Compared], shared: S
             f"{found.order[0]} has the largest evidence, but does not explain the observation within the noise. "
             "Even the best of these models is not good enough: do not trust its posterior, nor the average."
         )
+    for name, one in compared.items():
+        yield from (f"{name}: {conflict}" for conflict in prior_conflicts(one.posterior))
     yield from _occam(found, compared, shared)
     for name in shared:
         priors = {in_words(one.study.space[name].truncated_prior) for one in compared.values()}

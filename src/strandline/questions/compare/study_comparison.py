@@ -18,12 +18,14 @@ from strandline.design.active import Knowledge
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.numerics.one_thread import one_thread
 from strandline.numerics.precision import use_double
+from strandline.parameters import ParameterSpace
 from strandline.planning.discrimination import Discrimination, expected_discrimination
 from strandline.posterior import Posterior
 from strandline.posterior.weighted import Weighted
+from strandline.priors import Uniform
 from strandline.questions.arguments import require_seed
 from strandline.questions.compare.comparable import labels_of, may_err, require_comparable, require_several
-from strandline.questions.compare.results import Compared, describe_comparison
+from strandline.questions.compare.results import Compared, describe_comparison, not_flat
 from strandline.questions.compare.separation import Shown, candidates_of, require_settable, shown_by_models
 from strandline.questions.knowledge import field_knowledge
 from strandline.questions.shown import figures_of, html_answer
@@ -60,7 +62,7 @@ class StudyComparison:
     page: Path
 
     def __repr__(self) -> str:
-        return f"<StudyComparison of {', '.join(self.found.evidences)}: {self.found.verdict}>"
+        return f"<StudyComparison of {', '.join(self.found.evidences)}: {self.content['verdict']}>"
 
     def _repr_html_(self) -> str:
         rows = [
@@ -126,15 +128,15 @@ def compare(
         for name, study in named.items()
     }
     tell.stage("evidence")
-    evidences = {name: _evidence(one, seed) for name, one in compared.items()}
-    found = ModelComparison(evidences, None if odds is None else dict(zip(named, odds, strict=True)))
     shared = tuple(name for name in loaded[0].space.names if all(name in one.space.names for one in loaded))
+    found, widened = _found(compared, odds, seed), not_flat(compared, shared)
+    flat = _found(compared, odds, seed, widened) if widened else None
     together = _together(found, posteriors, shared)
     shown = shown_by_models(named, wanted, seed=seed, executor=executor, tell=tell) if wanted else ()
     tell.stage("report")
     with one_thread():
         separations = [(one, _separation(found, one, seed)) for one in shown]
-        content = describe_comparison(found, compared, together, shared, separations, seed=seed)
+        content = describe_comparison(found, flat, compared, together, shared, separations, seed=seed)
     return StudyComparison(
         content, found, shared, together, _written(content, folder, draft=all(one.settings.draft for one in loaded))
     )
@@ -232,9 +234,20 @@ def _learnt(study: Study) -> Knowledge:
         return field_knowledge(study, next(iter(study.discrepancies)), purpose="a comparison")
 
 
-def _evidence(one: Compared, seed: int) -> Evidence:
+def _found(
+    compared: Mapping[str, Compared], odds: Sequence[float] | None, seed: int, flat: Sequence[str] = ()
+) -> ModelComparison:
+    """Return the comparison; the inputs `flat` have uniform priors on their boxes."""
+    evidences = {name: _evidence(one, seed, flat) for name, one in compared.items()}
+    return ModelComparison(evidences, None if odds is None else dict(zip(compared, odds, strict=True)))
+
+
+def _evidence(one: Compared, seed: int, flat: Sequence[str]) -> Evidence:
     draws = Weighted(one.posterior.draws, one.posterior.weights)
-    found = log_evidence(one.knowledge, one.study.space, draws, np.random.default_rng(seed))
+    space = ParameterSpace(
+        tuple(replace(p, prior=Uniform(*p.interval)) if p.name in flat else p for p in one.study.space)
+    )
+    found = log_evidence(one.knowledge, space, draws, np.random.default_rng(seed))
     return replace(found, log=found.log + one.constant)
 
 

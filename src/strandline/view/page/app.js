@@ -44,7 +44,10 @@ async function follow(state) {
   problem.hidden = !words;
   problem.textContent = words;
   if (state.version !== undefined && state.version !== version) await readRuns();
-  if (state.planned === undefined) return;
+  if (state.planned === undefined) {
+    if (words) status.textContent = "Not shown, because of this:";
+    return;
+  }
   const had = shared.state.ok || 0;
   shared.state = state;
   tell("state");

@@ -74,6 +74,13 @@ def test_a_posterior_that_stays_is_checked_and_that_is_all():
     assert one.check.chosen == {row.tobytes() for batch in batches[1:3] for row in batch.points}
 
 
+def test_a_small_budget_keeps_half_of_it_for_a_check():
+    for runs, kept in ((100, 25), (29, 25), (24, 10), (12, 8)):
+        assert Active(runs, initial=4).kept_for_check(1) == kept
+    one = design(Active(16 + PROBES, initial=12, unseen=1.0))
+    assert kinds(played(one))[:3] == ["initial", "posterior", "check"]
+
+
 @pytest.mark.parametrize(("drift", "worse", "checks"), [(0.0, False, 1), (0.015, False, 2), (0.0, True, 2)])
 def test_a_passed_check_is_kept_if_an_odd_run_far_away_changes_nothing(drift, worse, checks):
     """An odd run is found once, and looked around; `worse`: runs around it are off too."""

@@ -109,7 +109,7 @@ def test_a_cheaper_model_makes_the_runs_until_it_is_dropped_for_want_of_a_correc
 def test_settings_have_ranges():
     """A batch may take all runs after the first, which are at least three."""
     wrong = {"check": 19, "initial": 2, "batch": 0, "explore": 0.6, "criterion": "entropy"}
-    wrong |= {"effective": 1.0, "change": 0.0, "patience": 0.5, "runs": 27}
+    wrong |= {"effective": 1.0, "change": 0.0, "patience": 0.5, "runs": 10}
     for name, value in wrong.items():
         with pytest.raises(InvalidInput, match=f"^{name}"):
             Active(**{"runs": 100, name: value})

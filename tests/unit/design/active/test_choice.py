@@ -11,7 +11,7 @@ import strandline as sl
 from strandline.design.active import CRITERIA, Active, ActiveDesign, State
 from strandline.design.active.choice import _accepted, choose
 from strandline.design.active.elsewhere import points_elsewhere
-from strandline.design.active.failing import MOST, SAFE, UNLIKELY, Losses, safe_candidates
+from strandline.design.active.failing import MOST, SAFE, UNLIKELY, Losses, price_of_a_hang, safe_candidates
 from strandline.surrogate.field.mode_process import ModeProcess
 from strandline.surrogate.field.restricted_evidence import Observed, condition_mode
 
@@ -179,6 +179,10 @@ def test_runs_at_safe_points_are_always_borne_and_a_posterior_where_runs_fail_is
     assert [losses.bears_check(one, 9) for one in (inside, outside)] == [False, True]
     assert losses.words(outside) == ()
     assert losses.words(inside)[0].endswith(f"{losses.lost} runs were lost there")
+    assert not Losses(losses.knowledge, 1000, frozenset(), price=20.0).bears(gone)
+    times = (("ok", 1.0), ("ok", 3.0), ("timeout", 40.0))
+    runs = [replace(record(gone[0], ok=state == "ok"), state=state, seconds=seconds) for state, seconds in times]
+    assert (price_of_a_hang(runs), price_of_a_hang(runs[:2])) == (20.0, 1.0)
     many = Losses(losses.knowledge, 1000, frozenset())
     assert (many.bears(gone), many.bears_check(inside, 9)) == (True, True)
 

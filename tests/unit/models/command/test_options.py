@@ -12,7 +12,8 @@ from tests.unit.models.command.commands import ECHO, RESULT, filled, model, stud
 from strandline.errors import ForwardModelError, InvalidInput, InvalidStudy
 from strandline.models.command import model as command_model
 from strandline.models.command import process
-from strandline.models.protocol import fingerprint
+from strandline.models.command.results import named_by
+from strandline.models.protocol import declared_failure_kinds, fingerprint
 from strandline.studies import load_study
 
 
@@ -25,7 +26,7 @@ def test_the_fingerprint_follows_what_results_depend_on(folder, tmp_path):
     base = fingerprint(model(folder))
     assert fingerprint(model(Path(shutil.copytree(folder, tmp_path / "elsewhere")))) == base
     assert fingerprint(pickle.loads(pickle.dumps(model(folder)))) == base
-    for harmless in ({"timeout": 9.0}, {"keep": "all"}, {"grace": 1.0}):
+    for harmless in ({"timeout": 9.0}, {"errors": {"diverged": "x"}}, {"keep": "all"}, {"grace": 1.0}):
         assert fingerprint(model(folder, **harmless)) == base
     changes = [
         {"command": ["/bin/sh", "./run.sh"]},
@@ -64,6 +65,8 @@ def test_no_name_leads_out_of_the_study_folder_or_the_runs(folder):
 REFUSED = [
     ({"result": None}, "either result"),
     ({"result": {"file": "a.csv"}}, "result.unit"),
+    ({"errors": {"exit_code": "x"}}, "a new word for each kind"),
+    ({"errors": {"a b": "x"}}, "{diverged: no convergence}"),
     ({"command": "cp a b"}, "program and arguments as a list"),
     ({"shell": True}, "one text for /bin/sh"),
     ({"files": ["run.sh", "run.sh"]}, "for the second time"),
@@ -77,6 +80,16 @@ def test_options_that_cannot_be(folder):
         with pytest.raises(InvalidInput) as caught:
             model(folder, **changes)
         assert words in str(caught.value), changes
+
+
+def test_a_text_in_the_log_names_the_kind_of_a_failure(folder, tmp_path):
+    (tmp_path / "command.log").write_text("step 1\n  Newton: |r| = 1e30\nwrote restart file\nbye\n")
+    made, failed = model(folder, errors={"stuck": "stagnates", "diverged": "|r|"}), ForwardModelError("timeout", "late")
+    found = named_by(made.errors, tmp_path, failed)
+    assert (found.kind, found.message, found.state) == ("diverged", "Newton: |r| = 1e30 (late)", "timeout")
+    assert {"diverged", "exit_code"} <= {*declared_failure_kinds(pickle.loads(pickle.dumps(made)))}
+    for other in (ForwardModelError("simulator_killed", "", state="killed"), failed):
+        assert named_by({} if other is failed else made.errors, tmp_path, other) is other
 
 
 def test_mistakes_in_templates_are_refused_at_load(tmp_path):
