@@ -8,7 +8,9 @@ import numpy as np
 
 from strandline.calibration import Calibration
 from strandline.calibration.misfit import unlikely_errors
+from strandline.calibration.steps import steps_of
 from strandline.interface import UnknownErrors
+from strandline.likelihood import noise_length, sd_of_distances
 from strandline.parameters import Parameter
 from strandline.posterior import Posterior, prior_conflicts
 from strandline.posterior.quadrature import mixture
@@ -32,6 +34,10 @@ QUADRATURE_MEAN, QUADRATURE_SD = 0.05, 0.05
 FAILED_SHARE = 0.3
 ERRS = 0.5
 """Probability of an error of the model from which it is worth a warning."""
+STEPS = 0.5
+"""Steps of the output, in the noise of a point, from which they are told. Measured with 41 and 401 points, three seeds,
+four shapes: up to 0.5, means were off by at most 0.13 sd and widths by 6 %; at 0.6, 0.2 sd and 16 %; at 1, 0.4 sd and
+35 %; at 2.5, 2.6 sd."""
 PATIENCE = 4.0
 """Time limit, in those of the slowest good run, above which a shorter one is suggested, of half of that."""
 AT_THE_END = 0.02
@@ -72,6 +78,7 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
         yield from field_warnings(calibration, calibration.field)
     yield from _runs(calibration)
     yield from _stopped_early(calibration)
+    yield from _in_steps(calibration)
     yield from _set_aside(calibration)
     yield from _prior(calibration)
     yield from _sampler(calibration)
@@ -190,6 +197,22 @@ def _stopped_early(calibration: Calibration) -> Iterator[str]:
             "The surrogate takes the jump for the model's. Let the simulator fail there, or leave such runs out: "
             f"`strandline runs STUDY --exclude {key} --why early`."
         )
+
+
+def _in_steps(calibration: Calibration) -> Iterator[str]:
+    good, problem = [record for record in calibration.records if record.ok], calibration.problem
+    inputs = np.array([[record.inputs[name] for name in problem.space.names] for record in good])
+    field, measure = calibration.field, next(iter(problem.discrepancies.values()))
+    known = problem.observations if field is None else field.knowledge.likelihood.known_observations
+    for found in steps_of([record.interfaces for record in good], inputs):
+        seen = next(one for one in known if one.condition == found.condition)
+        noise = sd_of_distances(seen, measure, good[0].interfaces[found.condition]) or noise_length(seen, measure)
+        if found.step > STEPS * noise:
+            yield (
+                f"The runs' {found.axis} comes in STEPS of {found.step:.3g} mm, {found.step / noise:.2g} times the noise. "
+                "No smooth surrogate follows them, so that the posterior may lie elsewhere and its width be wrong: let "
+                "the simulator print more digits."
+            )
 
 
 def _set_aside(calibration: Calibration) -> Iterator[str]:

@@ -1,0 +1,33 @@
+"""Outputs in steps are found; smooth, clipped and symmetric ones, and those of a grid of inputs, are left alone."""
+
+import numpy as np
+import pytest
+from tests.unit.discrepancy.curves import graph
+
+from strandline.calibration.steps import steps_of
+
+X = np.linspace(0.0, 1.0, 41)
+INPUTS = np.random.default_rng(1).random((32, 2))
+ARCH = np.sin(np.pi * X)
+"""Symmetric: each value occurs twice in a run."""
+
+
+def found(shape, inputs=INPUTS):
+    return [(one.axis, pytest.approx(one.step)) for one in steps_of([{"": graph(X, shape(*k))} for k in inputs], inputs)]
+
+
+@pytest.mark.parametrize("step", [1e-3, 0.05, 0.1])
+def test_rounded_values_are_found(step):
+    """Also in the coordinate of an interface that moves as a whole."""
+    assert found(lambda a, b: step * np.round(0.6 * a * ARCH / step)) == [("y", step)]
+    assert found(lambda a, b: step * np.round((0.2 * a + b * X) / step)) == [("y", step)]
+
+
+def test_what_is_not_rounded_is_not_told():
+    assert found(lambda a, b: 0.6 * a * ARCH) == []
+    assert found(lambda a, b: np.maximum(a * ARCH - b, -0.05)) == []  # on the ground
+    assert found(lambda a, b: 0.3 * ARCH) == []  # the inputs do nothing
+    grid = np.stack(np.meshgrid(np.arange(8.0), np.arange(4.0)), axis=-1).reshape(-1, 2)
+    assert found(lambda a, b: np.where(X < 0.5, a, b) * ARCH, grid) == []
+    of_all_lengths = [{"": graph(X[: 41 - k], np.round(k * X[: 41 - k]))} for k in range(9)]
+    assert steps_of(of_all_lengths, np.arange(9.0)[:, None]) == []
