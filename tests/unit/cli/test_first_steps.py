@@ -63,6 +63,7 @@ def test_a_study_of_an_observed_interface(tmp_path, monkeypatch, capsys):
     unknown = ["--observed", str(tmp_path / "my edge.csv"), "--unit", "mm", "--sd", "unknown"]
     main(["init", str(tmp_path / "c"), *unknown])
     assert load_study(tmp_path / "c").noise == UnknownErrors(None, 0.0)
+    assert "length: 0" not in (tmp_path / "c" / "study.yaml").read_text()
 
 
 def test_all_files_of_an_example_are_written(tmp_path, capsys, monkeypatch):

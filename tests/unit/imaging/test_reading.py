@@ -93,6 +93,10 @@ def test_pages_of_every_stack(tmp_path):
         assert "has no such page: got 5; expected a page from 0 to 4" in refusal(path, page=5)
         mean = read(path, average=True)
         np.testing.assert_allclose(mean.values, NOISE.astype(float).mean(0), rtol=1e-14)
+    with tifffile.TiffWriter(tmp_path / "two.tif") as two:
+        two.write(NOISE[0])
+        two.write(NOISE[1, :5])
+    assert "the first of 2 series of pictures in the file" in read(tmp_path / "two.tif").notes
 
 
 def test_a_stack_above_4_gb_has_one_page(tmp_path):
