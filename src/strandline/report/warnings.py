@@ -209,9 +209,9 @@ def _in_steps(calibration: Calibration) -> Iterator[str]:
         noise = sd_of_distances(seen, measure, good[0].interfaces[found.condition]) or noise_length(seen, measure)
         if found.step > STEPS * noise:
             yield (
-                f"The runs' {found.axis} comes in STEPS of {found.step:.3g} mm, {found.step / noise:.2g} times the noise. "
-                "No smooth surrogate follows them, so that the posterior may lie elsewhere and its width be wrong: let "
-                "the simulator print more digits."
+                f"The runs' {found.axis} comes in STEPS of {found.step:.3g} mm, {found.step / noise:.2g} times the "
+                "noise. No smooth surrogate follows them, so that the posterior may lie elsewhere and its width be "
+                "wrong: let the simulator print more digits."
             )
 
 

@@ -13,7 +13,9 @@ ARCH = np.sin(np.pi * X)
 
 
 def found(shape, inputs=INPUTS):
-    return [(one.axis, pytest.approx(one.step)) for one in steps_of([{"": graph(X, shape(*k))} for k in inputs], inputs)]
+    return [
+        (one.axis, pytest.approx(one.step)) for one in steps_of([{"": graph(X, shape(*k))} for k in inputs], inputs)
+    ]
 
 
 @pytest.mark.parametrize("step", [1e-3, 0.05, 0.1])
