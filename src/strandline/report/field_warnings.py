@@ -8,7 +8,7 @@ from strandline.calibration import Calibration
 from strandline.design.active import FieldOutcome
 from strandline.likelihood import noise_length
 
-__all__ = ["field_warnings"]
+__all__ = ["field_warnings", "likely_to_fail"]
 
 UNSURE = 0.5
 """Error of the interface, in units of the shift that the noise hides, above which a warning counts a nuisance value."""
@@ -36,11 +36,7 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
             f"The surrogate's uncertainty about the interface moves means by up to {shift:.2f} standard deviations "
             f"and changes standard deviations by up to {np.expm1(ratio):.0%}. More runs will lower it."
         )
-    if 1.0 - found.feasible > TOUCHED:
-        yield (
-            f"{1.0 - found.feasible:.0%} of the posterior lies where runs are likely to fail: what the data say there "
-            "is not known."
-        )
+    yield from likely_to_fail(1.0 - found.feasible)
     checked = None if certificate is None or certificate.checked is None else certificate.checked.check
     if checked is not None and checked.failed:
         yield f"{checked.failed} of {checked.draws} runs at draws of the posterior failed; the check leaves them out."
@@ -52,6 +48,14 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
             "The runs' interfaces do not share their nodes and were brought to common points by "
             f"{' and '.join(way for way in surrogate.ways if way != 'nodes')}, which moves them by up to "
             f"{1e3 * surrogate.registration_error:.2g} µm."
+        )
+
+
+def likely_to_fail(share: float) -> Iterator[str]:
+    """Yield a sentence if a share worth mentioning of the posterior lies where runs are likely to fail."""
+    if share > TOUCHED:
+        yield (
+            f"{share:.0%} of the posterior lies where runs are likely to fail: what the data say there is not known."
         )
 
 

@@ -11,11 +11,13 @@ from strandline.calibration.misfit import unlikely_errors
 from strandline.calibration.steps import steps_of
 from strandline.interface import UnknownErrors
 from strandline.likelihood import noise_length, sd_of_distances
+from strandline.likelihood.set_aside import says_whether_runs_succeed
 from strandline.parameters import Parameter
 from strandline.posterior import Posterior, prior_conflicts
 from strandline.posterior.quadrature import mixture
-from strandline.report.field_warnings import field_warnings
+from strandline.report.field_warnings import field_warnings, likely_to_fail
 from strandline.runs.tables import EXCLUDED
+from strandline.surrogate.feasibility import learn_feasibility
 from strandline.surrogate.field.odd import stopped_early
 
 __all__ = ["find_warnings", "noise_at_an_end", "reason_to_doubt", "small_share"]
@@ -74,6 +76,7 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
     if calibration.field is None:
         yield from _impossible(calibration)
         yield from _surrogate(calibration)
+        yield from likely_to_fail(_failing(calibration))
     else:
         yield from field_warnings(calibration, calibration.field)
     yield from _runs(calibration)
@@ -183,6 +186,17 @@ def _runs(calibration: Calibration) -> Iterator[str]:
             f"Runs ended at their time limit ({len(hung)}, {sum(hung):.0f} s together), but no good run took longer "
             f"than {longest:.2g} s: `timeout: {math.ceil(PATIENCE / 2 * longest)}` would save most of that."
         )
+
+
+def _failing(calibration: Calibration) -> float:
+    """Return the share of the posterior that lies where runs fail, learnt from which runs did."""
+    told = [record for record in calibration.records if says_whether_runs_succeed(record)]
+    space, posterior = calibration.problem.space, calibration.posterior
+    tried = np.array([[record.inputs[name] for name in space.names] for record in told])
+    z, drawn = (math.sqrt(12.0) * space.to_unit(x) for x in (tried, posterior.draws))
+    known = learn_feasibility(z, np.array([record.ok for record in told]))
+    below = known.log_probability(drawn) - known.log_probability(z).max()
+    return 1.0 - float(posterior.weights @ np.exp(np.minimum(below, 0.0)))
 
 
 def _stopped_early(calibration: Calibration) -> Iterator[str]:

@@ -120,6 +120,14 @@ def test_exactly_the_one_that_is_deserved_and_none_just_below_a_limit(good: Cali
         assert not list(find_warnings(fine))
 
 
+def test_a_posterior_half_of_which_lies_where_runs_fail(good: Calibration) -> None:
+    mean, records = good.posterior.mean[0], list(good.records)
+    records = [replace(one, state="failed", interfaces={}) if one.inputs["E"] > mean else one for one in records]
+    told = [words for words in find_warnings(replace(good, records=tuple(records))) if "likely to fail" in words]
+    (share,) = [float(words.partition("%")[0]) for words in told]
+    assert 30 < share < 70
+
+
 def test_an_observation_that_was_turned_and_a_model_that_does_not_fit(good: Calibration) -> None:
     (warning,) = find_warnings(good, turned=("slow",))
     assert warning.startswith("The observed points of slow ran")
