@@ -111,6 +111,7 @@ inputs.a/b: {prior: {uniform: [0, 1]}} | inputs.a/b | without /
 fixed.E: 400 | E is both fixed and an input: got 400.0
 fixed: {} | no value for load, which the model takes | Add e.g. `fixed: {load: …}`
 fixed.load: {value: 1, unit: kN/m} | unit of fixed.load: got kN/m; expected N/m
+fixed.load: [1] | fixed.load: got [1] | a number or keys with values
 inputs.E: GONE, fixed.E: -1 | fixed.E: got -1.0 | Young's modulus
 """
 OF_ANY_MODEL = r"""
