@@ -37,6 +37,8 @@ def require_in_order(points: Float[np.ndarray, "point 2"], name: str, remedy: st
 
 def require_clear_ends(chain: Float[np.ndarray, "point 2"], name: str) -> None:
     """Refuse an outline whose ends are as near to each other as neighbours are: it may be closed."""
+    if len(chain) < 3:
+        return
     lengths = np.linalg.norm(np.diff(chain, axis=0), axis=1)
     gap, usual = float(np.linalg.norm(chain[0] - chain[-1])), float(np.median(lengths))
     if gap <= min(GAP * lengths.sum(), CLOSE * usual):
