@@ -13,10 +13,14 @@ from strandline.errors import ForwardModelError, InvalidInput
 
 __all__ = ["Template"]
 
+LONGEST = 20
+"""Characters of a number: CalculiX 2.20 looks at no more, and so loses the exponent of 3.141592653589793e-05 in silence
+(findings/calculix-twenty-characters.sh)."""
+
 
 @dataclass(frozen=True)
 class Template:
-    """A text that contains inputs as ``{{ name }}``; numbers are written with all their digits.
+    """A text that contains inputs as ``{{ name }}``; numbers are written in at most 20 characters.
 
     Args:
         place: Name of the text in messages, e.g. the name of the file.
@@ -94,5 +98,10 @@ def _compiled(text: str) -> jinja2.Template:
 
 
 def _written(value: Any) -> Any:
-    """Return a number with all its digits."""
-    return repr(float(value)) if isinstance(value, float) else value
+    """Return a number with all the digits for which there is room, at least twelve."""
+    if not isinstance(value, float):
+        return value
+    text, digits = repr(float(value)), 14
+    while len(text) > LONGEST:
+        text, digits = f"{value:.{digits}e}", digits - 1
+    return text

@@ -13,6 +13,7 @@ from strandline.errors import ForwardModelError, InvalidInput, InvalidStudy
 from strandline.models.command import model as command_model
 from strandline.models.command import process
 from strandline.models.command.results import named_by
+from strandline.models.command.templates import Template
 from strandline.models.protocol import declared_failure_kinds, fingerprint
 from strandline.studies import load_study
 
@@ -42,6 +43,16 @@ def test_the_fingerprint_follows_what_results_depend_on(folder, tmp_path):
         (folder / name).write_text(text)
         prints.add(fingerprint(model(folder)))
     assert len(prints) == 1 + len(changes) + 2
+
+
+def test_numbers_are_exact_or_have_twenty_characters():
+    shown = Template("in.inp", "{{ a }}")
+    for value in (0.1 + 0.2, 1e-300, -123456.789, 5.0):
+        assert shown.rendered({"a": value}) == repr(value)
+    for value in (3.141592653589793e-05, -1.2345678901234567e-05, -1.2345678901234567e-105):
+        text = shown.rendered({"a": value})
+        assert len(text) == 20
+        assert float(text) == pytest.approx(value, rel=1e-12)
 
 
 def test_no_name_leads_out_of_the_study_folder_or_the_runs(folder):
