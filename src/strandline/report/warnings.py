@@ -37,9 +37,9 @@ FAILED_SHARE = 0.3
 ERRS = 0.5
 """Probability of an error of the model from which it is worth a warning."""
 STEPS = 0.5
-"""Steps of the output, in the noise of a point, from which they are told. Measured with 41 and 401 points, three seeds,
-four shapes: up to 0.5, means were off by at most 0.13 sd and widths by 6 %; at 0.6, 0.2 sd and 16 %; at 1, 0.4 sd and
-35 %; at 2.5, 2.6 sd."""
+"""Steps of the output, in the noise of a point, from which there is a warning. Measured with 41 and 401 points, three
+seeds, four shapes: up to 0.5, means were off by at most 0.13 sd and widths by 6 %; at 0.6, 0.2 sd and 16 %; at 1, 0.4
+sd and 35 %; at 2.5, 2.6 sd."""
 PATIENCE = 4.0
 """Time limit, in those of the slowest good run, above which a shorter one is suggested, of half of that."""
 AT_THE_END = 0.02
