@@ -10,12 +10,14 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from strandline.readers.contents import Block
+from strandline.readers.problems import refused
 
 __all__ = ["boundary_edges", "boundary_triangles", "dimension", "joined", "line_edges", "surface_triangles"]
 
 COINCIDENT = 1e-9
 """Distance of points that count as one, as a share of the mesh's extent: a repeated point may be rounded otherwise."""
-
+ROUNDED, NEARLY = 1e-3, 0.1
+"""The same as a share of the shortest side of a cell, and the distance up to which they may be meant as one."""
 LINES = {"line": (0, 1), "line3": (0, 2, 1)}
 """Nodes in their order along the cell."""
 RINGS = {
@@ -58,14 +60,28 @@ def dimension(kind: str) -> int | None:
     return next((k for k, known in enumerate((set(LINES), set(RINGS), set(FACES)), 1) if kind in known), None)
 
 
-def joined(blocks: Sequence[Block], points: Float[np.ndarray, "point xyz"]) -> list[Block]:
-    """Return cells that share nodes where they touch, if each has nodes of its own, as NGSolve writes them."""
+def joined(blocks: Sequence[Block], points: Float[np.ndarray, "point xyz"], name: str) -> list[Block]:
+    """Return cells that share nodes where they touch, if each has nodes of its own, as NGSolve writes them.
+
+    Raises:
+        Unreadable: Nodes are near each other, but too far apart for rounding.
+    """
     nodes = np.concatenate([block.nodes.ravel() for block in blocks])
     used = np.unique(nodes)
     if len(used) < len(nodes) or sum(len(block.nodes) for block in blocks) == 1:
         return list(blocks)
-    reach = COINCIDENT * float(np.ptp(points[used], axis=0).max())
-    i, j = cKDTree(points[used]).query_pairs(reach, output_type="ndarray").T
+    sides = [points[block.nodes] - points[np.roll(block.nodes, 1, axis=1)] for block in blocks]
+    shortest = min(float(np.linalg.norm(side, axis=2).min()) for side in sides)
+    reach = max(COINCIDENT * float(np.ptp(points[used], axis=0).max()), ROUNDED * shortest)
+    tree = cKDTree(points[used])
+    i, j = tree.query_pairs(reach, output_type="ndarray").T
+    if len(tree.query_pairs(NEARLY * shortest)) > len(i):
+        raise refused(
+            f"{name}: cells have nodes of their own that nearly coincide",
+            f"some between {reach:.3g} and {NEARLY * shortest:.3g} mm apart",
+            "cells that share nodes, or repeat them",
+            "Merge the nodes, or write more digits.",
+        )
     number, together = connected_components(
         coo_array((np.ones(len(i)), (i, j)), shape=(len(used),) * 2), directed=False
     )

@@ -21,8 +21,8 @@ from strandline.readers.tables import SD
 
 __all__ = ["interface_of", "point_sds"]
 
-FLATNESS = 1e-9
-"""Share of the extent by which points may leave a plane."""
+FLATNESS = 1e-6
+"""Share of the extent by which points may leave a plane: files in single precision are rounded by 1e-7."""
 CLOSING = 1e-3
 """Distance of a last point from the first, in median distances of neighbours, up to which an outline is closed."""
 ROUNDED = 1e-6
@@ -31,8 +31,8 @@ LEAST_SEEN = 10
 """Fewest points that may be left if some are hidden."""
 SURFACES = (".stl", ".ply")
 """Suffixes of files that hold surfaces, even plane ones."""
-DISPLACEMENT = re.compile(r"u|disp.*|deplacement", re.IGNORECASE)
-"""Names that programs give to displacements."""
+DISPLACEMENT = re.compile(r"u[_:]?[xyz\d]|(.*[\W_])?(disp|d[eé]pl|deform|verschieb).*", re.IGNORECASE)
+"""Names that programs give to displacements and their components; vectors may also be called ``u`` or ``u_h``."""
 
 
 def interface_of(contents: Contents, how: Reading, name: str) -> Interface:
@@ -60,10 +60,13 @@ def _places(
 ) -> tuple[Float[np.ndarray, "point xyz"], Float[np.ndarray, "point xyz"]]:
     """Return the points as they are in the file and with the displacement added, mm."""
     places, displacement = contents.points, contents.displacement
-    vectors = [key for key, v in contents.data.items() if DISPLACEMENT.fullmatch(key) and v.shape[1:] in ((2,), (3,))]
-    if how.field is None and displacement is None and vectors and np.nan_to_num(contents.data[vectors[0]]).any():
-        remedy = f"Say `field: {vectors[0]}` to add them, or `field: none` if they are none or the points have moved."
-        raise refused(f"{name} holds what may be displacements", vectors[0], "`field`", remedy)
+    moving = [key for key, v in contents.data.items() if _may_move(key, v)]
+    if how.field is None and displacement is None and moving:
+        say = (
+            "Write its components as one vector" if contents.data[moving[0]].ndim == 1 else f"Say `field: {moving[0]}`"
+        )
+        remedy = f"{say} to add them, or `field: none` if they are none or the points have moved."
+        raise refused(f"{name} holds what may be displacements", moving[0], "`field`", remedy)
     if isinstance(how.field, str) and how.field != "none":
         displacement = np.asarray(_data(contents.data, how.field, f"{name} has no point data", how.field), float)
         if displacement.ndim != 2 or not 2 <= displacement.shape[1] <= 3:
@@ -74,6 +77,13 @@ def _places(
     moved = np.zeros_like(places)
     moved[:, : min(width, displacement.shape[1])] = displacement[:, :width]
     return places * how.factor, (places + moved) * how.factor
+
+
+def _may_move(key: str, values: Shaped[np.ndarray, "..."]) -> bool:
+    """Return whether point data may be displacements, or a component of them, that are not all 0."""
+    vectors = values.shape[1:] in ((2,), (3,))
+    named = DISPLACEMENT.fullmatch(key) or (vectors and key.lower() in ("u", "uh", "u_h"))
+    return bool(named) and (vectors or values.ndim == 1) and bool(np.nan_to_num(values).any())
 
 
 def point_sds(contents: Contents, how: Reading, name: str) -> Float[np.ndarray, " point"]:
@@ -194,7 +204,7 @@ def _of_cells(
     used = np.unique(np.concatenate([block.nodes.ravel() for block in blocks]))
     _require_finite(places[used], name)
     _require_finite(moved[used], name)
-    blocks = cells.joined(blocks, places)
+    blocks = cells.joined(blocks, places, name)
     lowest = min(cells.dimension(block.kind) or 0 for block in blocks)
     flat = _is_flat(places[used], how.axes) and _is_flat(moved[used], how.axes)
     if lowest == 3 or (lowest == 2 and (not flat or how.suffix in SURFACES)):

@@ -18,14 +18,24 @@ __all__ = ["SD", "missing", "read_npy", "read_text", "require_end"]
 
 SD = "sd of each point"
 """Name of the point data that hold standard deviations, in the file's unit."""
-DOWN = ("y", "row", "rows", "axis-0", "axis0", "axis_0")
-ACROSS = ("x", "col", "cols", "column", "axis-1", "axis1", "axis_1")
+AXES = (
+    ("y", "x"),
+    ("rows?", "col(umn)?s?"),
+    ("axis[-_: ]?0", "axis[-_: ]?1"),
+    ("points?[-_: ]1", "points?[-_: ]0"),
+    ("vertical|lat(itude)?", "horizontal|lon(gitude)?"),
+)
 """Names of the vertical coordinate and of the horizontal one."""
-COMMENT = re.compile(r"\s*([#%]|\*+\s*($|[^\W\d]|\())")
-"""Beginning of a comment; stars alone may also stand for a number that overflowed, in a row of several."""
+ENDING = r"(\d+|pos\w*|coord\w*|index|mm|um|px)?"
+"""What may follow such a name without a blank."""
+COMMENT = re.compile(r"\s*(#(?!N/A|DIV/|VALUE!|REF!|NUM!|NAME\?)|%|\*\s*$|\*+\s*([^\W\d]|\())")
+"""Beginning of a comment; not errors of a spreadsheet, nor several stars, which may be a number that overflowed."""
+MISSING = ("na", "n/a", "none", "null", "missing")
+"""Words for a number that is missing."""
 LABEL = re.compile(
-    r"(contour|curve|path|line|shape|piece|part|group|object|particle|cell|roi|slice|track|label|frame|step|time|t|id"
-    r"|index)\b"
+    r"(contour|outline|curve|path|line|segment|polygon|ring|shape|piece|part|group|set|object|particle|cell|roi|region"
+    r"|layer|slice|image|sample|specimen|track|label|frame|step|time|t|id|no|nr|index)s?(step|id|no|nr)?([\W_]|$)"
+    r"|.*[\W_](id|no|nr|index)$|$"
 )
 """Name of a column that tells pieces or times apart."""
 PAIRS = (("x", "y"), ("points:0", "points:1"), ("points_0", "points_1"), ("axis-1", "axis-0"))
@@ -33,6 +43,8 @@ PAIRS = (("x", "y"), ("points:0", "points:1"), ("points_0", "points_1"), ("axis-
 TOUCHING = re.compile(r"[+-]?\d*\.\d*([eEdD][+-]?\d+)?[+-]\d")
 """Two numbers without a blank between them."""
 OTHER_MARKS = 'With decimal commas give `decimal: ","`; else correct the line, or give `delimiter`.'
+MOST_COORDINATES = 3
+"""Most rows that may be coordinates instead of points."""
 SHORTEST_PIECE = 3
 """Fewest points of each piece that a column of whole numbers tells apart."""
 
@@ -62,7 +74,7 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
     """
     lines = _lines(path, name)
     separator = _separator(lines, how, name)
-    rows, comment = _rows(lines, separator)
+    rows, comments = _rows(lines, separator)
     titles = rows[0].fields if rows and _is_header(rows[0]) else ()
     rows = rows[1:] if titles else rows
     if how.decimal == ",":
@@ -70,18 +82,23 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
     if not rows:
         raise refused(f"{name} holds no points", None, "two columns x, y with one point per line")
     by_name = any(isinstance(column, str) for column in (*(how.columns or ()), *(how.field or ()), how.sd))
+    comment = _fields(comments[-1], separator) if comments else ()
     titles = titles or (comment if len(comment) == len(rows[0].fields) or by_name else ())
     _require_one_width(name, rows, titles)
     if how.columns is None:
-        if len(rows[0].fields) == len(titles) == 2:
-            _require_x_before_y(name, titles)
+        if len(rows[0].fields) == 2:
+            _require_x_before_y(name, titles, comments)
         if len(rows[0].fields) != 2 and how.field is None and how.sd is None:
             raise _no_point(name, rows[0], titles)
-    _require_no_count(name, rows)
-    points = _columns(name, rows, titles, how.columns or (1, 2))
+    if not titles:
+        _require_upright(name, len(rows), len(rows[0].fields))
+    columns = how.columns or (1, 2)
+    points = _columns(name, rows, titles, columns)
+    chosen = [_place(name, column, titles, rows[0], pair=True) for column in columns]
+    _require_no_count(name, rows, chosen)
     moved = None if how.field is None else _columns(name, rows, titles, tuple(how.field))
     data = {} if how.sd is None else {SD: _columns(name, rows, titles, (how.sd,))[:, 0]}
-    return Contents(points, data=data, displacement=moved, pieces=_pieces(rows, titles, how))
+    return Contents(points, data=data, displacement=moved, pieces=_pieces(rows, titles, chosen, how))
 
 
 def read_npy(path: Path, how: Reading, name: str) -> Contents:
@@ -101,6 +118,7 @@ def read_npy(path: Path, how: Reading, name: str) -> Contents:
         )
         raise refused(f"{name} does not say which column is x", f"the shape {array.shape}", "`columns`", remedy)
     points = _of_array(name, array.astype(float), how.columns)
+    _require_upright(name, *array.shape)
     moved = None if how.field is None else _of_array(name, array.astype(float), tuple(how.field))
     data = {} if how.sd is None else {SD: _of_array(name, array.astype(float), (how.sd,))[:, 0]}
     return Contents(points, data=data, displacement=moved)
@@ -116,18 +134,26 @@ def _of_array(
     return np.ascontiguousarray(array[:, [int(column) - 1 for column in columns]])
 
 
-def _rows(lines: Sequence[str], separator: str) -> tuple[list[Row], tuple[str, ...]]:
-    """Return the rows, and the fields of the last comment before the first one."""
+def _require_upright(name: str, rows: int, columns: int) -> None:
+    """Refuse a table without names that has a row of x and a row of y."""
+    if rows <= MOST_COORDINATES < columns:
+        found, remedy = f"{rows} rows of {columns} numbers", "Save it transposed, as by `array.T`."
+        raise refused(f"{name} seems to hold a row for each coordinate", found, "a row for each point", remedy)
+
+
+def _rows(lines: Sequence[str], separator: str) -> tuple[list[Row], list[str]]:
+    """Return the rows, and the comments before the first one."""
     rows: list[Row] = []
-    comment, gap = "", False
+    comments: list[str] = []
+    gap = False
     for number, line in enumerate(lines, 1):
         if not line.strip(" \t,;") or COMMENT.match(line):
             gap = bool(rows)
-            comment = line.lstrip(" #%") if line.strip() and not rows else comment
+            comments += [line.lstrip(" #%*")] if line.strip(" #%*") and not rows else []
             continue
         rows.append(Row(number, _fields(line, separator), gap))
         gap = False
-    return rows, _fields(comment, separator) if comment else ()
+    return rows, comments
 
 
 def _fields(line: str, separator: str) -> tuple[str, ...]:
@@ -139,7 +165,10 @@ def _fields(line: str, separator: str) -> tuple[str, ...]:
 
 def _is_header(row: Row) -> bool:
     """Return whether a first row holds names: letters first, and none of what programs write for numbers."""
-    return all(re.match(r"[^\W\d]|[\[(]|$", field) and not _is_number(field) for field in row.fields)
+    return all(
+        re.match(r"[^\W\d]|[\[(]|$", field) and not _is_number(field) and field.lower() not in MISSING
+        for field in row.fields
+    )
 
 
 def _columns(
@@ -189,43 +218,77 @@ def _require_one_width(name: str, rows: Sequence[Row], titles: Sequence[str]) ->
             )
 
 
-def _require_x_before_y(name: str, titles: Sequence[str]) -> None:
-    """Refuse columns whose names say that y comes first."""
-    if _plain(titles[0]) in DOWN or _plain(titles[1]) in ACROSS:
+def _require_x_before_y(name: str, titles: Sequence[str], comments: Sequence[str]) -> None:
+    """Refuse columns whose names, or else the last comment that names both, say that y comes first."""
+    first, second = [_axes(re.split(r"[\[({/]", title)[0] or title) for title in titles] or ("", "")
+    if first[:1] == "y" or (second[:1] == "x" != first[:1]) or [title.lower() for title in titles] == ["r", "c"]:
+        remedy = f"Give `columns: [{titles[1]}, {titles[0]}]`."
         raise refused(
-            f"{name} names its columns {titles[0]}, {titles[1]}",
-            " ".join(titles),
-            "x before y, or `columns`",
-            f"Give `columns: [{titles[1]}, {titles[0]}]`.",
+            f"{name} names its columns {titles[0]}, {titles[1]}", " ".join(titles), "x before y, or `columns`", remedy
+        )
+    orders = [(_axes(comment), comment) for comment in (*comments[::-1], " ".join(comments))]
+    order, comment = next((found for found in orders if len(found[0]) > 1), ("", ""))
+    if order == "yx" and not first:
+        remedy = "Give `columns: [2, 1]`, or `columns: [1, 2]` if x is the first column."
+        raise refused(f"{name} has a comment that names y before x", comment, "x before y, or `columns`", remedy)
+
+
+def _axes(text: str) -> str:
+    """Return the coordinates that a text names, ``x``, ``y``, ``xy`` or ``yx``, in their order."""
+    for names in AXES:
+        matches = [re.search(rf"(?<![^\W_])({name}){ENDING}(?![^\W_])", text.lower()) for name in names]
+        found = sorted((match.start(), axis) for match, axis in zip(matches, "yx", strict=True) if match)
+        if found:
+            return "".join(axis for _, axis in found)
+    return ""
+
+
+def _require_no_count(name: str, rows: Sequence[Row], chosen: Sequence[int]) -> None:
+    """Refuse rows that count the points after them, and a first row that numbers the columns."""
+    heads, at = [], 0
+    while at < len(rows) and all(map(str.isdecimal, rows[at].fields)):
+        heads.append(at)
+        at += 1 + int(rows[at].fields[0])
+    skipped = set(heads or [0])
+    rest = [row.fields[k] for number, row in enumerate(rows) if number not in skipped for k in chosen]
+    decimals = bool(rest) and all("." in field for field in rest)
+    widths = bool(rest) and all(rows[head].fields[1:] == (str(len(rows[0].fields)),) for head in heads)
+    counts = at == len(rows) and (decimals or widths)
+    first = [rows[0].fields[k] for k in chosen]
+    numbers = False
+    if heads in ([], [0]) and decimals and all(map(str.isdecimal, first)):
+        counts = counts or str(len(rows) - 1) in first
+        numbers = {int(field) - k for field, k in zip(first, chosen, strict=True)} in ({-1}, {0}, {1})
+    if counts or numbers:
+        raise refused(
+            f"{name} {'counts its points' if counts else 'numbers its columns'} in line {rows[0].number}",
+            str(rows[0]),
+            "points alone",
+            "Remove this line; if it is a point, write it with decimals.",
         )
 
 
-def _plain(title: str) -> str:
-    """Return the name of a column without its unit, in lower case."""
-    return re.split(r"[\s\[(/]", title.strip().lower(), maxsplit=1)[0]
-
-
-def _require_no_count(name: str, rows: Sequence[Row]) -> None:
-    """Refuse a first row that counts the rows and columns after it."""
-    if len(rows) > 1 and rows[0].fields == (str(len(rows) - 1), str(len(rows[1].fields))):
-        raise refused(
-            f"{name} counts its points in line {rows[0].number}", str(rows[0]), "points alone", "Remove this line."
-        )
-
-
-def _pieces(rows: Sequence[Row], titles: Sequence[str], how: Reading) -> Int[np.ndarray, " point"] | None:
+def _pieces(
+    rows: Sequence[Row], titles: Sequence[str], chosen: Sequence[int], how: Reading
+) -> Int[np.ndarray, " point"] | None:
     """Return the number of each point's piece, if a blank line, a comment or a column tells several pieces apart.
 
-    A column does if it holds whole numbers, or words, each in a single run of at least three rows, and has no name or
-    such a one. Points that are sorted may have gaps.
+    A column other than x and y does if it holds whole numbers, or words, each in a single run of at least three rows,
+    and has no name; or if its name says so and values repeat, decimals at least twice on average. Points that are
+    sorted may have gaps.
     """
-    for k in range(len(rows[0].fields)):
+    for k in set(range(len(rows[0].fields))) - set(chosen):
         if titles and not LABEL.match(titles[k].lower()):
             continue
         values = [row.fields[k] for row in rows]
         runs = np.cumsum([0, *(one != other for one, other in zip(values[1:], values, strict=False))])
-        lengths, different = np.bincount(runs), len(set(values))
-        if 1 < different == len(lengths) and lengths.min() >= SHORTEST_PIECE and all(map(_is_label, values)):
+        lengths, different, whole = np.bincount(runs), len(set(values)), all(map(_is_label, values))
+        if titles:
+            most = len(values) - (values[0] == values[-1]) - 1 if whole else len(values) / 2
+            apart = different <= most
+        else:
+            apart = whole and different == len(lengths) and lengths.min() >= SHORTEST_PIECE
+        if different > 1 and apart:
             return np.asarray(runs)
     gaps = np.cumsum([row.after_gap for row in rows])
     return gaps if gaps[-1] and how.sort is None else None
