@@ -26,8 +26,8 @@ def points(record):
 
 
 @pytest.mark.smoke
-def test_numbers_reach_the_simulator_with_all_their_digits_unless_a_template_formats_them(folder):
-    for value in (0.1 + 0.2, 1e-300, 12345678901234567.0):
+def test_numbers_reach_the_simulator_as_they_are_unless_a_template_formats_them(folder):
+    for value in (0.1 + 0.2, 1e-300, -123456.789):
         assert points(outcome(model(folder), value))[1][1] == value
     (folder / "in.j2").write_text("{{ '%.2f' % a }}")
     assert points(outcome(model(folder), 1 / 3))[1][1] == 0.33
