@@ -14,6 +14,9 @@ ALIKE = 0.5
 """Share of the values of a run that other runs must meet too. Of smooth outputs, hardly any; 1 where few steps are."""
 ROUNDING = 1e-9
 """Share of their range by which equal values may differ."""
+SMOOTH = 0.1
+"""Residual of quadratics of the inputs, in steps, below which values are not rounded: rounding leaves 0.29. The inputs
+of a Sobol design are fractions, and so are simple functions of them."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,9 @@ def steps_of(runs: Sequence[Mapping[str, Interface]], inputs: Float[np.ndarray, 
         if len({shape.shape for shape in shapes}) > 1:
             continue
         for axis, values in zip("xyz", np.moveaxis(np.stack(shapes), -1, 0), strict=False):
-            if step := _step(values[:, np.ptp(values, axis=0) > 0]):
+            moving = values[:, np.ptp(values, axis=0) > 0]
+            step = _step(moving)
+            if step and _residual(moving, inputs) > SMOOTH * step:
                 found.append(Steps(condition, axis, step))
     return found
 
@@ -63,3 +68,14 @@ def _step(values: Float[np.ndarray, "run node"]) -> float:
     if times[times > 1].sum() < ALIKE * times.sum():
         return 0.0
     return float(np.median(np.diff(met))) * ROUNDING * float(np.ptp(values))
+
+
+def _residual(values: Float[np.ndarray, "run node"], inputs: Float[np.ndarray, "run dim"]) -> float:
+    """Return the root mean square of what quadratic functions of the inputs leave of the values, or linear ones."""
+    z = (inputs - inputs.mean(axis=0)) / inputs.std(axis=0)
+    i, j = np.triu_indices(z.shape[1])
+    terms = np.column_stack([np.ones(len(z)), z, z[:, i] * z[:, j]])
+    if 2 * terms.shape[1] > len(z):
+        terms = terms[:, : 1 + z.shape[1]]
+    left = values - terms @ np.linalg.lstsq(terms, values)[0]
+    return float(np.sqrt(np.mean(left**2)))

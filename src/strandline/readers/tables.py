@@ -40,7 +40,7 @@ LABEL = re.compile(
 """Name of a column that tells pieces or times apart."""
 PAIRS = (("x", "y"), ("points:0", "points:1"), ("points_0", "points_1"), ("axis-1", "axis-0"))
 """Names of two columns x and y; of ParaView's and napari's as well."""
-TOUCHING = re.compile(r"[+-]?\d*\.\d*([eEdD][+-]?\d+)?[+-]\d")
+TOUCHING = re.compile(r"[+-]?(\d+|\d*\.\d*([eEdD][+-]?\d+)?)[+-]\d")
 """Two numbers without a blank between them."""
 OTHER_MARKS = 'With decimal commas give `decimal: ","`; else correct the line, or give `delimiter`.'
 MOST_COORDINATES = 3
@@ -222,7 +222,7 @@ def _require_x_before_y(name: str, titles: Sequence[str], comments: Sequence[str
     """Refuse columns whose names, or else the last comment that names both, say that y comes first."""
     first, second = [_axes(re.split(r"[\[({/]", title)[0] or title) for title in titles] or ("", "")
     if first[:1] == "y" or (second[:1] == "x" != first[:1]) or [title.lower() for title in titles] == ["r", "c"]:
-        remedy = f"Give `columns: [{titles[1]}, {titles[0]}]`."
+        remedy = f"Give `columns: [{_quoted(titles[1])}, {_quoted(titles[0])}]`."
         raise refused(
             f"{name} names its columns {titles[0]}, {titles[1]}", " ".join(titles), "x before y, or `columns`", remedy
         )
@@ -375,7 +375,7 @@ def _say_columns(titles: Sequence[str], number: int) -> str:
     """Return the remedy for a table whose columns x and y must be named, with an example."""
     named = {title.lower(): title for title in titles if len(titles) == number and titles.count(title) == 1}
     known = next((pair for pair in PAIRS if named.keys() >= set(pair)), None)
-    pair = ", ".join(f'"{named[one]}"' if ":" in one else named[one] for one in known) if known else "1, 2"
+    pair = ", ".join(_quoted(named[one]) for one in known) if known else "1, 2"
     return f"Say which of the {number} columns to take, by name or by number from 1, e.g. `columns: [{pair}]`."
 
 
@@ -385,3 +385,8 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return text.isascii() and "_" not in text
+
+
+def _quoted(title: str) -> str:
+    """Return the name of a column as study.yaml holds it."""
+    return title if re.fullmatch(r"[^\W\d][\w-]*", title) else f'"{title}"'

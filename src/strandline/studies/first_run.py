@@ -161,16 +161,26 @@ def _place(interface: Interface) -> str:
         return f"from {low} to {high}, area {interface.areas.sum():.4g} mm²"
     length = f"length {interface.lengths.sum():.4g} mm"
     if interface.closed:
-        return f"closed around {np.round(interface.centres.mean(axis=0), 4).tolist()}, {length}"
+        return f"closed around {np.round(_middle(interface), 4).tolist()}, {length}"
     first, last = (np.round(interface.points[k], 4).tolist() for k in (0, -1))
     return f"from {first} to {last}, {length}"
+
+
+def _middle(interface: Interface) -> Float[np.ndarray, " xyz"]:
+    """Return the centre of the area in a closed polyline, whatever its spacing; of a surface, the mean of its cells."""
+    middle = interface.centres.mean(axis=0)
+    if interface.dim == 3:
+        return np.asarray(middle)
+    begin, end = ((interface.points - middle)[interface.cells[:, k]] for k in (0, 1))
+    areas = begin[:, 0] * end[:, 1] - begin[:, 1] * end[:, 0]
+    return np.asarray(middle + areas @ (begin + end) / (3 * areas.sum()) if areas.sum() else middle)
 
 
 def _doubts(observed: Interface, run: Interface, of: str, share: float = FAR_APART) -> Iterator[str]:
     """Yield a warning for ends, or centres of closed contours, farther apart than a share of the interface's length."""
     far = share * float(run.lengths.sum())
     if observed.closed and run.closed:
-        apart_by = float(np.linalg.norm(observed.centres.mean(axis=0) - run.centres.mean(axis=0)))
+        apart_by = float(np.linalg.norm(_middle(observed) - _middle(run)))
         what = "the centres of the observed interface and of this run lie"
     else:
         off = math.sqrt(float(squared_distances(_ends(observed), run).max()))

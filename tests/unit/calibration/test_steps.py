@@ -5,6 +5,7 @@ import pytest
 from tests.unit.discrepancy.curves import graph
 
 from strandline.calibration.steps import steps_of
+from strandline.design import sobol
 
 X = np.linspace(0.0, 1.0, 41)
 INPUTS = np.random.default_rng(1).random((32, 2))
@@ -29,6 +30,9 @@ def test_what_is_not_rounded_is_not_told():
     assert found(lambda a, b: 0.6 * a * ARCH) == []
     assert found(lambda a, b: np.maximum(a * ARCH - b, -0.05)) == []  # on the ground
     assert found(lambda a, b: 0.3 * ARCH) == []  # the inputs do nothing
+    fractions = sobol(64, 2)
+    assert found(lambda a, b: a * X + b, fractions) == []
+    assert found(lambda a, b: a * b * X, fractions) == []
     grid = np.stack(np.meshgrid(np.arange(8.0), np.arange(4.0)), axis=-1).reshape(-1, 2)
     assert found(lambda a, b: np.where(X < 0.5, a, b) * ARCH, grid) == []
     of_all_lengths = [{"": graph(X[: 41 - k], np.round(k * X[: 41 - k]))} for k in range(9)]

@@ -158,5 +158,5 @@ def test_runs_far_away_of_another_kind_or_alone_do_not_vote():
         assert not oriented_like_runs(leaning(0.8), [*others, *RUNS]).flipped
     assert oriented_like_runs(leaning(5.5), [*RUNS, *far]).flipped
     assert not oriented_like_runs(ring(40), [RUNS[0].reversed()]).flipped
-    here, there = (Interface(ring(9).points + [middle, 0.0], ring(9).cells) for middle in (1.0, 9.0))
+    here, there = (Interface(ring(9).points + np.array([middle, 0.0]), ring(9).cells) for middle in (1.0, 9.0))
     assert not oriented_like_runs(here, [*[there.reversed()] * 9, *[here] * 5]).flipped

@@ -258,3 +258,10 @@ def test_a_simulated_polyline_with_too_few_nodes(tmp_path):
     assert lines(arc(int(0.8 * 41 * times)))
     corner = Interface.polyline(np.array([[0.0, 0.0], [0.5, 0.0], [1.0, 0.0], [1.0, 0.5], [1.0, 1.0]]))
     assert lines(corner) == lines(arc(41), Currents(0.1)) == []
+
+
+def test_the_centre_of_a_ring_is_that_of_its_area():
+    """Also if most of its points lie on one side."""
+    angle = 2 * np.pi * np.linspace(0.0, 1.0, 200, endpoint=False) ** 3
+    uneven = Interface.polyline(np.stack([3 + np.cos(angle), 1 + np.sin(angle)], axis=1), closed=True)
+    np.testing.assert_allclose(first_run._middle(uneven), [3, 1], atol=2e-3)
