@@ -11,7 +11,7 @@ from strandline.imaging.frame_errors import FrameErrors, errors_from_frames
 from strandline.imaging.located import EdgeMethod, Located, Scatter
 from strandline.imaging.outline import Outlined, outline_of
 from strandline.imaging.paths.first_path import typed_path
-from strandline.imaging.paths.read import read_path
+from strandline.imaging.paths.read import is_of_clicks, read_path
 from strandline.imaging.picture import Picture, Stack
 from strandline.imaging.pixel_size import PixelSize
 from strandline.imaging.read import read_frames, read_picture, read_stack
@@ -40,6 +40,7 @@ __all__ = [
     "edge_method",
     "errors_from_frames",
     "find_edge",
+    "is_of_clicks",
     "outline_of",
     "read_clicks",
     "read_frames",

@@ -13,6 +13,7 @@ __all__ = ["field_warnings", "likely_to_fail"]
 UNSURE = 0.5
 """Error of the interface, in units of the shift that the noise hides, above which a warning counts a nuisance value."""
 
+TENFOLD = np.log(10.0)
 EFFECT = 0.25
 """Largest shift of a mean by the surrogate's variance, in standard deviations, without a warning."""
 TOUCHED = 0.05
@@ -32,9 +33,10 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
         )
     shift, ratio = float(np.abs(found.effect.shift).max()), float(np.abs(np.log(found.effect.sd_ratio)).max())
     if max(shift, ratio) > EFFECT:
+        by = f"by up to {np.expm1(ratio):.0%}" if ratio < TENFOLD else "more than tenfold"
         yield (
-            f"The surrogate's uncertainty about the interface moves means by up to {shift:.2f} standard deviations "
-            f"and changes standard deviations by up to {np.expm1(ratio):.0%}. More runs will lower it."
+            f"The surrogate's uncertainty about the interface moves means by up to {shift:.3g} standard deviations "
+            f"and changes standard deviations {by}. More runs will lower it."
         )
     yield from likely_to_fail(1.0 - found.feasible)
     checked = None if certificate is None or certificate.checked is None else certificate.checked.check

@@ -80,8 +80,7 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
     else:
         yield from field_warnings(calibration, calibration.field)
     yield from _runs(calibration)
-    yield from _stopped_early(calibration)
-    yield from _in_steps(calibration)
+    yield from list(_in_steps(calibration)) or _stopped_early(calibration)  # rounded ends repeat their last value
     yield from _set_aside(calibration)
     yield from _prior(calibration)
     yield from _sampler(calibration)

@@ -9,7 +9,7 @@ import pytest
 
 from strandline.errors import InvalidInput
 from strandline.imaging.files.hdf5 import read_hdf5
-from strandline.imaging.paths import read_path
+from strandline.imaging.paths import is_of_clicks, read_path
 from strandline.imaging.reading import PictureReading
 
 SQUARE = [[10, 5], [20, 5], [20, 15], [10, 15]]
@@ -37,6 +37,7 @@ def test_paths_with_the_pixels_that_their_tools_count(tmp_path):
         ("a_cp_outlines.txt", "10,5,19,5,19,14,10,14\n", [[10, 5], [19, 5], [19, 14], [10, 14]], True),
     ):
         path = found(tmp_path, name, content)
+        assert not is_of_clicks(tmp_path / name)
         assert (path.points.tolist(), path.closed) == (points, closed)
 
 

@@ -125,6 +125,7 @@ class PosteriorCheck:
         weights, probing = np.exp(state.log_weights), min(number_of_probes(self.space.dim, len(earlier.x)), left)
         pool = np.unique(subset(weights, POOL, self.seed + 1))
         first = pool[probes(state.positions[pool], probing)]
+        probing = len(first)  # a posterior may have collapsed to fewer particles
         others = subset(weights, self.active.check, self.seed)
         others = others[~np.isin(others, first)][: left - probing]
         chosen = np.concatenate([first, np.random.default_rng(self.seed).permutation(others)])

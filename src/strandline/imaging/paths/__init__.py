@@ -4,6 +4,6 @@ OpenDrop needs no path, but the profile of the drop that it saves, `fit.csv`, se
 """
 
 from strandline.imaging.paths.first_path import FirstPath, typed_path
-from strandline.imaging.paths.read import PATHS, read_path
+from strandline.imaging.paths.read import PATHS, is_of_clicks, read_path
 
-__all__ = ["PATHS", "FirstPath", "read_path", "typed_path"]
+__all__ = ["PATHS", "FirstPath", "is_of_clicks", "read_path", "typed_path"]

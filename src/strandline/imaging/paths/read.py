@@ -7,7 +7,7 @@ from strandline.errors import InvalidInput
 from strandline.imaging.paths.first_path import FirstPath, require_inside
 from strandline.registry import lookup
 
-__all__ = ["PATHS", "PathReader", "read_path"]
+__all__ = ["PATHS", "PathReader", "is_of_clicks", "read_path"]
 
 PathReader = Callable[[bytes], FirstPath]
 """Contents of a file → the path in it."""
@@ -72,13 +72,23 @@ def _form(content: bytes) -> str:
         )
     begin = content[:200].decode("utf-8-sig", "replace").lstrip().lower()
     if begin.startswith("{"):
-        if b'"shapes"' in content or b'"coordinates"' in content:
+        if _is_drawn(content):
             return "outlines"
         raise _refused("is JSON, but is not used as a file of clicks", "{ …", "Name it NAME.path.json.")
     first = begin.partition("\n")[0]
     if "axis-" in first and "vertex-index" in first:
         return "napari"
     return "outlines" if first.count(",") > 4 else "fiji_xy"  # a line of Cellpose holds a whole cell
+
+
+def is_of_clicks(path: Path) -> bool:
+    """Return whether a file is one of clicks by its name, and holds no outline that another program drew."""
+    return path.suffix == ".json" and not (path.is_file() and _is_drawn(_content(path)))
+
+
+def _is_drawn(content: bytes) -> bool:
+    """Return whether JSON has what labelme or GeoJSON calls an outline."""
+    return b'"shapes"' in content or b'"coordinates"' in content
 
 
 def _refused(what: str, value: object, remedy: str = "Correct the file, or its name.") -> InvalidInput:

@@ -21,6 +21,7 @@ from strandline.imaging import (
     edge_method,
     errors_from_frames,
     find_edge,
+    is_of_clicks,
     read_clicks,
     read_frames,
     read_path,
@@ -188,7 +189,7 @@ def _repeated(
 
 def clicked(folder: Path, given: ImageFile) -> Clicks | None:
     """Return the clicks that the study names, if its path is a file of clicks."""
-    if isinstance(given.path, str) and given.path.endswith(".json"):
+    if isinstance(given.path, str) and is_of_clicks(folder / given.path):
         return read_clicks(folder / given.path)
     return None
 

@@ -14,6 +14,7 @@ from strandline.design.active import Active
 from strandline.design.active import elsewhere as module
 from strandline.design.active import posterior_check as check_module
 from strandline.design.active.elsewhere import least_found, left_out_surprise, points_elsewhere, surprises
+from strandline.design.active.failing import Losses
 from strandline.design.active.left_out import left_out_ratios
 from strandline.design.active.sampling import posterior_state
 from strandline.design.active.state import Knowledge, State
@@ -127,6 +128,17 @@ def test_a_run_that_the_others_contradict_is_found_once(state):
         check = check_module.PosteriorCheck(Active(60, unseen=unseen), SPACE, batch=4, log_likelihood=float, seed=1)
         odd = check.left_out(spoiled, set(), {row.tobytes() for row in on_posterior})
         assert [one.x.tolist() for one in odd] == [X[5].tolist()] * number
+
+
+def test_a_posterior_of_three_particles_is_checked_by_these(state):
+    log_weights = np.full(len(state.positions), -np.inf)
+    log_weights[:3] = -np.log(3)
+    few, records = replace(state, log_weights=log_weights), [record(row) for row in X]
+    check = check_module.PosteriorCheck(Active(60), SPACE, batch=4, log_likelihood=lambda run: -50.0, seed=1)
+    begun = check.begin(few, X, records, 30, Losses(few.knowledge, 60, ()))
+    assert len(begun) >= 3
+    found, _ = check.verdict(np.concatenate([X, begun]), [*records, *map(record, begun)])
+    assert found == "open" or not found.passed
 
 
 def test_runs_inside_are_those_of_the_expected_likelihood_and_ratios_are_of_the_true_one():
