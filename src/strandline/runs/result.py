@@ -120,4 +120,6 @@ def _listed(names: Collection[str]) -> str:
 
 
 def _told(result: object) -> str:
+    if isinstance(result, np.ndarray):
+        return f"an array of the shape {result.shape}"
     return type(result).__name__ + (" without interfaces" if isinstance(result, Simulation) else "")

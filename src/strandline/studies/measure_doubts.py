@@ -83,7 +83,7 @@ def _held(observation: Observation, of: str) -> Iterator[str]:
             f"warning: the errors of the outline{of} contradict each other: an error of {name} about the origin of the "
             f"picture's frame moves its middle, {away:.3g} mm away, by {TO_UM * moved[name]:.3g} µm, but "
             f"shift allows {TO_UM * errors.shift:.3g} µm; the posterior becomes too narrow. State a shift of at least "
-            f"{TO_UM * moved[name]:.2g} µm"
+            f"{TO_UM * moved[name]:.3g} µm"
         )
 
 
