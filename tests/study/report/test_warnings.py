@@ -161,7 +161,7 @@ def test_each_doubt_about_a_surrogate_of_the_field_is_told_alone(field: Finished
     for changes, words in (
         ({"certificate": Certificate(False, reasons, (), (), None)}, f"NOT CONVERGED: {reasons[0]}."),
         ({"certificate": Certificate(True, (), (), (), None, 0.3, overlooks=True)}, "as design.active.unseen asks"),
-        ({"effect": VarianceEffect(np.array([0.0, -0.3]), np.ones(2), 0.5)}, "by up to 0.30 standard deviations"),
+        ({"effect": VarianceEffect(np.array([0.0, -0.3]), np.ones(2), 0.5)}, "by up to 0.3 standard deviations"),
         ({"effect": VarianceEffect(np.zeros(2), np.array([1.0, 1.5]), 0.5)}, "standard deviations by up to 50%"),
         ({"feasible": 0.9}, "10% of the posterior lies where runs are likely to fail"),
         ({"certificate": Certificate(True, (), (step,), (), step)}, "3 of 25 runs at draws of the posterior failed"),
