@@ -193,6 +193,7 @@ def test_lines_that_turn_with_the_noise(tmp_path):
     assert "normal_offset" in line
     (smooth,) = (float(value) for value in re.findall(r"`smooth: ([0-9.]+)`", line))
     assert MeasurementLines(smooth=smooth).scatter(Interface.polyline(noisy(0.4))) <= 3.0
+    assert MeasurementLines(smooth=smooth / 2).scatter(Interface.polyline(noisy(0.4))) > 3.0
     assert doubts(tmp_path, noisy(0.4), measurement_lines={"lines": 10, "smooth": smooth}) == []
 
 

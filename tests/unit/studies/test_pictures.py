@@ -22,7 +22,7 @@ from strandline.report.plots.picture import off_smooth
 from strandline.runs import RunRecord
 from strandline.studies import load_study
 from strandline.studies.measure_doubts import measure_lines
-from strandline.studies.pictures.behind import _small
+from strandline.studies.pictures.behind import _small, picture_png
 from strandline.studies.pictures.frame_note import frame_note
 from strandline.studies.pictures.picture_files import _along, described, write_pictures
 from strandline.studies.read_how import read_how
@@ -240,6 +240,7 @@ def test_each_condition_has_its_picture(tmp_path):
     both = [{"condition": "light", **seen()}, {"condition": "heavy", **seen(frame=moved)}]
     changes = {"discrepancy": {"normal_offset": {}}, "noise": IMAGE, "observation": both}
     study = load_study(write_study(tmp_path, **TWO_LOADS_STUDY | changes))
+    assert [(picture_png(study, name) or b"")[1:4] for name in ("light", "no such condition")] == [b"PNG", b""]
     middle = {name: one.points[:, 0].mean() for name, one in study.observed.items()}
     assert middle["heavy"] - middle["light"] == pytest.approx(10 * PIXEL)
 

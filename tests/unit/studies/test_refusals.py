@@ -291,3 +291,7 @@ def test_check_warns_of_a_word_where_kinds_are_not_known(tmp_path, capsys):
         ledger.started(RunRequest(key, {"E": 1.0}))
         ledger.finished(RunRecord(key, {"E": 1.0}, "failed", failure_kind="large_deflexion"))
     assert warnings() == []
+
+
+def test_keys_inside_what_is_wrong_are_not_counted_as_well(tmp_path):
+    assert message_of(changed_study(tmp_path, {"discrepancy": [3]})).endswith("Correct discrepancy.0.")
