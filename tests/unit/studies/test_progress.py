@@ -130,7 +130,8 @@ def test_pace_is_that_of_the_last_runs():
 def test_runs_of_others_and_interrupted_ones_make_no_pace(study, tmp_path):
     with opened(study) as ledger:
         make(ledger, study, 4)
-    assert progress_of(study).rate is not None
+    ended = progress_of(study)
+    assert (ended.rate is not None, ended.seconds_left) == (True, None)
     other = load_study(write_study(tmp_path / "other", design={"sobol": {"runs": RUNS}}, reuse=["../beam"]))
     assert (progress_of(other).reused, progress_of(other).to_do) == (4, RUNS - 4)
     with opened(other) as ledger:

@@ -169,6 +169,7 @@ def test_the_command_writes_both_pictures_and_how_they_were_read(study, capsys):
     assert "undeformed: undeformed.png: edge of" in capsys.readouterr().out
     written = {path.name for path in (study.folder / "image").iterdir()}
     assert {"edge.csv", "edge.png", "undeformed-edge.png", "undeformed-outline.csv"} <= written
+    assert json.loads((study.folder / "image" / "edge.json").read_text())["registration"] is not None
     outline = np.loadtxt(study.folder / "image" / "undeformed-outline.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(outline, study.undeformed.outline.points, atol=1e-6)
 
