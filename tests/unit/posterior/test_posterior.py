@@ -30,7 +30,7 @@ def importance_posterior(number=20_000):
 
 def test_the_data_contradict_a_prior():
     """A false alarm in one of 100 inputs, however good the data are; a wrong prior is nearly always found."""
-    space = ParameterSpace((Parameter("E", Normal(100, 15), "Pa", (0, 250)), Parameter("nu", Uniform(0.0, 1.0))))
+    space = ParameterSpace((Parameter("E", Normal(100.0, 15.0), "Pa", (0.0, 250.0)), Parameter("nu", Uniform(0.0, 1.0))))
     levels, random = (np.arange(500) + 0.5) / 500, np.random.default_rng(1)
 
     def alarm(truth, noise):

@@ -157,6 +157,7 @@ def test_what_cannot_be_compared(study):
         require_comparable({"tilted": one, "other": synthetic})
 
 
+@pytest.mark.stand_in
 def test_a_verdict_that_a_prior_decides_says_so():
     """What the prior adds to ln B is the information that it must pay for."""
     even = {"a": Evidence(0.55, 0.1), "b": Evidence(0.0, 0.1)}

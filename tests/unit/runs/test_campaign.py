@@ -315,6 +315,7 @@ def test_a_server_that_has_made_a_run_is_waited_for_ten_minutes():
         assert sum(waits) == seconds
 
 
+@pytest.mark.stand_in
 def test_executors_start_no_more_workers_than_the_model_allows_runs(path):
     hints = []
 
