@@ -30,7 +30,9 @@ def importance_posterior(number=20_000):
 
 def test_the_data_contradict_a_prior():
     """A false alarm in one of 100 inputs, however good the data are; a wrong prior is nearly always found."""
-    space = ParameterSpace((Parameter("E", Normal(100.0, 15.0), "Pa", (0.0, 250.0)), Parameter("nu", Uniform(0.0, 1.0))))
+    space = ParameterSpace(
+        (Parameter("E", Normal(100.0, 15.0), "Pa", (0.0, 250.0)), Parameter("nu", Uniform(0.0, 1.0)))
+    )
     levels, random = (np.arange(500) + 0.5) / 500, np.random.default_rng(1)
 
     def alarm(truth, noise):
@@ -39,7 +41,7 @@ def test_the_data_contradict_a_prior():
         draws = np.stack([mean + sd * ndtri(levels), np.full(500, 0.999)], axis=1)
         zeros = np.zeros(500)
         found = list(prior_conflicts(Posterior(space, draws, zeros - np.log(500), zeros, zeros, 0.0)))
-        assert all("contradict the prior of E, Normal(mean=100, sd=15): " in one for one in found)
+        assert all("contradict the prior of E, Normal(mean=100.0, sd=15.0): " in one for one in found)
         return len(found)
 
     for noise in (0.5, 15, 40):
