@@ -41,8 +41,8 @@ def steps_of(runs: Sequence[Mapping[str, Interface]], inputs: Float[np.ndarray, 
     or if the inputs repeat themselves, as those of a grid do.
 
     Args:
-        runs: Interfaces by condition.
-        inputs: Inputs of each run.
+        runs: Interfaces by condition, mm.
+        inputs: Inputs of each run, shape (run, dim).
     """
     if any(len(np.unique(column)) < len(runs) for column in inputs.T):
         return []

@@ -14,6 +14,7 @@ UNSURE = 0.5
 """Error of the interface, in units of the shift that the noise hides, above which a warning counts a nuisance value."""
 
 TENFOLD = np.log(10.0)
+"""Logarithm of a ratio of standard deviations above which the number itself says nothing."""
 EFFECT = 0.25
 """Largest shift of a mean by the surrogate's variance, in standard deviations, without a warning."""
 TOUCHED = 0.05
