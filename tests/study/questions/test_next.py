@@ -144,7 +144,7 @@ def test_a_condition_that_is_not_observed_can_be_asked_about_and_unknown_noise_i
     np.savetxt(tmp_path / "light.csv", seen.points, delimiter=",")
     observation = [{"condition": "light", "file": "../light.csv", "unit": "mm"}]
     by = {"noise": {"sd": "unknown", "unit": "um"}, "discrepancy": {"normal_offset": {}}, "surrogate": {"field": {}}}
-    changes = {**TWO_LOADS_STUDY, **DRAFT, **by, "observation": observation, "next": {"condition": ["heavy"]}}
+    changes = {**TWO_LOADS_STUDY, **DRAFT, **by, "observation": observation, "next": {"condition": [["heavy"]]}}
     content = asked(write_study(tmp_path / "two", **changes), runs=4)
     heavy, planned = content["candidates"]
     assert (heavy["label"], planned["label"]) == ("condition heavy", "as planned")

@@ -87,6 +87,7 @@ def test_a_check_makes_no_run_twice_and_goes_on_where_it_was_stopped(folder):
     second = checked(folder, draws=40)
     assert [(one["runs"]["new"], one["runs"]["reused"]) for one in (first, second)] == [(33, 7), (0, 40)]
     assert {**first, "runs": None, "seconds": None} == {**second, "runs": None, "seconds": None}
+    assert 0 < first["seconds"] < 600
     assert (folder / "ledger.sqlite").read_bytes() == ledger
 
 

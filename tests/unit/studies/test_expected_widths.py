@@ -1,6 +1,7 @@
 """Widths predicted before any campaign, against those of the study itself and against plain linear algebra."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from strandline.studies import expected_widths as widths
 from strandline.studies import load_study
 from strandline.studies.early_widths import noting_widths, predicted_at
 from strandline.studies.expected_widths import STEP, expected_sd, neighbours, slopes_by_differences
+from strandline.testing.models import TwoLoads
 from strandline.testing.studies import TWO_LOADS_STUDY, write_study
 
 AT = np.array([400.0, 0.02])
@@ -79,6 +81,10 @@ def test_what_the_data_barely_constrain_is_said_and_runs_without_slopes_give_non
     assert lines[1] == "warning: with this noise the data barely constrain tilt"
     record = run(study, AT, tmp_path)
     assert widths.slopes_by_sensitivities(record, study.space.names) is None
+    own = {"": {name: np.full_like(record.interface.points, i) for i, name in enumerate(study.space.names)}}
+    slopes = widths.slopes_by_sensitivities(replace(record, sensitivities=own), study.space.names)
+    np.testing.assert_array_equal(slopes[""][0], [[0.0, 1.0], [0.0, 1.0]])
+    assert widths.slopes_by_sensitivities(replace(record, sensitivities=own), [*study.space.names, "load"]) is None
     assert predicted_at([record] * 2, study.space, AT) is None
 
 
@@ -95,6 +101,14 @@ def test_a_campaign_says_them_once_after_its_first_runs(tmp_path):
     study = load_study(write_study(tmp_path, **of_d2))
     record, slopes = run_with_slopes(study, AT, tmp_path)
     assert float(found) == pytest.approx(expected_sd(study, record.interfaces, slopes, {})[0], rel=0.3)
+
+
+def test_one_run_with_sensitivities_is_enough(tmp_path):
+    notes, model = [], TwoLoads(sensitivities=True)
+    study = replace(load_study(write_study(tmp_path, **TWO_LOADS_STUDY)), model=model)
+    record = attempt(model, RunRequest("key", {"E": 400.0, "load": 1e-5}), tmp_path)
+    noting_widths(Observer(note=notes.append), study).run(record, Progress(24, 1, 1, 0, 0, 0.0))
+    assert "from the sensitivities of a run" in notes[0]
 
 
 def test_slopes_from_runs_hold_at_the_place_and_not_in_the_mean():

@@ -41,6 +41,8 @@ def test_inputs_outside_the_boxes_are_refused_unless_asked_for(tmp_path):
         assert f"from {low:g} to {high:g}, the box of its prior" in content["error"]["message"]
     anywhere = served_models(study, local(beam), outside=True)
     assert evaluate(anywhere, "interface", 1.01 * high, 0.0)[0] == 200
+    with pytest.raises(ValueError, match="longer"):
+        anywhere[0].evaluate([[400.0, 0.0, 1.0]])
     status, content = evaluate(anywhere, "interface", 0.001, 0.0)
     assert (status, content["error"]["type"]) == (500, "ModelError")
     assert content["error"]["message"].startswith("large_deflection: the tip would move by")

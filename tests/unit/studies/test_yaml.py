@@ -18,7 +18,7 @@ from strandline.studies import changed_copy, load_study, yaml_edit
 from strandline.studies.changed_copy import changed_study
 from strandline.studies.question_keys import digest_of, without_questions
 from strandline.studies.yaml_edit import REMOVED, changed_content, changed_text
-from strandline.studies.yaml_text import load_yaml
+from strandline.studies.yaml_text import DEEPEST, load_yaml
 from strandline.testing.studies import TWO_LOADS_STUDY, write_study
 
 ROOT = Path(__file__).parents[3]
@@ -133,6 +133,8 @@ REFUSED = [
 
 def test_words_and_numbers_and_odd_texts_which_are_refused_with_the_line():
     assert {text: load_yaml(f"a: {text}")["a"] for text in WORDS} == WORDS
+    deepest = "[" * (DEEPEST - 1) + "]" * (DEEPEST - 1)
+    assert str(load_yaml(f"a: {deepest}")["a"]) == deepest
     for text, *words in REFUSED:
         with pytest.raises(InvalidStudy) as caught:
             load_yaml(text)
