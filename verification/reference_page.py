@@ -5,7 +5,7 @@ from pathlib import Path
 from verification.validation.tables import Table, put_into_page
 
 from strandline.studies.keys import StudyFile
-from strandline.studies.keys.listed import listed
+from strandline.studies.keys.schema import listed
 
 __all__ = ["PAGE", "page"]
 

@@ -27,10 +27,10 @@ from strandline.priors import PRIORS
 from strandline.readers import READERS, Reading
 from strandline.runs import RunRequest, attempt
 from strandline.studies import check_posterior
-from strandline.studies.build import build_model
 from strandline.studies.keys import StudyFile
-from strandline.studies.keys.listed import listed
 from strandline.studies.keys.observation import ObservationFile
+from strandline.studies.keys.schema import listed
+from strandline.studies.models import build_model
 from strandline.surrogate import KERNELS
 from strandline.testing.studies import BEAM_STUDY, write_study
 

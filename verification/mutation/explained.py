@@ -264,7 +264,7 @@ EXPLAINED_ON_LINE: dict[tuple[str, str, str, str], str] = {
     ("imaging/registration.py", "if np.abs(step[:2]).max() < 1e-4", *_OF_BOTH): "Ends a step earlier or later.",
     ("imaging/registration.py", "if np.abs(step[:2]).max() < 1e-4", *_OF_LEAST): "Ends a step earlier or later.",
     ("imaging/surfaces/surface_errors.py", "np.maximum(known, 1)", "1", "(2)"): "Differs at lags with a single pair.",
-    ("studies/observations.py", "close = get_close_matches", "1", "(2)"): "Only the first is named.",
+    ("studies/observed.py", "close = get_close_matches", "1", "(2)"): "Only the first is named.",
     ("studies/pictures/photographed.py", 'source="nothing yet"', "1.0", "(2.0)"): "A size that is not used.",
     ("runs/backup.py", "partial.unlink(missing_ok=True)", "True", "(False)"): "Only where a disk has no hard links.",
     ("runs/executors/in_process.py", "shutil.rmtree(folder, ignore_errors=True)", "True", "(False)"): (

@@ -63,7 +63,7 @@ def _about(study: "Study", record: "RunRecord") -> Iterator[str]:
     """Yield what the study states: inputs, conditions, how pictures were read."""
     from strandline.report.warnings import small_share
     from strandline.studies.first_run import turned_lines
-    from strandline.studies.read_how import read_lines
+    from strandline.studies.pictures.shown import read_lines
 
     for parameter in study.space:
         cut = f", {small_share(parameter.mass_cut)} of its mass cut off by the box" if parameter.mass_cut else ""
@@ -134,9 +134,8 @@ def _lines(study: "Study", record: "RunRecord", log_likelihoods: Mapping[str, fl
     """Yield what the run shows: shapes, their distance, log-likelihoods, displacement, error of the mesh."""
     from strandline.cli.forward import attempted
     from strandline.studies import first_run
-    from strandline.studies.cheaper import cheaper_lines
-    from strandline.studies.measure_doubts import measure_lines
-    from strandline.studies.simulated_nodes import node_lines
+    from strandline.studies.measure_doubts import measure_lines, node_lines
+    from strandline.studies.models import cheaper_lines
 
     yield from first_run.shape_lines(study, record)
     yield from measure_lines(study, record)

@@ -9,7 +9,7 @@ import click
 from strandline.errors import InvalidInput, InvalidStudy
 
 if TYPE_CHECKING:
-    from strandline.studies.pictures.picture_files import PictureFiles
+    from strandline.studies.pictures.shown import PictureFiles
 
 from strandline.cli.study_folder import STUDY
 
@@ -38,8 +38,7 @@ def command(study: Path, edit: bool, condition: str | None, reference: bool) -> 
         click.echo(f"wrote {page}: open it in a browser, mark the picture, and save the marks next to study.yaml")
         return
     from strandline.studies import load_study
-    from strandline.studies.pictures.picture_files import IMAGE, write_pictures
-    from strandline.studies.pictures.stack_files import write_stacks
+    from strandline.studies.pictures.shown import IMAGE, write_pictures, write_stacks
 
     try:
         loaded = load_study(study)
@@ -148,8 +147,8 @@ def _moved(found: Mapping[str, Any], unit: float) -> str:
 def _page(study: Path, condition: str | None, *, reference: bool) -> Path:
     """Write the page for one picture and return its path."""
     from strandline.studies.parse import parse_study
-    from strandline.studies.pictures.photographed import picture_of, reference_of
-    from strandline.studies.pictures.picture_files import UNDEFORMED, write_page
+    from strandline.studies.pictures.photographed import UNDEFORMED, picture_of, reference_of
+    from strandline.studies.pictures.shown import write_page
     from strandline.studies.pictures.undeformed import undeformed_picture
 
     content, _ = parse_study(study)

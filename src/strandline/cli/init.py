@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from strandline.registry import suggestion
-from strandline.studies.examples import EXAMPLES, OWN, write_example
+from strandline.studies.template import EXAMPLES, OWN, write_example
 
 if TYPE_CHECKING:
     from strandline.studies.template import Observed

@@ -38,7 +38,7 @@ def command(files: tuple[Path, ...], unit: str, window: float | None, reading: t
     itself smoothed, which shows less.
     """
     from strandline.discrepancy import errors_from_repeats, errors_from_roughness
-    from strandline.studies.observed import TO_MM
+    from strandline.readers.options import TO_MM
 
     if unit not in TO_MM:
         raise _refused("--unit", unit, f"one of {', '.join(TO_MM)}", "Correct the option.")
@@ -104,7 +104,7 @@ def _length(mm: float, unit: str) -> str:
 
 
 def _in_mm(unit: str) -> float:
-    from strandline.studies.observed import TO_MM
+    from strandline.readers.options import TO_MM
 
     return TO_MM[unit]
 

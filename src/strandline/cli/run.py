@@ -66,7 +66,7 @@ def command(
     from strandline.runs.executors import with_workers
     from strandline.studies import load_study, run_study
     from strandline.studies.folder import REPORT
-    from strandline.studies.unchanged import results_at_hand
+    from strandline.studies.provenance import results_at_hand
 
     require_log(log)
     study = _with_settings(study, settings, into, quiet=quiet)

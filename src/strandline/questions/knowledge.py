@@ -10,8 +10,8 @@ from strandline.design.active.fidelities import as_by_model
 from strandline.errors import InvalidStudy, NoCommonPoints
 from strandline.likelihood.set_aside import Judge
 from strandline.runs import Ledger, RunRecord
-from strandline.studies.cheaper import cheaper_dropped
 from strandline.studies.first_run import observations_of
+from strandline.studies.models import cheaper_dropped
 from strandline.studies.study import Study
 from strandline.studies.study_runs import settled
 

@@ -5,10 +5,8 @@ from pathlib import Path
 
 from strandline.models.protocol import ForwardModel
 from strandline.runs.array_task import run_task
-from strandline.studies.build import build_model
+from strandline.studies.models import build_model
 from strandline.studies.parse import parse_study
-
-__all__ = ["main"]
 
 
 def main(arguments: list[str]) -> None:

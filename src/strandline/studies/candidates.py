@@ -9,9 +9,9 @@ from strandline.models.protocol import ForwardModel, declared_conditions
 from strandline.parameters import ParameterSpace
 from strandline.planning.candidate import Candidate, Look, candidates
 from strandline.planning.view import FEWEST_POINTS, WHOLE
+from strandline.readers.options import TO_MM
 from strandline.registry import suggestion
 from strandline.studies.inputs import check_values
-from strandline.studies.observed import TO_MM
 from strandline.text import decimal
 
 __all__ = ["read_candidates"]

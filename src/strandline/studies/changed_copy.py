@@ -18,8 +18,6 @@ from strandline.studies.template import study_name
 from strandline.studies.yaml_edit import Changes, changed_text, flow
 from strandline.studies.yaml_text import load_yaml
 
-__all__ = ["changed_study", "reuse_from", "write_copy"]
-
 LONGEST = 63
 """Most characters in the name of a folder that is made up from settings."""
 

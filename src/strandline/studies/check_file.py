@@ -25,11 +25,9 @@ from strandline.posterior import (
 )
 from strandline.runs import RunRecord
 from strandline.studies.folder import CHECK
+from strandline.studies.provenance import versions
 from strandline.studies.study import Study
-from strandline.studies.summary import versions
 from strandline.version import __version__
-
-__all__ = ["Compared", "describe", "offset_band", "posterior_digest", "read_check"]
 
 SHIFT_SHOWN, RATIO_SHOWN = 0.25, 0.2
 """A remark reports a mean off by more than this, in standard deviations, or an sd off by more than this share."""

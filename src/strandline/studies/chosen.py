@@ -10,8 +10,6 @@ from strandline.errors import InvalidInput, InvalidStudy
 from strandline.registry import lookup, suggestion
 from strandline.text import decimal
 
-__all__ = ["construct", "entry", "in_words", "open_entry", "refused_at", "require_parts"]
-
 
 @contextlib.contextmanager
 def refused_at(place: str = "") -> Iterator[None]:

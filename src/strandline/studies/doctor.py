@@ -24,11 +24,9 @@ from strandline.studies.folder import (
     WHAT_IF,
 )
 from strandline.studies.progress import StudyProgress, progress_of
+from strandline.studies.provenance import versions
 from strandline.studies.study import Study, load_study
-from strandline.studies.summary import versions
 from strandline.version import __version__
-
-__all__ = ["Finding", "examine"]
 
 LEDGERS = (LEDGER, CHECK_LEDGER, NEXT_LEDGER, SPECIMENS_LEDGER)
 ANSWERS = {

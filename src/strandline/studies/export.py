@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from strandline.interface import Interface
 
-__all__ = ["write_csv", "write_netcdf"]
-
 
 def write_csv(path: Path, runs: Sequence[Run], ledger: Overview) -> str:
     """Write a row for each run, whole or not at all; return a remark, here always empty.

@@ -18,22 +18,6 @@ from strandline.runs import Ledger, RunRecord, run_key
 from strandline.studies.observed import noisy, require_plausible
 from strandline.studies.study import Study
 
-__all__ = [
-    "NoiseLength",
-    "batch_lines",
-    "displacement_lines",
-    "early_doubts",
-    "facing",
-    "known_lines",
-    "mesh_lines",
-    "noise_lines",
-    "noise_of",
-    "observations_of",
-    "require_same_size",
-    "shape_lines",
-    "turned_lines",
-]
-
 FAR_APART = 0.05
 """Share of the interface's length: ends or centres further apart than this are worth a warning."""
 WAY_OFF = 0.2

@@ -11,33 +11,6 @@ from typing import Any
 
 from strandline.errors import InvalidStudy
 
-__all__ = [
-    "CHECK",
-    "CHECK_LEDGER",
-    "COMPARISON",
-    "COVERAGE",
-    "LEDGER",
-    "NEXT",
-    "NEXT_LEDGER",
-    "POSTERIOR",
-    "REFINEMENT",
-    "REPLICATES",
-    "REPORT",
-    "SPECIMENS",
-    "SPECIMENS_LEDGER",
-    "SPECIMENS_LINES",
-    "SPECIMENS_TABLE",
-    "STUDY",
-    "SUMMARY",
-    "WHAT_IF",
-    "is_result",
-    "require_temporary",
-    "require_writable",
-    "told_if_unwritable",
-    "whole_file",
-    "write_json",
-]
-
 STUDY = "study.yaml"
 LEDGER = "ledger.sqlite"
 POSTERIOR = "posterior.nc"

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import jax
 import numpy as np
 
 from strandline.errors import InvalidStudy
@@ -12,11 +13,8 @@ from strandline.models.protocol import ForwardModel, ModelInput, declared_inputs
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import PRIORS, Prior
 from strandline.registry import suggestion
-from strandline.studies.chosen import construct, open_entry, refused_at
+from strandline.studies.chosen import construct, open_entry, refused_at, require_parts
 from strandline.studies.keys.study_file import Input, Quantity, StudyFile
-from strandline.studies.own_prior import require_prior
-
-__all__ = ["build_fixed", "build_prior", "build_space", "check_complete", "check_values"]
 
 MASS_CUT_ACCEPTED = 0.5
 """Largest share of an unbounded prior's mass that may lie outside the box."""
@@ -191,3 +189,31 @@ def _check_range(value: float, declared: Mapping[str, ModelInput], name: str, pl
 def _plain(unit: str) -> str:
     """Return a unit in one spelling: ``mm²/s`` and ``mm^2/s`` are the same."""
     return unit.replace("²", "^2").replace("³", "^3").replace("**", "^").replace(" ", "")
+
+
+PARTS = ("support", "log_density", "cdf", "quantile")
+
+
+def require_prior(prior: Prior, place: str) -> None:
+    """Refuse a prior that lacks a part, has no interval as support, or whose density JAX cannot compile.
+
+    Raises:
+        InvalidStudy: The prior cannot be used; the conformance suite says more.
+    """
+    require_parts(prior, PARTS, place)
+    support = prior.support
+    if not (isinstance(support, tuple) and len(support) == 2 and support[0] < support[1]):
+        raise _refused(place, f"the support {support!r}", "a property `support` of two numbers, (low, high)")
+    numbers = np.zeros(3, np.float32)
+    try:
+        shape = jax.eval_shape(prior.log_density, numbers).shape
+    except Exception as error:
+        raise _refused(
+            place, f"a log_density that fails with {type(error).__name__}", "one that works on JAX arrays under jax.jit"
+        ) from None
+    if shape != (3,):
+        raise _refused(place, f"a log_density that turns 3 numbers into the shape {shape}", "a number for each")
+
+
+def _refused(place: str, value: str, expected: str) -> InvalidStudy:
+    return InvalidStudy(place, value=value, expected=expected, remedy="Check the prior with strandline.testing.priors.")

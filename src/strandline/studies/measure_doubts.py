@@ -1,4 +1,4 @@
-"""Doubts about the measures of a study, from the observed interface and one run: turning lines, nodes not observed."""
+"""Doubts about measures and nodes of a study, from the observed interface and one run."""
 
 import math
 from collections.abc import Iterator
@@ -11,12 +11,10 @@ from strandline.discrepancy.contours.paths import path_of
 from strandline.discrepancy.normal_offset import BEYOND as BEYOND_END
 from strandline.discrepancy.search.nearest import closest_points
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
-from strandline.likelihood.compared import adapted
+from strandline.likelihood.compared import adapted, errors_of
 from strandline.runs import RunRecord
 from strandline.studies.first_run import observations_of
 from strandline.studies.study import Study
-
-__all__ = ["measure_lines"]
 
 MOST_SCATTER = 10.0
 """Scatter of the measurement lines' directions, degrees, above which it is worth a warning."""
@@ -167,3 +165,47 @@ def _beyond(path: Float[np.ndarray, "point 2"], seen: Interface, tip: Float[np.n
     if not np.allclose(closest_points(tip[None], seen).points[0], end, rtol=0.0, atol=1e-9 * float(np.ptp(path))):
         return 0.0
     return max(float((tip - end) @ along) / float(np.linalg.norm(along)), 0.0)
+
+
+SHARE = 4 / 45
+"""Mean square of a parabola about its mean, in squares of its height."""
+MOST = 1.0
+"""Change of d² from which the nodes are too few."""
+CORNER = 0.3
+"""Turn of the polyline, radians, from which it counts as a corner of the shape itself."""
+
+
+def node_lines(study: Study, record: RunRecord) -> Iterator[str]:
+    """Yield a warning for each condition whose simulated polyline has too few nodes for the errors of the points.
+
+    Nothing is said where the model itself makes the observation, or for measures other than signed distances.
+    """
+    if study.truth is not None or not isinstance(next(iter(study.discrepancies.values())), NormalOffset):
+        return
+    for seen in study.observations(observations_of(study)):
+        condition = seen.condition
+        errors, one = errors_of(seen), record.interfaces[condition]
+        if errors is None or one.dim != 2:
+            continue
+        local, sagittas = errors.model(seen.interface).local, _sagittas(one)
+        change = 2 * SHARE * float(np.mean(sagittas**2)) * float((1 / local).sum())
+        if change > MOST:
+            of = f" ({condition})" if condition else ""
+            times = int(np.ceil(change**0.25 * 10)) / 10
+            yield (
+                f"warning{of}: between its nodes the simulated polyline is up to {1e3 * sagittas.max():.2g} µm off "
+                f"the smooth curve, too far for {len(seen.interface.points)} points with this noise; let the simulator "
+                f"return at least {times:g} times as many nodes"
+            )
+
+
+def _sagittas(polyline: Interface) -> Float[np.ndarray, " segment"]:
+    """Return the height of the arc over each segment, mm, from the mean of the angles by which its ends turn."""
+    step = polyline.ends - polyline.starts
+    after = np.roll(step, -1, axis=0)
+    turn = np.abs(np.arctan2(step[:, 0] * after[:, 1] - step[:, 1] * after[:, 0], (step * after).sum(axis=1)))
+    turn = np.where(turn < CORNER, turn, 0.0)
+    before = np.roll(turn, 1)
+    if not polyline.closed:
+        turn[-1], before[0] = before[-1], turn[0]
+    return np.asarray(polyline.lengths * 0.5 * (turn + before) / 8)

@@ -13,17 +13,7 @@ from strandline.interface import GaussianNoise, Interface, Noise, PointErrors, U
 from strandline.readers.options import TO_MM
 from strandline.studies.chosen import refused_at
 from strandline.studies.keys.observation import COLUMN, IMAGE, ConditionNoise, Unknown
-from strandline.studies.observations import Found
-
-__all__ = [
-    "build_noise",
-    "require_fits",
-    "require_inferable",
-    "require_offset",
-    "require_shared",
-    "require_stated",
-    "require_unit",
-]
+from strandline.studies.observed import Found
 
 Stated = float | str | tuple[float, float] | None
 

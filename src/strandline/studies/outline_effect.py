@@ -14,8 +14,6 @@ from strandline.studies.early_widths import predicted_at
 from strandline.studies.expected_widths import expected_sd
 from strandline.studies.study import Study
 
-__all__ = ["outline_effect"]
-
 NEAREST = 8
 """Runs near the posterior that give the slopes, for each input and for the mean."""
 

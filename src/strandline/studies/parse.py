@@ -13,8 +13,6 @@ from strandline.studies.keys import SCHEMA_VERSION, StudyFile, annotation_of, ke
 from strandline.studies.keys.observation import KNOWN, ONE, RANGE, SEVERAL, UNKNOWN, ConditionFile
 from strandline.studies.yaml_text import load_yaml
 
-__all__ = ["first_problem", "parse_study", "parsed"]
-
 WORDS = {
     "missing": "this key",
     "dict_type": "keys with values, e.g. {key: value}",

@@ -20,16 +20,6 @@ from strandline.studies.question_keys import digest_of
 if TYPE_CHECKING:
     from strandline.studies.study import Study
 
-__all__ = [
-    "Failures",
-    "RunReported",
-    "StudyProgress",
-    "progress_as_planned",
-    "progress_in",
-    "progress_of",
-    "recorded_plan",
-    "results_of",
-]
 
 Results = Literal["none", "current", "outdated"]
 RATE_RUNS = 50

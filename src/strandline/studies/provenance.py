@@ -1,17 +1,24 @@
-"""Results must belong to the study.yaml in their folder, and to the observation that it names."""
+"""Results must belong to the study.yaml in their folder, its observation and its runs."""
 
 import json
+import platform
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from hashlib import sha256
+from importlib import metadata
+from typing import Any
 
-from strandline.errors import InvalidStudy
+from strandline.errors import InvalidStudy, StrandlineError
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
+from strandline.report import FIGURES
 from strandline.runs import FailurePolicy
+from strandline.runs.soundness import outcome_digest
+from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY
 from strandline.studies.study import Study
+from strandline.version import __version__
 
-__all__ = ["observation_digest", "points_digest", "replaced", "require_its_own_text"]
-
+PACKAGES = ("numpy", "scipy", "jax", "ngsolve", "mkl", "xarray")
 FREE = frozenset({"folder", "text", "settings", "executor", "reuse", "as_loaded"})
 """Fields that change no result, and those that are compared separately."""
 
@@ -72,3 +79,40 @@ def _same(one: object, other: object) -> bool:
         return bool(one == other)
     except (TypeError, ValueError):
         return False
+
+
+def results_at_hand(study: Study) -> dict[str, Any] | None:
+    """Return the summary of the results in the folder if nothing that they depend on has changed, else None.
+
+    They depend on study.yaml, the model, the observation with its noise, the outcomes of all runs, and on the versions
+    of strandline and of the libraries that compute.
+    """
+    try:
+        summary = json.loads((study.folder / SUMMARY).read_text(encoding="utf-8"))
+        study.runs.require_finished()
+        now = {
+            "study_sha256": study.text_digest,
+            "model": study.runs.identity,
+            "observation_sha256": observation_digest(study),
+            "ledger_sha256": outcome_digest(study.ledger_path, frozenset(study.runs.needed_keys)),
+            "version": __version__,
+            "versions": versions(),
+            "missing": {},
+        }
+    except (OSError, ValueError, StrandlineError):
+        return None
+    names = (POSTERIOR, REPORT, FIGURES) if study.with_report else (POSTERIOR,)
+    written = all((study.folder / name).exists() for name in names)
+    if not written or not isinstance(summary, dict) or any(summary.get(key) != value for key, value in now.items()):
+        return None
+    runs = summary["runs"]
+    return summary | {"runs": runs | {"new": 0, "reused": runs["new"] + runs["reused"]}}
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the installed packages that numbers depend on."""
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        with suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found

@@ -4,8 +4,6 @@ import hashlib
 import re
 from collections.abc import Iterator
 
-__all__ = ["QUESTIONS", "digest_of", "without_questions"]
-
 QUESTIONS = frozenset({"next", "what_if", "specimens"})
 """Keys that no forward run and no posterior depends on."""
 ASKED = re.compile(rf"^['\"]?({'|'.join(sorted(QUESTIONS))})\b", re.MULTILINE)

@@ -16,13 +16,11 @@ from strandline.models.fidelities import is_cheaper
 from strandline.posterior import Posterior, from_datatree, read
 from strandline.report.plots.of_posterior import PosteriorPlots
 from strandline.runs import InProcess
-from strandline.studies.cheaper import cheaper_dropped
 from strandline.studies.chosen import construct, open_entry
 from strandline.studies.folder import POSTERIOR, SUMMARY
+from strandline.studies.models import cheaper_dropped
 from strandline.studies.observed import noisy
 from strandline.studies.study import Study, load_study
-
-__all__ = ["Result", "load_result"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

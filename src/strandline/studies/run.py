@@ -1,5 +1,7 @@
 """From a study folder to its results: the ledger, posterior.nc, summary.json, figures and report.html."""
 
+import io
+import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -13,12 +15,12 @@ from xarray import DataTree
 from strandline.calibration import Calibration, Observer, Problem, calibrate
 from strandline.calibration.in_notebook import observer_or_default
 from strandline.design.active import BatchReport
-from strandline.errors import InvalidStudy, NumericsError
+from strandline.errors import InvalidInput, InvalidStudy, NumericsError, ResultsNotWritten
 from strandline.interface import Interface
 from strandline.likelihood import compared
 from strandline.models.offers import prepare_runs
 from strandline.posterior import to_datatree, write
-from strandline.report import remove_report, write_report
+from strandline.report import FIGURES, remove_report, template, write_report
 from strandline.report.nearness import nearest_runs, nothing_near
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.runs.failures import FailurePolicy
@@ -28,15 +30,12 @@ from strandline.studies.first_run import require_same_size
 from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY, require_writable, write_json
 from strandline.studies.noise import require_fits
 from strandline.studies.observed import noisy
-from strandline.studies.pictures.behind import pictures_in_page
+from strandline.studies.pictures.shown import pictures_in_page
 from strandline.studies.provenance import require_its_own_text
-from strandline.studies.results import Results, require_writers
 from strandline.studies.study import Study
 from strandline.studies.study_runs import report_backup
 from strandline.studies.summary import summarise
 from strandline.version import __version__
-
-__all__ = ["Outcome", "run_study", "submit_study"]
 
 TELLING_RUNS = 4
 """A study ends if this many first successful runs are all ten times larger or smaller than the observation."""
@@ -297,3 +296,81 @@ class _Made:
             observer.run(record, progress)
 
         return replace(observer, run=run)
+
+
+def require_writers() -> None:
+    """Refuse to start if the libraries that write posterior.nc, the figures or the report do not work.
+
+    Raises:
+        InvalidInput: A library does not work; the message has its reason.
+    """
+    for name, trial in {POSTERIOR: _try_netcdf, FIGURES: _try_figures, REPORT: _try_page}.items():
+        try:
+            trial()
+        except Exception as error:
+            raise InvalidInput(
+                f"{name} could not be written at the end",
+                value=reason(error),
+                expected="the libraries that strandline is installed with",
+                remedy="Install strandline again with its dependencies (`pip install --force-reinstall strandline`).",
+            ) from error
+
+
+class Results:
+    """Writes the results of a study one by one; one that fails does not keep the others from being written."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.missing: dict[str, str] = {}
+        self._first: Exception | None = None
+
+    @contextmanager
+    def writing(self, name: str) -> Iterator[None]:
+        """Note an error inside the block as a failure to write the file `name`, and go on."""
+        try:
+            yield
+        except Exception as error:
+            self.failed(name, error)
+
+    def failed(self, name: str, error: Exception) -> None:
+        """Note why `name` is missing, and remove an older file of that name: it does not belong to these results."""
+        self.missing[name] = reason(error)
+        self._first = self._first or error
+        with suppress(OSError):
+            (self.folder / name).unlink(missing_ok=True)
+        if name == FIGURES:
+            shutil.rmtree(self.folder / FIGURES, ignore_errors=True)
+
+    def warnings(self) -> list[str]:
+        """Return a line for each result that is missing."""
+        return [f"{name} could not be written: {why}" for name, why in self.missing.items()]
+
+    def require_all(self, outcome: Any) -> None:
+        """Raise if anything is missing.
+
+        Raises:
+            ResultsNotWritten: Something is missing; the error carries `outcome`.
+        """
+        if self.missing:
+            raise ResultsNotWritten(self.folder, self.missing, outcome) from self._first
+
+
+def reason(error: Exception) -> str:
+    """Return why something failed, on one line."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(": ")
+
+
+def _try_netcdf() -> None:
+    import h5netcdf
+
+    h5netcdf.File(io.BytesIO(), "w").close()
+
+
+def _try_figures() -> None:
+    from matplotlib.backends import backend_agg, backend_pdf  # noqa: F401
+
+
+def _try_page() -> None:
+    template("report.html.j2")

@@ -16,17 +16,12 @@ from strandline.models.protocol import ForwardModel, asks_sensitivities, declare
 from strandline.parameters import ParameterSpace
 from strandline.planning.candidate import Candidate
 from strandline.runs import Executor
-from strandline.smc import SMCSettings
-from strandline.studies import build
 from strandline.studies.candidates import read_candidates
-from strandline.studies.cheaper import with_cheaper
-from strandline.studies.chosen import refused_at
-from strandline.studies.executors import build_executor
 from strandline.studies.folder import LEDGER
 from strandline.studies.inputs import build_fixed, build_space, check_complete
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.observation import COLUMN, IMAGE, ConditionFile, ConditionNoise, ObservationFile
-from strandline.studies.known_model import as_in_ledgers
+from strandline.studies.models import as_in_ledgers, build_discrepancies, build_model, with_cheaper
 from strandline.studies.noise import (
     build_noise,
     require_fits,
@@ -35,20 +30,15 @@ from strandline.studies.noise import (
     require_shared,
     require_unit,
 )
-from strandline.studies.observations import Found, read_observations
-from strandline.studies.observed import SyntheticNoise
+from strandline.studies.observed import Found, SyntheticNoise, read_observations
 from strandline.studies.parse import parse_study
 from strandline.studies.pictures.photographed import Photographed
 from strandline.studies.pictures.scanned import Scanned
 from strandline.studies.pictures.undeformed import Undeformed, undeformed_in, with_errors_of
 from strandline.studies.question_keys import digest_of
+from strandline.studies.settings import build_executor, build_settings
 from strandline.studies.study_runs import StudyRuns
 from strandline.typeset import html_table, html_text
-
-__all__ = ["Study", "load_study", "study_of"]
-
-FEW_INPUTS = 3
-"""Largest number of inputs with one length scale for all in a surrogate of the log-likelihood made for comparison."""
 
 
 @dataclass(frozen=True)
@@ -182,7 +172,7 @@ def study_of(folder: Path, content: StudyFile, text: str) -> Study:
         InvalidStudy: A value in it cannot be used.
     """
     undeformed = undeformed_in(content.model, folder)
-    model = build.build_model(content.model, folder, sensitivities=content.sensitivities, undeformed=undeformed)
+    model = build_model(content.model, folder, sensitivities=content.sensitivities, undeformed=undeformed)
     reuse = tuple(_reused_ledger(folder, other) for other in content.reuse)
     model = with_cheaper(as_in_ledgers(model, (folder / LEDGER, *reuse)), content, folder, undeformed)
     space, fixed = build_space(content.inputs, model), build_fixed(content, model)
@@ -201,7 +191,7 @@ def study_of(folder: Path, content: StudyFile, text: str) -> Study:
         model=model,
         space=space,
         fixed=fixed,
-        discrepancies=build.build_discrepancies(content.discrepancy),
+        discrepancies=build_discrepancies(content.discrepancy),
         noise=noise,
         noises=noises,
         observed=observed,
@@ -211,7 +201,7 @@ def study_of(folder: Path, content: StudyFile, text: str) -> Study:
         pictures={condition: one.picture for condition, one in read.items() if one.picture is not None},
         stacks={condition: one.stack for condition, one in read.items() if one.stack is not None},
         undeformed=undeformed,
-        settings=_settings(content, model),
+        settings=build_settings(content, model),
         executor=build_executor(content.executor, folder),
         reuse=reuse,
         candidates=read_candidates(content.next, model, space, fixed),
@@ -269,36 +259,6 @@ def _require_taken(given: ConditionNoise, one: Found, condition: str) -> None:
         )
     if one.errors is not None:
         require_offset(given)
-
-
-def _settings(content: StudyFile, model: ForwardModel) -> Settings:
-    smc, sobol = dict(content.sampler.smc), content.design.sobol
-    particles = smc.pop("particles")
-    refine = build.build_refinement(content.design.refine, particles)
-    with refused_at("sampler.smc"):
-        sampler = SMCSettings(**smc)
-    dim, log_likelihood = len(content.inputs), content.surrogate.log_likelihood
-    active = build.build_active(content.design.active, dim, sensitivities=content.sensitivities)
-    if sobol is not None:
-        build.check_runs(sobol.runs, dim)
-    by_field = active is not None or content.surrogate.field is not None
-    kernel = None if log_likelihood is None else log_likelihood.kernel
-    scramble = (content.design.active or {}).get("scramble") if sobol is None else sobol.scramble
-    return Settings(
-        runs=sobol.runs if sobol is not None else (active.initial if active and active.initial else 0),
-        scramble=scramble,
-        refine=refine,
-        kernel=build.check_kernel(kernel or ("matern32" if dim <= FEW_INPUTS or not by_field else "matern32_product")),
-        fit=None if log_likelihood is None else build.check_fit(log_likelihood.fit),
-        surrogate="field" if by_field else "log_likelihood",
-        active=active,
-        particles=particles,
-        smc=sampler,
-        seed=content.seed,
-        nuisance_values=content.sampler.cut.values,
-        failures=build.build_failures(content.failures, model),
-        draft=content.draft,
-    )
 
 
 def _truth(

@@ -17,10 +17,8 @@ from strandline.parameters import ParameterSpace
 from strandline.runs import Ledger, RunRecord, run_key
 from strandline.runs.plans import Plan
 from strandline.runs.tables import ATTEMPTS, EXCLUDED
-from strandline.studies.build import failure_words
 from strandline.studies.folder import REFINEMENT, write_json
-
-__all__ = ["Asks", "StudyRuns", "report_backup", "settled"]
+from strandline.studies.settings import failure_words
 
 
 @runtime_checkable

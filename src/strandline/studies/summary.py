@@ -1,11 +1,8 @@
 """summary.json: all results of a finished study, for programs."""
 
-import platform
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, replace
-from importlib import metadata
 from typing import Any
 
 import numpy as np
@@ -25,16 +22,13 @@ from strandline.runs.soundness import outcome_digest
 from strandline.runs.tables import EXCLUDED
 from strandline.studies.chosen import in_words
 from strandline.studies.outline_effect import outline_effect
-from strandline.studies.provenance import observation_digest
-from strandline.studies.read_how import read_how
+from strandline.studies.pictures.shown import read_how
+from strandline.studies.provenance import observation_digest, versions
 from strandline.studies.study import Study
 from strandline.studies.summary_field import certificate, comparison, field_surrogate, inferred_noise
 from strandline.surrogate import GaussianProcess, LogLikelihoodSurrogate
 from strandline.version import __version__
 
-__all__ = ["summarise", "versions"]
-
-PACKAGES = ("numpy", "scipy", "jax", "ngsolve", "mkl", "xarray")
 QUANTILES = (0.05, 0.5, 0.95)
 
 
@@ -172,15 +166,6 @@ def _reading(reading: Reading) -> dict[str, Any]:
         "map_bins": reading.map_bins,
         "covariance": reading.covariance.tolist(),
     }
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of Python and of the installed packages that numbers depend on."""
-    found = {"python": platform.python_version()}
-    for name in PACKAGES:
-        with suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
 
 
 def _runs(calibration: Calibration) -> dict[str, Any]:

@@ -12,8 +12,6 @@ from strandline.design.active.fidelities import FidelityReport
 from strandline.interface import Observation, UnknownErrors, steady_lengths
 from strandline.likelihood.inferred_noise import NoisePosterior
 
-__all__ = ["certificate", "comparison", "field_surrogate", "inferred_noise"]
-
 TO_MICROMETRES = 1e3
 LEVELS = {"q05": 0.05, "median": 0.5, "q95": 0.95}
 """Quantiles of inferred noise and of an error of the model."""

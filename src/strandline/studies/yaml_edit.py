@@ -9,8 +9,6 @@ import yaml
 from strandline.errors import InvalidStudy
 from strandline.studies.yaml_text import compose_yaml, load_yaml
 
-__all__ = ["REMOVED", "Changes", "changed_content", "changed_text", "flow"]
-
 Changes = Mapping[tuple[str, ...], Any]
 """Keys from the top of the file down to a value → its new value."""
 REMOVED: Any = object()

@@ -10,7 +10,7 @@ from tornado.web import Application, RequestHandler, StaticFileHandler
 
 from strandline.errors import InvalidInput, StrandlineError
 from strandline.report import PANELS, template
-from strandline.studies.pictures.behind import picture_png
+from strandline.studies.pictures.shown import picture_png
 from strandline.studies.study import Study
 from strandline.view.assumptions import asked_by
 from strandline.view.desk import Desk

@@ -29,7 +29,7 @@ from strandline.runs import Ledger
 from strandline.runs.overview import Overview
 from strandline.studies.first_run import observations_of
 from strandline.studies.folder import REFINEMENT, STUDY, SUMMARY
-from strandline.studies.pictures.behind import picture_behind
+from strandline.studies.pictures.shown import picture_behind
 from strandline.studies.progress import progress_as_planned
 from strandline.studies.question_keys import digest_of
 from strandline.studies.study import Study

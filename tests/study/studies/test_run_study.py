@@ -22,10 +22,9 @@ from strandline.runs import InProcess
 from strandline.studies import load_study, run_study
 from strandline.studies.first_run import known_lines
 from strandline.studies.progress import progress_of
-from strandline.studies.provenance import observation_digest
+from strandline.studies.provenance import observation_digest, results_at_hand
 from strandline.studies.run import submit_study
 from strandline.studies.summary import _sensitivity
-from strandline.studies.unchanged import results_at_hand
 from strandline.testing.studies import BEAM_STUDY, write_study
 from strandline.testing.studies import beam as simulator
 

@@ -19,9 +19,8 @@ from strandline.models.fidelities import is_cheaper
 from strandline.report import plots
 from strandline.runs import RunRecord, RunRequest, attempt
 from strandline.studies import first_run, load_study
-from strandline.studies.cheaper import cheaper_lines
-from strandline.studies.measure_doubts import measure_lines
-from strandline.studies.simulated_nodes import node_lines
+from strandline.studies.measure_doubts import measure_lines, node_lines
+from strandline.studies.models import cheaper_lines
 from strandline.testing.studies import beam, write_study
 
 TRUTH = {"E": 430.0, "tilt": 0.02, "load": 1e-5}

@@ -22,10 +22,8 @@ from strandline.report.plots.picture import off_smooth
 from strandline.runs import RunRecord
 from strandline.studies import load_study
 from strandline.studies.measure_doubts import measure_lines
-from strandline.studies.pictures.behind import _small, picture_png
-from strandline.studies.pictures.frame_note import frame_note
-from strandline.studies.pictures.picture_files import _along, described, write_pictures
-from strandline.studies.read_how import read_how
+from strandline.studies.pictures.photographed import frame_note
+from strandline.studies.pictures.shown import _along, _small, described, picture_png, read_how, write_pictures
 from strandline.testing.studies import TWO_LOADS_STUDY, write_study
 
 IMAGE = {"sd": "image", "unit": "um"}

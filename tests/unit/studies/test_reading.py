@@ -22,10 +22,10 @@ from strandline.runs.executors.dask import DaskCluster
 from strandline.runs.executors.slurm_array import SlurmArray
 from strandline.smc import SMCSettings
 from strandline.studies import load_study
-from strandline.studies.keys.executor import ExecutorChoice
+from strandline.studies.inputs import require_prior
+from strandline.studies.keys.settings import ExecutorChoice
 from strandline.studies.noise import require_stated
 from strandline.studies.observed import SyntheticNoise, noisy, read_points, require_plausible
-from strandline.studies.own_prior import require_prior
 from strandline.studies.parse import parse_study
 from strandline.studies.yaml_text import _not_yaml
 from strandline.testing.models import TwoLoads

@@ -17,11 +17,10 @@ from strandline.cli import main
 from strandline.interface import GaussianNoise, Interface, PointErrors
 from strandline.readers import Reading, read_interface
 from strandline.studies import load_study
-from strandline.studies.keys.stack import StackFile
+from strandline.studies.keys.observation import StackFile
 from strandline.studies.pictures.scanned import Scanned
-from strandline.studies.pictures.stack_files import write_stacks
+from strandline.studies.pictures.shown import read_how, write_stacks
 from strandline.studies.pictures.undeformed import with_errors_of
-from strandline.studies.read_how import read_how
 from strandline.testing.studies import BEAM_STUDY, write_study
 
 V, RADIUS = 1e-3, 0.014

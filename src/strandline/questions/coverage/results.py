@@ -9,8 +9,8 @@ from strandline.calibration.experiment import CoordinateErrors, Experiment
 from strandline.calibration.field_quality import FieldQuality
 from strandline.interface import Noise, PointErrors, UnknownErrors
 from strandline.posterior.uniformity import Band, Coverage
+from strandline.studies.provenance import versions
 from strandline.studies.study import Study
-from strandline.studies.summary import versions
 from strandline.version import __version__
 
 __all__ = ["describe_coverage"]

@@ -9,8 +9,8 @@ from strandline.interface import UnknownErrors
 from strandline.planning.candidate import Candidate
 from strandline.planning.identifiability import Direction, in_words
 from strandline.questions.next.answers import Answer, Answers, ranked
+from strandline.studies.provenance import versions
 from strandline.studies.study import Study
-from strandline.studies.summary import versions
 from strandline.version import __version__
 
 __all__ = ["describe_next"]

@@ -17,9 +17,9 @@ from strandline.models.protocol import declared_conditions
 from strandline.studies.folder import SPECIMENS_TABLE
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.observation import ObservationFile
-from strandline.studies.keys.specimens import SpecimensFile
+from strandline.studies.keys.study_file import SpecimensFile
 from strandline.studies.noise import build_noise, require_fits
-from strandline.studies.observations import read_observation
+from strandline.studies.observed import read_observation
 from strandline.studies.parse import first_problem
 from strandline.studies.pictures.undeformed import with_errors_of
 from strandline.studies.study import Study

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from strandline.population import FEWEST_SPECIMENS, TOLERATED_SHIFT, Population, Refused, Shrunk, SpecimenPosterior
 from strandline.questions.specimens.opened import Specimens
 from strandline.studies.folder import whole_file
-from strandline.studies.summary import versions
+from strandline.studies.provenance import versions
 from strandline.version import __version__
 
 __all__ = ["describe_specimens", "write_table"]

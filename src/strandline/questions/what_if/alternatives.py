@@ -15,7 +15,7 @@ from strandline.studies.chosen import entry, refused_at
 from strandline.studies.inputs import build_prior
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.observation import Noise
-from strandline.studies.keys.what_if import WhatIf
+from strandline.studies.keys.study_file import WhatIf
 from strandline.studies.parse import first_problem
 from strandline.studies.study import Study, study_of
 from strandline.studies.yaml_text import load_yaml

@@ -9,8 +9,8 @@ import numpy as np
 from strandline.calibration.alternative import Present
 from strandline.calibration.what_if import LEAST_RATIO, LEAST_SHIFT, Answer
 from strandline.posterior.weighted import Weighted
+from strandline.studies.provenance import versions
 from strandline.studies.study import Study
-from strandline.studies.summary import versions
 from strandline.text import listed
 from strandline.version import __version__
 

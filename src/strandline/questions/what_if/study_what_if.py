@@ -27,7 +27,7 @@ from strandline.report.what_if import draw_what_if
 from strandline.runs import Progress
 from strandline.studies.check import finished_posterior
 from strandline.studies.folder import WHAT_IF, require_writable, told_if_unwritable, write_json
-from strandline.studies.keys.what_if import WhatIf
+from strandline.studies.keys.study_file import WhatIf
 from strandline.studies.study import Study
 
 __all__ = ["StudyWhatIf", "what_if"]

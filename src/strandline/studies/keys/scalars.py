@@ -1,27 +1,10 @@
-"""Numbers, names and texts in study.yaml; each type refuses values that could not be used later."""
+"""Numbers, names, texts and sections of study.yaml: what could not be used later is refused, and unknown keys."""
 
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from strandline.text import decimal, is_label, is_name
-
-__all__ = [
-    "LONGEST_SECONDS",
-    "MOST",
-    "MOST_RETRIES",
-    "MOST_VALUES",
-    "VARIANCES",
-    "Count",
-    "Name",
-    "Number",
-    "Seconds",
-    "Seed",
-    "Size",
-    "Text",
-    "Unit",
-    "Whole",
-]
 
 MOST = 1_000_000
 """Largest count of runs, particles, workers and so on: more than anybody needs, and few enough for memory."""
@@ -82,3 +65,14 @@ Name = Annotated[str, AfterValidator(_name)]
 Unit = Annotated[str, AfterValidator(_label)]
 Seconds = Annotated[Number, Field(gt=0), AfterValidator(_seconds)]
 Text = Annotated[str, Field(strict=True, min_length=1)]
+
+
+Choice = Annotated[dict[str, dict[str, Any] | None], Field(min_length=1, max_length=1)]
+"""One named variant with its options: ``{currents: {width: 0.005}}``."""
+Switch = Annotated[bool, Field(strict=True)]
+
+
+class Section(BaseModel):
+    """Keys with values."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)

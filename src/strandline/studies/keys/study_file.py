@@ -5,16 +5,54 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from strandline.errors import InvalidStudy
-from strandline.studies.keys.design import Design, Sampler, Surrogate
-from strandline.studies.keys.executor import ExecutorChoice
-from strandline.studies.keys.failures import Failures
 from strandline.studies.keys.observation import Noise, Observed
-from strandline.studies.keys.scalars import Name, Number, Seed, Unit
-from strandline.studies.keys.section import Choice, Section, Switch
-from strandline.studies.keys.specimens import SpecimensFile
-from strandline.studies.keys.what_if import WhatIf
+from strandline.studies.keys.scalars import Choice, Name, Number, Section, Seed, Switch, Unit
+from strandline.studies.keys.settings import Design, ExecutorChoice, Failures, Sampler, Surrogate
 
-__all__ = ["SCHEMA_VERSION", "Input", "Quantity", "StudyFile"]
+
+class SpecimensFile(Section):
+    """Outlines of many specimens."""
+
+    files: Annotated[str, Field(min_length=1)]
+    """files of the outlines, or pictures of them, relative to the study folder: `specimens/*.csv`; or this alone,
+    `specimens: specimens/*.csv`"""
+    given: str | None = None
+    """a table of [known inputs](../how-to/many-specimens.md#known-inputs): a column `file` and one for each of them"""
+    read: dict[str, Any] | None = None
+    """how to read the files, with the keys of `observation`: `{unit: mm}`, or `{image: {…}}` for pictures; default: as
+    `observation`"""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _files_alone(cls, given: Any) -> Any:
+        return {"files": given} if isinstance(given, str) else given
+
+
+CHANGES = ("prior", "noise", "measure", "fix", "without")
+
+
+class WhatIf(Section):
+    """Another assumption: one change of the study, or several together."""
+
+    name: Unit | None = None
+    """of an [alternative](../how-to/what-if.md): what it is called in the table; default: what it changes"""
+    prior: dict[Name, Annotated[dict[str, list[Number]], Field(min_length=1, max_length=1)]] = {}
+    """other [priors](#priors) by input, in the same box"""
+    noise: dict[str, Any] | None = None
+    """another `noise`, with the keys of that section"""
+    measure: Annotated[str, Field(min_length=1)] | Choice | None = None
+    """another [measure](#measures) with its options, or the name of one"""
+    fix: dict[Name, Number] = {}
+    """values of inputs that are taken as known"""
+    without: list[str] = []
+    """conditions that are left out"""
+
+    @model_validator(mode="after")
+    def _any_change(self) -> "WhatIf":
+        if not any(getattr(self, name) for name in CHANGES):
+            raise ValueError(f"at least one of {', '.join(CHANGES)}")
+        return self
+
 
 SCHEMA_VERSION = 1
 

@@ -31,13 +31,33 @@ from strandline.imaging import (
 )
 from strandline.imaging.markov_path import MarkovPath
 from strandline.imaging.pixel_size import SAME, PixelSize
+from strandline.imaging.surfaces import StackFrame
 from strandline.interface import Interface, PointErrors
 from strandline.studies.chosen import refused_at
-from strandline.studies.keys.image import ImageFile
-from strandline.studies.keys.observation import ConditionFile, ObservationFile
-from strandline.studies.pictures.frame_note import frame_note
+from strandline.studies.keys.observation import ConditionFile, ImageFile, ObservationFile
 
-__all__ = ["MODEL", "Photographed", "clicked", "photographed", "picture_of", "read_only_picture", "reference_of"]
+UNDEFORMED = "undeformed"
+"""Name, in files and results, of the picture that gives the model its outline."""
+
+
+def frame_note(frame: Frame | StackFrame, options: object, origin: str = "the study") -> str:
+    """Return a sentence that says where the model lies in a picture, and who said so.
+
+    Args:
+        frame: Where it lies.
+        options: The key `frame` as the study gives it; what it leaves out is a default.
+        origin: What gives the origin.
+    """
+    given = options if isinstance(options, Mapping) else {}
+    at = ", ".join(f"{value:.6g}" for value in frame.origin)
+    none = ", ".join("0" for _ in frame.origin)
+    what = "pixel" if isinstance(frame, Frame) else "voxel"
+    axes = [name for name in ("x", "y", "z") if hasattr(frame, name)]
+    stated = [name for name in axes if given.get(name) is not None]
+    shown = [f"{name} {getattr(frame, name)}{'' if name in stated else ' (default)'}" for name in axes]
+    turned = f", turned by {frame.rotation:.4g}°" if isinstance(frame, Frame) and frame.rotation else ""
+    return f"the model's ({none}) at {what} ({at}) from {origin}; its axes point {', '.join(shown)}{turned}"
+
 
 PLACE = "observation.image"
 SAME_PLACE = 0.5

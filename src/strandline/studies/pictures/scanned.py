@@ -9,10 +9,8 @@ from strandline.imaging.pixel_size import PixelSize
 from strandline.imaging.surfaces import StackFrame, Surface, find_surface, region_of
 from strandline.interface import Interface, PointErrors
 from strandline.studies.chosen import refused_at
-from strandline.studies.keys.stack import StackFile
-from strandline.studies.pictures.frame_note import frame_note
-
-__all__ = ["Scanned", "scanned"]
+from strandline.studies.keys.observation import StackFile
+from strandline.studies.pictures.photographed import frame_note
 
 PLACE = "observation.stack"
 

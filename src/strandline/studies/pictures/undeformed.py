@@ -12,11 +12,9 @@ from pydantic import ValidationError
 from strandline.imaging import Outlined, outline_of
 from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
 from strandline.studies.chosen import refused_at
-from strandline.studies.keys.image import ImageFile
+from strandline.studies.keys.observation import ImageFile
 from strandline.studies.parse import first_problem
 from strandline.studies.pictures.photographed import Photographed, photographed
-
-__all__ = ["IMAGE", "Undeformed", "undeformed_in", "undeformed_picture", "with_errors_of", "without_picture"]
 
 IMAGE = "image"
 """Option of an outline that names a picture instead of points."""

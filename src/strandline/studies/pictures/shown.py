@@ -1,12 +1,16 @@
-"""What `strandline image` writes: the edge as a table, a picture of it, and its errors in numbers."""
+"""What is shown of pictures and stacks: behind the interfaces, in summary.json, and what `strandline image` writes."""
 
-from collections.abc import Mapping
+import base64
+import io
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
+from PIL import Image
 
 from strandline.discrepancy import Discrepancy, KnowsPointErrors, NormalOffset, Whitens, unit_of
 from strandline.imaging import FrameErrors
@@ -14,15 +18,95 @@ from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood.compared import adapted
 from strandline.report.click_page import write_click_page
 from strandline.report.plots.picture import plot_picture
+from strandline.report.plots.stack import plot_stack
 from strandline.report.plots.style import DOTS_PER_INCH
 from strandline.studies.chosen import in_words, refused_at
 from strandline.studies.folder import require_writable, told_if_unwritable, whole_file, write_json
-from strandline.studies.keys.image import ImageFile
-from strandline.studies.pictures.frame_note import UNDEFORMED
-from strandline.studies.pictures.photographed import Photographed, clicked, read_only_picture
+from strandline.studies.keys.observation import ImageFile
+from strandline.studies.pictures.photographed import UNDEFORMED, Photographed, clicked, read_only_picture
+from strandline.studies.pictures.scanned import Scanned
 from strandline.studies.pictures.undeformed import Undeformed
+from strandline.studies.study import Study
 
-__all__ = ["IMAGE", "UNDEFORMED", "PictureFiles", "described", "variances", "write_page", "write_pictures"]
+
+def read_how(study: Study) -> list[dict[str, Any]]:
+    """Return condition, file, checksum and notes of each picture and stack, the one of the outline first."""
+    first = {} if study.undeformed is None else {UNDEFORMED: study.undeformed.picture}
+    found = [(name, one.name, one.picture.sha256, one.notes) for name, one in {**first, **study.pictures}.items()]
+    found += [(name, one.name, one.stack.sha256, one.notes) for name, one in study.stacks.items()]
+    keys = ("condition", "file", "sha256", "notes")
+    return [{**dict(zip(keys, one, strict=True)), "notes": list(one[3])} for one in found]
+
+
+def read_lines(study: Study) -> Iterator[str]:
+    """Yield a line on each picture and stack."""
+    for one in read_how(study):
+        of = f"{one['condition']}: " if one["condition"] else ""
+        yield f"{of}{one['file']}: {'; '.join(one['notes'])}; sha256 {one['sha256'][:12]}…"
+
+
+DARKEST = 0.5, 99.5
+"""Percentiles of the grey values that are shown black and white."""
+MOST_PIXELS, MOST_IN_PAGE = 1600, 1000
+"""Longest side of a picture on the live page and in a report, pixels."""
+QUALITY = 80
+"""Quality of the JPEG in a report."""
+
+
+def picture_behind(study: Study, condition: str, source: str) -> dict[str, Any] | None:
+    """Return size, place and address of a condition's picture; None if it has none.
+
+    A point m in mm lies at the pixel `matrix` m + `origin`.
+    """
+    found = study.pictures.get(condition)
+    if found is None:
+        return None
+    rows, columns = found.picture.values.shape
+    frame = found.frame
+    return {
+        "width": columns,
+        "height": rows,
+        "matrix": np.linalg.inv(frame.matrix).tolist(),
+        "origin": list(frame.origin),
+        "pixel": list(frame.pixel),
+        "name": found.name,
+        "source": source,
+    }
+
+
+def picture_png(study: Study, condition: str) -> bytes | None:
+    """Return a condition's picture in grey, made smaller if it is large; None if it has none."""
+    found = study.pictures.get(condition)
+    return None if found is None else _saved(_small(found.picture.values, MOST_PIXELS), "PNG")
+
+
+def pictures_in_page(study: Study) -> dict[str, dict[str, Any]]:
+    """Return the pictures by condition as `picture_behind` does, each with a small JPEG as its address."""
+    out = {}
+    for condition, found in study.pictures.items():
+        jpeg = _saved(_small(found.picture.values, MOST_IN_PAGE), "JPEG", quality=QUALITY)
+        source = f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode('ascii')}"
+        behind = picture_behind(study, condition, source)
+        if behind is not None:
+            out[condition] = behind
+    return out
+
+
+def _small(values: Float[np.ndarray, "row column"], most: int) -> Image.Image:
+    """Return the picture in grey; of a large one, each pixel is the mean of those that it stands for."""
+    some = values[:: -(-values.shape[0] // most), :: -(-values.shape[1] // most)]
+    black, white = np.nanpercentile(some, DARKEST)
+    share = np.nan_to_num((values - black) / max(white - black, 1e-12))
+    image = Image.fromarray(np.round(255 * np.clip(share, 0.0, 1.0)).astype(np.uint8))
+    image.thumbnail((most, most), Image.Resampling.BOX)
+    return image
+
+
+def _saved(image: Image.Image, kind: str, **options: Any) -> bytes:
+    out = io.BytesIO()
+    image.save(out, kind, **options)
+    return out.getvalue()
+
 
 IMAGE = "image"
 """Folder, in the study's, of what is written."""
@@ -194,3 +278,83 @@ def _variance(measure: Discrepancy, seen: Interface, errors: PointErrors) -> tup
         return None, "none needed, it weighs the points by their errors"
     closed = measure.noise_variance(errors, seen) if isinstance(measure, KnowsPointErrors) else None
     return closed, None if closed is not None else "no closed form holds, a run of the study computes it"
+
+
+TRIANGLE = 5
+"""VTK's number of the kind of a cell."""
+
+
+def write_stacks(
+    folder: Path, stacks: Mapping[str, Scanned], *, measures: Mapping[str, Discrepancy] = MappingProxyType({})
+) -> list[PictureFiles]:
+    """Write surface, slices and numbers of each condition into ``image/`` of the study's folder.
+
+    Args:
+        folder: Folder of the study.
+        stacks: The stacks with the observed surfaces, by condition.
+        measures: The measures of the study, by name, whose noise variances are given.
+
+    Raises:
+        InvalidStudy: The folder cannot be written to.
+    """
+    require_writable(folder)
+    target, out = folder / IMAGE, []
+    with told_if_unwritable(target):
+        target.mkdir(exist_ok=True)
+        for condition, one in stacks.items():
+            stem = f"{condition}-surface" if condition else "surface"
+            content = described_stack(one, measures)
+            with whole_file(target / f"{stem}.vtu") as path:
+                path.write_text(vtu(one.interface), encoding="utf-8")
+            figure: Any = plot_stack(one.stack, one.surface.mesh)
+            with whole_file(target / f"{stem}.png") as path:
+                figure.savefig(path, dpi=DOTS_PER_INCH, format="png", metadata={"Software": None})
+            write_json(target / f"{stem}.json", content)
+            names = tuple(f"{IMAGE}/{stem}.{suffix}" for suffix in ("vtu", "png", "json"))
+            out.append(PictureFiles(condition, content, names))
+    return out
+
+
+def described_stack(one: Scanned, measures: Mapping[str, Discrepancy]) -> dict[str, Any]:
+    """Return the errors of a surface, lengths in mm, and σ_N² of measures that fit them."""
+    e = one.surface.errors
+    return {
+        "stack": one.name,
+        "sha256": one.stack.sha256,
+        "voxel_mm": list(one.stack.voxel),
+        "notes": list(one.notes),
+        "triangles": len(one.interface.cells),
+        "points": len(one.interface.points),
+        "closed": one.interface.closed,
+        "sd": e.sd,
+        "length": e.length,
+        "offset": e.offset,
+        "blur": e.blur,
+        "contrast_to_noise": e.contrast_to_noise,
+        "open_share": e.open_share,
+        "facts": e.facts,
+        "noise_variance": variances(one.interface, one.errors, measures),
+    }
+
+
+def vtu(surface: Interface) -> str:
+    """Return a surface as the text of a file .vtu, in mm."""
+    number = len(surface.cells)
+    arrays = {
+        "Points": _array("Points", "Float64", (" ".join(f"{x:.9g}" for x in row) for row in surface.points), 3),
+        "Cells": _array("connectivity", "Int64", (" ".join(map(str, row)) for row in surface.cells.tolist()))
+        + _array("offsets", "Int64", map(str, range(3, 3 * number + 1, 3)))
+        + _array("types", "UInt8", [str(TRIANGLE)] * number),
+    }
+    inner = "".join(f"<{name}>\n{text}</{name}>\n" for name, text in arrays.items())
+    return (
+        '<?xml version="1.0"?>\n<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian">\n'
+        f'<UnstructuredGrid>\n<Piece NumberOfPoints="{len(surface.points)}" NumberOfCells="{number}">\n{inner}'
+        "</Piece>\n</UnstructuredGrid>\n</VTKFile>\n"
+    )
+
+
+def _array(name: str, kind: str, rows: Any, components: int = 1) -> str:
+    several = f' NumberOfComponents="{components}"' if components > 1 else ""
+    body = "\n".join(rows)
+    return f'<DataArray type="{kind}" Name="{name}"{several} format="ascii">\n{body}\n</DataArray>\n'

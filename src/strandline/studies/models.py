@@ -1,24 +1,133 @@
-"""The cheaper model of a study, from its key `fidelities`."""
+"""The keys `model` and `fidelities` of study.yaml → forward models."""
 
+import dataclasses
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from strandline.discrepancy import DISCREPANCIES, Discrepancy
 from strandline.discrepancy.residuals import apart
-from strandline.errors import InvalidInput, InvalidStudy
+from strandline.errors import InvalidInput, InvalidStudy, LedgerError
+from strandline.models import MODELS
 from strandline.models.fidelities import CHEAPER, WithCheaper, by_cheaper
 from strandline.models.offers import UsesNames
-from strandline.models.protocol import ForwardModel
+from strandline.models.protocol import ForwardModel, fingerprint, with_sensitivities
+from strandline.models.python import PythonModel
+from strandline.readers.options import TO_MM
 from strandline.runs import RunRecord
-from strandline.studies.build import build_model
+from strandline.runs.overview import Overview
+from strandline.studies.chosen import construct, open_entry, require_parts
 from strandline.studies.folder import SUMMARY
 from strandline.studies.keys import StudyFile
-from strandline.studies.pictures.undeformed import Undeformed
+from strandline.studies.observed import read_points
+from strandline.studies.pictures.undeformed import Undeformed, undeformed_in, without_picture
 
-__all__ = ["cheaper_dropped", "cheaper_lines", "with_cheaper"]
+
+def build_model(
+    choice: Mapping[str, Mapping[str, Any] | None],
+    folder: Path = Path(),
+    *,
+    sensitivities: bool = False,
+    undeformed: Undeformed | None = None,
+) -> ForwardModel:
+    """Return the forward model that the study names, with sensitivities if the study asks for them.
+
+    An option `{file: …, unit: …}` is replaced by the points of that file in `folder`, as an outline in mm; a model with
+    a field `folder` gets the study folder instead and reads files itself. `outline: {image: …}` is replaced by
+    `undeformed`, by default the outline in that picture.
+    """
+    (name, options) = next(iter(choice.items()))
+    if "sensitivities" in (options or {}):
+        raise InvalidStudy(
+            f"model.{name}: sensitivities is not an option of the model",
+            value=(options or {})["sensitivities"],
+            expected="`sensitivities: true` as a key of the study",
+            remedy="Move the key to the top level of study.yaml.",
+        )
+    factory = open_entry(MODELS, name, "model", "a forward model")
+    if wants_folder(factory):
+        model: ForwardModel = construct(factory, options, f"model.{name}", folder=folder)
+    else:
+        options = {key: _with_points(key, value, folder) for key, value in (options or {}).items()}
+        undeformed = undeformed or undeformed_in(choice, folder)
+        if undeformed is not None:
+            options["outline"] = {**without_picture(options["outline"]), **undeformed.options}
+        model = construct(factory, options, f"model.{name}")
+    return _sensitive(model) if sensitivities else model
+
+
+def wants_folder(factory: Any) -> bool:
+    """Return whether a model needs the study folder: it has a field `folder`, which is then not an option."""
+    return any(f.name == "folder" and f.init for f in dataclasses.fields(factory))
+
+
+def _with_points(name: str, value: Any, folder: Path) -> Any:
+    """Return an option, with its file of points read if it names one."""
+    if not isinstance(value, Mapping) or "file" not in value:
+        return value
+    unit = value.get("unit")
+    if unit not in TO_MM:
+        raise InvalidStudy(
+            f"unit of the points in {value['file']}",
+            value=unit,
+            expected=f"one of {', '.join(TO_MM)}",
+            remedy="Add `unit: mm` after `file`.",
+        )
+    points = read_points(folder / str(value["file"]), unit, what=name).points.tolist()
+    rest = {key: item for key, item in value.items() if key not in ("file", "unit")}
+    return {"points": points, "spline": False, **rest}
+
+
+def build_discrepancies(
+    choice: Mapping[str, Mapping[str, Any] | None] | list[dict[str, dict[str, Any] | None]],
+) -> dict[str, Discrepancy]:
+    """Return the measures by name, in the order of the study."""
+    result: dict[str, Discrepancy] = {}
+    for item in choice if isinstance(choice, list) else [choice]:
+        (name, options) = next(iter(item.items()))
+        if name in result:
+            raise InvalidStudy(
+                "discrepancy", value=name, expected="each measure once", remedy=f"Remove the second {name}."
+            )
+        kind = open_entry(DISCREPANCIES, name, "discrepancy", "a discrepancy")
+        measure = construct(kind, options, f"discrepancy.{name}")
+        require_parts(measure, ("__call__",), f"discrepancy.{name}")
+        result[name] = measure
+    return result
+
+
+def _sensitive(model: ForwardModel) -> ForwardModel:
+    try:
+        asked: ForwardModel = with_sensitivities(model)
+    except InvalidInput as error:
+        raise InvalidStudy(
+            "sensitivities", value="true, but this model offers none", expected=error.expected, remedy=error.remedy
+        ) from None
+    return asked
+
+
+def as_in_ledgers(model: ForwardModel, ledgers: Sequence[Path]) -> ForwardModel:
+    """Return `model`, identified by its function alone if the first existing ledger identifies it that way.
+
+    The function must not have changed since; a change of what it calls goes unnoticed, as before.
+    """
+    if not isinstance(model, PythonModel):
+        return model
+    path = next((path for path in ledgers if path.is_file()), None)
+    if path is None:
+        return model
+    try:
+        with Overview(path) as ledger:
+            kept = ledger.model()
+        earlier = replace(model, function_alone=True)
+        return earlier if kept not in (None, fingerprint(model)) and kept == fingerprint(earlier) else model
+    except LedgerError:  # damaged: reported when it is opened for use
+        return model
+
 
 COST = 0.3
 """Cost of a run of the cheaper model if the study states none: that of the built-in model on its coarse mesh."""

@@ -1,14 +1,11 @@
-"""Sections of study.yaml whose keys are the options of a class of the library: one definition of name, type, default.
-
-``refine: Annotated[Mapping[str, Any], Options(Refinement)]`` takes a mapping from the fields of `Refinement` to values
-of their types and refuses other keys. The class itself checks which values make sense when it is made.
-"""
+"""Sections whose keys are the options of a class of the library, and all keys in one list."""
 
 import dataclasses
+import json
 import re
 import textwrap
 import types
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin
@@ -17,10 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, create_
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
-from strandline.studies.keys.scalars import Number, Size, Text
-from strandline.studies.keys.section import Section, Switch
-
-__all__ = ["Options", "annotation_of", "keys_within", "meanings"]
+from strandline.studies.keys.scalars import Number, Section, Size, Switch, Text
 
 PLAIN = {float: Number, int: Size, str: Text, bool: Switch}
 """Types of fields → types of values in the study file."""
@@ -121,3 +115,73 @@ def meanings(kind: type) -> dict[str, str]:
             found[name] = []
         found[name].append(line.strip())
     return {name: " ".join(lines) for name, lines in found.items()}
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of study.yaml that takes a value.
+
+    Args:
+        name: Name with the sections around it: ``design.sobol.runs``; NAME stands for a name that the user chooses.
+        default: Default as YAML writes it, or ``required``.
+        meaning: Meaning in Markdown; empty if a key before it explains this one too.
+    """
+
+    name: str
+    default: str
+    meaning: str
+
+
+def listed(section: type[BaseModel]) -> tuple[Key, ...]:
+    """Return the keys of a section and of those inside it, in their order, each once."""
+    found: dict[str, Key] = {}
+    for key in _keys(section, ""):
+        found.setdefault(key.name, key)
+    return tuple(found.values())
+
+
+def _keys(section: type[BaseModel], before: str) -> Iterator[Key]:
+    for name, key in section.model_fields.items():
+        if key.exclude:
+            continue
+        annotation = annotation_of(key)
+        inner = list(_sections_in(annotation))
+        named = bool(inner) and _by_name(annotation)
+        prefix = f"{before}{name}.NAME." if named else f"{before}{name}."
+        if not inner or (named and key.description):
+            default = "required" if key.is_required() else _written(key.get_default())
+            yield Key(prefix.removesuffix(".") if named else f"{before}{name}", default, _shown(key.description))
+        for one in inner:
+            yield from _keys(one, prefix)
+
+
+def _shown(meaning: str | None) -> str:
+    """Return a meaning for a cell of a table: one line, with a capital, without a full stop, code in Markdown."""
+    text = " ".join((meaning or "").replace("``", "`").split()).removesuffix(".")
+    return text[:1].upper() + text[1:] if text[:1].isascii() else text
+
+
+def _sections_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield the sections inside an annotation."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+        return
+    marks = [mark for mark in getattr(annotation, "__metadata__", ()) if isinstance(mark, Options)]
+    if marks:
+        yield marks[0].section
+        return
+    for argument in get_args(annotation):
+        yield from _sections_in(argument)
+
+
+def _by_name(annotation: Any) -> bool:
+    """Return whether the user chooses the names of the keys in a section."""
+    if get_origin(annotation) is dict:
+        return True
+    return any(_by_name(one) for one in get_args(annotation) if get_origin(annotation) is not list)
+
+
+def _written(default: Any) -> str:
+    if isinstance(default, str):
+        return default
+    return json.dumps(list(default) if isinstance(default, tuple) else default)
