@@ -219,6 +219,7 @@ def test_what_was_observed_in_part_and_what_was_not_simulated(tmp_path):
     for points, measure, words in (
         (RUN.points, {"closest_point": {}}, ""),
         (RUN.points[6:], {"closest_point": {"direction": "symmetric"}}, beyond),
+        (RUN.resampled(200).points[:176], {"closest_point": {}}, ""),  # two spacings of the run
         (RUN.points[:11], {"closest_point": {"direction": "to_simulated"}}, ""),
         (RUN.points * [1.0, -3.0], {"closest_point": {}}, ""),  # a tip beside the observed one
         (longer(0.03, 1), {"normal_offset": {}}, ""),

@@ -22,6 +22,7 @@ from strandline.runs.executors.dask import DaskCluster
 from strandline.runs.executors.slurm_array import SlurmArray
 from strandline.smc import SMCSettings
 from strandline.studies import load_study
+from strandline.studies.folder import write_json
 from strandline.studies.inputs import require_prior
 from strandline.studies.keys.settings import ExecutorChoice
 from strandline.studies.noise import require_stated
@@ -256,3 +257,8 @@ def test_yaml_is_refused_where_its_mistake_is():
     assert str(_not_yaml(None, "x")).startswith("study.yaml is not valid YAML")
     mark = SimpleNamespace(line=2, column=4)
     assert str(_not_yaml(mark, "x")).startswith("study.yaml, line 3, column 5 is not valid YAML")
+
+
+def test_numbers_that_are_not_finite_are_null_in_json(tmp_path):
+    write_json(tmp_path / "some.json", {"a": [np.nan, 1.0], "b": {"c": (np.inf,)}})
+    assert json.loads((tmp_path / "some.json").read_text()) == {"a": [None, 1.0], "b": {"c": [None]}}
