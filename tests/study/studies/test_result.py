@@ -53,6 +53,11 @@ def test_what_there_is_not_is_refused(result, beam, copy_of, tmp_path):
     with pytest.raises(InvalidStudy, match="not finished"):
         sl.load_result(write_study(tmp_path / "new"))
     folder = copy_of(beam)
+    text = (folder / "study.yaml").read_text()
+    (folder / "study.yaml").write_text(text + "# changed\n")
+    with pytest.raises(InvalidStudy, match="results of an earlier study.yaml"):
+        sl.load_result(folder)
+    (folder / "study.yaml").write_text(text)
     (folder / "summary.json").unlink()
     with pytest.raises(InvalidStudy, match="strandline report"):
         sl.load_result(folder)
