@@ -85,6 +85,8 @@ def test_the_noisy_interface_is_what_was_observed_also_by_the_check_of_the_poste
     np.testing.assert_array_equal(seen.interface.points, noisy({"": true}, SyntheticNoise(0.003, 1))[""].points)
     stored = read(field.folder / "posterior.nc")["observed_data"]
     assert any(np.array_equal(stored[name].values, seen.interface.points) for name in stored.data_vars)
+    scatter = field.outcome.calibration.field.scatter
+    assert field.outcome.summary["surrogate"]["scatter"]["rms_um"] == pytest.approx(1000 * scatter.rms, abs=0)
     (condition,) = field.outcome.summary["likelihood"]["conditions"]
     assert (condition["point_sd"], condition["correlation_length"], condition["noise_variance"]) == (0.003, 0.0, 1.0)
     # The surrogate is nearly exact, so it agrees with the true log-likelihood; without the noise it would not.

@@ -55,7 +55,7 @@ def test_what_there_is_not_is_refused(result, beam, copy_of, tmp_path):
     folder = copy_of(beam)
     text = (folder / "study.yaml").read_text()
     (folder / "study.yaml").write_text(text + "# changed\n")
-    with pytest.raises(InvalidStudy, match="results of an earlier study.yaml"):
+    with pytest.raises(InvalidStudy, match="results of an earlier study"):
         sl.load_result(folder)
     (folder / "study.yaml").write_text(text)
     (folder / "summary.json").unlink()

@@ -14,7 +14,7 @@ from tests.unit.cli.command_line import contents
 
 from strandline import __version__
 from strandline.cli import main
-from strandline.errors import InvalidInput, InvalidStudy, ResultsNotWritten
+from strandline.errors import InvalidInput, InvalidStudy, NumericsError, ResultsNotWritten
 from strandline.interface import GaussianNoise
 from strandline.posterior import read
 from strandline.posterior.sensitivity import SobolIndices
@@ -44,6 +44,7 @@ def test_summary_and_posterior_have_what_programs_count_on_and_tell_the_same(bea
     particles = read(beam.folder / "posterior.nc")["weighted_posterior"]
     weights = particles["weight"].to_numpy()
     assert summary["sensitivity"] is summary["under_uncertainty"] is None
+    assert summary["excluded"] == []
     for name, unit in (("E", "Pa"), ("tilt", "1")):
         item = summary["inputs"][name]
         assert item["unit"] == unit
@@ -103,6 +104,13 @@ def test_a_study_changed_in_memory_alone_is_refused_and_leaves_the_folder_as_it_
     with pytest.raises(InvalidStudy, match=r"settings\.seed"):
         run_study(replace(study, settings=replace(study.settings, seed=5)), executor=InProcess())
     assert contents(folder) == before
+
+
+def test_an_analysis_that_fails_far_from_the_observation_says_so(beam, copy_of, monkeypatch):
+    monkeypatch.setattr("strandline.studies.run.calibrate", Mock(side_effect=NumericsError("singular")))
+    monkeypatch.setattr("strandline.studies.run.nothing_near", lambda found: f"{len(found)} run is far away.")
+    with pytest.raises(NumericsError, match=r"1 run is far away\. The analysis failed: singular"):
+        rerun(copy_of(beam))
 
 
 BROKEN = {

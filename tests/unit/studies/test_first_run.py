@@ -19,7 +19,7 @@ from strandline.models.fidelities import is_cheaper
 from strandline.report import plots
 from strandline.runs import RunRecord, RunRequest, attempt
 from strandline.studies import first_run, load_study
-from strandline.studies.measure_doubts import measure_lines, node_lines
+from strandline.studies.measure_doubts import _sagittas, measure_lines, node_lines
 from strandline.studies.models import cheaper_lines
 from strandline.testing.studies import beam, write_study
 
@@ -251,6 +251,7 @@ def test_a_simulated_polyline_with_too_few_nodes(tmp_path):
         moved = [arc(nodes, step) for step in np.linspace(0, 3.0 / (nodes - 1), 9)[:-1]]
         spread[nodes] = float(np.ptp([WhitenedOffset(errors)(one, seen) for one in moved]))
     assert spread[161] < 1 < spread[41]
+    np.testing.assert_allclose(_sagittas(arc(41)), 1 - np.cos(3.0 / 80), rtol=1e-3)
     assert not lines(arc(161))
     (line,) = lines(arc(41))
     assert line.startswith("warning: between its nodes the simulated polyline is up to 0.7 µm off the smooth curve")

@@ -59,6 +59,17 @@ def test_noise_of_the_observation_is_part_of_the_likelihood(tmp_path):
     np.testing.assert_allclose(content["output"], [[expected]], rtol=1e-9)
 
 
+def test_points_observed_from_the_other_end_are_the_same_observation(tmp_path):
+    points = beam({"E": 400.0, "tilt": 0.02, "load": 1e-5}, tmp_path).interface.points
+    found = []
+    for end in (1, -1):
+        np.savetxt(tmp_path / "observed.csv", points[::end], delimiter=",", header="x,y", comments="")
+        observation = {"file": "observed.csv", "unit": "mm"}
+        models = served_models(load_study(write_study(tmp_path, observation=observation)), local(beam))
+        found.append(evaluate(models, "log_likelihood", 390.0, 0.02)[1]["output"])
+    assert found[0] == found[1] != [[0.0]]
+
+
 @dataclass(frozen=True)
 class Sheet:
     """A square whose right side is at the height E."""
