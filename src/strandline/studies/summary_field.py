@@ -33,7 +33,7 @@ def field_surrogate(calibration: Calibration, found: FieldOutcome) -> dict[str, 
         "left_out_error_um": _quantiles(surrogate.left_out_error(), None),
         "predicted_error_um": _quantiles(at_draws, calibration.posterior.weights),
         "scatter": {
-            "rms_um": TO_MICROMETRES,
+            "rms_um": TO_MICROMETRES * found.scatter.rms,
             "share_of_noise": found.scatter.share,
             "log_likelihood_sd": found.scatter.sd,
         },

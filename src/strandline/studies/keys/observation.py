@@ -394,5 +394,5 @@ class Noise(ConditionNoise):
     model_error: Switch = False
     """whether the model may err by [a smooth offset along the interface](../how-to/model-error.md) of unknown size"""
     spread: list[Name] = []
-    """inputs that may [differ from condition to condition](../how-to/embedded-error.md) by an unknown amount"""
+    """inputs that may [differ from condition to condition](../how-to/model-error.md) by an unknown amount"""
     conditions: dict[str, ConditionNoise] = {}
