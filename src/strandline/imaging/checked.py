@@ -1,18 +1,48 @@
-"""Checks of the options that a study gives for a picture; a mistake is one line."""
+"""Checks of what a study gives for a picture, options and files; a mistake is one line."""
 
 import math
-from collections.abc import Collection, Mapping
-from typing import Any
+import sys
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeGuard
 
 from strandline.errors import InvalidInput
 from strandline.registry import suggestion
 
-__all__ = ["keys_of", "number", "pair", "unfit", "word"]
+LARGEST = 1 << 23
+"""Bytes of a file with a path or with clicks that is read."""
 
 
 def unfit(what: str, value: object, expected: str, remedy: str = "") -> InvalidInput:
-    """Return the error for an option that cannot be used."""
+    """Return the error for something that cannot be used."""
     return InvalidInput(what, value=value, expected=expected, remedy=remedy or f"Correct {what.partition(':')[0]}.")
+
+
+@contextmanager
+def named(name: str, remedy: str = "") -> Iterator[None]:
+    """Begin the message of an `InvalidInput` with a name; give it another remedy if there is one."""
+    try:
+        yield
+    except InvalidInput as error:
+        raise unfit(f"{name}: {error.what}", error.value, error.expected, remedy or error.remedy) from None
+
+
+def content_of(path: Path, expected: str) -> bytes:
+    """Return the contents of a small file.
+
+    Raises:
+        InvalidInput: It cannot be read, or has more than 8 MB; `expected` says what would be correct.
+    """
+    remedy = "Correct the file, or its name."
+    try:
+        with path.open("rb") as file:
+            content = file.read(LARGEST + 1)
+    except OSError as error:
+        raise unfit("cannot be read", error.strerror or str(error), expected, remedy) from None
+    if len(content) > LARGEST:
+        raise unfit("size of the file", f"more than {LARGEST} bytes", expected, remedy)
+    return content
 
 
 def keys_of(options: object, known: Collection[str], place: str, example: str) -> Mapping[str, Any]:
@@ -36,13 +66,18 @@ def keys_of(options: object, known: Collection[str], place: str, example: str) -
     return options
 
 
+def is_finite(value: object) -> TypeGuard[int | float]:
+    """Return whether a value is a finite number; integers of hundreds of digits count as infinite."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+
+
 def number(value: object, place: str, expected: str, low: float = -math.inf, high: float = math.inf) -> float:
     """Return a finite number from `low` to `high`.
 
     Raises:
         InvalidInput: It is another value; `expected` says what would be correct.
     """
-    if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and low <= value <= high:
+    if is_finite(value) and low <= value <= high:
         return float(value)
     raise unfit(place, value, expected)
 

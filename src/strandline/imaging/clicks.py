@@ -1,21 +1,33 @@
 """What a person marked in a picture: scale bar, origin, first path, regions; and the file that keeps it."""
 
+import json
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from strandline.errors import InvalidInput
-from strandline.imaging.paths.first_path import FirstPath, require_inside, require_path, require_polygon
-
-__all__ = ["Clicks", "ScaleBar"]
+from strandline.imaging.checked import content_of, keys_of, named, number, unfit
+from strandline.imaging.first_path import as_points, require_inside, require_path, require_polygon
+from strandline.registry import suggestion
 
 Point = tuple[float, float]
 """Pixel coordinates (x, y)."""
 WIDEST = 1 << 31
 """Largest width and height of a picture, in pixels."""
+VERSION = 1
+"""Version of the file's schema."""
+NEEDED = ("version", "image", "sha256", "size", "path")
+KEYS = (*NEEDED, "closed", "scale", "origin", "exclude", "fixed")
+OF_SCALE = ("from", "to", "length_mm")
+SUFFIX = ".path.json"
+"""End of the names under which the page of clicks saves."""
+_AGAIN = "Correct it, or click again."
 
 
 @dataclass(frozen=True)
@@ -36,12 +48,11 @@ class ScaleBar:
     length_mm: float
 
     def __post_init__(self) -> None:
-        _require_finite((*self.start, *self.end), "scale bar")
-        if not (math.isfinite(self.length_mm) and self.length_mm > 0):
-            raise _refused("length of the scale bar", self.length_mm, "a number above 0, in mm")
+        as_points([self.start, self.end], "scale bar")
+        _length(self.length_mm)
         if self.pixels == 0:
-            expected = "two ends that differ"
-            raise _refused("scale bar of no length in the picture", list(self.start), expected, "Draw the bar again.")
+            expected, remedy = "two ends that differ", "Draw the bar again."
+            raise unfit("scale bar of no length in the picture", list(self.start), expected, remedy)
 
     @property
     def pixels(self) -> float:
@@ -84,30 +95,26 @@ class Clicks:
 
     def __post_init__(self) -> None:
         if not re.fullmatch("[0-9a-f]{64}", self.sha256):
-            raise _refused("checksum of the picture", self.sha256, "64 digits 0-9, a-f")
+            raise unfit("checksum of the picture", self.sha256, "64 digits 0-9, a-f", _AGAIN)
         if min(self.size) < 1 or max(self.size) > WIDEST:
-            raise _refused("size of the picture", list(self.size), f"[width, height] from 1 to {WIDEST} px")
+            expected = f"[width, height] from 1 to {WIDEST} px"
+            raise unfit("size of the picture", list(self.size), expected, _AGAIN)
         if len(self.path) or not self.fixed:
             require_path(self.path, "the path", closed=self.closed)
             require_inside(self.path, self.size, "the path")
         if self.scale is not None:
             require_inside(np.array([self.scale.start, self.scale.end]), self.size, "scale bar")
         if self.origin is not None:
-            _require_finite(self.origin, "origin")
+            as_points([self.origin], "origin")
         for kind, regions in (("exclude", self.exclude), ("fixed", self.fixed)):
-            for number, corners in enumerate(regions, 1):
-                require_polygon(corners, f"{kind}: region {number}")
-                require_inside(corners, self.size, f"{kind}: region {number}")
+            for k, corners in enumerate(regions, 1):
+                require_polygon(corners, f"{kind}: region {k}")
+                require_inside(corners, self.size, f"{kind}: region {k}")
 
     @property
     def pixel_mm(self) -> float | None:
         """Size of a square pixel from the scale bar, in mm."""
         return None if self.scale is None else self.scale.length_mm / self.scale.pixels
-
-    @property
-    def first_path(self) -> FirstPath:
-        """The path, from which the search for the edge starts."""
-        return FirstPath(self.path, self.closed)
 
     def require_picture(self, sha256: str, size: tuple[int, int]) -> None:
         """Refuse another picture than the one that was clicked on.
@@ -120,26 +127,132 @@ class Clicks:
             InvalidInput: Another checksum or another size.
         """
         remedy = "Give that picture, or mark this one again: `strandline image STUDY --edit`."
+        made = f"the clicks on {self.image} were made on"
         if sha256.lower() != self.sha256:
-            raise _refused(
-                f"the clicks on {self.image} were made on another picture than this one",
-                f"SHA-256 {sha256[:12]}…",
-                f"{self.sha256[:12]}…",
-                remedy,
-            )
+            found, expected = f"SHA-256 {sha256[:12]}…", f"{self.sha256[:12]}…"
+            raise unfit(f"{made} another picture than this one", found, expected, remedy)
         if tuple(size) != self.size:
-            raise _refused(
-                f"the clicks on {self.image} were made on a picture of another size",
-                f"{size[0]} × {size[1]} px",
-                f"{self.size[0]} × {self.size[1]} px",
-                remedy,
-            )
+            found, expected = (f"{width} × {height} px" for width, height in (size, self.size))
+            raise unfit(f"{made} a picture of another size", found, expected, remedy)
 
 
-def _require_finite(values: tuple[float, ...], what: str) -> None:
-    if not all(map(math.isfinite, values)):
-        raise _refused(f"{what} is not finite", list(values), "finite pixel coordinates")
+def read_clicks(path: Path) -> Clicks:
+    """Return the clicks in a file that the page or `write_clicks` wrote.
+
+    Args:
+        path: A file ``NAME.path.json``.
+
+    Raises:
+        InvalidInput: A file that is missing, not JSON or of a newer version; a key that is missing or unknown; or
+            anything that `Clicks` refuses. The message begins with the name of the file.
+    """
+    with named(path.name):
+        found = _contents(path)
+        for key, kind, expected in (
+            ("image", str, "a text"),
+            ("sha256", str, "a text"),
+            ("closed", bool, "true or false"),
+        ):
+            if not isinstance(found.get(key, False), kind):
+                raise unfit(key, found[key], expected, _AGAIN)
+        return Clicks(
+            image=found["image"],
+            sha256=found["sha256"],
+            size=_size(found["size"]),
+            path=as_points(found["path"], "the path"),
+            closed=found.get("closed", False),
+            scale=_scale(found.get("scale")),
+            origin=None if found.get("origin") is None else _point(found["origin"], "origin"),
+            exclude=_regions(found, "exclude"),
+            fixed=_regions(found, "fixed"),
+        )
 
 
-def _refused(what: str, value: object, expected: str, remedy: str = "Correct it, or click again.") -> InvalidInput:
-    return InvalidInput(what, value=value, expected=expected, remedy=remedy)
+def write_clicks(clicks: Clicks, path: Path) -> None:
+    """Write a file that `read_clicks` reads, whole or not at all; coordinates keep all their digits."""
+    rows = ",\n".join(f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in as_json(clicks).items())
+    unfinished = path.with_name(f".{path.name}.partial")
+    unfinished.write_text(f"{{\n{rows}\n}}\n", encoding="utf-8")
+    unfinished.replace(path)
+
+
+def as_json(clicks: Clicks) -> dict[str, Any]:
+    """Return the contents of the file as plain data."""
+    bar = clicks.scale
+    return {
+        "version": VERSION,
+        "image": clicks.image,
+        "sha256": clicks.sha256,
+        "size": list(clicks.size),
+        "scale": bar and {"from": list(bar.start), "to": list(bar.end), "length_mm": bar.length_mm},
+        "origin": None if clicks.origin is None else list(clicks.origin),
+        "path": clicks.path.tolist(),
+        "closed": clicks.closed,
+        "exclude": [corners.tolist() for corners in clicks.exclude],
+        "fixed": [corners.tolist() for corners in clicks.fixed],
+    }
+
+
+def _contents(path: Path) -> Mapping[str, Any]:
+    """Return the file as plain data with the right keys."""
+    if not path.exists():
+        raise _missing(path)
+    content = content_of(path, "a file of clicks, NAME.path.json")
+    try:
+        found = json.loads(content.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise unfit("is not JSON", str(error), "a file that the page of clicks saved", _AGAIN) from None
+    found = _with_keys(found, KEYS, NEEDED, "clicks")
+    if found["version"] != VERSION:
+        raise unfit("version of the file", found["version"], f"{VERSION}", "Update strandline, or click again.")
+    return found
+
+
+def _missing(path: Path) -> InvalidInput:
+    """Return the error for a file that is not there, with the files of clicks that are."""
+    there = sorted(one.name for one in path.parent.glob(f"*{SUFFIX}"))
+    only = f"Did you mean {there[0]}?" if len(there) == 1 else "Move it there, or correct its name."
+    return unfit(
+        "cannot be read",
+        f"no such file; the folder has {', '.join(there) or 'no file of clicks'}",
+        f"a file of clicks, PICTURE{SUFFIX}, at the path that the study gives",
+        suggestion(path.name, there, only),
+    )
+
+
+def _with_keys(found: object, known: tuple[str, ...], needed: tuple[str, ...], place: str) -> Mapping[str, Any]:
+    given = keys_of(found, known, place, ", ".join(needed))
+    for key in needed:
+        if key not in given:
+            raise unfit(f"{place}: {key} is missing", None, f"the keys {', '.join(needed)}", _AGAIN)
+    return given
+
+
+def _size(found: object) -> tuple[int, int]:
+    if isinstance(found, list) and len(found) == 2 and all(type(value) is int for value in found):
+        return found[0], found[1]
+    raise unfit("size of the picture", found, "[width, height], in pixels", _AGAIN)
+
+
+def _scale(found: object) -> ScaleBar | None:
+    if found is None:
+        return None
+    bar = _with_keys(found, OF_SCALE, OF_SCALE, "scale bar")
+    start, end = (_point(bar[key], f"scale bar: {key}") for key in ("from", "to"))
+    return ScaleBar(start, end, _length(bar["length_mm"]))
+
+
+def _length(value: object) -> float:
+    return number(value, "length of the scale bar", "a number above 0, in mm", low=5e-324)
+
+
+def _point(found: object, what: str) -> Point:
+    ((x, y),) = as_points([found], what).tolist()
+    return x, y
+
+
+def _regions(found: Mapping[str, Any], key: str) -> tuple[Any, ...]:
+    regions = found.get(key) or []
+    if not isinstance(regions, list):
+        raise unfit(key, regions, "a list of regions, each a list of corners [x, y]", _AGAIN)
+    return tuple(as_points(corners, f"{key}: region {number}") for number, corners in enumerate(regions, 1))

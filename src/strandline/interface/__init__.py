@@ -1,20 +1,17 @@
 """Interfaces: polylines and triangulated surfaces, with a direction, and observations of them."""
 
-from strandline.interface.correlated import summed_length
 from strandline.interface.interface import Interface, Oriented, oriented_like
-from strandline.interface.noise import NOISES, GaussianNoise, Noise
+from strandline.interface.noise import NOISES, GaussianNoise, Noise, Observation, UnknownErrors, is_condition
 from strandline.interface.normals import (
     arc_lengths,
+    as_complex,
     normals_at,
     point_normals,
     spacings,
     steady_lengths,
     steady_normals,
 )
-from strandline.interface.observation import Observation, is_condition
-from strandline.interface.point_errors import GLOBAL, ErrorModel, PointErrors
-from strandline.interface.rotations import as_complex
-from strandline.interface.unknown_errors import UnknownErrors
+from strandline.interface.point_errors import GLOBAL, ErrorModel, PointErrors, summed_length
 
 __all__ = [
     "GLOBAL",

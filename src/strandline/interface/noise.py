@@ -1,4 +1,4 @@
-"""Noise of an observed interface: what turns a discrepancy into a log-likelihood."""
+"""What was observed: an interface, its noise, and the condition it belongs to."""
 
 import math
 from dataclasses import dataclass
@@ -8,8 +8,12 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.errors import InvalidInput
+from strandline.interface.interface import Interface
+from strandline.interface.normals import spacings
+from strandline.interface.point_errors import PointErrors
+from strandline.text import is_label
 
-__all__ = ["NOISES", "GaussianNoise", "Noise"]
+__all__ = ["NOISES", "GaussianNoise", "Noise", "Observation", "UnknownErrors", "is_condition"]
 
 
 @runtime_checkable
@@ -86,3 +90,166 @@ class GaussianNoise:
 
 NOISES = {"gaussian": GaussianNoise}
 """Noise models by their names in study files."""
+
+
+Known = tuple[float, float] | float | None
+"""A range with a log-uniform prior, a known value, or None for a wide range that follows from the residuals."""
+_TYPICAL = 0.1
+"""Guess of the sd, in spacings of the observed points, until residuals are known."""
+
+
+@dataclass(frozen=True)
+class UnknownErrors:
+    """Errors of points whose sd and correlation length are not known.
+
+    Args:
+        sd: Standard deviation of a point along its normal, mm: a range with a log-uniform prior, a known value, or None
+            for a wide range.
+        length: Correlation length along the interface, mm; likewise.
+        shift: Standard deviation of the position of the whole interface, along each axis, mm.
+        rotation: Standard deviation of its rotation, degrees.
+        scale: Standard deviation of its scale, as a share.
+        offset: Standard deviation of a common offset along the normals, mm.
+        model_error: Whether the model may err by a smooth offset along the interface, of unknown size.
+        spread: Numbers of the inputs that may differ from condition to condition, by an unknown amount.
+
+    Raises:
+        InvalidInput: A range that is empty or not above 0, or another number that `PointErrors` refuses.
+    """
+
+    sd: Known = None
+    length: Known = None
+    shift: float = 0.0
+    rotation: float = 0.0
+    scale: float = 0.0
+    offset: float = 0.0
+    model_error: bool = False
+    spread: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, given in (("sd", self.sd), ("length", self.length)):
+            if isinstance(given, tuple) and not (math.isfinite(given[1]) and 0 < given[0] < given[1]):
+                raise InvalidInput(
+                    f"{name} of the errors of points",
+                    value=list(given),
+                    expected="a range [low, high] with 0 < low < high",
+                    remedy="Correct the range, or write `unknown`.",
+                )
+        self.known(_middle(self.sd, 1.0), _middle(self.length, 0.0))
+
+    @property
+    def facts(self) -> dict[str, float]:
+        """The global errors by name, lengths in mm."""
+        given = {name: getattr(self, name) for name in ("shift", "rotation", "scale", "offset")}
+        return {f"{name}_sd": float(value) for name, value in given.items() if value > 0}
+
+    @property
+    def stated(self) -> bool:
+        """Whether both sd and correlation length are known, so that only an error of the model is inferred."""
+        return isinstance(self.sd, float) and isinstance(self.length, float)
+
+    @property
+    def inferred(self) -> str:
+        """What is inferred, in words."""
+        if not self.stated:
+            return "unknown"
+        return "a model error" if self.model_error else "a spread"
+
+    def known(self, sd: float, length: float) -> PointErrors:
+        """Return the errors with this sd and correlation length, mm."""
+        return PointErrors(sd, length, self.shift, self.rotation, self.scale, self.offset)
+
+    def typical(self, seen: Interface) -> PointErrors:
+        """Return a first guess of the errors."""
+        spacing = float(np.median(spacings(seen)))
+        sd = _middle(self.sd, _TYPICAL * (spacing if seen.dim == 2 else math.sqrt(spacing)))
+        return self.known(sd, _middle(self.length, 0.0))
+
+    def require_fits(self, seen: Interface) -> None:
+        """Refuse an interface that is too short for the correlation length, and surfaces.
+
+        Raises:
+            InvalidInput: It is one of these.
+        """
+        if seen.dim == 3:
+            raise InvalidInput(
+                "noise of points on a surface",
+                value=self.inferred,
+                expected="a known sd and correlation length, and no model error",
+                remedy="Remove `model_error` and `spread`."
+                if self.stated
+                else "State them, e.g. noise: {sd: 3, length: 15, unit: um}.",
+            )
+        longest = self.length[1] if isinstance(self.length, tuple) else self.length or 0.0
+        self.known(1.0, longest).require_fits(seen)
+
+    def sds(self, otherwise: Float[np.ndarray, " guess"]) -> Float[np.ndarray, " sd"]:
+        """Return values of the sd to be compared, mm: `otherwise`, or what of it is in the range."""
+        return _values(self.sd, otherwise)
+
+    def lengths(self, otherwise: Float[np.ndarray, " guess"]) -> Float[np.ndarray, " length"]:
+        """Return values of the correlation length to be compared, mm; likewise."""
+        return _values(self.length, otherwise)
+
+
+def _middle(given: Known, otherwise: float) -> float:
+    if given is None:
+        return otherwise
+    return math.sqrt(given[0] * given[1]) if isinstance(given, tuple) else float(given)
+
+
+def _values(given: Known, otherwise: Float[np.ndarray, " guess"]) -> Float[np.ndarray, " value"]:
+    if given is None:
+        return otherwise
+    if isinstance(given, tuple):
+        low, high = (float(np.clip(end, *given)) for end in (otherwise[0], otherwise[-1]))
+        if not low < high:
+            low, high = given
+        return np.geomspace(low, high, len(otherwise))
+    return np.array([max(float(given), 1e-12)])
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Observation:
+    """An observed interface and its noise.
+
+    Args:
+        interface: Observed interface, mm.
+        noise: Noise model of the measure; or the errors of the observed points, known or unknown, from which the noise
+            of every measure follows; a number is the variance σ_N² of Gaussian noise, in the unit of d².
+        condition: Experimental condition or time; "" if the model has only one, without a name.
+
+    Raises:
+        InvalidInput: A variance that is not a finite number above 0, or something that is not a noise model.
+    """
+
+    interface: Interface
+    noise: Noise | PointErrors | UnknownErrors
+    condition: str = ""
+
+    def __init__(
+        self, interface: Interface, noise: Noise | PointErrors | UnknownErrors | float, condition: str = ""
+    ) -> None:
+        if isinstance(noise, int | float) and not isinstance(noise, bool):
+            noise = GaussianNoise(float(noise))
+        if not isinstance(noise, Noise | PointErrors | UnknownErrors) or isinstance(noise, type):
+            raise InvalidInput(
+                "noise of an observation",
+                value=noise,
+                expected="a noise model, the errors of the points, or the variance σ_N² in the unit of d²",
+                remedy="Give e.g. PointErrors(sd=0.003), or 0.001; strandline.interface.Noise lists its parts.",
+            )
+        object.__setattr__(self, "interface", interface)
+        object.__setattr__(self, "noise", noise)
+        object.__setattr__(self, "condition", condition)
+
+    def reversed(self) -> "Observation":
+        """Return the same observation in the other direction; standard deviations of its points go with them."""
+        each = isinstance(self.noise, PointErrors) and self.interface.dim == 2
+        noise = self.noise.reversed() if each and isinstance(self.noise, PointErrors) else self.noise
+        return Observation(self.interface.reversed(), noise, self.condition)
+
+
+def is_condition(name: object) -> bool:
+    """Return whether `name` can name a condition: "" for the only one, else a short text valid in file names."""
+    return isinstance(name, str) and is_label(name) and name == name.strip() and not set(name) & set("/\\")

@@ -1,14 +1,48 @@
-"""Normals and spacings at the points of an interface, steady where its points are noisy."""
+"""Normals, spacings and rotations at the points of an interface, steady where its points are noisy."""
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Complex, Float, Int
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from strandline.interface.interface import Interface
-from strandline.interface.rotations import as_complex, as_pairs
 
-__all__ = ["arc_lengths", "node_normals", "normals_at", "point_normals", "spacings", "steady_lengths", "steady_normals"]
+__all__ = [
+    "arc_lengths",
+    "as_complex",
+    "as_pairs",
+    "node_normals",
+    "normals_at",
+    "point_normals",
+    "rotations",
+    "spacings",
+    "steady_lengths",
+    "steady_normals",
+]
+
+
+def as_complex(points: Float[np.ndarray, "*case 2"]) -> Complex[np.ndarray, "*case"]:
+    """Return points of the plane as x + iy: turning and moving many of them is several times as fast."""
+    return np.asarray(np.ascontiguousarray(points).view(complex)[..., 0])
+
+
+def as_pairs(points: Complex[np.ndarray, "*case"]) -> Float[np.ndarray, "*case 2"]:
+    """Return points x + iy as rows (x, y)."""
+    return np.ascontiguousarray(points)[..., None].view(float)
+
+
+def rotations(angles: Float[np.ndarray, "run axis"]) -> Float[np.ndarray, "run xyz xyz"]:
+    """Return rotation matrices: by one angle in the plane, or about each axis of space by a rotation vector.
+
+    Args:
+        angles: Angles, radians, one rotation a row.
+    """
+    if angles.shape[1] == 3:
+        return np.asarray(Rotation.from_rotvec(angles).as_matrix())
+    c, s = np.cos(angles[:, 0]), np.sin(angles[:, 0])
+    return np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
+
 
 GAP = 10.0
 """Length of a segment, in medians, from which it bridges a part that was not observed."""

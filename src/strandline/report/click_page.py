@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from markupsafe import Markup
 
-from strandline.imaging.clicks import Clicks
-from strandline.imaging.clicks_file import as_json
+from strandline.imaging.clicks import Clicks, as_json
 from strandline.report.click_picture import MOST_PIXELS, shown
 from strandline.report.inline import embedded, script_hash
 from strandline.report.page import template
@@ -51,7 +50,7 @@ def click_page(
 ) -> str:
     """Return the page for one picture, as HTML.
 
-    The page saves a file that `strandline.imaging.clicks_file.read_clicks` reads, and nothing that it would refuse.
+    The page saves a file that `strandline.imaging.clicks.read_clicks` reads, and nothing that it would refuse.
 
     Args:
         values: Grey values of the picture.

@@ -18,8 +18,7 @@ from scipy import ndimage
 from tests.doors.reader import Reader
 
 from strandline.errors import InvalidInput
-from strandline.imaging.clicks import Clicks
-from strandline.imaging.clicks_file import as_json, read_clicks
+from strandline.imaging.clicks import Clicks, as_json, read_clicks
 from strandline.report.click_page import click_page
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs the package playwright")

@@ -13,7 +13,6 @@ from strandline.errors import InvalidInput
 from strandline.imaging.files.contents import require_pixels
 from strandline.imaging.files.thorlabs import _size
 from strandline.imaging.linear import _of_decibels
-from strandline.imaging.paths.fiji_roi import path_of_roi
 
 ROWS, COLUMNS = 23, 31
 RNG = np.random.default_rng(1)
@@ -139,9 +138,7 @@ def test_two_frames_of_a_scan_have_a_distance():
     assert [_size(header, 10, 20, frames).z for frames in (1, 2)] == [None, 2.0]
 
 
-def test_a_selection_begins_as_one_and_pictures_have_rows_and_columns():
-    with pytest.raises(InvalidInput, match=r"is no whole \.roi file"):
-        path_of_roi(b"Iouu" + bytes(100))
+def test_pictures_have_rows_and_columns():
     with pytest.raises(InvalidInput, match="has no size that can be read"):
         require_pixels("a.tif", -3, -4, 5)
 

@@ -9,7 +9,7 @@ from tests.unit.discrepancy.surfaces import sheet, sphere
 from strandline.discrepancy.normal_offset import signed_distances
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors, arc_lengths, point_normals, spacings
-from strandline.interface.correlated import correlated
+from strandline.interface.point_errors import correlated
 
 ALL = PointErrors(0.004, 0.02, shift=0.01, rotation=0.5, scale=0.005, offset=0.003)
 OFFSET = PointErrors(0.003, offset=0.003)

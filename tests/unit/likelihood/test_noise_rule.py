@@ -9,7 +9,7 @@ from tests.unit.discrepancy.surfaces import sheet, sphere
 from strandline.discrepancy import ClosestPoint, Currents, MeasurementLines, NormalOffset, TrackedPoints
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors
-from strandline.interface.correlated import correlated
+from strandline.interface.point_errors import correlated
 from strandline.likelihood.noise_rule import _shapes, fitting_variance, noise_variance
 from strandline.likelihood.residual_noise import noise_of_residuals, noise_on_surface, stated_errors
 

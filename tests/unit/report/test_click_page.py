@@ -13,8 +13,7 @@ import pytest
 from PIL import Image
 
 from strandline.errors import InvalidInput
-from strandline.imaging.clicks import Clicks
-from strandline.imaging.clicks_file import as_json
+from strandline.imaging.clicks import Clicks, as_json
 from strandline.report.click_page import click_page, write_click_page
 from strandline.report.click_picture import shown
 from strandline.report.inline import bundled, embedded

@@ -1,49 +1,30 @@
 """The first path: a rough polyline along the edge in a picture, and what it must fulfil."""
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import InvalidInput, InvalidInterface
+from strandline.errors import InvalidInterface
+from strandline.imaging.checked import is_finite, unfit
 from strandline.interface import Interface
-
-__all__ = [
-    "FEWEST",
-    "MOST",
-    "FirstPath",
-    "as_points",
-    "require_inside",
-    "require_path",
-    "require_polygon",
-    "typed_path",
-]
 
 FEWEST, MOST = 3, 20_000
 """Smallest and largest number of points of a path, and of corners of a region."""
 
 
-@dataclass(frozen=True, eq=False)
-class FirstPath:
+class FirstPath(NamedTuple):
     """A polyline near the edge, from which the search for the edge starts.
 
     Args:
         points: Pixel coordinates (x, y), in their order along the edge; y points down and the centre of the top left
             pixel is (0, 0).
         closed: Whether the last point is joined to the first.
-
-    Raises:
-        InvalidInput: Fewer than 3 points, a coordinate that is not finite, a point that repeats the one before it, or a
-            path that crosses itself.
     """
 
     points: Float[np.ndarray, "point 2"]
     closed: bool = False
-
-    def __post_init__(self) -> None:
-        require_path(self.points, "the path", closed=self.closed)
 
 
 def typed_path(
@@ -76,13 +57,13 @@ def as_points(found: object, what: str) -> Float[np.ndarray, "point 2"]:
     """
     rows = found.tolist() if isinstance(found, np.ndarray) else found
     if not isinstance(rows, Sequence) or isinstance(rows, str):
-        raise _refused(what, found, "a list of points [x, y] in pixels")
+        raise unfit(what, found, "a list of points [x, y] in pixels")
     for number, row in enumerate(rows, 1):
         pair = isinstance(row, Sequence) and not isinstance(row, str) and len(row) == 2
         if not (pair and all(isinstance(v, int | float) and not isinstance(v, bool) for v in row)):
-            raise _refused(f"{what}: point {number}", row, "two numbers [x, y], in pixels")
-        if not all(_is_finite(value) for value in row):
-            raise _refused(f"{what}: point {number} is not finite", row, "two finite numbers [x, y], in pixels")
+            raise unfit(f"{what}: point {number}", row, "two numbers [x, y], in pixels")
+        if not all(is_finite(value) for value in row):
+            raise unfit(f"{what}: point {number} is not finite", row, "two finite numbers [x, y], in pixels")
     return np.array(rows, dtype=float).reshape(-1, 2)
 
 
@@ -97,16 +78,25 @@ def require_path(points: Float[np.ndarray, "point 2"], what: str, *, closed: boo
     repeated = np.flatnonzero((points[: len(following)] == following).all(axis=1))
     if repeated.size:
         first, second = int(repeated[0]) + 1, (int(repeated[0]) + 1) % len(points) + 1
-        raise _refused(
+        raise unfit(
             f"{what}: points {first} and {second} coincide",
             points[first - 1].tolist(),
             "points that differ from the ones before them",
             "Remove one of the two; a closed path does not repeat its first point.",
         )
+    require_simple(points, what, closed=closed)
+
+
+def require_simple(points: Float[np.ndarray, "point 2"], what: str, *, closed: bool) -> None:
+    """Refuse a path that crosses or touches itself.
+
+    Raises:
+        InvalidInput: It does; the message begins with `what`.
+    """
     try:
         Interface.polyline(points, closed=closed).require_simple()
     except InvalidInterface as error:
-        raise _refused(
+        raise unfit(
             f"{what} crosses or touches itself",
             str(error.value).removesuffix("mm") + "px",
             "a path without crossings, its points in order along the edge",
@@ -120,18 +110,24 @@ def require_polygon(points: Float[np.ndarray, "point 2"], what: str) -> None:
     Raises:
         InvalidInput: One of these; the message begins with `what`.
     """
-    if not FEWEST <= len(points) <= MOST:
-        few = len(points) < FEWEST
-        raise _refused(
-            f"{what} has too {'few' if few else 'many'} points",
-            len(points),
-            f"at least {FEWEST}" if few else f"at most {MOST}",
-            "Click more of them." if few else "Leave some out: 5 to 12 along the edge are enough.",
-        )
+    if len(points) < FEWEST:
+        raise unfit(f"{what} has too few points", len(points), f"at least {FEWEST}", "Click more of them.")
+    if len(points) > MOST:
+        remedy = "Leave some out: 5 to 12 along the edge are enough."
+        raise unfit(f"{what} has too many points", len(points), f"at most {MOST}", remedy)
+    require_finite(points, what)
+
+
+def require_finite(points: Float[np.ndarray, "point 2"], what: str) -> None:
+    """Refuse points of which a coordinate is no number.
+
+    Raises:
+        InvalidInput: There is one; the message begins with `what` and counts points from 1.
+    """
     wrong = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if wrong.size:
         number = int(wrong[0]) + 1
-        raise _refused(f"{what}: point {number} is not finite", points[number - 1].tolist(), "finite numbers")
+        raise unfit(f"{what}: point {number} is not finite", points[number - 1].tolist(), "finite numbers")
 
 
 def require_inside(points: Float[np.ndarray, "point 2"], size: tuple[int, int], what: str) -> None:
@@ -144,20 +140,9 @@ def require_inside(points: Float[np.ndarray, "point 2"], size: tuple[int, int], 
     outside = np.flatnonzero(((points < -0.5) | (points > np.array([width, height]) - 0.5)).any(axis=1))
     if outside.size:
         number = int(outside[0]) + 1
-        raise _refused(
+        raise unfit(
             f"{what}: point {number} is outside the picture",
             points[number - 1].tolist(),
             f"x from -0.5 to {width - 0.5:g} and y from -0.5 to {height - 0.5:g} px",
             "Move the point, or give the picture that the points belong to.",
         )
-
-
-def _is_finite(value: int | float) -> bool:
-    try:
-        return math.isfinite(value)
-    except OverflowError:  # an integer of hundreds of digits
-        return False
-
-
-def _refused(what: str, value: object, expected: str, remedy: str = "Correct the coordinates.") -> InvalidInput:
-    return InvalidInput(what, value=value, expected=expected, remedy=remedy)
