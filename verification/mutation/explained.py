@@ -125,20 +125,20 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
         "(np.split(connectivity, ends[:-1]))",
     ): ("Only called with cells."),
     ("runs/run_file.py", "False", "(True)"): "Only numbers are saved.",
-    ("imaging/edge_errors.py", "1e-09", "(2e-09)"): "Only a floor that keeps a radius finite.",
+    ("imaging/edge_checks.py", "1e-09", "(2e-09)"): "Only a floor that keeps a radius finite.",
     ("imaging/erf_step.py", "np.clip(wider / width, -0.5, 0.5)", "(wider / width)"): (
         "Other steps to the same minimum: a step that does not lower the sum is taken back."
     ),
     ("imaging/erf_step.py", "1e-09", "(2e-09)"): "Only a floor that keeps a quotient finite.",
-    ("imaging/files/by_pillow.py", "25", "(26)"): "Reads a byte more than it looks at.",
+    ("imaging/files/plain.py", "25", "(26)"): "Reads a byte more than it looks at.",
     ("imaging/half_level.py", "0.0", "(1.0)"): "The place where nothing was found, which is not used.",
     ("imaging/markov_path.py", "1e-06", "(2e-06)"): "Only a floor that keeps a quotient finite.",
-    ("imaging/random_walk.py", "message.sum()", "(message.mean())"): "Messages are only known up to a factor.",
+    ("imaging/markov_path.py", "message.sum()", "(message.mean())"): "Messages are only known up to a factor.",
     ("imaging/surfaces/levels.py", "edges[1:] + edges[:-1]", "(edges[1:])"): "All centres half a bin farther on.",
     ("imaging/surfaces/levels.py", "(values.size / _EVERY) ** (1 / 2)", "(values.size / _EVERY)"): (
         "The noise is estimated from fewer voxels."
     ),
-    ("imaging/surfaces/thinning.py", "1e-30", "(2e-30)"): "Only a floor that keeps a quotient finite.",
+    ("imaging/surfaces/mesh.py", "1e-30", "(2e-30)"): "Only a floor that keeps a quotient finite.",
     ("imaging/template.py", "above[:-1] * above[1:]", "(above[:-1] / above[1:])"): "Only the sign counts.",
     ("studies/summary_field.py", "True", "(False)"): "Only refuses lists of different lengths.",
 }

@@ -46,7 +46,7 @@ def command(study: Path, edit: bool, condition: str | None, reference: bool) -> 
         earlier = sorted(one.name for one in (study / IMAGE).glob("*.png"))
         if not earlier:
             raise
-        remedy = f"{error.remedy} ({IMAGE}/{earlier[0]} still shows an earlier edge.)"
+        remedy = f"{error.remedy} ({study / IMAGE / earlier[0]} still shows an earlier edge.)"
         raise InvalidStudy(error.what, value=error.value, expected=error.expected, remedy=remedy) from None
     if not loaded.pictures and not loaded.stacks and loaded.undeformed is None:
         raise InvalidStudy(
@@ -56,11 +56,9 @@ def command(study: Path, edit: bool, condition: str | None, reference: bool) -> 
             remedy='See the guide "Start from a picture", docs/how-to/picture.md.',
         )
     for one in write_pictures(loaded.folder, loaded.pictures, loaded.undeformed, measures=loaded.discrepancies):
-        for line in _lines(one):
-            click.echo(line)
+        click.echo("\n".join([*_lines(one), *(f"  wrote {study / file}" for file in one.files)]))
     for one in write_stacks(loaded.folder, loaded.stacks, measures=loaded.discrepancies):
-        for line in _of_stack(one):
-            click.echo(line)
+        click.echo("\n".join([*_of_stack(one), *(f"  wrote {study / file}" for file in one.files)]))
     click.echo(f"next: strandline check {study}")
 
 
@@ -83,11 +81,8 @@ def _lines(one: "PictureFiles") -> Iterator[str]:
         smooth = {name: f"{1e3 * found['outline'][name]:.3g} µm" for name in ("sd", "length")}
         yield f"  smooth outline: sd of a point {smooth['sd']}, correlation length {smooth['length']};"
         yield "  these errors are added to the noise of the observation"
-        yield from (f"  wrote {file}" for file in one.files)
         return
     yield from _as_stated(found)
-    for file in one.files:
-        yield f"  wrote {file}"
 
 
 def _sizes(found: Mapping[str, Any]) -> Iterator[str]:
@@ -134,7 +129,6 @@ def _of_stack(one: "PictureFiles") -> Iterator[str]:
     yield from _sizes(found)
     yield f"  contrast over noise: {found['contrast_to_noise']:.3g}"
     yield from _as_stated(found)
-    yield from (f"  wrote {file}" for file in one.files)
 
 
 def _moved(found: Mapping[str, Any], unit: float) -> str:

@@ -2,19 +2,17 @@
 
 from strandline.imaging.clicks import Clicks, ScaleBar, read_clicks, write_clicks
 from strandline.imaging.edge import EDGES, Edge, find_edge
-from strandline.imaging.edge_errors import EdgeErrors
+from strandline.imaging.edge_checks import EdgeErrors
 from strandline.imaging.edge_methods import edge_method
-from strandline.imaging.files.contents import PictureFile
 from strandline.imaging.first_path import typed_path
 from strandline.imaging.frame import Frame
 from strandline.imaging.frame_errors import FrameErrors, errors_from_frames
 from strandline.imaging.located import EdgeMethod, Located, Scatter
 from strandline.imaging.outline import Outlined, outline_of
 from strandline.imaging.paths import is_of_clicks, read_path
-from strandline.imaging.picture import Picture, Stack
-from strandline.imaging.pixel_size import PixelSize
+from strandline.imaging.picture import Picture, PictureFile, Stack
 from strandline.imaging.read import read_frames, read_picture, read_stack
-from strandline.imaging.reading import PictureReading
+from strandline.imaging.reading import PictureReading, PixelSize
 from strandline.imaging.registration import Registration, registered
 from strandline.imaging.strip import strip_along
 

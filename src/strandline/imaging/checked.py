@@ -82,16 +82,15 @@ def number(value: object, place: str, expected: str, low: float = -math.inf, hig
     raise unfit(place, value, expected)
 
 
-def pair(value: object, place: str, expected: str) -> tuple[float, float]:
-    """Return two finite numbers.
+def numbers(value: object, count: int, place: str, expected: str, limit: float = math.inf) -> tuple[float, ...]:
+    """Return finite numbers, at most `limit` in size, of which there are `count`.
 
     Raises:
-        InvalidInput: It is another value.
+        InvalidInput: It is another value; `expected` says what would be correct.
     """
-    if not (isinstance(value, list | tuple) and len(value) == 2):
+    if not (isinstance(value, list | tuple) and len(value) == count):
         raise unfit(place, value, expected)
-    first, second = (number(one, place, expected) for one in value)
-    return first, second
+    return tuple(number(one, place, expected, -limit, limit) for one in value)
 
 
 def word(value: object, known: Collection[str], place: str) -> str:

@@ -13,15 +13,13 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
-__all__ = ["Course", "course_through", "resampled", "smoothed"]
-
 _NEARER, _SLACK = 0.85, 1.0
 """A place on a normal belongs to another part of the path if that is nearer than this share of its distance, minus
 this slack."""
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class SmoothPath:
     """A smooth path, its points about one pixel apart.
 
     Args:
@@ -55,9 +53,9 @@ class Course:
         length = np.linalg.norm(_slope(self.points, self.closed), axis=1)
         return np.asarray((self.tangents[:, 0] * turn[:, 1] - self.tangents[:, 1] * turn[:, 0]) / length)
 
-    def reversed(self) -> "Course":
+    def reversed(self) -> "SmoothPath":
         """Return the same path in the other direction."""
-        return Course(self.points[::-1].copy(), self.closed)
+        return SmoothPath(self.points[::-1].copy(), self.closed)
 
     def at(self, offsets: Float[np.ndarray, "point ..."]) -> Float[np.ndarray, "..."]:
         """Return places at these distances along the normals, shape (point, ..., 2)."""
@@ -78,7 +76,7 @@ class Course:
         return out
 
 
-def course_through(points: Float[np.ndarray, "point 2"], *, closed: bool, sigma: float) -> Course:
+def course_through(points: Float[np.ndarray, "point 2"], *, closed: bool, sigma: float) -> SmoothPath:
     """Return the smooth path through points that may be few and far apart, e.g. clicks.
 
     Between two of them both coordinates are monotone: the path does not bulge.
@@ -101,7 +99,7 @@ def course_through(points: Float[np.ndarray, "point 2"], *, closed: bool, sigma:
     return smoothed(fine[:-1] if closed else fine, closed=closed, sigma=sigma)
 
 
-def smoothed(points: Float[np.ndarray, "point 2"], *, closed: bool, sigma: float) -> Course:
+def smoothed(points: Float[np.ndarray, "point 2"], *, closed: bool, sigma: float) -> SmoothPath:
     """Return the course along points, convolved with a Gaussian of this standard deviation along it.
 
     The ends of an open path stay in place.
@@ -111,20 +109,13 @@ def smoothed(points: Float[np.ndarray, "point 2"], *, closed: bool, sigma: float
     return _equally_spaced(points, closed=closed)
 
 
-def resampled(
-    values: Float[np.ndarray, " point"], arc: Float[np.ndarray, " point"], places: Float[np.ndarray, " place"]
-) -> Float[np.ndarray, " place"]:
-    """Return values along a path, linearly interpolated at other arc lengths."""
-    return np.asarray(np.interp(places, arc, values))
-
-
-def _equally_spaced(points: Float[np.ndarray, "point 2"], *, closed: bool) -> Course:
+def _equally_spaced(points: Float[np.ndarray, "point 2"], *, closed: bool) -> SmoothPath:
     """Return points one unit apart, as nearly as fits the length."""
     path = np.concatenate([points, points[:1]]) if closed else points
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     places = np.linspace(0.0, arc[-1], max(round(float(arc[-1])), 3) + 1)
     places = places[:-1] if closed else places
-    return Course(np.stack([resampled(path[:, k], arc, places) for k in (0, 1)], axis=1), closed)
+    return SmoothPath(np.stack([np.interp(places, arc, path[:, k]) for k in (0, 1)], axis=1), closed)
 
 
 def _convolved(points: Float[np.ndarray, "point 2"], sigma: float, *, closed: bool) -> Float[np.ndarray, "point 2"]:

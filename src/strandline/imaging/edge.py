@@ -10,10 +10,17 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import median_filter
 
 from strandline.errors import InvalidInput
-from strandline.imaging.course import Course, course_through, smoothed
-from strandline.imaging.doubts import require_path, require_room
-from strandline.imaging.edge_checks import FEWEST, EdgeCheck, edge_checks, require_edge
-from strandline.imaging.edge_errors import EdgeErrors, edge_errors
+from strandline.imaging.course import SmoothPath, course_through, smoothed
+from strandline.imaging.edge_checks import (
+    FEWEST,
+    EdgeCheck,
+    EdgeErrors,
+    edge_checks,
+    edge_errors,
+    require_edge,
+    require_path,
+    require_room,
+)
 from strandline.imaging.edge_methods import EDGES, edge_method
 from strandline.imaging.located import EdgeMethod, Located
 from strandline.imaging.strip import GreyValues, Strip, grey_values, inside_polygon, strip_along
@@ -100,7 +107,7 @@ def find_edge(
 
     Raises:
         InvalidInput: The path crosses itself or leaves the picture, or the picture says too little about the edge; see
-            `strandline.imaging.doubts` and `strandline.imaging.edge_checks`.
+            `strandline.imaging.edge_checks`.
     """
     if solid not in ("bright", "dark"):
         raise InvalidInput("side of the solid", value=solid, expected="bright or dark", remedy="Choose one of them.")
@@ -119,7 +126,7 @@ def find_edge(
 
 
 def _located(
-    picture: GreyValues, course: Course, way: EdgeMethod, exclude: Sequence[np.ndarray], trim: float
+    picture: GreyValues, course: SmoothPath, way: EdgeMethod, exclude: Sequence[np.ndarray], trim: float
 ) -> tuple[Located, Bool[np.ndarray, " normal"]]:
     """Return the edge of the last pass, and the normals that count."""
     for _ in range(way.passes - 1):
@@ -133,7 +140,7 @@ def _located(
     return replace(located, found=located.found & _clear(picture, course, exclude)), counted
 
 
-def _oriented(picture: GreyValues, course: Course, solid: str) -> Course:
+def _oriented(picture: GreyValues, course: SmoothPath, solid: str) -> SmoothPath:
     """Return the course in the direction that has the solid on its right."""
     strip = strip_along(picture, course, step=1.0)
     sides = [strip.usable & (side * strip.places > 1.0) for side in (1.0, -1.0)]
@@ -141,7 +148,7 @@ def _oriented(picture: GreyValues, course: Course, solid: str) -> Course:
     return course if (right > left) == (solid == "bright") else course.reversed()
 
 
-def _clear(picture: GreyValues, course: Course, exclude: Sequence[np.ndarray]) -> Bool[np.ndarray, " normal"]:
+def _clear(picture: GreyValues, course: SmoothPath, exclude: Sequence[np.ndarray]) -> Bool[np.ndarray, " normal"]:
     """Return the normals that start in the picture and whose grey values near the edge are in no excluded polygon."""
     at = course.points / picture.stretch
     clear = ((at >= 0) & (at <= picture.extent - 1)).all(axis=1)
@@ -153,12 +160,12 @@ def _clear(picture: GreyValues, course: Course, exclude: Sequence[np.ndarray]) -
     return np.asarray(clear)
 
 
-def _not_trimmed(course: Course, trim: float) -> Bool[np.ndarray, " normal"]:
+def _not_trimmed(course: SmoothPath, trim: float) -> Bool[np.ndarray, " normal"]:
     share = course.arc / course.arc[-1]
     return np.asarray((share >= trim) & (share <= 1 - trim)) if not course.closed else np.ones(len(share), bool)
 
 
-def _put_right(located: Located) -> Course:
+def _put_right(located: Located) -> SmoothPath:
     """Return the smoothed edge: the path for the next pass."""
     course, found = located.course, located.found
     if found.sum() < FEWEST // 3:

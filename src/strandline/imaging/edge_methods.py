@@ -11,8 +11,6 @@ from strandline.imaging.located import EdgeMethod
 from strandline.imaging.markov_path import MarkovPath
 from strandline.registry import lookup
 
-__all__ = ["EDGES", "edge_method"]
-
 EDGES: dict[str, Any] = {"erf": ErfStep(), "path": MarkovPath(), "contour": HalfLevel()}
 """Ways to find an edge by their names: erf for cameras, path for speckle in linear intensity, contour for clean
 pictures."""

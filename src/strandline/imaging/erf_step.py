@@ -13,12 +13,10 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import ndtr
 
-from strandline.imaging.course import Course
+from strandline.imaging.course import SmoothPath
 from strandline.imaging.located import NO_SCATTER, Located
 from strandline.imaging.noise_covariance import noise_covariance, ratio, scatter_of
 from strandline.imaging.strip import GreyValues, Strip, strip_along
-
-__all__ = ["ErfStep", "Steps", "fit_steps"]
 
 _STEPS = 12
 """Gauss–Newton steps."""
@@ -31,7 +29,7 @@ _TOGETHER = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Steps:
+class FittedSteps:
     """Fitted steps.
 
     Args:
@@ -65,7 +63,7 @@ class ErfStep:
     bias: float = 0.1
     passes: int = 2
 
-    def locate(self, picture: GreyValues, course: Course, counted: Bool[np.ndarray, " normal"] | None) -> Located:
+    def locate(self, picture: GreyValues, course: SmoothPath, counted: Bool[np.ndarray, " normal"] | None) -> Located:
         """Return the edge near a course; see `EdgeMethod`."""
         strip = strip_along(picture, course, reach=self.reach, step=self.step)
         steps = fit_steps(strip, tolerance=0.02 if counted is None else 1e-5)
@@ -94,7 +92,7 @@ class ErfStep:
         )
 
 
-def fit_steps(strip: Strip, *, tolerance: float = 1e-5) -> Steps:
+def fit_steps(strip: Strip, *, tolerance: float = 1e-5) -> FittedSteps:
     """Return the blurred steps that fit the strip best in the sense of least squares.
 
     Args:
@@ -118,7 +116,7 @@ def fit_steps(strip: Strip, *, tolerance: float = 1e-5) -> Steps:
         low, high, left = _levels(strip, weights, places, width)
         if last < tolerance:
             break
-    return Steps(places, low, high, width, found)
+    return FittedSteps(places, low, high, width, found)
 
 
 def _first_places(strip: Strip) -> tuple[Float[np.ndarray, " normal"], Bool[np.ndarray, " normal"]]:
@@ -191,7 +189,7 @@ def _slopes(
     return np.exp(-0.5 * scaled**2) / (math.sqrt(2 * math.pi) * width), scaled
 
 
-def _values(strip: Strip, steps: Steps) -> Float[np.ndarray, "normal place"]:
+def _values(strip: Strip, steps: FittedSteps) -> Float[np.ndarray, "normal place"]:
     phi = _phi(strip, steps.places, steps.width)
     return np.asarray(steps.low[:, None] + (steps.high - steps.low)[:, None] * phi)
 
@@ -204,7 +202,7 @@ class _Influence:
     row: Float[np.ndarray, " place"]
 
 
-def _influence(strip: Strip, steps: Steps, contrast: float) -> _Influence:
+def _influence(strip: Strip, steps: FittedSteps, contrast: float) -> _Influence:
     middle = np.array([float(np.median(steps.places[steps.found]))])
     phi, (slope, _) = _phi(strip, middle, steps.width)[0], _slopes(strip, middle, steps.width)
     basis = np.stack([-(contrast or 1e-300) * slope[0], 1 - phi, phi], axis=1)

@@ -1,21 +1,20 @@
 """Pixel coordinates ↔ coordinates of the model, in mm."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from strandline.imaging.checked import keys_of, number, pair, unfit, word
+from strandline.imaging.checked import keys_of, number, numbers, unfit, word
 from strandline.imaging.registration import Registration
-
-__all__ = ["Frame"]
 
 SIGN_X = {"right": 1.0, "left": -1.0}
 SIGN_Y = {"up": -1.0, "down": 1.0}
 """Direction of an axis of the model in the picture → its sign; y of pixels points down."""
+ORIGIN = "the pixel [x, y] of the model's (0, 0)"
 EXAMPLE = "{origin: [212, 640], x: right, y: up, rotation: 0.0}"
 
 
@@ -46,7 +45,7 @@ class Frame:
     def __post_init__(self) -> None:
         for name, check in CHECKS.items():
             check(getattr(self, name), f"frame.{name}")
-        for size in pair(self.pixel, "frame.pixel", "two lengths in mm"):
+        for size in numbers(self.pixel, 2, "frame.pixel", "two lengths in mm"):
             number(size, "frame.pixel", "two lengths above 0, in mm", low=5e-324)
 
     @classmethod
@@ -56,11 +55,7 @@ class Frame:
         Raises:
             InvalidInput: An option is missing, unknown or cannot be used.
         """
-        given = keys_of(options, CHECKS, place, EXAMPLE)
-        if given.get("origin") is None:
-            raise unfit(f"{place}.origin", None, "the pixel [x, y] of the model's (0, 0)", f"Add it, e.g. {EXAMPLE}.")
-        values = {name: CHECKS[name](value, f"{place}.{name}") for name, value in given.items() if value is not None}
-        return cls(pixel=pixel, **values)
+        return cls(pixel=pixel, **frame_options(options, CHECKS, place, ORIGIN, EXAMPLE))
 
     @property
     def mirrors(self) -> bool:
@@ -81,24 +76,30 @@ class Frame:
         return back * [SIGN_X[self.x] * self.pixel[0], SIGN_Y[self.y] * self.pixel[1]]
 
     def to_mm(self, points: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, "point 2"]:
-        """Return points given in pixels as points of the model, mm.
-
-        Args:
-            points: Pixel coordinates (x, y), shape (point, 2).
-        """
+        """Return pixel coordinates (x, y), shape (point, 2), as points of the model, mm."""
         return np.asarray((points - np.array(self.origin)) @ self.matrix.T)
 
     def to_pixels(self, points: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, "point 2"]:
-        """Return points of the model, mm, as pixel coordinates (x, y); the inverse of `to_mm`.
-
-        Args:
-            points: Points of the model, shape (point, 2).
-        """
+        """Return points of the model, mm, shape (point, 2), as pixel coordinates (x, y); the inverse of `to_mm`."""
         return np.asarray(points @ np.linalg.inv(self.matrix).T + np.array(self.origin))
 
 
+def frame_options(
+    options: object, checks: Mapping[str, Callable[[Any, str], Any]], place: str, origin: str, example: str
+) -> dict[str, Any]:
+    """Return the options of a frame that a study file gives at `place`, after a check of each.
+
+    Raises:
+        InvalidInput: One is unknown or cannot be used, or there is no origin.
+    """
+    given = keys_of(options, checks, place, example)
+    if given.get("origin") is None:
+        raise unfit(f"{place}.origin", None, origin, f"Add it, e.g. {example}.")
+    return {name: checks[name](value, f"{place}.{name}") for name, value in given.items() if value is not None}
+
+
 CHECKS: dict[str, Callable[[Any, str], Any]] = {
-    "origin": lambda value, place: pair(value, place, "the pixel [x, y] of the model's (0, 0)"),
+    "origin": lambda value, place: numbers(value, 2, place, ORIGIN),
     "x": lambda value, place: word(value, SIGN_X, place),
     "y": lambda value, place: word(value, SIGN_Y, place),
     "rotation": lambda value, place: number(value, place, "an angle from -360 to 360 degrees", -360.0, 360.0),

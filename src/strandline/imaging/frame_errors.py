@@ -14,14 +14,12 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from strandline.discrepancy.contours.repeats import Repeats, errors_from_repeats
-from strandline.errors import InvalidInput
+from strandline.imaging.checked import named
 from strandline.imaging.edge import Edge
 from strandline.imaging.edge_checks import require_edge
 from strandline.imaging.picture import Picture
 from strandline.imaging.strip import grey_values
 from strandline.interface import Interface, PointErrors
-
-__all__ = ["MOST", "FrameErrors", "errors_from_frames"]
 
 MOST = 30
 """Most frames in which the edge is found."""
@@ -96,7 +94,7 @@ def _in_frame(
         InvalidInput: The frame says too little of it.
     """
     picture = grey_values(frame.values, pixel=frame.pixel, exclude=exclude)
-    try:
+    with named(f"frame {number} by itself", "Give means of several frames each."):
         located = edge.method.locate(picture, edge.strip.course, edge.kept)
         kept = located.found & edge.kept
         points, limit = int(kept.sum()), int((located.at_limit & kept).sum())
@@ -107,13 +105,6 @@ def _in_frame(
             blur=located.blur * picture.unit,
         )
         require_edge(points, shown, unit=picture.unit)
-    except InvalidInput as error:
-        raise InvalidInput(
-            f"frame {number} by itself: {error.what}",
-            value=error.value,
-            expected=error.expected,
-            remedy="Give means of several frames each.",
-        ) from None
     return Interface.polyline(picture.unit * located.points[piece[located.found[piece]]], closed=edge.closed)
 
 

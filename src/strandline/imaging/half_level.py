@@ -7,13 +7,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d
 
-from strandline.imaging.course import Course
+from strandline.imaging.course import SmoothPath
 from strandline.imaging.located import NO_SCATTER, Located
 from strandline.imaging.noise_covariance import noise_covariance, ratio, scatter_of
 from strandline.imaging.strip import GreyValues, Strip, strip_along
-from strandline.imaging.template import PLATEAU, Template, learnt_template
-
-__all__ = ["HalfLevel"]
+from strandline.imaging.template import PLATEAU, EdgeTemplate, learnt_template
 
 _LEVELS = 5.0
 """Standard deviation of the Gaussian along the edge by which the grey values on both sides are smoothed, px."""
@@ -37,7 +35,7 @@ class HalfLevel:
     bias: float = 0.1
     passes: int = 3
 
-    def locate(self, picture: GreyValues, course: Course, counted: Bool[np.ndarray, " normal"] | None) -> Located:
+    def locate(self, picture: GreyValues, course: SmoothPath, counted: Bool[np.ndarray, " normal"] | None) -> Located:
         """Return the edge near a course; see `EdgeMethod`."""
         strip = strip_along(picture, course, reach=self.reach, step=self.step)
         right, left = _levels(strip)
@@ -85,7 +83,7 @@ class HalfLevel:
         return np.where(found, at[np.arange(len(at)), nearest], 0.0), found
 
     def _influence(
-        self, template: Template, places: Float[np.ndarray, " place"], contrast: float
+        self, template: EdgeTemplate, places: Float[np.ndarray, " place"], contrast: float
     ) -> tuple[Float[np.ndarray, " place"], Float[np.ndarray, "place 1"]]:
         """Return the change of the edge per unit of noise in each sample, and what alignment takes out of residuals."""
         step = float(places[1] - places[0])

@@ -8,8 +8,6 @@ from jaxtyping import Bool, Float, Shaped
 from strandline.imaging.reading import PictureReading
 from strandline.readers.problems import refused
 
-__all__ = ["intensity"]
-
 LUMA = (0.2126, 0.7152, 0.0722)
 """Weights of red, green and blue in grey, Rec. 709."""
 COLOURS = ("red", "green", "blue")

@@ -7,10 +7,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from strandline.imaging.course import Course
+from strandline.imaging.course import SmoothPath
 from strandline.imaging.strip import GreyValues, Strip
-
-__all__ = ["NO_SCATTER", "EdgeMethod", "Located", "Scatter"]
 
 
 @dataclass(frozen=True)
@@ -24,11 +22,6 @@ class Scatter:
 
     sd: float
     length: float
-
-    @property
-    def level(self) -> float:
-        """The product s²ℓ: half the spectral density at low frequencies."""
-        return self.sd**2 * self.length
 
 
 NO_SCATTER = Scatter(math.nan, math.nan)
@@ -64,7 +57,7 @@ class Located:
     facts: dict[str, float]
 
     @property
-    def course(self) -> Course:
+    def course(self) -> SmoothPath:
         """The path along whose normals the edge was found."""
         return self.strip.course
 
@@ -88,7 +81,7 @@ class EdgeMethod(Protocol):
         """Number of times the edge is looked for: from the second time on, near the edge found before."""
         ...
 
-    def locate(self, picture: GreyValues, course: Course, counted: Bool[np.ndarray, " normal"] | None) -> Located:
+    def locate(self, picture: GreyValues, course: SmoothPath, counted: Bool[np.ndarray, " normal"] | None) -> Located:
         """Return the edge near a course.
 
         Args:

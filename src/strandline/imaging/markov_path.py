@@ -16,16 +16,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter
 
-from strandline.errors import InvalidInput
-from strandline.imaging.course import Course
-from strandline.imaging.doubts import require_intensity, require_speckle
+from strandline.imaging.checked import unfit
+from strandline.imaging.course import SmoothPath
 from strandline.imaging.located import NO_SCATTER, Located, Scatter
 from strandline.imaging.noise_covariance import LEAST_LENGTH, autocovariance, sum_to_first_zero
-from strandline.imaging.random_walk import Walk, walk
 from strandline.imaging.strip import GreyValues, Strip, strip_along
-from strandline.imaging.template import Template, columns_levelled, learnt_template, levelled
-
-__all__ = ["MarkovPath"]
+from strandline.imaging.template import EdgeTemplate, columns_levelled, learnt_template, levelled
 
 _SLOW = 7.5
 """Standard deviation of the Gaussian whose result is taken off residuals before they are correlated: what varies over
@@ -42,6 +38,9 @@ _LONGEST = 200
 """Longest distance along the edge at which drawn paths are correlated, px."""
 _OVERLAP = 60
 """Normals by which a closed path overlaps itself."""
+_SYMMETRIC = 0.5
+"""Skewness over the relative standard deviation below which grey values are no linear intensity: it is 2 for gamma
+distributed ones, 1.2 for amplitudes, 0 for a camera's noise and below 0 for logarithms."""
 
 
 @dataclass(frozen=True)
@@ -70,17 +69,17 @@ class MarkovPath:
 
     def __post_init__(self) -> None:
         if self.drift < 0.5 * self.step:
-            raise InvalidInput(
+            raise unfit(
                 "drift of the path of an edge",
-                value=self.drift,
-                expected=f"at least half the distance of candidates, {0.5 * self.step:g} px",
-                remedy="Raise the drift or lower the step: otherwise the path could not move.",
+                self.drift,
+                f"at least half the distance of candidates, {0.5 * self.step:g} px",
+                "Raise the drift or lower the step: otherwise the path could not move.",
             )
 
-    def locate(self, picture: GreyValues, course: Course, counted: Bool[np.ndarray, " normal"] | None) -> Located:
+    def locate(self, picture: GreyValues, course: SmoothPath, counted: Bool[np.ndarray, " normal"] | None) -> Located:
         """Return the edge near a course; see `EdgeMethod`."""
         if self.likelihood == "gamma":
-            require_intensity(picture)
+            _require_intensity(picture)
         strip = strip_along(picture, course, reach=self.reach + self.support, step=self.step)
         places = strip.places[np.abs(strip.places) <= self.reach + 1e-9]
         columns = _columns(picture, strip)
@@ -95,7 +94,7 @@ class MarkovPath:
             path = _walk(table, places, self.drift, course.closed, draws)
             offsets = path.mean
         if self.likelihood == "gamma" and counted is not None:
-            require_speckle(speckle.skewness, math.sqrt(speckle.variance))
+            _require_speckle(speckle.skewness, math.sqrt(speckle.variance))
         found = strip.usable[:, np.abs(strip.places) <= self.support / 2].mean(axis=1) > 0.5
         return Located(
             strip=strip,
@@ -123,7 +122,7 @@ class MarkovPath:
         return levelled(strip, expected, relative=relative)
 
     def _table(
-        self, strip: Strip, template: Template, places: Float[np.ndarray, " candidate"], speckle: "_Speckle"
+        self, strip: Strip, template: EdgeTemplate, places: Float[np.ndarray, " candidate"], speckle: "_Speckle"
     ) -> Float[np.ndarray, "normal candidate"]:
         """Return the log-likelihood of each candidate on each normal."""
         m = template.at(strip.places - places[:, None])
@@ -172,10 +171,106 @@ class _Speckle:
         kappa = 1 / max(_EDGE * together, 1.0)
         return cls(variance, kappa, area, skewness, relative)
 
-    def contrast_to_noise(self, template: Template) -> float:
+    def contrast_to_noise(self, template: EdgeTemplate) -> float:
         """Return the contrast over the noise of the mean over a square of 10 × 10 px on the brighter side."""
         level = max(template.left, template.right) if self.relative else 1.0
         return abs(template.left - template.right) / (level * math.sqrt(self.variance * self.area) / _SIDE)
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """The posterior of a random walk.
+
+    Args:
+        mean: Mean on each normal, shape (normal,).
+        sd: Standard deviation on each normal, shape (normal,).
+        draws: Paths drawn from it, shape (draw, normal).
+    """
+
+    mean: Float[np.ndarray, " normal"]
+    sd: Float[np.ndarray, " normal"]
+    draws: Float[np.ndarray, "draw normal"]
+
+
+def walk(
+    log_likelihood: Float[np.ndarray, "normal candidate"],
+    candidates: Float[np.ndarray, " candidate"],
+    drift: float,
+    *,
+    draws: int = 0,
+    random: np.random.Generator | None = None,
+) -> Walk:
+    """Return the posterior of a path that changes by N(0, drift²) from one normal to the next, by forward–backward.
+
+    Args:
+        log_likelihood: Logarithm of the likelihood of each candidate on each normal, up to a constant on each.
+        candidates: Equally spaced places.
+        drift: Standard deviation of a step; below half the spacing of candidates the path could hardly move.
+        draws: Number of paths to draw.
+        random: Generator for these.
+    """
+    likelihood = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
+    kernel = np.exp(-0.5 * (np.subtract.outer(candidates, candidates) / drift) ** 2)
+    kernel /= kernel.sum(axis=1, keepdims=True)
+    forward = np.empty_like(likelihood)
+    message = np.ones(len(candidates))
+    for i, row in enumerate(likelihood):
+        message = message * row + 1e-300
+        forward[i] = message / message.sum()
+        message = forward[i] @ kernel
+    backward, message = np.empty_like(likelihood), np.ones(len(candidates))
+    for i in range(len(likelihood) - 1, -1, -1):
+        backward[i] = message
+        message = kernel @ (message * likelihood[i])
+        message /= message.sum() or 1.0
+    posterior = forward * backward
+    posterior /= posterior.sum(axis=1, keepdims=True)
+    mean = posterior @ candidates
+    sd = np.sqrt(np.maximum(posterior @ candidates**2 - mean**2, 0.0))
+    drawn = _drawn(forward, kernel, draws, random) if random is not None else np.empty((0, len(mean)), dtype=int)
+    return Walk(mean, sd, candidates[drawn])
+
+
+def _drawn(
+    forward: Float[np.ndarray, "normal candidate"],
+    kernel: Float[np.ndarray, "candidate candidate"],
+    number: int,
+    random: np.random.Generator,
+) -> Int[np.ndarray, "draw normal"]:
+    """Return candidates on paths drawn from the last normal to the first."""
+    out = np.empty((number, len(forward)), dtype=int)
+    uniform = random.random((len(forward), number))
+    weights = np.broadcast_to(forward[-1], (number, forward.shape[1]))
+    for i in range(len(forward) - 1, -1, -1):
+        total = np.cumsum(weights, axis=1)
+        out[:, i] = (total < uniform[i][:, None] * total[:, -1:]).sum(axis=1)
+        if i:
+            weights = forward[i - 1] * kernel[:, out[:, i]].T
+    return out
+
+
+def _require_intensity(picture: GreyValues) -> None:
+    """Refuse grey values below 0 where linear intensity is meant."""
+    least = float(picture.values[picture.usable].min(initial=math.inf))
+    if least < 0:
+        remedy = "Undo the logarithm (scale: log10 or dB), or use method `erf`."
+        raise unfit("intensity of the scan", f"{least:.6g}", "linear intensity, 0 or above", remedy)
+
+
+def _require_speckle(skewness: float, sd: float) -> None:
+    """Refuse grey values that scatter about their mean symmetrically or downwards, as no intensity of speckle does.
+
+    Args:
+        skewness: Skewness of the values over their mean.
+        sd: Standard deviation of the values over their mean.
+    """
+    if skewness < _SYMMETRIC * sd:
+        raise unfit(
+            "grey values of the scan do not scatter like the intensity of speckle: skewness over relative sd",
+            f"{skewness / sd:.2g}",
+            "about 2, as linear intensity has; logarithms are below 0",
+            "Undo the logarithm of a display scan (scale: log10 or dB); for a camera use method `erf`.",
+        )
 
 
 def _columns(picture: GreyValues, strip: Strip) -> Int[np.ndarray, "normal place"]:

@@ -15,16 +15,6 @@ from scipy.ndimage import gaussian_filter1d
 
 from strandline.imaging.located import Scatter
 
-__all__ = [
-    "LEAST_LENGTH",
-    "autocovariance",
-    "noise_covariance",
-    "ratio",
-    "roughness",
-    "scatter_of",
-    "sum_to_first_zero",
-]
-
 _ALONG, _ACROSS = 12, 10
 """Longest lags at which noise is taken as correlated: normals along the edge, samples across it."""
 _SMOOTH = 8.0

@@ -17,8 +17,7 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
 
 from strandline.errors import InvalidInput
-
-__all__ = ["Outlined", "outline_of"]
+from strandline.imaging.checked import unfit
 
 NODES = 400
 """Nodes of the outline."""
@@ -43,8 +42,6 @@ class Outlined:
         points: Points (x, y) from one foot to the other, on the floor y = 0 at both ends, mm, shape (point, 2).
         sd: Standard deviation of a point along its normal, mm: what is left of the edge's errors.
         length: Correlation length of these errors, mm.
-        amplitude: Standard deviation of the offset from the marked path, mm.
-        reach: Length over which that offset changes, mm.
         root: Matrix whose product with standard normal numbers draws an error of each point, shape (point, point).
         normals: Unit normals, shape (point, 2).
     """
@@ -52,8 +49,6 @@ class Outlined:
     points: Float[np.ndarray, "point 2"]
     sd: float
     length: float
-    amplitude: float
-    reach: float
     root: Float[np.ndarray, "point point"]
     normals: Float[np.ndarray, "point 2"]
 
@@ -85,19 +80,15 @@ def outline_of(
     level = sd**2 * max(spacing, 2 * length)
     places, offsets, spacing = _averaged(places, offsets, spacing)
     reach = float(np.median(np.linalg.norm(np.diff(path, axis=0), axis=1)))
-    process = _Process(places, offsets, level / spacing, reach=reach, least=sd)
     at = np.linspace(0.0, base.arc[-1], NODES)
-    mean, covariance = process.at(at)
+    mean, covariance = _process(places, offsets, level / spacing, at, reach=reach, least=sd)
     line = base.points(at) + mean[:, None] * base.normals(at)
     points, kept = _on_floor(line)
     inner = covariance[kept, kept]
     seen = (at[kept] >= places.min()) & (at[kept] <= places.max())
     left = math.sqrt(float(np.median(np.diag(inner)[seen])))
     root = cholesky(inner + 1e-9 * inner.diagonal().max() * np.eye(len(inner)), lower=True)
-    normals = base.normals(at[kept])
-    return Outlined(
-        np.round(points, ROUNDED), left, level / (2 * left**2), process.amplitude, process.reach, root, normals
-    )
+    return Outlined(np.round(points, ROUNDED), left, level / (2 * left**2), root, base.normals(at[kept]))
 
 
 class _Base:
@@ -134,52 +125,46 @@ class _Base:
         return found[order], offsets[order]
 
 
-class _Process:
-    """The offsets as a Gaussian process.
+def _process(
+    places: Float[np.ndarray, " point"],
+    offsets: Float[np.ndarray, " point"],
+    variance: float,
+    at: Float[np.ndarray, " node"],
+    *,
+    reach: float,
+    least: float,
+) -> tuple[Float[np.ndarray, " node"], Float[np.ndarray, "node node"]]:
+    """Return mean and covariance of the offsets as a Gaussian process.
 
     Args:
         places: Arc lengths, mm.
         offsets: Offsets, mm.
         variance: Variance of their noise, mm².
+        at: Arc lengths of the nodes, mm.
         reach: Length over which the process changes, mm.
         least: Least standard deviation of the process, mm; a larger one is taken if the offsets are more probable then.
     """
+    noise = variance * np.eye(len(places))
 
-    def __init__(
-        self,
-        places: Float[np.ndarray, " point"],
-        offsets: Float[np.ndarray, " point"],
-        variance: float,
-        *,
-        reach: float,
-        least: float,
-    ) -> None:
-        self.places, self.offsets, self.variance, self.reach = places, offsets, variance, reach
-        found = minimize_scalar(self._loss, bounds=(math.log(least), math.log(_MOST_OFF * least)), method="bounded")
-        self.amplitude = math.exp(found.x)
-
-    def _covariance(
-        self, a: Float[np.ndarray, " a"], b: Float[np.ndarray, " b"], amplitude: float, reach: float
-    ) -> Float[np.ndarray, "a b"]:
-        r = math.sqrt(5.0) * np.abs(a[:, None] - b) / reach
-        return np.asarray(amplitude**2 * (1 + r + r**2 / 3) * np.exp(-r))
-
-    def _loss(self, log_amplitude: float) -> float:
+    def loss(log_amplitude: float) -> float:
         """Return minus the log evidence."""
-        K = self._covariance(self.places, self.places, math.exp(log_amplitude), self.reach)
-        factor = cho_factor(K + self.variance * np.eye(len(self.places)), lower=True, overwrite_a=True)
-        return float(0.5 * self.offsets @ cho_solve(factor, self.offsets) + np.log(np.diag(factor[0])).sum())
+        K = _matern(places, places, math.exp(log_amplitude), reach) + noise
+        factor = cho_factor(K, lower=True, overwrite_a=True)
+        return float(0.5 * offsets @ cho_solve(factor, offsets) + np.log(np.diag(factor[0])).sum())
 
-    def at(
-        self, where: Float[np.ndarray, " place"]
-    ) -> tuple[Float[np.ndarray, " place"], Float[np.ndarray, "place place"]]:
-        """Return mean and covariance of the offsets at these arc lengths."""
-        how = self.amplitude, self.reach
-        K = self._covariance(self.places, self.places, *how) + self.variance * np.eye(len(self.places))
-        across = self._covariance(where, self.places, *how)
-        factor = cho_factor(K, lower=True)
-        mean = across @ cho_solve(factor, self.offsets)
-        return mean, self._covariance(where, where, *how) - across @ cho_solve(factor, across.T)
+    found = minimize_scalar(loss, bounds=(math.log(least), math.log(_MOST_OFF * least)), method="bounded")
+    amplitude = math.exp(found.x)
+    across = _matern(at, places, amplitude, reach)
+    factor = cho_factor(_matern(places, places, amplitude, reach) + noise, lower=True)
+    mean = across @ cho_solve(factor, offsets)
+    return mean, _matern(at, at, amplitude, reach) - across @ cho_solve(factor, across.T)
+
+
+def _matern(
+    a: Float[np.ndarray, " a"], b: Float[np.ndarray, " b"], amplitude: float, reach: float
+) -> Float[np.ndarray, "a b"]:
+    r = math.sqrt(5.0) * np.abs(a[:, None] - b) / reach
+    return np.asarray(amplitude**2 * (1 + r + r**2 / 3) * np.exp(-r))
 
 
 def _averaged(
@@ -220,9 +205,9 @@ def _on_floor(line: Float[np.ndarray, "point 2"]) -> tuple[Float[np.ndarray, "ke
 
 
 def _refused(found: str) -> InvalidInput:
-    return InvalidInput(
+    return unfit(
         "undeformed outline in the picture",
-        value=found,
-        expected="a path from the floor y = 0 to the floor",
-        remedy="Mark the path down to both feet, and check `frame.origin`, which is a point of the floor.",
+        found,
+        "a path from the floor y = 0 to the floor",
+        "Mark the path down to both feet, and check `frame.origin`, which is a point of the floor.",
     )

@@ -13,10 +13,8 @@ from jaxtyping import Bool, Float
 from scipy.fft import irfft2, rfft2
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
-from strandline.errors import InvalidInput
+from strandline.imaging.checked import unfit
 from strandline.imaging.strip import covered_by
-
-__all__ = ["Registration", "registered"]
 
 BLURS = (12.0, 6.0, 3.0, 1.5)
 """Standard deviations of the Gaussians that blur both pictures, px, one after the other."""
@@ -73,7 +71,7 @@ class Registration:
 def registered(
     first: Float[np.ndarray, "row column"],
     second: Float[np.ndarray, "other_row other_column"],
-    fixed: Sequence[Float[np.ndarray, "corner 2"]],
+    fixed: Sequence[Float[np.ndarray, "_ 2"]],
     *,
     pixel: tuple[float, float] = (1.0, 1.0),
     speckle: bool = False,
@@ -95,12 +93,8 @@ def registered(
     for polygon in fixed:
         inside |= covered_by(np.asarray(polygon, float), first.shape)
     if inside.sum() < FEWEST:
-        raise InvalidInput(
-            "fixed regions of the picture",
-            value=f"{int(inside.sum())} pixels",
-            expected=f"at least {FEWEST} pixels that do not move with the specimen",
-            remedy="Mark a larger region.",
-        )
+        found, expected = f"{int(inside.sum())} pixels", f"at least {FEWEST} pixels that do not move with the specimen"
+        raise unfit("fixed regions of the picture", found, expected, "Mark a larger region.")
     stretch = np.array(pixel) / min(pixel)
     fit = _Fit(inside, stretch)
     for blur in BLURS:
@@ -156,12 +150,9 @@ class _Fit:
         for _ in range(STEPS):
             found, slopes, seen = self._sampled(bent[1], self.x)
             if seen.sum() < FEWEST:
-                raise InvalidInput(
-                    "pixels of the fixed regions in the other picture",
-                    value=int(seen.sum()),
-                    expected=f"at least {FEWEST}",
-                    remedy="Mark what both pictures show, or leave `registration` out.",
-                )
+                remedy = "Mark what both pictures show, or leave `registration` out."
+                what = "pixels of the fixed regions in the other picture"
+                raise unfit(what, int(seen.sum()), f"at least {FEWEST}", remedy)
             light = np.stack([found, np.ones(len(found))], axis=1)[seen]
             (gain, level), *_ = np.linalg.lstsq(light, target[seen], rcond=None)
             residual = np.where(seen, target - gain * found - level, 0.0)
@@ -217,11 +208,11 @@ class _Fit:
     def result(self) -> Registration:
         """Return the registration; refuse regions that do not look alike."""
         if not self.correlation >= ALIKE:
-            raise InvalidInput(
+            raise unfit(
                 "fixed regions of the two pictures",
-                value=f"a correlation of {self.correlation:.2f}",
-                expected=f"at least {ALIKE}: the same things, seen alike",
-                remedy="Mark as fixed what does not move, and leave out what does; or leave `registration` out.",
+                f"a correlation of {self.correlation:.2f}",
+                f"at least {ALIKE}: the same things, seen alike",
+                "Mark as fixed what does not move, and leave out what does; or leave `registration` out.",
             )
         shift, rotation = np.linalg.eigvalsh(self.covariance[:2, :2]).max(), self.covariance[2, 2]
         return Registration(

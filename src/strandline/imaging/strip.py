@@ -7,10 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import map_coordinates
 
-from strandline.errors import InvalidInput
-from strandline.imaging.course import Course
-
-__all__ = ["GreyValues", "Strip", "covered_by", "grey_values", "inside_polygon", "strip_along"]
+from strandline.imaging.checked import unfit
+from strandline.imaging.course import SmoothPath
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +56,7 @@ class Strip:
     samples: Float[np.ndarray, "normal place"]
     usable: Bool[np.ndarray, "normal place"]
     places: Float[np.ndarray, " place"]
-    course: Course
+    course: SmoothPath
     kept: float = 1.0
 
     @property
@@ -66,17 +64,12 @@ class Strip:
         """Distance between samples on a normal."""
         return float(self.places[1] - self.places[0])
 
-    @property
-    def reach(self) -> float:
-        """Largest distance from the course."""
-        return float(self.places[-1])
-
 
 def grey_values(
     values: np.ndarray,
     *,
     pixel: tuple[float, float] = (1.0, 1.0),
-    exclude: Sequence[Float[np.ndarray, "corner 2"]] = (),
+    exclude: Sequence[Float[np.ndarray, "_ 2"]] = (),
 ) -> GreyValues:
     """Return grey values with the pixels that count.
 
@@ -90,16 +83,10 @@ def grey_values(
     """
     values = np.asarray(values)
     if values.ndim != 2 or not (np.issubdtype(values.dtype, np.number) or values.dtype == bool):
-        raise InvalidInput(
-            "grey values of the picture",
-            value=f"shape {values.shape}, {values.dtype}",
-            expected="numbers [row, column]",
-            remedy="Choose one page, and one channel or the mean of the channels.",
-        )
+        found, remedy = f"shape {values.shape}, {values.dtype}", "Choose one page, and one channel or the mean of them."
+        raise unfit("grey values of the picture", found, "numbers [row, column]", remedy)
     if not all(np.isfinite(side) and side > 0 for side in pixel):
-        raise InvalidInput(
-            "pixel size", value=list(pixel), expected="width and height above 0", remedy="Correct the pixel size."
-        )
+        raise unfit("pixel size", list(pixel), "width and height above 0")
     values = values.astype(float)
     usable = np.isfinite(values)
     for polygon in exclude:
@@ -107,7 +94,9 @@ def grey_values(
     return GreyValues(np.where(np.isfinite(values), values, 0.0), usable, (float(pixel[0]), float(pixel[1])))
 
 
-def strip_along(picture: GreyValues, course: Course, *, reach: float = 8.0, step: float = 0.5, order: int = 1) -> Strip:
+def strip_along(
+    picture: GreyValues, course: SmoothPath, *, reach: float = 8.0, step: float = 0.5, order: int = 1
+) -> Strip:
     """Return the picture along the normals of a course.
 
     Args:

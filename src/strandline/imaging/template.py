@@ -8,8 +8,6 @@ from scipy.ndimage import gaussian_filter1d
 
 from strandline.imaging.strip import Strip
 
-__all__ = ["Template", "aligned", "columns_levelled", "learnt_template", "levelled"]
-
 PLATEAU = (3.0, 7.0)
 """Distances from the edge between which the grey value on either side of it is taken, px."""
 _SHADOW = 5.0
@@ -23,7 +21,7 @@ _FEW = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Template:
+class EdgeTemplate:
     """A mean profile across an edge.
 
     Args:
@@ -66,7 +64,7 @@ def aligned(
     return np.where(inside, found, 0.0), inside.astype(float)
 
 
-def learnt_template(strip: Strip, offsets: Float[np.ndarray, " normal"]) -> tuple[Template, float]:
+def learnt_template(strip: Strip, offsets: Float[np.ndarray, " normal"]) -> tuple[EdgeTemplate, float]:
     """Return the mean profile over all normals, and the distance from `offsets` to its half level.
 
     Args:
@@ -83,7 +81,7 @@ def learnt_template(strip: Strip, offsets: Float[np.ndarray, " normal"]) -> tupl
     mean = (1 - share) * mean + share * broad
     shift = _half_level(mean, strip.places)
     left, right = _plateaux(mean, strip.places - shift)
-    return Template(mean, strip.places - shift, left, right), shift
+    return EdgeTemplate(mean, strip.places - shift, left, right), shift
 
 
 def columns_levelled(

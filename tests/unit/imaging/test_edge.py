@@ -13,10 +13,8 @@ from strandline.discrepancy.normal_offset import signed_distances
 from strandline.errors import InvalidInput
 from strandline.imaging.course import course_through
 from strandline.imaging.edge import find_edge
-from strandline.imaging.located import Scatter
-from strandline.imaging.markov_path import MarkovPath
+from strandline.imaging.markov_path import MarkovPath, walk
 from strandline.imaging.noise_covariance import noise_covariance, roughness, scatter_of, sum_to_first_zero
-from strandline.imaging.random_walk import walk
 from strandline.imaging.strip import grey_values, strip_along
 from strandline.interface import Interface
 
@@ -167,8 +165,9 @@ CROSSED = np.array([[5.0, 29], [130, 29], [130, 33], [5, 33.0]])
 REFUSED = [
     ("number of points", straight(), LINE[:2] * [0.5, 1.0], {}),
     ("contrast over noise", straight() + 2 * NOISE, LINE, {}),
-    ("crosses itself", straight(), np.array([[5.0, 30], [100, 30], [100, 50], [50, 10]]), {}),
-    ("leaves the picture", straight(), LINE + np.array([10.0, 0.0]), {}),
+    ("the path crosses or touches itself", straight(), np.array([[5.0, 30], [100, 30], [100, 50], [50, 10]]), {}),
+    ("is outside the picture", straight(), LINE + np.array([10.0, 0.0]), {}),
+    ("the path: point 2 is not finite", straight(), np.array([[5.0, 30], [50, np.nan], [130, 30]]), {}),
     ("normals of the path cross", straight(), CROSSED, {"closed": True}),
     ("method to find an edge", straight(), LINE, {"method": "erff"}),
     ("intensity of the scan", straight() - 2.0, LINE, {"method": "path"}),
@@ -270,7 +269,6 @@ def test_the_roughness_of_independent_errors_does_not_count_wrong_points():
     places = 0.3 * np.random.default_rng(1).standard_normal(4000)
     places[::40] = 9.0  # a few wrong points
     assert 0.3 < roughness(places, np.array([1.0])) < 0.6 < np.std(places)
-    assert Scatter(2.0, 3.0).level == 12.0
 
 
 def test_noise_goes_through_the_fit():

@@ -101,6 +101,13 @@ def test_a_known_motion_is_found_and_points_follow(stretch):
     np.testing.assert_allclose(found(points), true, atol=0.06)
 
 
+def test_regions_may_have_any_numbers_of_corners():
+    """Some of them are looked at when types are checked at run time."""
+    corners = [np.linspace(0, 2 * np.pi, number, endpoint=False) for number in range(3, 40)]
+    rings = [MIDDLE + 30 * np.stack([np.cos(angle), np.sin(angle)], axis=1) for angle in corners]
+    assert np.abs(error(registered(*pair(), rings))).max() < 0.2
+
+
 def test_the_errors_of_a_registration_are_its_own():
     """Those of the shift are of its worst direction; a third of them, or three times as large ones, would show."""
     found = [registered(*pair(noise=1.0, seed=seed), ALL) for seed in range(6)]

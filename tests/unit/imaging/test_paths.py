@@ -12,7 +12,6 @@ from strandline.imaging.clicks import Clicks, ScaleBar, as_json, read_clicks, wr
 from strandline.imaging.first_path import typed_path
 from strandline.imaging.paths import read_path
 
-
 POINTS = [(30, 40), (50, 20), (90, 25)]
 FINE = [(30.25, 40.5), (50.0, 20.125), (90.75, 25.0)]
 POLYGON, RECTANGLE, FREELINE, POLYLINE, FREEHAND, TRACED = 0, 1, 4, 5, 7, 8

@@ -15,9 +15,8 @@ from strandline.errors import InvalidInput
 from strandline.imaging import Stack
 from strandline.imaging.surfaces import StackFrame, find_surface, region_of
 from strandline.imaging.surfaces.levels import _noise, two_levels
-from strandline.imaging.surfaces.mesh import Mesh, cut
+from strandline.imaging.surfaces.mesh import Mesh, cut, thinned
 from strandline.imaging.surfaces.surface import _outside
-from strandline.imaging.surfaces.thinning import thinned
 from strandline.interface import Interface
 
 V = 1e-3

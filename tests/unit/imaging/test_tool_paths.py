@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from strandline.errors import InvalidInput
-from strandline.imaging.files.hdf5 import read_hdf5
+from strandline.imaging.files.plain import read_hdf5
 from strandline.imaging.paths import is_of_clicks, read_path
 from strandline.imaging.reading import PictureReading
 

@@ -187,12 +187,13 @@ def test_what_the_command_writes_is_the_same_each_time_with_every_check_and_its_
     files = {path.name: path.read_bytes() for path in (folder / "image").iterdir()}
     assert sorted(files) == ["edge.csv", "edge.json", "edge.png"]
     assert "σ_N² for normal_offset: none needed" in shown
+    assert f"  wrote {folder / 'image' / 'edge.csv'}\n" in shown
     study = load_study(folder)
     table = np.loadtxt(folder / "image" / "edge.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(table[:, :2], study.observed[""].points, atol=1e-6)
     assert (np.diff(table[:, 3]) > 0).all()
     assert json.loads(files["edge.json"])["sd"] == pytest.approx(study.pictures[""].errors.sd)
-    earlier = "Did you mean hump.png? (image/edge.png still shows an earlier edge.)\n"
+    earlier = f"Did you mean hump.png? ({folder / 'image' / 'edge.png'} still shows an earlier edge.)\n"
     assert image(capsys, written(folder, file="hamp.png")).endswith(earlier)
     write_pictures(folder, study.pictures, measures=study.discrepancies)
     assert {path.name: path.read_bytes() for path in (folder / "image").iterdir()} == files

@@ -8,12 +8,9 @@ from xml.etree import ElementTree
 import numpy as np
 from jaxtyping import Float32
 
-from strandline.imaging.files.contents import PictureFile, require_pixels
-from strandline.imaging.pixel_size import PixelSize
-from strandline.imaging.reading import PictureReading
+from strandline.imaging.picture import PictureFile, require_pixels
+from strandline.imaging.reading import PictureReading, PixelSize
 from strandline.readers.problems import refused
-
-__all__ = ["read_oct"]
 
 HEADER, INTENSITY = "Header.xml", "data/Intensity.data"
 LARGEST_HEADER = 1 << 24

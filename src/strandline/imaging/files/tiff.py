@@ -2,20 +2,20 @@
 
 import importlib
 import logging
+import math
+import struct
+import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
+from xml.etree import ElementTree
 
 import numpy as np
 from jaxtyping import Shaped
 
-from strandline.errors import InvalidInput
-from strandline.imaging.files.contents import PictureFile, require_pixels
-from strandline.imaging.files.tiff_pages import require_parts, require_whole_chain
-from strandline.imaging.files.tiff_scale import stated_size
-from strandline.imaging.reading import PictureReading
+from strandline.imaging.checked import unfit
+from strandline.imaging.picture import PictureFile, require_pixels
+from strandline.imaging.reading import PictureReading, PixelSize
 from strandline.readers.problems import refused
-
-__all__ = ["read_tiff"]
 
 MIN_IS_WHITE, MIN_IS_BLACK, RGB = 0, 1, 2
 """TIFF's numbers of the ways in which a number becomes a colour."""
@@ -23,6 +23,19 @@ JPEG_COLOURS = (6, 7)
 """Colours and compression of a JPEG within a TIFF, which become red, green and blue."""
 LARGEST_TILE = 1 << 28
 """Most numbers in a tile, which is decoded in one piece."""
+MOST_PAGES = 1_000_000
+CLASSIC, BIG = 42, 43
+FORMS = {CLASSIC: ("I", "H", 12), BIG: ("Q", "Q", 20)}
+"""Kind of TIFF → formats of an offset and of the number of entries, bytes of an entry."""
+DEFLATE = (8, 32946)
+"""TIFF's numbers of the compression by zlib, the only one that unpacks without a bound of its own."""
+MOST_UNPACKED = 1 << 28
+"""Bytes; what cannot unpack to more, at zlib's largest ratio, is not looked at before."""
+LARGEST_RATIO = 1032
+PIECE = 1 << 20
+_MICROMETRES = ("um", "µm", "μm", "\\u00B5m", "micron", "microns", "micrometer")
+TO_MM = {"nm": 1e-6, "mm": 1.0, "cm": 10.0, "m": 1e3, "inch": 25.4, "in": 25.4} | dict.fromkeys(_MICROMETRES, 1e-3)
+"""Units as ImageJ and OME write them; both ways to write µ occur, and its code."""
 
 
 def read_tiff(path: Path, how: PictureReading, name: str) -> PictureFile:
@@ -52,43 +65,28 @@ def _opened(file: Any, path: Path, name: str) -> PictureFile:
         raise refused(f"{name} has tiles that are too large", f"{page.tilelength} × {page.tilewidth}", "smaller tiles")
     _require_intensities(series, page, name)
     axes = tuple((axis, length) for axis, length in shape.items() if axis not in "YXS" and length != 1)
-    return PictureFile(
-        (rows, columns),
-        _Frames(series, path, file.byteorder),
-        axes,
-        stated_size(file, page),
-        _notes(file, page),
-        file.close,
-    )
 
-
-class _Frames:
-    """Frames of a series by their number."""
-
-    def __init__(self, series: Any, path: Path, byteorder: str) -> None:
-        self.series, self.path, self.byteorder = series, path, byteorder
-        self.page = series.keyframe
-
-    def __call__(self, frame: int) -> Shaped[np.ndarray, "row column *channel"]:
+    def load(frame: int) -> Shaped[np.ndarray, "row column *channel"]:
         """Return a frame, channels last, high numbers bright."""
-        values = self._stored(frame)
-        if self.page.samplesperpixel > 1 and self.page.axes.startswith("S"):
+        values = _stored(series, frame, path, file.byteorder)
+        if page.samplesperpixel > 1 and page.axes.startswith("S"):
             values = np.moveaxis(values, 0, -1)
-        if self.page.photometric == MIN_IS_WHITE and values.dtype.kind in "bu":
-            values = (2**self.page.bitspersample - 1) - values.astype(np.int64)
+        if page.photometric == MIN_IS_WHITE and values.dtype.kind in "bu":
+            values = (2**page.bitspersample - 1) - values.astype(np.int64)
         return values
 
-    def _stored(self, frame: int) -> Shaped[np.ndarray, "..."]:
-        """Return a frame as it is stored; ImageJ writes one page for a stack above 4 GB."""
-        shape = self.page.shape
-        count = self.series.size // self.page.size
-        if count == len(self.series.pages) or self.series.dataoffset is None:
-            page = self.series.pages[frame]
-            require_parts(self.path, page)
-            return np.asarray(page.asarray())
-        kind = np.dtype(self.byteorder + self.series.dtype.char)
-        whole = np.memmap(self.path, kind, "r", self.series.dataoffset, (count, *shape))
-        return np.array(whole[frame])
+    return PictureFile((rows, columns), load, axes, _stated_size(file, page), _notes(file, page), file.close)
+
+
+def _stored(series: Any, frame: int, path: Path, byteorder: str) -> Shaped[np.ndarray, "..."]:
+    """Return a frame as it is stored; ImageJ writes one page for a stack above 4 GB."""
+    count = series.size // series.keyframe.size
+    if count == len(series.pages) or series.dataoffset is None:
+        page = series.pages[frame]
+        require_parts(path, page)
+        return np.asarray(page.asarray())
+    kind = np.dtype(byteorder + series.dtype.char)
+    return np.array(np.memmap(path, kind, "r", series.dataoffset, (count, *series.keyframe.shape))[frame])
 
 
 def _require_intensities(series: Any, page: Any, name: str) -> None:
@@ -119,13 +117,129 @@ def _imported(name: str) -> Any:
     try:
         tifffile = importlib.import_module("tifffile")
     except ModuleNotFoundError:
-        raise InvalidInput(
-            f"{name} needs tifffile",
-            value="no package of this name",
-            expected="the extra `image`",
-            remedy='Install it: pip install "strandline[image]"',
-        ) from None
+        remedy = 'Install it: pip install "strandline[image]"'
+        raise unfit(f"{name} needs tifffile", "no package of this name", "the extra `image`", remedy) from None
     log = logging.getLogger("tifffile")
     if not log.handlers:
         log.addHandler(logging.NullHandler())
     return tifffile
+
+
+def _stated_size(file: Any, page: Any) -> PixelSize | None:
+    """Return the size of a pixel that the header of ImageJ or of OME states; None without a unit of length."""
+    if file.is_ome:
+        return _of_ome(file.ome_metadata)
+    return _of_imagej(file.imagej_metadata or {}, page) if file.is_imagej else None
+
+
+def _of_ome(header: str) -> PixelSize | None:
+    """Return the size in the first ``Pixels`` of an OME header, whose unit is µm unless it names another."""
+    if "<!DOCTYPE" in header:
+        return None
+    pixels = next((e for e in ElementTree.fromstring(header).iter() if e.tag.rpartition("}")[2] == "Pixels"), None)
+    if pixels is None:
+        return None
+    x, y, z = (_physical(pixels, axis) for axis in "XYZ")
+    return None if x is None or y is None else PixelSize(x, y, z, "the OME header")
+
+
+def _physical(pixels: ElementTree.Element, axis: str) -> float | None:
+    size = pixels.get(f"PhysicalSize{axis}")
+    factor = TO_MM.get(pixels.get(f"PhysicalSize{axis}Unit", "µm"))
+    return None if size is None or factor is None else factor * float(size)
+
+
+def _of_imagej(header: dict[str, Any], page: Any) -> PixelSize | None:
+    """Return the size from pixels per unit in the resolution tags, the unit from the description of ImageJ."""
+    unit = header.get("unit", "")
+    x, y, z = (TO_MM.get(str(header.get(name, unit))) for name in ("unit", "yunit", "zunit"))
+    across, along = (_per_pixel(page, f"{axis}Resolution") for axis in "XY")
+    if x is None or y is None or across is None or along is None:
+        return None
+    spacing = abs(float(header.get("spacing") or 0))
+    return PixelSize(x * across, y * along, z * spacing if z and spacing else None, "the ImageJ header")
+
+
+def _per_pixel(page: Any, tag: str) -> float | None:
+    """Return units per pixel from a fraction of pixels per unit."""
+    found = page.tags.get(tag)
+    if found is None or 0 in found.value:
+        return None
+    above, below = found.value
+    return float(below / above)
+
+
+def require_whole_chain(path: Path) -> None:
+    """Refuse a file one of whose pages lies beyond its end, so that the file is cut off.
+
+    Raises:
+        EOFError: It is cut off.
+        ValueError: It is no TIFF file, or its pages lie in a circle.
+    """
+    with path.open("rb") as file:
+        start = file.read(4)
+        order = {b"II": "<", b"MM": ">"}.get(start[:2])
+        kind = struct.unpack(f"{order}H", start[2:])[0] if order and len(start) == 4 else 0
+        if kind not in FORMS:
+            raise ValueError("not a TIFF file")
+        offset_format, count_format, entry = FORMS[kind]
+        file.seek(4 if kind == CLASSIC else 8)
+        offset, seen = _number(file, f"{order}{offset_format}"), set[int]()
+        while offset:
+            if offset in seen or len(seen) == MOST_PAGES:
+                raise ValueError("its pages lie in a circle")
+            seen.add(offset)
+            file.seek(offset)
+            count = _number(file, f"{order}{count_format}")
+            file.seek(count * entry, 1)
+            offset = _number(file, f"{order}{offset_format}")
+
+
+def _number(file: BinaryIO, form: str) -> int:
+    """Return the number at the present place of the file."""
+    content = file.read(struct.calcsize(form))
+    if len(content) < struct.calcsize(form):
+        raise EOFError("the file is cut off, or a page lies beyond its end")
+    return int(struct.unpack(form, content)[0])
+
+
+def require_parts(path: Path, page: Any, *, most: int = MOST_UNPACKED) -> None:
+    """Refuse a page that lacks strips or tiles, which tifffile fills with 0, or that unpacks to much more than it is.
+
+    Args:
+        path: Path of the file.
+        page: Page that tifffile read.
+        most: Bytes to which each may unpack, if the page is not larger.
+
+    Raises:
+        EOFError: A strip or a tile is missing.
+        ValueError: One unpacks to more than the pixels of the page.
+    """
+    expected = math.prod(page.keyframe.chunked)
+    found = sum(offset > 0 and count > 0 for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True))
+    if found < expected:
+        raise EOFError(f"{expected - found} of its {expected} strips or tiles are missing")
+    if int(page.compression) not in DEFLATE:
+        return
+    bound = max(most, 2 * page.nbytes)
+    for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
+        if count * LARGEST_RATIO <= bound:
+            continue
+        with path.open("rb") as file:
+            file.seek(offset)
+            packed = file.read(count)
+        if not _unpacks_within(packed, bound):
+            raise ValueError(f"its {count} compressed bytes unpack to more than its pixels")
+
+
+def _unpacks_within(packed: bytes, bound: int) -> bool:
+    """Return whether bytes compressed by zlib unpack to `bound` bytes at most, a piece at a time."""
+    unpacker, total = zlib.decompressobj(), 0
+    for start in range(0, len(packed), PIECE):
+        rest = packed[start : start + PIECE]
+        while rest:
+            total += len(unpacker.decompress(rest, PIECE))
+            if total > bound:
+                return False
+            rest = unpacker.unconsumed_tail
+    return True

@@ -1,13 +1,17 @@
-"""Grey values of a stack: smoothed, and the two levels between which the surface lies."""
+"""Grey values of a stack, smoothed, and the surface at one level of them: marching cubes."""
 
+import importlib
 import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, Int
 from scipy.ndimage import gaussian_filter
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-__all__ = ["Field", "field_of", "two_levels"]
+from strandline.imaging.checked import unfit
+from strandline.imaging.surfaces.mesh import Mesh
 
 _BINS = 256
 _EVERY = 1 << 20
@@ -17,6 +21,8 @@ _NORMAL = 0.6745
 _CLEAN, _SMOOTHEST = 5.0, 2.0
 """Contrast over noise from which a Gaussian of 1 is enough; largest Gaussian, in sides of a voxel."""
 _TRUNCATE = 3.0
+_FINER, _COARSEST = 4, 3
+"""Triangles before the thinning, in those after it; largest step of the grid of cubes, in sides of a voxel."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,3 +103,64 @@ def _blurred(
     values: Float32[np.ndarray, "z row column"], sigma: float, stretch: Float[np.ndarray, " 3"]
 ) -> Float32[np.ndarray, "z row column"]:
     return np.asarray(gaussian_filter(values, sigma / stretch[::-1], mode="nearest", truncate=_TRUNCATE))
+
+
+def level_surface(field: Field, level: float, *, triangles: int) -> Mesh:
+    """Return the surface at a grey level, with normals from bright to dark; lengths in sides of a voxel.
+
+    The outermost voxels, where smoothing lacks neighbours, are left out. The grid is coarser where that leaves several
+    times the wanted number of triangles.
+
+    Args:
+        field: Smoothed grey values.
+        level: Grey value of the surface.
+        triangles: Number of triangles that are wanted in the end.
+
+    Raises:
+        InvalidInput: scikit-image is missing, or no grey value is on one of the two sides.
+    """
+    try:
+        measure = importlib.import_module("skimage.measure")
+    except ModuleNotFoundError:
+        what, remedy = "a surface from a stack needs scikit-image", 'Install it: pip install "strandline[image3d]"'
+        raise unfit(what, "no package of this name", "the extra `image3d`", remedy) from None
+    rims = np.maximum(1, np.rint(field.sigma / field.stretch)).astype(int)
+    rims = np.where(np.array(field.values.shape[::-1]) > 4 * rims, rims, 0)
+    inner = field.values[tuple(slice(rim, -rim or None) for rim in rims[::-1])]
+    found = 2 * _crossings(inner > level)
+    if found == 0:
+        value, expected = f"no voxel on one side of the grey value {level:.6g}", "a bright and a dark part"
+        remedy = "Choose the stack, or crop it to the solid and its surroundings."
+        raise unfit("surface in the stack", value, expected, remedy)
+    step = next((k for k in range(_COARSEST, 1, -1) if found >= k**2 * _FINER * triangles), 1)
+    strides = np.maximum(1, np.rint(step / field.stretch)).astype(int) if step > 1 else np.ones(3, int)
+    grid = np.ascontiguousarray(inner[tuple(slice(None, None, stride) for stride in strides[::-1])])
+    if min(grid.shape) < 2:
+        strides, grid = np.ones(3, int), inner
+    points, cells, *_ = measure.marching_cubes(grid, level)
+    places = (rims + strides * points[:, ::-1].astype(float)) * field.stretch
+    return _merged(places, cells.astype(np.int64)[:, ::-1])
+
+
+def largest_part(mesh: Mesh) -> tuple[Mesh, float]:
+    """Return the connected part with the largest area, and its share of the whole area."""
+    one, two = mesh.cells[:, :2].ravel(), mesh.cells[:, 1:].ravel()
+    links = coo_array((np.ones(len(one), bool), (one, two)), shape=(len(mesh.points),) * 2)
+    _, part = connected_components(links, directed=False)
+    areas = np.bincount(part[mesh.cells[:, 0]], mesh.areas)
+    largest = int(np.argmax(areas))
+    return mesh.of_cells(part[mesh.cells[:, 0]] == largest), float(areas[largest] / areas.sum())
+
+
+def _crossings(bright: np.ndarray) -> int:
+    """Return the number of neighbours on different sides: that of the points of the surface on the finest grid."""
+    return sum(int(np.count_nonzero(np.diff(bright, axis=axis))) for axis in range(3))
+
+
+def _merged(points: Float[np.ndarray, "point 3"], cells: Int[np.ndarray, "cell 3"]) -> Mesh:
+    """Return the surface without triangles of which two corners coincide."""
+    keys = np.rint(points * 2**12).astype(np.int64)
+    _, first, number = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    merged = number.ravel()[cells]
+    apart = (merged != np.roll(merged, 1, axis=1)).all(axis=1)
+    return Mesh(points[first], merged).of_cells(apart)

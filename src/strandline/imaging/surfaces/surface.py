@@ -6,21 +6,30 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from strandline.errors import InvalidInput
+from strandline.imaging.checked import unfit
 from strandline.imaging.picture import Stack
-from strandline.imaging.surfaces.curvature import blur_along_axes, dislocation, shape_operators
-from strandline.imaging.surfaces.doubts import FEWEST, require_left, require_surface, require_triangles
-from strandline.imaging.surfaces.levels import Field, field_of, two_levels
-from strandline.imaging.surfaces.marching import largest_part, level_surface
-from strandline.imaging.surfaces.mesh import Mesh, vector_areas
-from strandline.imaging.surfaces.profiles import Profiles, normals_of, profiles_at
-from strandline.imaging.surfaces.regions import Region
-from strandline.imaging.surfaces.surface_errors import SurfaceErrors, noise_beside, surface_errors
-from strandline.imaging.surfaces.thinning import thinned
-
-__all__ = ["Surface", "find_surface"]
+from strandline.imaging.surfaces.levels import Field, field_of, largest_part, level_surface, two_levels
+from strandline.imaging.surfaces.mesh import Mesh, thinned
+from strandline.imaging.surfaces.profiles import (
+    Profiles,
+    blur_along_axes,
+    dislocation,
+    normals_of,
+    profiles_at,
+    shape_operators,
+)
+from strandline.imaging.surfaces.stack_frame import Region
+from strandline.imaging.surfaces.surface_errors import (
+    SurfaceErrors,
+    noise_beside,
+    require_surface,
+    surface_errors,
+)
+from strandline.interface.triangles import vector_areas
 
 PASSES = 3
+FEWEST, FEWEST_LEFT = 100, 10
+"""Fewest triangles of a surface, and of what is left of it beside the regions to exclude."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,18 +78,20 @@ def find_surface(
 
     Raises:
         InvalidInput: scikit-image is missing, or the stack says too little about the surface; see
-            `strandline.imaging.surfaces.doubts`.
+            `require_surface`.
     """
     if solid not in ("bright", "dark"):
-        raise InvalidInput("side of the solid", value=solid, expected="bright or dark", remedy="Choose one of them.")
+        raise unfit("side of the solid", solid, "bright or dark", "Choose one of them.")
     if triangles < FEWEST:
-        raise InvalidInput("most triangles", value=triangles, expected=f"at least {FEWEST}", remedy="Use 5000.")
+        raise unfit("most triangles", triangles, f"at least {FEWEST}", "Use 5000.")
     unit = float(np.prod(stack.voxel)) ** (1 / 3)
     field = field_of(stack.values, np.array(stack.voxel) / unit, smooth=smooth)
     level = 0.5 * sum(two_levels(field.values))
     mesh, share = largest_part(level_surface(field, level, triangles=triangles))
     mesh = thinned(mesh, triangles)
-    require_triangles(len(mesh.cells))
+    if len(mesh.cells) < FEWEST:
+        remedy = "Use a stack with smaller voxels, or ask for more `triangles`."
+        raise unfit("number of triangles of the surface", len(mesh.cells), f"at least {FEWEST}", remedy)
     mesh, normals, profiles = _refined(field, mesh, level, bright=solid == "bright")
     variances = blur_along_axes(profiles.blurs, normals)
     moved = dislocation(shape_operators(mesh.points, normals), variances)
@@ -109,7 +120,10 @@ def _outside(
     for region in exclude:
         inside |= region(mesh.points / stretch)
     kept = ~inside[mesh.cells].any(axis=1)
-    require_left(int(kept.sum()))
+    if kept.sum() < FEWEST_LEFT:
+        what = "number of triangles outside of the regions to exclude"
+        remedy = "Exclude less, and check the frame in whose coordinates the regions are given."
+        raise unfit(what, int(kept.sum()), f"at least {FEWEST_LEFT}", remedy)
     return np.unique(mesh.cells[kept]), mesh.of_cells(kept)
 
 
@@ -135,5 +149,5 @@ def _cut_share(field: Field, mesh: Mesh, level: float, *, bright: bool) -> float
     for axis in range(3):
         face = float(np.prod(np.delete(field.stretch, 2 - axis)))
         cut += face * sum(int(np.count_nonzero(solid.take(end, axis=axis))) for end in (0, -1))
-    own = float(np.linalg.norm(vector_areas(mesh.points, mesh.cells), axis=1).sum())
+    own = float(mesh.areas.sum())
     return cut / (cut + own)

@@ -11,13 +11,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from strandline.errors import InvalidInput
-from strandline.imaging.surfaces.curvature import frames
+from strandline.imaging.checked import unfit
 from strandline.imaging.surfaces.levels import Field
-from strandline.imaging.surfaces.mesh import Mesh, vector_areas
-from strandline.imaging.surfaces.profiles import PLATEAU, Profiles, sampled
-
-__all__ = ["Noise", "SurfaceErrors", "noise_beside", "surface_errors"]
+from strandline.imaging.surfaces.mesh import Mesh
+from strandline.imaging.surfaces.profiles import PLATEAU, Profiles, frames, sampled
 
 BIAS = 0.1
 """Standard deviation of a common offset where the surface is flat, in sides of a voxel."""
@@ -32,6 +29,12 @@ _NOTHING = 0.05
 """Correlation below which there is none."""
 _SAME = 0.35
 """Largest distance of a value from its side's, in the contrast, if it is noise."""
+LEAST_CONTRAST = 2.0
+"""Smallest contrast to noise of a voxel."""
+MOST_OPEN = 0.5
+"""Largest share of the surface of the solid that the faces of the stack cut off."""
+LOST = 0.02
+"""Largest share of the points without a crossing of the half level nearby."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ class SurfaceErrors:
 
 
 @dataclass(frozen=True)
-class Noise:
+class StackNoise:
     """Noise of a stack beside a surface.
 
     Args:
@@ -74,7 +77,7 @@ class Noise:
     voxel: float
 
 
-def noise_beside(field: Field, mesh: Mesh, normals: Float[np.ndarray, "point 3"], profiles: Profiles) -> Noise:
+def noise_beside(field: Field, mesh: Mesh, normals: Float[np.ndarray, "point 3"], profiles: Profiles) -> StackNoise:
     """Return the noise on both sides of a surface, from differences along tangents of it.
 
     Raises:
@@ -106,14 +109,14 @@ def noise_beside(field: Field, mesh: Mesh, normals: Float[np.ndarray, "point 3"]
     integral = float(np.trapezoid(rho * lags, lags))
     squares = np.concatenate(voxels) ** 2
     if not (known[1:].any() and np.isfinite(squares).any()):
-        raise InvalidInput(
+        raise unfit(
             "room beside the surface",
-            value=f"no plain grey value {PLATEAU + 2 * field.sigma:.3g} voxels away from it",
-            expected="solid and surroundings with a grey value of their own",
-            remedy="Use a stack with smaller voxels, or one that shows more of the surroundings.",
+            f"no plain grey value {PLATEAU + 2 * field.sigma:.3g} voxels away from it",
+            "solid and surroundings with a grey value of their own",
+            "Use a stack with smaller voxels, or one that shows more of the surroundings.",
         )
     variance = float(np.nanmean(squares))
-    return Noise(math.sqrt(sill), math.sqrt(integral), math.sqrt(variance))
+    return StackNoise(math.sqrt(sill), math.sqrt(integral), math.sqrt(variance))
 
 
 def _of_voxels(
@@ -132,7 +135,7 @@ def surface_errors(
     field: Field,
     mesh: Mesh,
     profiles: Profiles,
-    noise: Noise,
+    noise: StackNoise,
     moved: Float[np.ndarray, " point"],
     *,
     unit: float,
@@ -155,7 +158,7 @@ def surface_errors(
     sds = noise.sd / np.maximum(contrast * profiles.slopes, 1e-300)
     sd = math.sqrt(float(np.mean(sds**2)))
     blur = float(np.sqrt(np.mean(profiles.blurs**2)))
-    area = float(np.linalg.norm(vector_areas(mesh.points, mesh.cells), axis=1).mean())
+    area = float(mesh.areas.mean())
     bend = float(np.mean(moved)) / max(blur**2, 1e-9)
     chord = abs(bend) * area / (2 * math.sqrt(3))
     offset = math.sqrt(BIAS**2 + _LEFT**2 * float(np.mean(moved**2)) + chord**2)
@@ -176,3 +179,31 @@ def surface_errors(
             "chord": unit * chord,
         },
     )
+
+
+def require_surface(errors: SurfaceErrors, lost: float) -> None:
+    """Refuse a surface of which the stack says too little.
+
+    Args:
+        errors: Errors of its points.
+        lost: Share of the points without a crossing of the half level nearby.
+
+    Raises:
+        InvalidInput: Contrast to noise below 2, a solid cut off by the faces of the stack over most of its surface, or
+            more than 2 % of the points without an edge.
+    """
+    if not errors.contrast_to_noise >= LEAST_CONTRAST:
+        found, expected = f"{errors.contrast_to_noise:.3g}", f"at least {LEAST_CONTRAST:g}"
+        remedy = "Use a stack with less noise, e.g. the mean of several."
+        raise unfit("contrast over noise at the surface", found, expected, remedy)
+    if errors.open_share > MOST_OPEN:
+        raise unfit(
+            "surface cut off by the faces of the stack",
+            f"{100 * errors.open_share:.0f} % of the solid's surface",
+            f"at most {100 * MOST_OPEN:g} %",
+            "Use a larger stack, or check `solid: bright` or `dark`.",
+        )
+    if lost > LOST:
+        found, expected = f"{100 * lost:.1f} % of them", f"at most {100 * LOST:g} %"
+        remedy = "Use a stack with less noise or more even light."
+        raise unfit("points of the surface without an edge nearby", found, expected, remedy)

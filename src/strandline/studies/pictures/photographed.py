@@ -30,7 +30,7 @@ from strandline.imaging import (
     typed_path,
 )
 from strandline.imaging.markov_path import MarkovPath
-from strandline.imaging.pixel_size import SAME, PixelSize
+from strandline.imaging.reading import SAME, PixelSize
 from strandline.imaging.surfaces import StackFrame
 from strandline.interface import Interface, PointErrors
 from strandline.studies.chosen import refused_at
@@ -195,7 +195,7 @@ def _repeated(
     clicks: Clicks | None,
     picture: Picture,
     edge: Edge,
-    exclude: Sequence[Float[np.ndarray, "corner 2"]],
+    exclude: Sequence[Float[np.ndarray, "_ 2"]],
 ) -> tuple[FrameErrors | None, tuple[str, ...]]:
     """Return the errors that several frames of one state show, or why they show none."""
     if picture.frames == 1:

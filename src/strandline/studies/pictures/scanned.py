@@ -5,7 +5,7 @@ from pathlib import Path
 
 from strandline.errors import InvalidStudy
 from strandline.imaging import PictureReading, Stack, read_stack
-from strandline.imaging.pixel_size import PixelSize
+from strandline.imaging.reading import PixelSize
 from strandline.imaging.surfaces import StackFrame, Surface, find_surface, region_of
 from strandline.interface import Interface, PointErrors
 from strandline.studies.chosen import refused_at

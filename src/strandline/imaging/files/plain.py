@@ -1,4 +1,4 @@
-"""HDF5 and MATLAB 7.3: an array (…, row, column), which MATLAB stores with its axes reversed."""
+"""PNG, JPEG, NumPy arrays, HDF5 and MATLAB 7.3: formats that a library reads in a few lines."""
 
 import importlib
 import json
@@ -7,12 +7,88 @@ from typing import Any
 
 import numpy as np
 
-from strandline.imaging.files.contents import PictureFile, require_pixels
+from strandline.imaging.picture import PictureFile, require_pixels
 from strandline.imaging.reading import PictureReading
 from strandline.readers.problems import Unreadable, refused
 from strandline.registry import suggestion
 
-__all__ = ["read_hdf5"]
+READERS = {".png": ("PIL.PngImagePlugin", "PngImageFile")}
+"""Suffix → module and class of Pillow; other suffixes are JPEG. `PIL.Image.open` has another bound of the size."""
+PLAIN = ("1", "L", "I", "I;16", "I;16B", "F", "LA", "RGB", "RGBA")
+"""Pillow's modes of pictures whose numbers are intensities."""
+ORIENTATION = 0x0112
+
+
+def read_by_pillow(path: Path, how: PictureReading, name: str) -> PictureFile:
+    """Return the picture in a PNG or JPEG file, turned as its EXIF orientation says.
+
+    Raises:
+        Unreadable: It is too large, or its colours are neither grey nor red, green and blue.
+        OSError: (also SyntaxError, ValueError) a damaged file, or one of another kind.
+    """
+    module, kind = READERS.get(path.suffix.lower(), ("PIL.JpegImagePlugin", "JpegImageFile"))
+    opened = getattr(importlib.import_module(module), kind)
+    with path.open("rb") as file, opened(file) as image:
+        require_pixels(name, image.height, image.width)
+        notes = _notes(image, path)
+        values = np.asarray(_upright(image, name))
+    return PictureFile((values.shape[0], values.shape[1]), lambda frame: values, notes=notes)
+
+
+def _upright(image: Any, name: str) -> Any:
+    """Return the picture as viewers show it, its palette replaced by colours."""
+    if image.mode in ("P", "PA"):
+        image = image.convert("RGB")
+    if image.mode not in PLAIN:
+        remedy = "Save it in grey, or in red, green and blue."
+        raise refused(f"{name} has unusual colours", image.mode, "grey, or red, green and blue", remedy)
+    operations = importlib.import_module("PIL.ImageOps")
+    return operations.exif_transpose(image)
+
+
+def _notes(image: Any, path: Path) -> tuple[str, ...]:
+    """Return what the reader changes."""
+    notes = []
+    turned = image.getexif().get(ORIENTATION, 1)
+    if turned in range(2, 9):
+        notes.append(f"turned or mirrored as its EXIF orientation {turned} says, like viewers show it")
+    if image.mode in ("P", "PA"):
+        notes.append("palette replaced by its colours")
+    if getattr(image, "is_animated", False):
+        notes.append(f"an animation of {image.n_frames} frames; its first frame is read")
+    if path.suffix.lower() == ".png" and image.mode in ("LA", "RGB", "RGBA") and _bits(path) == 16:
+        notes.append("16-bit colours read with 8 bits each; a TIFF keeps them all")
+    return tuple(notes)
+
+
+def _bits(path: Path) -> int:
+    """Return the bits of a channel that the header of a PNG file states."""
+    with path.open("rb") as file:
+        return file.read(25)[24]
+
+
+def read_npy(path: Path, how: PictureReading, name: str) -> PictureFile:
+    """Return the picture in an array of numbers; pickled objects are not read.
+
+    The last of three axes is that of colours if it has 3 or 4 entries and the others have more.
+
+    Raises:
+        Unreadable: The array has fewer than two axes, or is too large.
+        ValueError: A damaged file, or one of another kind.
+    """
+    values: Any = np.lib.format.open_memmap(path, mode="r")
+    if values.ndim < 2:
+        found = f"the shape {values.shape}"
+        raise refused(f"{name} holds no picture", found, "an array (row, column) saved by numpy.save")
+    coloured = values.ndim == 3 and values.shape[-1] in (3, 4) and min(values.shape[:2]) > 4
+    if coloured:
+        values = values[None]
+    rows, columns = values.shape[1:3] if coloured else values.shape[-2:]
+    require_pixels(name, rows, columns)
+    leading = values.shape[: 1 if coloured else -2]
+    axes = tuple((f"axis {k}", length) for k, length in enumerate(leading) if length != 1)
+    return PictureFile((rows, columns), lambda frame: np.array(values[np.unravel_index(frame, leading)]), axes)
+
 
 MOST_LISTED = 8
 """Datasets that a message names."""
