@@ -29,11 +29,7 @@ def named(name: str, remedy: str = "") -> Iterator[None]:
 
 
 def content_of(path: Path, expected: str) -> bytes:
-    """Return the contents of a small file.
-
-    Raises:
-        InvalidInput: It cannot be read, or has more than 8 MB; `expected` says what would be correct.
-    """
+    """Return the contents of a small file, or refuse it; `expected` says what would be correct."""
     remedy = "Correct the file, or its name."
     try:
         with path.open("rb") as file:
@@ -53,9 +49,6 @@ def keys_of(options: object, known: Collection[str], place: str, example: str) -
         known: Names of the options that exist.
         place: Place of the options in the study file.
         example: Example of correct options, for the message.
-
-    Raises:
-        InvalidInput: They are not; the message suggests the closest key.
     """
     if not isinstance(options, Mapping):
         raise unfit(place, options, f"keys with values, e.g. {example}")
@@ -72,33 +65,21 @@ def is_finite(value: object) -> TypeGuard[int | float]:
 
 
 def number(value: object, place: str, expected: str, low: float = -math.inf, high: float = math.inf) -> float:
-    """Return a finite number from `low` to `high`.
-
-    Raises:
-        InvalidInput: It is another value; `expected` says what would be correct.
-    """
+    """Return a finite number from `low` to `high`; of another value `expected` says what would be correct."""
     if is_finite(value) and low <= value <= high:
         return float(value)
     raise unfit(place, value, expected)
 
 
 def numbers(value: object, count: int, place: str, expected: str, limit: float = math.inf) -> tuple[float, ...]:
-    """Return finite numbers, at most `limit` in size, of which there are `count`.
-
-    Raises:
-        InvalidInput: It is another value; `expected` says what would be correct.
-    """
+    """Return `count` finite numbers, at most `limit` in size."""
     if not (isinstance(value, list | tuple) and len(value) == count):
         raise unfit(place, value, expected)
     return tuple(number(one, place, expected, -limit, limit) for one in value)
 
 
 def word(value: object, known: Collection[str], place: str) -> str:
-    """Return one of the known words.
-
-    Raises:
-        InvalidInput: It is another value; the message suggests the closest word.
-    """
+    """Return one of the known words; the refusal of another one suggests the closest."""
     if isinstance(value, str) and value in known:
         return value
     text = next((name for name in known if name.lower() == str(value).lower()), str(value))

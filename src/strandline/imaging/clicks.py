@@ -117,15 +117,7 @@ class Clicks:
         return None if self.scale is None else self.scale.length_mm / self.scale.pixels
 
     def require_picture(self, sha256: str, size: tuple[int, int]) -> None:
-        """Refuse another picture than the one that was clicked on.
-
-        Args:
-            sha256: Checksum of the picture's file.
-            size: Width and height of the picture, in pixels.
-
-        Raises:
-            InvalidInput: Another checksum or another size.
-        """
+        """Refuse a picture with another checksum or size (width, height) than the one that was clicked on."""
         remedy = "Give that picture, or mark this one again: `strandline image STUDY --edit`."
         made = f"the clicks on {self.image} were made on"
         if sha256.lower() != self.sha256:

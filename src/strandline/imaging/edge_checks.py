@@ -190,17 +190,10 @@ def edge_checks(points: int, errors: EdgeErrors, *, unit: float) -> tuple[EdgeCh
 def require_edge(
     points: int, errors: EdgeErrors, *, unit: float, limit_at: Float[np.ndarray, " 2"] | None = None
 ) -> None:
-    """Refuse an edge of which the picture says too little.
+    """Refuse an edge of which the picture says too little; see `edge_checks`.
 
-    Args:
-        points: Number of points that are left after trimming and exclusion.
-        errors: Errors of these points.
-        unit: Length of the smaller side of a pixel in the unit of the errors.
-        limit_at: Pixel in the middle of the longest stretch at the limit of the strip, for the message.
-
-    Raises:
-        InvalidInput: Fewer than 30 points; contrast to noise below 2; more than 2 % of the edge at the limit of the
-            strip; or a blur above a third of the smallest radius.
+    Fewer than 30 points; contrast to noise below 2; more than 2 % of the edge at the limit of the strip, for
+    instance at the pixel `limit_at`; or a blur above a third of the smallest radius.
     """
     for one in edge_checks(points, errors, unit=unit):
         if one.verdict == "refused":
@@ -215,11 +208,7 @@ _ROOM, _CROSSED = 4.0, 0.05
 
 
 def require_path(path: Float[np.ndarray, "..."], picture: GreyValues, *, closed: bool) -> None:
-    """Refuse a path that is too short, leaves the picture or crosses itself; repeated points count once.
-
-    Raises:
-        InvalidInput: It does.
-    """
+    """Refuse a path that is too short, leaves the picture or crosses itself; repeated points count once."""
     fewest = 3 if closed else 2
     if path.ndim != 2 or path.shape[1] != 2 or len(path) < fewest:
         raise unfit(
@@ -238,11 +227,7 @@ def require_path(path: Float[np.ndarray, "..."], picture: GreyValues, *, closed:
 
 
 def require_room(course: SmoothPath) -> None:
-    """Refuse a path whose normals cross close to it.
-
-    Raises:
-        InvalidInput: They do on more than 5 % of its length.
-    """
+    """Refuse a path whose normals cross close to it on more than 5 % of its length."""
     crossed = ~course.own(np.array([-_ROOM, _ROOM])).all(axis=1)
     if crossed.mean() > _CROSSED:
         raise unfit(

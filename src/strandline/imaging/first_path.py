@@ -50,11 +50,7 @@ def typed_path(
 
 
 def as_points(found: object, what: str) -> Float[np.ndarray, "point 2"]:
-    """Return a list of pairs of numbers as an array.
-
-    Raises:
-        InvalidInput: A row that is not a pair of finite numbers; the message counts points from 1.
-    """
+    """Return a list of pairs of numbers as an array; refusals count points from 1."""
     rows = found.tolist() if isinstance(found, np.ndarray) else found
     if not isinstance(rows, Sequence) or isinstance(rows, str):
         raise unfit(what, found, "a list of points [x, y] in pixels")
@@ -68,11 +64,7 @@ def as_points(found: object, what: str) -> Float[np.ndarray, "point 2"]:
 
 
 def require_path(points: Float[np.ndarray, "point 2"], what: str, *, closed: bool) -> None:
-    """Refuse points that make no path: too few, repeated or not finite, or a path that crosses itself.
-
-    Raises:
-        InvalidInput: One of these; the message begins with `what` and counts points from 1.
-    """
+    """Refuse points that make no path: too few, repeated or not finite, or a path that crosses itself."""
     require_polygon(points, what)
     following = np.roll(points, -1, axis=0) if closed else points[1:]
     repeated = np.flatnonzero((points[: len(following)] == following).all(axis=1))
@@ -88,11 +80,7 @@ def require_path(points: Float[np.ndarray, "point 2"], what: str, *, closed: boo
 
 
 def require_simple(points: Float[np.ndarray, "point 2"], what: str, *, closed: bool) -> None:
-    """Refuse a path that crosses or touches itself.
-
-    Raises:
-        InvalidInput: It does; the message begins with `what`.
-    """
+    """Refuse a path that crosses or touches itself."""
     try:
         Interface.polyline(points, closed=closed).require_simple()
     except InvalidInterface as error:
@@ -105,11 +93,7 @@ def require_simple(points: Float[np.ndarray, "point 2"], what: str, *, closed: b
 
 
 def require_polygon(points: Float[np.ndarray, "point 2"], what: str) -> None:
-    """Refuse points that are too few, too many or not finite.
-
-    Raises:
-        InvalidInput: One of these; the message begins with `what`.
-    """
+    """Refuse points that are too few, too many or not finite."""
     if len(points) < FEWEST:
         raise unfit(f"{what} has too few points", len(points), f"at least {FEWEST}", "Click more of them.")
     if len(points) > MOST:
@@ -119,11 +103,7 @@ def require_polygon(points: Float[np.ndarray, "point 2"], what: str) -> None:
 
 
 def require_finite(points: Float[np.ndarray, "point 2"], what: str) -> None:
-    """Refuse points of which a coordinate is no number.
-
-    Raises:
-        InvalidInput: There is one; the message begins with `what` and counts points from 1.
-    """
+    """Refuse points of which a coordinate is no number; the message counts points from 1."""
     wrong = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if wrong.size:
         number = int(wrong[0]) + 1
@@ -131,11 +111,7 @@ def require_finite(points: Float[np.ndarray, "point 2"], what: str) -> None:
 
 
 def require_inside(points: Float[np.ndarray, "point 2"], size: tuple[int, int], what: str) -> None:
-    """Refuse points outside a picture, whose pixels reach from -0.5 to width - 0.5 and to height - 0.5.
-
-    Raises:
-        InvalidInput: A point outside; the message begins with `what` and counts points from 1.
-    """
+    """Refuse points outside a picture, whose pixels reach from -0.5 to width - 0.5 and to height - 0.5."""
     width, height = size
     outside = np.flatnonzero(((points < -0.5) | (points > np.array([width, height]) - 0.5)).any(axis=1))
     if outside.size:

@@ -87,11 +87,7 @@ class Frame:
 def frame_options(
     options: object, checks: Mapping[str, Callable[[Any, str], Any]], place: str, origin: str, example: str
 ) -> dict[str, Any]:
-    """Return the options of a frame that a study file gives at `place`, after a check of each.
-
-    Raises:
-        InvalidInput: One is unknown or cannot be used, or there is no origin.
-    """
+    """Return the options of a frame that a study file gives at `place`, after a check of each; refuse no origin."""
     given = keys_of(options, checks, place, example)
     if given.get("origin") is None:
         raise unfit(f"{place}.origin", None, origin, f"Add it, e.g. {example}.")

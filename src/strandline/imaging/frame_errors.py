@@ -88,11 +88,7 @@ def errors_from_frames(
 def _in_frame(
     frame: Picture, number: int, edge: Edge, exclude: Sequence[np.ndarray], piece: Int[np.ndarray, " normal"]
 ) -> Interface:
-    """Return the edge in one frame along the normals of a piece.
-
-    Raises:
-        InvalidInput: The frame says too little of it.
-    """
+    """Return the edge in one frame along the normals of a piece."""
     picture = grey_values(frame.values, pixel=frame.pixel, exclude=exclude)
     with named(f"frame {number} by itself", "Give means of several frames each."):
         located = edge.method.locate(picture, edge.strip.course, edge.kept)

@@ -1,9 +1,7 @@
 """Numbers of a file → intensity: colours become grey, and the scale is undone."""
 
-from collections.abc import Callable
-
 import numpy as np
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Float, Shaped
 
 from strandline.imaging.reading import PictureReading
 from strandline.readers.problems import refused
@@ -25,9 +23,6 @@ def intensity(
         raw: Numbers of the file, shape (row, column) or (row, column, channel).
         how: How to read the picture; its channel and its scale count.
         name: Name of the file in messages.
-
-    Raises:
-        Unreadable: Numbers that are no intensities on this scale, or a channel that the picture lacks.
     """
     if raw.dtype.kind not in "fiub":
         raise refused(f"{name} holds no picture", f"numbers of the type {raw.dtype}", "real numbers")
@@ -66,28 +61,19 @@ def _scale_note(scale: str | None, *, coloured: bool) -> str:
 
 
 def _linear(raw: Shaped[np.ndarray, "row column"], scale: str | None, name: str) -> Values:
-    """Return the intensity; pixels that are not finite are refused."""
+    """Return the intensity; pixels that are not finite stay so, but for the logarithm of nothing."""
     values = raw.astype(np.float64)
-    hidden = ~np.isfinite(values)
+    if scale == "amplitude":
+        if (values < 0).any():
+            expected, remedy = "amplitudes from 0", "Correct `scale`."
+            raise refused(f"{name} has negative amplitudes", float(values.min()), expected, remedy)
+        return values**2
     if scale in ("log10", "dB"):
-        hidden &= values != -np.inf  # the logarithm of nothing
-    if hidden.any():
-        raise refused(
-            f"{name} has pixels that are not finite",
-            f"{int(hidden.sum())} of {hidden.size}",
-            "a finite number in each pixel",
-            "Crop the picture, or fill these pixels and leave their region out of the edge.",
-        )
-    return values if scale in (None, "intensity") else UNDO[scale](values, raw.dtype, name)
+        return _of_decibels(values if scale == "dB" else 10 * values, name)
+    return _of_srgb(values, raw.dtype, name) if scale == "sRGB" else values
 
 
-def _of_amplitude(values: Values, kind: np.dtype, name: str) -> Values:
-    if (values < 0).any():
-        raise refused(f"{name} has negative amplitudes", float(values.min()), "amplitudes from 0", "Correct `scale`.")
-    return values**2
-
-
-def _of_decibels(values: Values, kind: np.dtype, name: str) -> Values:
+def _of_decibels(values: Values, name: str) -> Values:
     """Return 10^(v/10); a range that no detector has is refused."""
     seen = values[values > -np.inf]
     if seen.size and (np.ptp(seen) > MOST_DECIBELS or abs(seen).max() > 10 * MOST_DECIBELS):
@@ -100,24 +86,10 @@ def _of_decibels(values: Values, kind: np.dtype, name: str) -> Values:
     return np.asarray(10.0 ** (values / 10))
 
 
-def _of_logarithm(values: Values, kind: np.dtype, name: str) -> Values:
-    return _of_decibels(10 * values, kind, name)
-
-
 def _of_srgb(values: Values, kind: np.dtype, name: str) -> Values:
     """Return the intensity from 0 to 1 of numbers coded for a screen (IEC 61966-2-1)."""
     coded = values / (np.iinfo(kind).max if kind.kind == "u" else 1)
     if coded.min() < 0 or coded.max() > 1 or kind.kind not in "uf":
         expected = "unsigned whole numbers, or numbers from 0 to 1"
         raise refused(f"{name} is not coded as sRGB", f"{values.min():g} to {values.max():g}", expected)
-    dark: Bool[np.ndarray, "row column"] = coded <= 0.04045
-    return np.where(dark, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
-
-
-UNDO: dict[str, Callable[[Values, np.dtype, str], Values]] = {
-    "amplitude": _of_amplitude,
-    "log10": _of_logarithm,
-    "dB": _of_decibels,
-    "sRGB": _of_srgb,
-}
-"""Scale → function (numbers, their type in the file, name) that undoes it."""
+    return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)

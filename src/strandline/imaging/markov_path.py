@@ -260,9 +260,7 @@ def _require_intensity(picture: GreyValues) -> None:
 def _require_speckle(skewness: float, sd: float) -> None:
     """Refuse grey values that scatter about their mean symmetrically or downwards, as no intensity of speckle does.
 
-    Args:
-        skewness: Skewness of the values over their mean.
-        sd: Standard deviation of the values over their mean.
+    Skewness and standard deviation are those of the values over their mean.
     """
     if skewness < _SYMMETRIC * sd:
         raise unfit(

@@ -134,15 +134,10 @@ def _process(
     reach: float,
     least: float,
 ) -> tuple[Float[np.ndarray, " node"], Float[np.ndarray, "node node"]]:
-    """Return mean and covariance of the offsets as a Gaussian process.
+    """Return mean and covariance, at the nodes, of the offsets as a Gaussian process; lengths in mm.
 
-    Args:
-        places: Arc lengths, mm.
-        offsets: Offsets, mm.
-        variance: Variance of their noise, mm².
-        at: Arc lengths of the nodes, mm.
-        reach: Length over which the process changes, mm.
-        least: Least standard deviation of the process, mm; a larger one is taken if the offsets are more probable then.
+    `variance` is that of the offsets' noise. The process changes over the length `reach`; its standard deviation is
+    `least`, or a larger one if the offsets are more probable then.
     """
     noise = variance * np.eye(len(places))
 

@@ -126,15 +126,7 @@ class PictureFile:
 
 
 def require_pixels(name: str, *sizes: int) -> None:
-    """Refuse a picture or a stack without pixels, or with too many, before memory is taken for it.
-
-    Args:
-        name: Name of the file in messages.
-        sizes: Numbers of rows and columns, and of anything else that is read at once.
-
-    Raises:
-        Unreadable: The product is 0 or above `MOST_PIXELS`.
-    """
+    """Refuse a picture or a stack without pixels, or with more than `MOST_PIXELS`, before memory is taken for it."""
     if 0 < math.prod(sizes) <= MOST_PIXELS and min(sizes) > 0:
         return
     raise refused(

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from strandline.errors import InvalidInput
+from strandline.imaging.checked import unfit
 from strandline.imaging.files.plain import read_by_pillow, read_hdf5, read_npy
 from strandline.imaging.files.thorlabs import read_oct
 from strandline.imaging.files.tiff import read_tiff
@@ -36,16 +37,7 @@ T = TypeVar("T")
 
 @contextmanager
 def opened(path: Path, how: PictureReading) -> Iterator[PictureFile]:
-    """Open a picture file, and close it at the end.
-
-    Args:
-        path: Path of the file.
-        how: How to read it.
-
-    Raises:
-        Unreadable: It is missing, damaged, too large or of an unknown format.
-        InvalidInput: An optional package is missing.
-    """
+    """Open a picture file, and close it at the end; one that is missing, damaged or too large is refused."""
     name = path.name
     if not path.is_file():
         there = sorted(one.name for one in path.parent.glob("*") if one.suffix.lower() in FORMATS)
@@ -69,16 +61,7 @@ def opened(path: Path, how: PictureReading) -> Iterator[PictureFile]:
 
 
 def loaded(file: PictureFile, frame: int, name: str) -> Shaped[np.ndarray, "row column *channel"]:
-    """Return the numbers of a frame.
-
-    Args:
-        file: File that is open.
-        frame: Number of the frame, from 0.
-        name: Name of the file in messages.
-
-    Raises:
-        Unreadable: The file is damaged.
-    """
+    """Return the numbers of a frame."""
     values = _guarded(lambda: np.asarray(file.load(frame)), name)
     if values.shape[:2] != file.shape:
         raise refused(f"{name}: frame {frame}", f"the shape {values.shape}", f"rows and columns {file.shape}")
@@ -102,15 +85,7 @@ def _guarded(read: Callable[[], T], name: str) -> T:
 
 
 def listed(paths: Path | Sequence[Path]) -> list[Path]:
-    """Return the files as a list.
-
-    Args:
-        paths: Path of a file or a folder, or of several; a folder stands for the pictures in it, in the order of their
-            names.
-
-    Raises:
-        Unreadable: There is none, or one that is named twice and would count twice.
-    """
+    """Return the files as a list, each once; a folder stands for the pictures in it, in the order of their names."""
     files = [file for path in ([paths] if isinstance(paths, Path) else paths) for file in _pictures(path)]
     twice = next((path.name for path in files if files.count(path) > 1), None)
     if not files or twice is not None:
@@ -129,14 +104,7 @@ def _pictures(path: Path) -> list[Path]:
 
 
 def checksum(files: Sequence[Path]) -> str:
-    """Return the SHA-256 checksum of a file, or of the checksums of several one after the other.
-
-    Args:
-        files: Paths of the files.
-
-    Raises:
-        Unreadable: A file cannot be read.
-    """
+    """Return the SHA-256 checksum of a file, or of the checksums of several one after the other."""
     digests = []
     for path in files:
         try:
@@ -214,9 +182,7 @@ def read_stack(paths: Paths, how: PictureReading) -> Stack:
     """
     files = listed(paths)
     if how.page is not None or how.average:
-        raise InvalidInput(
-            "page or average of a stack", value=how.given, expected="neither", remedy="A stack takes all its planes."
-        )
+        raise unfit("page or average of a stack", how.given, "neither", "A stack takes all its planes.")
     depth, size, source = _extent(files, how)
     pictures = read_frames(files, how if len(files) > 1 else replace(how, average=True))
     first = next(pictures)
@@ -280,6 +246,5 @@ def _size_notes(size: PixelSize, index: float | None) -> tuple[str, ...]:
 def _require_same(first: Picture, other: Picture) -> None:
     """Refuse frames of another size."""
     if first.values.shape != other.values.shape or not np.allclose(first.pixel, other.pixel, rtol=1e-6, atol=0):
-        raise refused(
-            f"{other.name} differs from {first.name}", repr(other), repr(first), "Give frames of one camera and scale."
-        )
+        remedy = "Give frames of one camera and scale."
+        raise refused(f"{other.name} differs from {first.name}", repr(other), repr(first), remedy)

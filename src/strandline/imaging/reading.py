@@ -70,16 +70,7 @@ class PixelSize:
 
 
 def agreed(study: PixelSize | None, header: PixelSize | None, name: str) -> PixelSize:
-    """Return the size of a pixel that the study or the header of the file states.
-
-    Args:
-        study: Size that the study states.
-        header: Size that the header states.
-        name: Name of the file in messages.
-
-    Raises:
-        Unreadable: Neither states a size, or the two differ by more than 1 %.
-    """
+    """Return the size of a pixel that the study or the header of the file states; they may differ by 1 %."""
     if study is None and header is None:
         raise refused(
             f"{name} does not state the size of a pixel",

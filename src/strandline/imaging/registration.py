@@ -177,9 +177,7 @@ class _Fit:
     ) -> tuple[Float[np.ndarray, " pixel"], Float[np.ndarray, "pixel 3"], Bool[np.ndarray, " pixel"]]:
         """Return a picture at the places of the fixed pixels, its slopes by shift and rotation, and which lie in it.
 
-        Args:
-            bent: Coefficients of the cubic spline through its grey values.
-            x: Shift, px, and rotation, rad.
+        The picture is given by the coefficients of its cubic spline, the motion `x` as shift, px, and rotation, rad.
         """
         turned = (self.pixels - self.centre) * self.stretch @ _turn(float(x[2]))
         places = (turned + x[:2]) / self.stretch + self.centre

@@ -77,9 +77,6 @@ def grey_values(
         values: Grey values [row, column]; those that are not finite do not count.
         pixel: Width and height of a pixel, in any unit.
         exclude: Polygons in pixel coordinates; pixels whose centres they contain do not count.
-
-    Raises:
-        InvalidInput: Not a plane array of numbers, or a side of a pixel that is not above 0.
     """
     values = np.asarray(values)
     if values.ndim != 2 or not (np.issubdtype(values.dtype, np.number) or values.dtype == bool):

@@ -67,9 +67,7 @@ def aligned(
 def learnt_template(strip: Strip, offsets: Float[np.ndarray, " normal"]) -> tuple[EdgeTemplate, float]:
     """Return the mean profile over all normals, and the distance from `offsets` to its half level.
 
-    Args:
-        strip: The samples, free of differences in brightness.
-        offsets: Distance of the edge from the course on each normal.
+    The samples are free of differences in brightness; `offsets` are the distances of the edge from the course.
     """
     values, weights = aligned(strip.samples, strip, offsets, strip.places)
     number = weights.sum(axis=0)
@@ -93,15 +91,9 @@ def columns_levelled(
     """Return a strip without the differences in brightness between columns of the picture.
 
     A shadow follows the beam, which runs down the columns: on a steep flank one normal lies half in it. The light of a
-    column is the mean of its samples over what the profile expects of them. The profile accounts for the two sides, so
-    that the step at a vertical flank is not taken for a shadow; samples less than 3 px from the edge, where a wrong
-    offset would be, do not count.
-
-    Args:
-        strip: The samples, which light multiplies.
-        expected: The profile on each normal.
-        offsets: Distance of the edge from the course on each normal.
-        columns: Column of the picture in which each sample lies, at least 0.
+    column is the mean of its samples over `expected`, what the profile predicts. That accounts for the two sides, so
+    that the step at a vertical flank is no shadow; samples less than 3 px from the edge, where a wrong offset would
+    be, do not count.
     """
     counts = strip.usable & (np.abs(strip.places - offsets[:, None]) > PLATEAU[0]) & (expected > 0)
     if not counts.any():
@@ -121,11 +113,7 @@ def columns_levelled(
 def levelled(strip: Strip, expected: Float[np.ndarray, "normal place"], *, relative: bool) -> Strip:
     """Return a strip without the differences in brightness between normals, smooth along the edge, due to light.
 
-    Args:
-        strip: The samples.
-        expected: The profile on each normal.
-        relative: Whether light multiplies grey values, so that samples are divided by a gain, or adds to them, as to
-            logarithms.
+    Light multiplies grey values (`relative`), so that samples are divided by a gain, or adds to them, as to logarithms.
     """
     mode = "wrap" if strip.course.closed else "nearest"
     apart = strip.samples / np.where(expected > 0, expected, np.inf) if relative else strip.samples - expected

@@ -3,8 +3,6 @@
 import numpy as np
 from jaxtyping import Float
 
-__all__ = ["drawn"]
-
 WIDTH, MARGIN = 420.0, 8.0
 """Width of the drawing and of its margin, pixels."""
 LEAST, MOST = 40.0, 420.0

@@ -13,8 +13,6 @@ from strandline.interface.normals import spacings
 from strandline.interface.point_errors import PointErrors
 from strandline.text import is_label
 
-__all__ = ["NOISES", "GaussianNoise", "Noise", "Observation", "UnknownErrors", "is_condition"]
-
 
 @runtime_checkable
 class Noise(Protocol):
@@ -166,11 +164,7 @@ class UnknownErrors:
         return self.known(sd, _middle(self.length, 0.0))
 
     def require_fits(self, seen: Interface) -> None:
-        """Refuse an interface that is too short for the correlation length, and surfaces.
-
-        Raises:
-            InvalidInput: It is one of these.
-        """
+        """Refuse an interface that is too short for the correlation length, and surfaces."""
         if seen.dim == 3:
             raise InvalidInput(
                 "noise of points on a surface",

@@ -8,19 +8,6 @@ from scipy.spatial.transform import Rotation
 
 from strandline.interface.interface import Interface
 
-__all__ = [
-    "arc_lengths",
-    "as_complex",
-    "as_pairs",
-    "node_normals",
-    "normals_at",
-    "point_normals",
-    "rotations",
-    "spacings",
-    "steady_lengths",
-    "steady_normals",
-]
-
 
 def as_complex(points: Float[np.ndarray, "*case 2"]) -> Complex[np.ndarray, "*case"]:
     """Return points of the plane as x + iy: turning and moving many of them is several times as fast."""
@@ -33,11 +20,7 @@ def as_pairs(points: Complex[np.ndarray, "*case"]) -> Float[np.ndarray, "*case 2
 
 
 def rotations(angles: Float[np.ndarray, "run axis"]) -> Float[np.ndarray, "run xyz xyz"]:
-    """Return rotation matrices: by one angle in the plane, or about each axis of space by a rotation vector.
-
-    Args:
-        angles: Angles, radians, one rotation a row.
-    """
+    """Return rotation matrices by angles in radians: by one in the plane, or by a rotation vector in space."""
     if angles.shape[1] == 3:
         return np.asarray(Rotation.from_rotvec(angles).as_matrix())
     c, s = np.cos(angles[:, 0]), np.sin(angles[:, 0])

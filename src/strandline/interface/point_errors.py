@@ -25,8 +25,6 @@ from strandline.errors import InvalidInput
 from strandline.interface.interface import Interface
 from strandline.interface.normals import as_complex, as_pairs, node_normals, rotations, spacings, steady_normals
 
-__all__ = ["GLOBAL", "MOST", "ErrorModel", "PointErrors", "correlated", "summed_length"]
-
 GLOBAL = ("shift", "rotation", "scale", "offset")
 """Names of the errors that all points share."""
 MOST = {"rotation": 45.0, "scale": 0.5}
@@ -125,11 +123,10 @@ class PointErrors:
         return ErrorModel(self.local_variances(seen), shared)
 
     def require_fits(self, seen: Interface) -> None:
-        """Refuse an interface that is too short for the correlation length, or too small for a shift or an offset.
+        """Refuse an interface of less than two correlation lengths, or smaller than a shift or an offset.
 
         Raises:
-            InvalidInput: The correlation length is above half the length of the interface, or a shift or an offset is
-                larger than the interface.
+            InvalidInput: It is one of these.
         """
         extent = float(np.linalg.norm(np.ptp(seen.points, axis=0)))
         for name in ("shift", "offset"):
@@ -389,14 +386,7 @@ def correlated(
 ) -> Float[np.ndarray, "draw point"]:
     """Return standard normal numbers at the points, correlated as exp(-t/ℓ) at distance t, one row per draw.
 
-    On a polyline t is measured along it. On a closed one the first and the last point are correlated only along the
-    way round.
-
-    Args:
-        interface: The interface.
-        length: Correlation length ℓ, mm; 0 for independent points.
-        number: Number of draws.
-        random: Generator of the random numbers.
+    On a polyline t is measured along it; the first and last point of a closed one are correlated the way round.
     """
     if length > 0 and interface.dim == 3:
         return _over(interface, length, number, random)

@@ -4,8 +4,6 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-__all__ = ["agreement", "encloses", "shortest_altitudes", "signed_volume", "vector_areas"]
-
 Points = Float[np.ndarray, "point 3"]
 Triangles = Int[np.ndarray, "cell 3"]
 

@@ -146,4 +146,4 @@ def test_pictures_have_rows_and_columns():
 def test_no_detector_shows_thousands_of_decibels():
     levels = np.array([[5000.0, 5001.0]])
     with pytest.raises(InvalidInput, match="has no logarithms of intensities"):
-        _of_decibels(levels, np.dtype(float), "a.tif")
+        _of_decibels(levels, "a.tif")

@@ -2,6 +2,7 @@
 
 import importlib
 import json
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +18,12 @@ READERS = {".png": ("PIL.PngImagePlugin", "PngImageFile")}
 PLAIN = ("1", "L", "I", "I;16", "I;16B", "F", "LA", "RGB", "RGBA")
 """Pillow's modes of pictures whose numbers are intensities."""
 ORIENTATION = 0x0112
+MOST_LISTED = 8
+"""Datasets that a message names."""
 
 
 def read_by_pillow(path: Path, how: PictureReading, name: str) -> PictureFile:
-    """Return the picture in a PNG or JPEG file, turned as its EXIF orientation says.
-
-    Raises:
-        Unreadable: It is too large, or its colours are neither grey nor red, green and blue.
-        OSError: (also SyntaxError, ValueError) a damaged file, or one of another kind.
-    """
+    """Return the picture in a PNG or JPEG file, turned as its EXIF orientation says."""
     module, kind = READERS.get(path.suffix.lower(), ("PIL.JpegImagePlugin", "JpegImageFile"))
     opened = getattr(importlib.import_module(module), kind)
     with path.open("rb") as file, opened(file) as image:
@@ -71,10 +69,6 @@ def read_npy(path: Path, how: PictureReading, name: str) -> PictureFile:
     """Return the picture in an array of numbers; pickled objects are not read.
 
     The last of three axes is that of colours if it has 3 or 4 entries and the others have more.
-
-    Raises:
-        Unreadable: The array has fewer than two axes, or is too large.
-        ValueError: A damaged file, or one of another kind.
     """
     values: Any = np.lib.format.open_memmap(path, mode="r")
     if values.ndim < 2:
@@ -90,16 +84,8 @@ def read_npy(path: Path, how: PictureReading, name: str) -> PictureFile:
     return PictureFile((rows, columns), lambda frame: np.array(values[np.unravel_index(frame, leading)]), axes)
 
 
-MOST_LISTED = 8
-"""Datasets that a message names."""
-
-
 def read_hdf5(path: Path, how: PictureReading, name: str) -> PictureFile:
-    """Return the picture in a dataset of numbers.
-
-    Raises:
-        Unreadable: The file is of another kind or does not say which dataset to take, or it is too large.
-    """
+    """Return the picture in a dataset of numbers."""
     h5py = importlib.import_module("h5py")
     if not h5py.is_hdf5(path):
         raise refused(
@@ -108,21 +94,16 @@ def read_hdf5(path: Path, how: PictureReading, name: str) -> PictureFile:
             "a whole HDF5 file, or one that MATLAB saved as version 7.3",
             "In MATLAB, save it with the option '-v7.3'.",
         )
-    file = h5py.File(path, "r")
-    try:
-        return _opened(file, h5py, how, name)
-    except BaseException:
-        file.close()
-        raise
+    with ExitStack() as stack:
+        return _opened(stack.enter_context(h5py.File(path, "r")), h5py, how, name, stack)
 
 
-def _opened(file: Any, h5py: Any, how: PictureReading, name: str) -> PictureFile:
+def _opened(file: Any, h5py: Any, how: PictureReading, name: str, stack: ExitStack) -> PictureFile:
     key, notes = _dataset(file, h5py, how.dataset, name)
     values = file[key]
     if values.is_virtual or values.external:
-        raise refused(
-            f"{name}: {key} refers to other files", key, "an array in the file itself", "Save it in one file."
-        )
+        expected, remedy = "an array in the file itself", "Save it in one file."
+        raise refused(f"{name}: {key} refers to other files", key, expected, remedy)
     if values.size and not values.id.get_storage_size():
         raise refused(f"{name}: {key} was never written", "no numbers", "an array with its numbers")
     reversed_axes = "MATLAB_class" in values.attrs
@@ -140,23 +121,17 @@ def _opened(file: Any, h5py: Any, how: PictureReading, name: str) -> PictureFile
     if reversed_axes:
         notes = (*notes, "axes of the MATLAB array turned back to (row, column)")
     axes = tuple((f"axis {k}", length) for k, length in enumerate(leading) if length != 1)
-    return PictureFile((rows, columns), load, axes, notes=notes, close=file.close)
+    return PictureFile((rows, columns), load, axes, notes=notes, close=stack.pop_all().close)
 
 
 def _channels(values: Any, name: str) -> int:
-    """Return the number of channels along the last axis, 0 if it is another; ilastik and others name the axes.
-
-    Raises:
-        Unreadable: Rows and columns are not the last axes but for channels, or there are channels that are no colours.
-    """
+    """Return the number of channels along the last axis, 0 if it is another; ilastik and others name the axes."""
     tags = json.loads(values.attrs.get("axistags", "{}")).get("axes", ())
     axes = [tag["key"] for tag in tags] or [axis.label.lower()[:1] for axis in values.dims]
     number = int(values.shape[-1]) if axes[-1:] == ["c"] else 0
     if number not in (0, 1, 3) or ("y" in axes and [axis for axis in axes if axis != "c"][-2:] != ["y", "x"]):
-        shape, expected = (
-            " × ".join(map(str, values.shape)),
-            "rows y, columns x, then nothing, 1 channel or 3 colours",
-        )
+        shape = " × ".join(map(str, values.shape))
+        expected = "rows y, columns x, then nothing, 1 channel or 3 colours"
         raise refused(f"{name}: axes {''.join(axes)}", shape, expected, "Save one channel, its axes as yx or zyx.")
     return number
 

@@ -1,6 +1,7 @@
 """Thorlabs .oct: a zip archive with Header.xml and the intensity as raw 32-bit numbers, depth running fastest."""
 
 import zipfile
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -24,24 +25,17 @@ def read_oct(path: Path, how: PictureReading, name: str) -> PictureFile:
 
     The programs of the maker store decibels; the header does not say so, nor whether depths are already divided by a
     refractive index. So the study must state the scale, and the index where the header has one.
-
-    Raises:
-        Unreadable: An option is missing, the file is of another kind or damaged, or it is too large.
     """
     if not zipfile.is_zipfile(path):
         raise refused(f"{name} is no Thorlabs scan", "a file that is no whole zip archive", "a whole .oct file")
     if how.scale is None:
         expected = "the scale of its numbers, which its header does not state"
         raise refused(f"{name} needs `scale`", None, expected, "Add `scale: dB`, which the maker's programs write.")
-    archive = zipfile.ZipFile(path)
-    try:
-        return _opened(archive, how, name)
-    except BaseException:
-        archive.close()
-        raise
+    with ExitStack() as stack:
+        return _opened(stack.enter_context(zipfile.ZipFile(path)), how, name, stack)
 
 
-def _opened(archive: zipfile.ZipFile, how: PictureReading, name: str) -> PictureFile:
+def _opened(archive: zipfile.ZipFile, how: PictureReading, name: str, stack: ExitStack) -> PictureFile:
     members = {info.filename.replace("\\", "/"): info for info in archive.infolist()}
     if HEADER not in members or INTENSITY not in members:
         listed = ", ".join(sorted(members)[:8])
@@ -54,7 +48,7 @@ def _opened(archive: zipfile.ZipFile, how: PictureReading, name: str) -> Picture
         expected = f"{frames * frame_bytes}, for {rows} × {columns} × {frames} numbers"
         raise refused(f"{name} has an intensity of another length", members[INTENSITY].file_size, expected)
     notes = _index_notes(header, how, name)
-    stream = archive.open(members[INTENSITY])
+    stream = stack.enter_context(archive.open(members[INTENSITY]))
 
     def load(frame: int) -> Float32[np.ndarray, "row column"]:
         stream.seek(frame * frame_bytes)
@@ -63,12 +57,9 @@ def _opened(archive: zipfile.ZipFile, how: PictureReading, name: str) -> Picture
             raise EOFError("its intensity is cut off")
         return np.frombuffer(content, dtype="<f4").reshape(columns, rows).T
 
-    def close() -> None:
-        stream.close()
-        archive.close()
-
     axes = (("y", frames),) if frames > 1 else ()
-    return PictureFile((rows, columns), load, axes, _size(header, rows, columns, frames), notes, close)
+    size = _size(header, rows, columns, frames)
+    return PictureFile((rows, columns), load, axes, size, notes, stack.pop_all().close)
 
 
 def _header(archive: zipfile.ZipFile, info: zipfile.ZipInfo, name: str) -> ElementTree.Element:

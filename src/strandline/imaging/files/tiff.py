@@ -5,6 +5,7 @@ import logging
 import math
 import struct
 import zlib
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, BinaryIO
 from xml.etree import ElementTree
@@ -39,24 +40,14 @@ TO_MM = {"nm": 1e-6, "mm": 1.0, "cm": 10.0, "m": 1e3, "inch": 25.4, "in": 25.4} 
 
 
 def read_tiff(path: Path, how: PictureReading, name: str) -> PictureFile:
-    """Return the first series of pictures in a TIFF file.
-
-    Raises:
-        InvalidInput: tifffile is not installed.
-        Unreadable: The picture is too large, or its numbers are no intensities.
-        ValueError: (also EOFError, OSError) a damaged file, or one of another kind.
-    """
+    """Return the first series of pictures in a TIFF file."""
     tifffile = _imported(name)
     require_whole_chain(path)
-    file = tifffile.TiffFile(path)
-    try:
-        return _opened(file, path, name)
-    except BaseException:
-        file.close()
-        raise
+    with ExitStack() as stack:
+        return _opened(stack.enter_context(tifffile.TiffFile(path)), path, name, stack)
 
 
-def _opened(file: Any, path: Path, name: str) -> PictureFile:
+def _opened(file: Any, path: Path, name: str, stack: ExitStack) -> PictureFile:
     series = file.series[0]
     page, shape = series.keyframe, dict(zip(series.axes, series.shape, strict=True))
     rows, columns = shape["Y"], shape["X"]
@@ -75,7 +66,7 @@ def _opened(file: Any, path: Path, name: str) -> PictureFile:
             values = (2**page.bitspersample - 1) - values.astype(np.int64)
         return values
 
-    return PictureFile((rows, columns), load, axes, _stated_size(file, page), _notes(file, page), file.close)
+    return PictureFile((rows, columns), load, axes, _stated_size(file, page), _notes(file, page), stack.pop_all().close)
 
 
 def _stored(series: Any, frame: int, path: Path, byteorder: str) -> Shaped[np.ndarray, "..."]:
@@ -109,11 +100,7 @@ def _notes(file: Any, page: Any) -> tuple[str, ...]:
 
 
 def _imported(name: str) -> Any:
-    """Return tifffile; what it logs about a damaged file stays off the screen, for the error says it.
-
-    Raises:
-        InvalidInput: It is not installed.
-    """
+    """Return tifffile; what it logs about a damaged file stays off the screen, for the error says it."""
     try:
         tifffile = importlib.import_module("tifffile")
     except ModuleNotFoundError:
@@ -170,12 +157,7 @@ def _per_pixel(page: Any, tag: str) -> float | None:
 
 
 def require_whole_chain(path: Path) -> None:
-    """Refuse a file one of whose pages lies beyond its end, so that the file is cut off.
-
-    Raises:
-        EOFError: It is cut off.
-        ValueError: It is no TIFF file, or its pages lie in a circle.
-    """
+    """Refuse a file one of whose pages lies beyond its end, so that it is cut off, or whose pages lie in a circle."""
     with path.open("rb") as file:
         start = file.read(4)
         order = {b"II": "<", b"MM": ">"}.get(start[:2])
@@ -210,10 +192,6 @@ def require_parts(path: Path, page: Any, *, most: int = MOST_UNPACKED) -> None:
         path: Path of the file.
         page: Page that tifffile read.
         most: Bytes to which each may unpack, if the page is not larger.
-
-    Raises:
-        EOFError: A strip or a tile is missing.
-        ValueError: One unpacks to more than the pixels of the page.
     """
     expected = math.prod(page.keyframe.chunked)
     found = sum(offset > 0 and count > 0 for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True))

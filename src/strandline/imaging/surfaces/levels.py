@@ -52,12 +52,9 @@ class Field:
 def field_of(
     values: Float[np.ndarray, "z row column"], stretch: Float[np.ndarray, " 3"], *, smooth: float | None
 ) -> Field:
-    """Return the smoothed grey values.
+    """Return the smoothed grey values for voxels of a size along x, y and z.
 
-    Args:
-        values: Grey values.
-        stretch: Size of a voxel along x, y and z.
-        smooth: Standard deviation of the Gaussian, in sides of a voxel; by default 1, and up to 2 in a noisy stack.
+    `smooth` is the standard deviation of the Gaussian, in sides of a voxel; by default 1, and up to 2 in a noisy stack.
     """
     single = values.astype(np.float32)
     sigma = 1.0 if smooth is None else smooth
@@ -109,15 +106,7 @@ def level_surface(field: Field, level: float, *, triangles: int) -> Mesh:
     """Return the surface at a grey level, with normals from bright to dark; lengths in sides of a voxel.
 
     The outermost voxels, where smoothing lacks neighbours, are left out. The grid is coarser where that leaves several
-    times the wanted number of triangles.
-
-    Args:
-        field: Smoothed grey values.
-        level: Grey value of the surface.
-        triangles: Number of triangles that are wanted in the end.
-
-    Raises:
-        InvalidInput: scikit-image is missing, or no grey value is on one of the two sides.
+    times the number of triangles that are wanted in the end.
     """
     try:
         measure = importlib.import_module("skimage.measure")

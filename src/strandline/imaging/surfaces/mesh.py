@@ -84,13 +84,7 @@ class Mesh:
 
 
 def cut(mesh: Mesh, axis: int, at: float) -> Float[np.ndarray, "segment 2 3"]:
-    """Return the segments in which a plane at right angles to an axis cuts the triangles.
-
-    Args:
-        mesh: The triangles.
-        axis: The axis, 0, 1 or 2.
-        at: Coordinate of the plane on it.
-    """
+    """Return the segments in which the plane at a coordinate of an axis (0, 1, 2) cuts the triangles."""
     corners = mesh.points[mesh.cells]
     height = corners[:, :, axis] - at
     above = height > 0

@@ -77,13 +77,9 @@ def normals_of(field: Field, points: Float[np.ndarray, "point 3"], *, bright: bo
 
 
 def profiles_at(field: Field, mesh: Mesh, normals: Float[np.ndarray, "point 3"], *, level: float) -> Profiles:
-    """Return the profiles along the normals at the points of a surface.
+    """Return the profiles along the unit normals, out of the solid, at the points of a surface.
 
-    Args:
-        field: Smoothed grey values.
-        mesh: The surface.
-        normals: Unit normals out of the solid.
-        level: Grey value half way between the two parts of the whole stack.
+    `level` is the grey value half way between the two parts of the whole stack.
     """
     u = np.arange(-REACH, REACH + 0.5 * STEP, STEP)
     values, within = sampled(field.values, field, mesh.points[:, None] + u[:, None] * normals[:, None])

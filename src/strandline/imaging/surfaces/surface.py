@@ -109,11 +109,7 @@ def find_surface(
 def _outside(
     mesh: Mesh, exclude: Sequence[Region], stretch: Float[np.ndarray, " 3"]
 ) -> tuple[Int[np.ndarray, " used"], Mesh]:
-    """Return the triangles without a corner in a region to exclude, and the numbers of the points that they use.
-
-    Raises:
-        InvalidInput: Too few are left.
-    """
+    """Return the numbers of the points, and the triangles, without a corner in a region to exclude."""
     if not exclude:
         return np.arange(len(mesh.points)), mesh
     inside = np.zeros(len(mesh.points), dtype=bool)

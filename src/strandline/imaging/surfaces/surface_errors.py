@@ -78,11 +78,7 @@ class StackNoise:
 
 
 def noise_beside(field: Field, mesh: Mesh, normals: Float[np.ndarray, "point 3"], profiles: Profiles) -> StackNoise:
-    """Return the noise on both sides of a surface, from differences along tangents of it.
-
-    Raises:
-        InvalidInput: There is no room for it, inside or outside.
-    """
+    """Return the noise on both sides of a surface, from differences along tangents of it."""
     tangents, contrast = frames(normals), np.abs(profiles.inside - profiles.outside)
     lags, tree = _LAGS * max(field.sigma, 1.0), cKDTree(mesh.points)
     products: list[Float[np.ndarray, "pair lag"]] = []
@@ -142,17 +138,9 @@ def surface_errors(
     open_share: float,
     area_share: float,
 ) -> SurfaceErrors:
-    """Return the errors of the points of a surface.
+    """Return the errors of the points of a surface in sides of a voxel, of which one is `unit` mm.
 
-    Args:
-        field: Smoothed grey values.
-        mesh: The surface, in sides of a voxel.
-        profiles: Profiles across it.
-        noise: Noise beside it.
-        moved: How far each point was moved to put right what blur does to a curved surface.
-        unit: Side of a cube with a voxel's volume, mm.
-        open_share: See `SurfaceErrors`.
-        area_share: See `SurfaceErrors`.
+    `moved` is how far each point was moved to put right what blur does to a curved surface.
     """
     contrast = np.abs(profiles.inside - profiles.outside)
     sds = noise.sd / np.maximum(contrast * profiles.slopes, 1e-300)
@@ -184,13 +172,8 @@ def surface_errors(
 def require_surface(errors: SurfaceErrors, lost: float) -> None:
     """Refuse a surface of which the stack says too little.
 
-    Args:
-        errors: Errors of its points.
-        lost: Share of the points without a crossing of the half level nearby.
-
-    Raises:
-        InvalidInput: Contrast to noise below 2, a solid cut off by the faces of the stack over most of its surface, or
-            more than 2 % of the points without an edge.
+    Contrast to noise below 2, a solid cut off by the faces of the stack over most of its surface, or more than 2 % of
+    the points, the share `lost`, without a crossing of the half level nearby.
     """
     if not errors.contrast_to_noise >= LEAST_CONTRAST:
         found, expected = f"{errors.contrast_to_noise:.3g}", f"at least {LEAST_CONTRAST:g}"
