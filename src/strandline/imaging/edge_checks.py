@@ -14,6 +14,19 @@ from strandline.imaging.strip import GreyValues
 
 LEAST_SD = 0.01
 """Smallest standard deviation of a point, px: no picture shows an edge more closely."""
+_ROOM, _CROSSED = 4.0, 0.05
+"""Distance from the path within which normals may not cross, px, but for this share of them."""
+FEWEST = 30
+"""Fewest points of an edge."""
+LEAST_CONTRAST = 2.0
+"""Smallest contrast to noise."""
+AT_LIMIT = 0.02
+"""Largest share of an edge at the limit of the strip."""
+BLUR = 1 / 3
+"""Largest blur, as a share of the smallest radius of the edge."""
+AT_LIMIT_REFUSED = "edge at the limit of the strip around the path"
+NEAR = 1.5
+"""Factor from the limit within which a number is worth a warning."""
 
 
 @dataclass(frozen=True)
@@ -86,19 +99,6 @@ def offset_sd(straight: float, blur: float, curvatures: Float[np.ndarray, " poin
     """
     bend = math.sqrt(float(np.mean(curvatures**2))) if len(curvatures) else 0.0
     return math.hypot(straight, 0.5 * blur**2 * bend)
-
-
-FEWEST = 30
-"""Fewest points of an edge."""
-LEAST_CONTRAST = 2.0
-"""Smallest contrast to noise."""
-AT_LIMIT = 0.02
-"""Largest share of an edge at the limit of the strip."""
-BLUR = 1 / 3
-"""Largest blur, as a share of the smallest radius of the edge."""
-AT_LIMIT_REFUSED = "edge at the limit of the strip around the path"
-NEAR = 1.5
-"""Factor from the limit within which a number is worth a warning."""
 
 
 @dataclass(frozen=True)
@@ -203,26 +203,21 @@ def require_edge(
             raise unfit(one.refusal, value, one.expected, one.remedy)
 
 
-_ROOM, _CROSSED = 4.0, 0.05
-"""Distance from the path within which normals may not cross, px, but for this share of them."""
-
-
 def require_path(path: Float[np.ndarray, "..."], picture: GreyValues, *, closed: bool) -> None:
     """Refuse a path that is too short, leaves the picture or crosses itself; repeated points count once."""
     fewest = 3 if closed else 2
-    if path.ndim != 2 or path.shape[1] != 2 or len(path) < fewest:
-        raise unfit(
-            "path along the edge",
-            f"an array of shape {path.shape}",
-            f"at least {fewest} points (x, y)",
-            "Give points along the edge in their order, in pixel coordinates.",
-        )
+    expected = f"at least {fewest} points (x, y) that differ"
+    remedy = "Give points along the edge in their order, in pixel coordinates."
+    if path.ndim != 2 or path.shape[1] != 2 or not len(path):
+        raise unfit("path along the edge", f"an array of shape {path.shape}", expected, remedy)
     require_finite(path, "the path")
     height, width = picture.values.shape
     require_inside(path, (width, height), "the path")
     apart = np.concatenate([[True], (np.diff(path, axis=0) != 0).any(axis=1)])
     if closed and (path[0] == path[-1]).all():
         apart[-1] = False
+    if apart.sum() < fewest:
+        raise unfit("path along the edge", f"{apart.sum()}", expected, remedy)
     require_simple(path[apart], "the path", closed=closed)
 
 

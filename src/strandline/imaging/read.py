@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -33,6 +34,8 @@ FORMATS: dict[str, PictureReader] = {
 }
 """Suffix of a file → function that reads it."""
 T = TypeVar("T")
+Paths = Path | Sequence[Path]
+_VOXEL = "e.g. `{x: 6, y: 6, z: 10, unit: um}`"
 
 
 @contextmanager
@@ -48,7 +51,7 @@ def opened(path: Path, how: PictureReading) -> Iterator[PictureFile]:
         remedy = "Save it as TIFF or PNG, or give `reader: module:name`."
         raise refused(f"{name} has an unknown format", path.suffix or "no suffix", ", ".join(FORMATS), remedy)
     reader: Callable[[Path, PictureReading, str], object] = imported(target, f"reader of {name}")
-    file = _guarded(lambda: reader(path, how, name), name)
+    file = _guarded(partial(reader, path, how, name), name)
     if not isinstance(file, PictureFile):
         expected = "strandline.imaging.picture.PictureFile"
         raise refused(f"what the reader {target} returns", f"a {type(file).__name__}", expected, "Correct the reader.")
@@ -115,10 +118,6 @@ def checksum(files: Sequence[Path]) -> str:
     if len(digests) == 1:
         return digests[0].hexdigest()
     return hashlib.sha256(b"".join(digest.digest() for digest in digests)).hexdigest()
-
-
-Paths = Path | Sequence[Path]
-_VOXEL = "e.g. `{x: 6, y: 6, z: 10, unit: um}`"
 
 
 def read_picture(paths: Paths, how: PictureReading) -> Picture:

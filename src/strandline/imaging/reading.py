@@ -16,6 +16,12 @@ SMALLEST, LARGEST = 1e-12, 1e9
 """Sizes, mm, that a picture may have; beyond them, areas and their squares overflow."""
 SAME = 0.01
 """Largest relative difference between the sizes that the study and a header state."""
+SCALES = ("intensity", "amplitude", "log10", "dB", "sRGB")
+"""What the numbers in the file are: the intensity, its root, its logarithm, 10 log10 of it, or coded for a screen."""
+CHANNELS = ("grey", "red", "green", "blue")
+INDICES = (1.0, 4.0)
+"""Smallest and largest refractive index that is accepted."""
+EXAMPLE = "{pixel: {x: 6.0, y: 4.0, unit: um}, scale: intensity}"
 
 
 @dataclass(frozen=True)
@@ -89,14 +95,6 @@ def agreed(study: PixelSize | None, header: PixelSize | None, name: str) -> Pixe
                 "Correct `pixel`, or remove it to take the size from the file.",
             )
     return PixelSize(study.x, study.y, study.z if study.z is not None else header.z, study.source)
-
-
-SCALES = ("intensity", "amplitude", "log10", "dB", "sRGB")
-"""What the numbers in the file are: the intensity, its root, its logarithm, 10 log10 of it, or coded for a screen."""
-CHANNELS = ("grey", "red", "green", "blue")
-INDICES = (1.0, 4.0)
-"""Smallest and largest refractive index that is accepted."""
-EXAMPLE = "{pixel: {x: 6.0, y: 4.0, unit: um}, scale: intensity}"
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,11 @@ from strandline.interface.normals import spacings
 from strandline.interface.point_errors import PointErrors
 from strandline.text import is_label
 
+Known = tuple[float, float] | float | None
+"""A range with a log-uniform prior, a known value, or None for a wide range that follows from the residuals."""
+_TYPICAL = 0.1
+"""Guess of the sd, in spacings of the observed points, until residuals are known."""
+
 
 @runtime_checkable
 class Noise(Protocol):
@@ -88,12 +93,6 @@ class GaussianNoise:
 
 NOISES = {"gaussian": GaussianNoise}
 """Noise models by their names in study files."""
-
-
-Known = tuple[float, float] | float | None
-"""A range with a log-uniform prior, a known value, or None for a wide range that follows from the residuals."""
-_TYPICAL = 0.1
-"""Guess of the sd, in spacings of the observed points, until residuals are known."""
 
 
 @dataclass(frozen=True)

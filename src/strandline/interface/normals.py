@@ -8,6 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from strandline.interface.interface import Interface
 
+GAP = 10.0
+"""Length of a segment, in medians, from which it bridges a part that was not observed."""
+_WINDOW = 2.0
+"""Half the length over which a steady normal is taken, in the larger of spacing and correlation length."""
+
 
 def as_complex(points: Float[np.ndarray, "*case 2"]) -> Complex[np.ndarray, "*case"]:
     """Return points of the plane as x + iy: turning and moving many of them is several times as fast."""
@@ -25,12 +30,6 @@ def rotations(angles: Float[np.ndarray, "run axis"]) -> Float[np.ndarray, "run x
         return np.asarray(Rotation.from_rotvec(angles).as_matrix())
     c, s = np.cos(angles[:, 0]), np.sin(angles[:, 0])
     return np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
-
-
-GAP = 10.0
-"""Length of a segment, in medians, from which it bridges a part that was not observed."""
-_WINDOW = 2.0
-"""Half the length over which a steady normal is taken, in the larger of spacing and correlation length."""
 
 
 def steady_lengths(polyline: Interface) -> Float[np.ndarray, " segment"]:

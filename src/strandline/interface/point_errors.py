@@ -29,6 +29,8 @@ GLOBAL = ("shift", "rotation", "scale", "offset")
 """Names of the errors that all points share."""
 MOST = {"rotation": 45.0, "scale": 0.5}
 """Largest standard deviations, degrees and a share; larger values are surely mistakes."""
+_WAVES = 1000
+"""Waves that make up the fields of errors on a surface."""
 
 
 @dataclass(frozen=True)
@@ -366,10 +368,6 @@ def _cross(
     if arm.shape[1] == 3:
         return np.cross(arm, normals)
     return np.asarray(arm[:, :1] * normals[:, 1:] - arm[:, 1:] * normals[:, :1])
-
-
-_WAVES = 1000
-"""Waves that make up the fields of errors on a surface."""
 
 
 def summed_length(length: Any, spacing: Any) -> Any:

@@ -167,6 +167,7 @@ REFUSED = [
     ("contrast over noise", straight() + 2 * NOISE, LINE, {}),
     ("the path crosses or touches itself", straight(), np.array([[5.0, 30], [100, 30], [100, 50], [50, 10]]), {}),
     ("is outside the picture", straight(), LINE + np.array([10.0, 0.0]), {}),
+    ("path along the edge: got 1; expected at least 2 points", straight(), LINE[[0, 0]], {}),
     ("the path: point 2 is not finite", straight(), np.array([[5.0, 30], [50, np.nan], [130, 30]]), {}),
     ("normals of the path cross", straight(), CROSSED, {"closed": True}),
     ("method to find an edge", straight(), LINE, {"method": "erff"}),
