@@ -46,15 +46,16 @@ def opened(path: Path, how: PictureReading) -> Iterator[PictureFile]:
         there = sorted(one.name for one in path.parent.glob("*") if one.suffix.lower() in FORMATS)
         remedy = suggestion(name, there, "Correct the name of the file in study.yaml, or the file.")
         raise refused(f"{name} is missing", str(path), "a picture file", remedy, kind="result_missing")
-    target = how.reader or FORMATS.get(path.suffix.lower())
-    if target is None:
+    reader: Callable[[Path, PictureReading, str], object] | None = FORMATS.get(path.suffix.lower())
+    if how.reader is not None:
+        reader = imported(how.reader, f"reader of {name}")
+    if reader is None:
         remedy = "Save it as TIFF or PNG, or give `reader: module:name`."
         raise refused(f"{name} has an unknown format", path.suffix or "no suffix", ", ".join(FORMATS), remedy)
-    reader: Callable[[Path, PictureReading, str], object] = imported(target, f"reader of {name}")
     file = _guarded(partial(reader, path, how, name), name)
     if not isinstance(file, PictureFile):
-        expected = "strandline.imaging.picture.PictureFile"
-        raise refused(f"what the reader {target} returns", f"a {type(file).__name__}", expected, "Correct the reader.")
+        what, expected = f"what the reader {how.reader} returns", "strandline.imaging.PictureFile"
+        raise refused(what, f"a {type(file).__name__}", expected, "Correct the reader.")
     try:
         require_pixels(name, *file.shape)
         require_pixels(name, max(file.frames, 0))
