@@ -4,13 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.densities import gaussian
 
 from strandline.calibration.sampler_check import compare_halves
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.posterior import Posterior
 from strandline.priors import Uniform
 from strandline.smc import in_halves, sample
-from strandline.testing.densities import gaussian
 
 
 def target(log_likelihood, low, high):

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.densities import banana, gaussian, linear_exponential, truncated_gaussian
 
 from strandline.posterior.weighted import Weighted
 from strandline.smc import STUDY, SMCSettings, metropolis, sample
-from strandline.testing.densities import banana, gaussian, linear_exponential, truncated_gaussian
 
 NUMBER, STEPS, LIMIT = 40_000, 5, 4.5
 RATE = np.array([3.0, 0.7])

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.densities import banana, truncated_gaussian
 
 from strandline.smc import STUDY, SMCSettings, sample, steps
-from strandline.testing.densities import banana, truncated_gaussian
 
 TARGET = banana(centre=0.5, sd=1.0, bend=0.4, width=0.3)
 CORNER = truncated_gaussian(*np.array([[0.0, 1.0], [1.0, 0.1], [0.2, 0.95], [5.0, 3.0]]))

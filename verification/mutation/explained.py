@@ -124,7 +124,7 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
         "np.split(connectivity, ends[:-1]) if len(ends) else []",
         "(np.split(connectivity, ends[:-1]))",
     ): ("Only called with cells."),
-    ("runs/run_file.py", "False", "(True)"): "Only numbers are saved.",
+    ("runs/executors/slurm_batch.py", "False", "(True)"): "Only numbers are saved.",
     ("imaging/edge_checks.py", "1e-09", "(2e-09)"): "Only a floor that keeps a radius finite.",
     ("imaging/erf_step.py", "np.clip(wider / width, -0.5, 0.5)", "(wider / width)"): (
         "Other steps to the same minimum: a step that does not lower the sum is taken back."
@@ -239,9 +239,9 @@ EXPLAINED_ON_LINE: dict[tuple[str, str, str, str], str] = {
     ("surrogate/field/projection.py", "np.roll(cells, -1, axis=1)", "-1", "(1)"): "The same sides, sorted then.",
     ("surrogate/field/projection.py", "np.roll(cells, -1, axis=1)", "1", "(2)"): "The same sides, sorted then.",
     ("readers/options.py", 'values.get("count", 2)) is int', "2", "(3)"): "A default that only has to be allowed.",
-    ("runs/tables.py", "uri=True, isolation_level=None", "True", "(False)"): "SQLite may take addresses anyway.",
-    ("runs/tables.py", "uri=True, isolation_level=None", "30.0", "(60.0)"): "Waits longer.",
-    ("runs/tables.py", 'if os.name == "posix"', "os.name == 'posix'", "(os.name != 'posix')"): (
+    ("runs/ledger_schema.py", "uri=True, isolation_level=None", "True", "(False)"): "SQLite may take addresses anyway.",
+    ("runs/ledger_schema.py", "uri=True, isolation_level=None", "30.0", "(60.0)"): "Waits longer.",
+    ("runs/ledger_schema.py", 'if os.name == "posix"', "os.name == 'posix'", "(os.name != 'posix')"): (
         "Only shows if the power fails."
     ),
     ("runs/workers.py", "def end(self, deadline", "0.0", "(1.0)"): "Never a time that is still to come.",
@@ -266,7 +266,7 @@ EXPLAINED_ON_LINE: dict[tuple[str, str, str, str], str] = {
     ("imaging/surfaces/surface_errors.py", "np.maximum(known, 1)", "1", "(2)"): "Differs at lags with a single pair.",
     ("studies/observed.py", "close = get_close_matches", "1", "(2)"): "Only the first is named.",
     ("studies/pictures/photographed.py", 'source="nothing yet"', "1.0", "(2.0)"): "A size that is not used.",
-    ("runs/backup.py", "partial.unlink(missing_ok=True)", "True", "(False)"): "Only where a disk has no hard links.",
+    ("runs/ledger_schema.py", "partial.unlink(missing_ok=True)", "True", "(False)"): "Only where a disk has no hard links.",
     ("runs/executors/in_process.py", "shutil.rmtree(folder, ignore_errors=True)", "True", "(False)"): (
         "Only if a scratch folder cannot be removed."
     ),

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from strandline.posterior import read
-from strandline.runs.tables import connect_read_only
+from strandline.runs.ledger_schema import connect_read_only
 from strandline.studies.template import write_template
 
 RUNS = 160

@@ -19,12 +19,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from verification.private_slurm import TemporarySlurm, missing_programs, temporary_slurm
+
 from strandline.models.python import PythonModel
 from strandline.runs import Executor, Ledger, RunRecord, run_campaign
 from strandline.runs.executors.dask import DaskCluster
 from strandline.runs.executors.slurm_array import SlurmArray
 from strandline.testing.models import Faulty, Slow
-from strandline.testing.slurm import TemporarySlurm, missing_programs, temporary_slurm
 
 ROOT = Path(__file__).parents[2]
 RUNS, DASK_RUNS = 12, 6

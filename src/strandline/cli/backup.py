@@ -20,9 +20,8 @@ def command(study: Path, file: Path) -> None:
 
     To restore it, copy FILE to ledger.sqlite in the study folder while nothing is running there.
     """
-    from strandline.runs.backup import copied
+    from strandline.runs.ledger_schema import copied, opened_for_reading
     from strandline.runs.overview import Overview
-    from strandline.runs.tables import opened_for_reading
     from strandline.studies.folder import LEDGER
 
     if file.exists() or not file.parent.is_dir():

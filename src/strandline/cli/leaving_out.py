@@ -18,7 +18,7 @@ __all__ = ["as_used", "change", "reasons"]
 
 def as_used(runs: Sequence["Run"], folder: Path) -> list["Run"]:
     """Return the runs with the state that the analysis gives them: excluded by hand, or set aside as invalid."""
-    from strandline.runs.tables import EXCLUDED
+    from strandline.runs.ledger_schema import EXCLUDED
 
     kinds = {key: kind for key, (kind, _) in _set_aside(folder).items()}
     out = []

@@ -85,8 +85,8 @@ def command(
 
 
 def _require_known(state: str | None) -> None:
+    from strandline.runs.ledger_schema import EXCLUDED
     from strandline.runs.overview import STATES
-    from strandline.runs.tables import EXCLUDED
 
     known = (*STATES, EXCLUDED)
     if state is not None and state not in known:
@@ -216,7 +216,7 @@ def _in_full(run: "Run", ledger: "Overview") -> Iterator[str]:
 
 def _without_log(details: "Details") -> str:
     """Return the message without the last lines of the log if the whole log is printed after it."""
-    from strandline.runs.tables import LOG_TITLE
+    from strandline.runs.ledger_schema import LOG_TITLE
 
     message, _, lines = details.message.rpartition(f"\n{LOG_TITLE}\n")
     return message if message and details.log.endswith(lines) else details.message

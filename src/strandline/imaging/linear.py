@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from strandline.imaging.reading import PictureReading
-from strandline.readers.problems import refused
+from strandline.readers.contents import refused
 
 LUMA = (0.2126, 0.7152, 0.0722)
 """Weights of red, green and blue in grey, Rec. 709."""

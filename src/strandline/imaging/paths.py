@@ -21,8 +21,8 @@ from jaxtyping import Float
 
 from strandline.imaging.checked import content_of, named, unfit
 from strandline.imaging.first_path import FirstPath, require_inside, require_path
-from strandline.readers.order import require_in_order
-from strandline.readers.outlines import outlines
+from strandline.readers.chains import require_in_order
+from strandline.readers.tables import outlines
 from strandline.text import decimal
 
 READ = "a path saved by Fiji (.roi, XY coordinates), napari (.csv), labelme, QuPath or Cellpose"

@@ -9,7 +9,7 @@ from jaxtyping import Float, Shaped
 
 from strandline.imaging.checked import unfit
 from strandline.imaging.reading import PixelSize
-from strandline.readers.problems import refused
+from strandline.readers.contents import refused
 
 MOST_PIXELS = 400_000_000
 """Most pixels of a picture, and most voxels of a stack: 3.2 GB in double precision."""

@@ -20,7 +20,7 @@ from strandline.imaging.files.tiff import read_tiff
 from strandline.imaging.linear import intensity
 from strandline.imaging.picture import Picture, PictureFile, Stack, require_pixels
 from strandline.imaging.reading import PictureReading, PixelSize, agreed
-from strandline.readers.problems import refused
+from strandline.readers.contents import refused
 from strandline.registry import imported, suggestion
 
 PictureReader = Callable[[Path, PictureReading, str], PictureFile]

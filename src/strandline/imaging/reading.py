@@ -7,7 +7,7 @@ from typing import Any
 
 from strandline.imaging.checked import keys_of, number, unfit, word
 from strandline.readers.options import TO_MM
-from strandline.readers.problems import refused
+from strandline.readers.contents import refused
 from strandline.registry import imported
 
 UNITS = TO_MM | {"nm": 1e-6}

@@ -17,7 +17,7 @@ from strandline.interface import Observation
 from strandline.likelihood import InterfaceLikelihood
 from strandline.likelihood.field import noise_length
 from strandline.runs import FailurePolicy, RunRecord
-from strandline.runs.tables import EXCLUDED
+from strandline.runs.ledger_schema import EXCLUDED
 from strandline.surrogate.field.odd import flipped, odd_ones
 
 __all__ = ["Judge", "SetAside", "says_whether_runs_succeed"]

@@ -3,16 +3,18 @@
 import contextlib
 import importlib
 import io
+from importlib import import_module
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
 from strandline.errors import InvalidInput
 from strandline.readers.contents import Block, Contents
 from strandline.readers.options import Reading
-
-__all__ = ["converted", "imported", "read_by_meshio", "read_msh"]
+from strandline.readers.vtk_xml import POLYGON, POLYLINE, STRIP, Allowance, beside, blocks_of, chosen_time
 
 MODULES = {".stl": "stl", ".ply": "ply", ".vtk": "vtk", ".msh": "gmsh", ".mesh": "medit"}
 READS_AT_END = 100
@@ -108,3 +110,129 @@ def converted(mesh: Any) -> Contents:
     return Contents(
         np.asarray(mesh.points, dtype=float), blocks, {name: np.asarray(v) for name, v in mesh.point_data.items()}
     )
+
+
+CELLS = {"VERTICES": 2, "LINES": POLYLINE, "POLYGONS": POLYGON, "TRIANGLE_STRIPS": STRIP}
+TYPES = {"float": "f4", "double": "f8", "unsigned_char": "u1", "int": "i4", "vtkidtype": "i4", "vtktypeint64": "i8"}
+
+
+def read_legacy(path: Path, how: Reading, name: str) -> Contents:
+    """Return the contents of a legacy file; a damaged one raises ValueError, KeyError or IndexError."""
+    with path.open("rb") as file:
+        version, _, form, dataset = (file.readline().upper().split() for _ in range(4))
+        if dataset == [b"DATASET", b"POLYDATA"]:
+            return _polygons(file, form == [b"ASCII"], by_offsets=float(version[-1]) >= 5)
+    return read_by_meshio(path, how, name)
+
+
+def _polygons(file: BufferedReader, text: bool, *, by_offsets: bool) -> Contents:
+    """Return points, cells and data; from version 5 on, cells are given by offsets as in VTP files."""
+    points: Any = None
+    cells: list[tuple[int, Any]] = []
+    data: dict[str, dict[str, Any]] = {"POINT_DATA": {}, "CELL_DATA": {}}
+    owner: dict[str, Any] = {}
+    rows = 0
+    while line := _line(file):
+        match line.decode().split():
+            case ["POINTS", count, kind]:
+                points = _numbers(file, text, kind, int(count), 3)
+            case [key, count, size] if key in CELLS and by_offsets:
+                kinds = ((n, file.readline().split()[1].decode()) for n in (count, size))
+                ends, nodes = (_numbers(file, text, kind, int(n))[:, 0] for n, kind in kinds)
+                cells += [(CELLS[key], cell) for cell in np.split(nodes, ends[1:-1])]
+            case [key, count, size] if key in CELLS:
+                rest = _numbers(file, text, "int", int(size))[:, 0]
+                for _ in range(int(count)):
+                    cells.append((CELLS[key], rest[1 : 1 + rest[0]]))
+                    rest = rest[1 + rest[0] :]
+            case [key, count] if key in data:
+                owner, rows = data[key], int(count)
+            case ["VECTORS" | "NORMALS", name, kind]:
+                owner[name] = _numbers(file, text, kind, rows, 3)
+            case ["SCALARS", name, kind, *width]:
+                file.readline()  # the name of its table of colours
+                owner[name] = _numbers(file, text, kind, rows, int(width[0]) if width else 1)
+            case ["TEXTURE_COORDINATES", name, width, kind]:
+                owner[name] = _numbers(file, text, kind, rows, int(width))
+            case [name, width, count, kind]:  # an array of a FIELD
+                owner[name] = _numbers(file, text, kind, int(count), int(width))
+            case ["METADATA"]:
+                while file.readline().strip():
+                    pass
+            case [key, *_] if key != "FIELD":
+                raise ValueError(f"{key}, which is not read; save it as .vtp")
+    return Contents(points.astype(float), blocks_of(cells, data["CELL_DATA"]), data["POINT_DATA"])
+
+
+def _numbers(file: BufferedReader, text: bool, kind: str, rows: int, width: int = 1) -> Any:
+    """Return the next numbers, which are big-endian in a binary file."""
+    dtype = np.dtype(TYPES[kind.lower()]).newbyteorder(">")
+    if not text:
+        found = np.frombuffer(file.read(rows * width * dtype.itemsize), dtype).reshape(rows, width)
+        file.read(file.peek(1)[:1] == b"\n")
+        return found
+    words: list[bytes] = []
+    while len(words) < rows * width and (line := _line(file)):
+        words += line.split()
+    return np.array(words, dtype).reshape(rows, width)
+
+
+def _line(file: BufferedReader) -> bytes:
+    line = file.readline()
+    if line and not line.endswith(b"\n"):
+        raise EOFError("the file is cut off")
+    return line
+
+
+def read_xdmf(path: Path, how: Reading, name: str) -> Contents:
+    """Return the contents of an XDMF file, or of one of its times; each function may have a series of its own."""
+    meshio = imported(name)
+    root = ElementTree.fromstring(path.read_bytes())
+    _require_own_data(path, root)
+    if not any("CollectionType" in grid.attrib for grid in root.iter("Grid")):
+        return converted(meshio.xdmf.read(str(path)))
+    with meshio.xdmf.TimeSeriesReader(str(path)) as series:
+        points, cells = series.read_points_cells()
+        point_data: dict[str, Any] = {}
+        cell_data: dict[str, Any] = {}
+        for grid in (grid for grid in series.domain if grid.get("GridType") == "Collection"):
+            series.collection = list(grid)
+            times = [float(step.find("Time").attrib["Value"]) for step in series.collection]
+            _, of_points, of_cells = series.read_data(chosen_time(times, how, name))
+            point_data |= of_points
+            cell_data |= of_cells
+    return converted(meshio.Mesh(points, cells, point_data=point_data, cell_data=cell_data))
+
+
+def _require_own_data(path: Path, root: ElementTree.Element) -> None:
+    """Refuse data outside the folder of the file, and data that unpack to far more than the files that hold them.
+
+    Raises:
+        ValueError: (also KeyError, OSError) There are such data; the message shows the place.
+    """
+    allowances: dict[Path, Allowance] = {}
+    for item in root.iter("DataItem"):
+        form, text = item.get("Format", ""), (item.text or "").strip()
+        if form == "Binary":
+            raise ValueError(f"its data in {text} are of the format Binary, which is not read; write HDF or XML")
+        if form == "HDF":
+            source, _, place = text.partition(":")
+            file = beside(path, source)
+            allowance = allowances.setdefault(file, Allowance(file.stat().st_size))
+            _require_dataset(file, place, allowance)
+
+
+def _require_dataset(file: Path, place: str, allowance: Allowance) -> None:
+    """Refuse anything but a plain array of numbers within the file itself."""
+    h5py: Any = import_module("h5py")
+    with h5py.File(file, "r") as found:
+        inner: Any = found
+        for key in place.strip("/").split("/"):
+            if not isinstance(inner.get(key, getlink=True), h5py.HardLink):
+                raise ValueError(f"{file.name} refers to data elsewhere at {place}")
+            inner = inner[key]
+        if not isinstance(inner, h5py.Dataset) or inner.dtype.kind not in "iuf":
+            raise ValueError(f"{file.name} holds no numbers at {place}")
+        if inner.external or inner.is_virtual:
+            raise ValueError(f"{file.name} refers to data in other files at {place}")
+        allowance.take(inner.size * inner.dtype.itemsize)

@@ -10,12 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from strandline.readers.contents import Block, Contents
+from strandline.readers.contents import Block, Contents, refused
 from strandline.readers.options import Reading
-from strandline.readers.problems import refused
-from strandline.readers.series import chosen_time
-
-__all__ = ["read_dat", "read_frd"]
+from strandline.readers.vtk_xml import chosen_time
 
 PRINTED = re.compile(
     r"^ *displacements \(vx,vy,vz\) for set (\S+) and time +(\S+)\n\s*\n((?:[ \d].*(?:\n|\Z))*)", re.MULTILINE
@@ -99,3 +96,17 @@ def _blocks(lines: list[str], order: dict[int, int]) -> tuple[Block, ...]:
     if "hexahedron20" in blocks:
         blocks["hexahedron20"] = blocks["hexahedron20"][:, MIDDLES]
     return tuple(Block(kind, elements) for kind, elements in blocks.items())
+
+
+STEP = re.compile(r"^\*Step *=.*\n\*Time *=(.*)\n\*Data *=(.*)\n([^*]*)", re.MULTILINE)
+
+
+def read_febio(path: Path, how: Reading, name: str) -> Contents:
+    """Return the places of the nodes at one time, in the two coordinates of `plane`."""
+    steps = STEP.findall(path.read_text())
+    _, data, rows = steps[chosen_time([float(time) for time, _, _ in steps], how, name)]
+    titles = ["", *(title.strip() for title in data.split(";"))]
+    if not set(how.plane) <= set(titles):
+        raise refused(f"{name} holds no places of nodes", data.strip(), "data x;y;z", "Let FEBio write x;y;z.")
+    values = np.array([re.findall(r"[^,;\s]+", row) for row in rows.splitlines() if row.strip()], dtype=float)
+    return Contents(values.reshape(-1, len(titles))[:, [titles.index(axis) for axis in how.plane]])

@@ -9,10 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from strandline.readers.contents import Block
-from strandline.readers.problems import refused
-
-__all__ = ["boundary_edges", "boundary_triangles", "dimension", "joined", "line_edges", "surface_triangles"]
+from strandline.readers.contents import Block, refused
 
 COINCIDENT = 1e-9
 """Distance of points that count as one, as a share of the mesh's extent: a repeated point may be rounded otherwise."""

@@ -11,8 +11,6 @@ from typing import Any
 from strandline.errors import InvalidInput
 from strandline.registry import imported
 
-__all__ = ["MESHES", "SERIES", "TO_MM", "Reading"]
-
 TO_MM = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "m": 1e3}
 MESHES = (".vtu", ".vtp", ".pvtu", ".pvtp", ".pvd", ".xdmf", ".xmf", ".stl", ".ply", ".vtk", ".msh", ".mesh", ".frd")
 """Suffixes of files that hold cells; any other file is a table of points in their order."""

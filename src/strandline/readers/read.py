@@ -11,20 +11,17 @@ from jaxtyping import Float
 
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
-from strandline.readers.contents import Contents
+from strandline.readers.contents import Contents, Unreadable, refused
 from strandline.readers.options import Reading
-from strandline.readers.problems import Unreadable, refused
 from strandline.readers.shape import interface_of, point_sds
 from strandline.readers.tables import missing, require_end
 from strandline.registry import imported
 
-__all__ = ["READERS", "Reader", "read_interface", "read_point_sds"]
-
 _TABLE = "strandline.readers.tables:read_text"
 _MESH = "strandline.readers.by_meshio:read_by_meshio"
 _VTK = "strandline.readers.vtk_xml:read_vtk_xml"
-_XDMF = "strandline.readers.xdmf:read_xdmf"
-_JSON = "strandline.readers.outlines:read_json"
+_XDMF = "strandline.readers.by_meshio:read_xdmf"
+_JSON = "strandline.readers.tables:read_json"
 
 READERS: dict[str, str] = {
     ".csv": _TABLE,
@@ -36,21 +33,21 @@ READERS: dict[str, str] = {
     ".vtp": _VTK,
     ".pvtu": _VTK,
     ".pvtp": _VTK,
-    ".pvd": "strandline.readers.series:read_pvd",
+    ".pvd": "strandline.readers.vtk_xml:read_pvd",
     ".xdmf": _XDMF,
     ".xmf": _XDMF,
     ".stl": _MESH,
     ".ply": _MESH,
     ".msh": "strandline.readers.by_meshio:read_msh",
     ".mesh": _MESH,
-    ".vtk": "strandline.readers.vtk_legacy:read_legacy",
+    ".vtk": "strandline.readers.by_meshio:read_legacy",
     ".frd": "strandline.readers.calculix:read_frd",
     ".json": _JSON,
     ".geojson": _JSON,
 }
 """Suffixes of files → ``module:name`` of the function that reads them; others are read as text."""
 TEXTS: dict[str, str] = {
-    r"\*Step *=.*\n\*Time *=.*\n\*Data *=": "strandline.readers.febio:read_febio",
+    r"\*Step *=.*\n\*Time *=.*\n\*Data *=": "strandline.readers.calculix:read_febio",
     r"(?s).*displacements \(vx,vy,vz\) for set": "strandline.readers.calculix:read_dat",
 }
 """Patterns of the first lines of a text file → the same, whatever its suffix."""

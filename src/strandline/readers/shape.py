@@ -12,14 +12,10 @@ from scipy.sparse.csgraph import connected_components
 from strandline.interface import Interface
 from strandline.interface.triangles import signed_volume, vector_areas
 from strandline.readers import cells
-from strandline.readers.chains import Chain, chains, chosen_chain
-from strandline.readers.contents import Block, Contents
+from strandline.readers.chains import Chain, chains, chosen_chain, require_clear_ends, require_in_order
+from strandline.readers.contents import Block, Contents, refused
 from strandline.readers.options import Reading
-from strandline.readers.order import require_clear_ends, require_in_order
-from strandline.readers.problems import refused
 from strandline.readers.tables import SD
-
-__all__ = ["interface_of", "point_sds"]
 
 FLATNESS = 1e-6
 """Share of the extent by which points may leave a plane: files in single precision are rounded by 1e-7."""

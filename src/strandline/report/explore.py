@@ -21,7 +21,7 @@ from strandline.posterior import systematic_indices
 from strandline.report.inline import PANELS, PLOTLY, bundled, embedded, script_hash
 from strandline.report.outlines import offsets_um, outline, predictive_band
 from strandline.runs import RunRecord
-from strandline.runs.tables import LOG_TITLE
+from strandline.runs.ledger_schema import LOG_TITLE
 
 __all__ = ["Explore", "explore", "inputs_as_json"]
 

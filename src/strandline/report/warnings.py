@@ -16,7 +16,7 @@ from strandline.parameters import Parameter
 from strandline.posterior import Posterior, prior_conflicts
 from strandline.posterior.quadrature import mixture
 from strandline.report.field_warnings import field_warnings, likely_to_fail
-from strandline.runs.tables import EXCLUDED
+from strandline.runs.ledger_schema import EXCLUDED
 from strandline.surrogate.feasibility import learn_feasibility
 from strandline.surrogate.field.odd import stopped_early
 

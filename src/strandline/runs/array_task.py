@@ -16,13 +16,11 @@ from pathlib import Path
 from strandline.errors import InvalidInput
 from strandline.models.protocol import ForwardModel, asks_sensitivities, fingerprint, with_sensitivities
 from strandline.models.python import PythonModel
-from strandline.runs.executors.packing import packed_model
 from strandline.runs.executors.seat import Seat
 from strandline.runs.executors.slurm_array import UNUSABLE
 from strandline.runs.executors.slurm_batch import Batch
 from strandline.runs.record import RunRecord, RunRequest, with_log
-
-__all__ = ["main", "run_task"]
+from strandline.runs.worker import packed_model
 
 
 def main(arguments: list[str]) -> None:

@@ -12,8 +12,6 @@ from strandline.runs.failures import FailurePolicy
 from strandline.runs.ledger import Ledger
 from strandline.runs.record import RunRecord, RunRequest
 
-__all__ = ["Batch", "Choose", "run_batches"]
-
 Batch = Sequence[Mapping[str, float]]
 """Inputs by name of the runs that are chosen together."""
 Choose = Callable[[tuple[RunRecord, ...]], Batch]

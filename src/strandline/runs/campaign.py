@@ -11,13 +11,10 @@ from strandline.models.fidelities import run_identity
 from strandline.models.offers import prepare_runs
 from strandline.models.protocol import ForwardModel, asks_sensitivities, fingerprint
 from strandline.runs.executors import Executor
-from strandline.runs.failures import FailurePolicy, aborted
+from strandline.runs.failures import FailurePolicy, Outages, aborted
 from strandline.runs.ledger import INTERRUPTED, Ledger
-from strandline.runs.outages import Outages
+from strandline.runs.ledger_schema import EXCLUDED
 from strandline.runs.record import NOT_NOW, RunRecord, RunRequest, run_key
-from strandline.runs.tables import EXCLUDED
-
-__all__ = ["Campaign", "Progress", "Starts", "run_campaign"]
 
 
 @dataclass(frozen=True)

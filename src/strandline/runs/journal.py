@@ -15,8 +15,6 @@ from typing import Literal
 
 from strandline.errors import InvalidInput, LedgerError
 
-__all__ = ["VARIABLE", "Journal", "file_system", "has_rollback_journal", "is_network", "journal_for", "note", "settle"]
-
 Journal = Literal["wal", "delete"]
 VARIABLE = "STRANDLINE_JOURNAL"
 """Environment variable: ``wal`` or ``delete``, whatever disk the ledger is on."""

@@ -23,15 +23,20 @@ from filelock import BaseFileLock
 
 from strandline.errors import LedgerError
 from strandline.models.protocol import ForwardModel, fingerprint
-from strandline.runs import rows, tables
-from strandline.runs.exclusions import Exclusion, read_exclusions, require_reason, write_exclusion
-from strandline.runs.hold import Hold, locked
+from strandline.runs import ledger_rows, ledger_schema
+from strandline.runs.ledger_schema import INTERRUPTED, translated
+from strandline.runs.lock_watch import Hold, locked
 from strandline.runs.plans import COLUMNS as PLAN_COLUMNS
-from strandline.runs.plans import Plan, read_plan, rows_to_write
+from strandline.runs.plans import (
+    Exclusion,
+    Plan,
+    read_exclusions,
+    read_plan,
+    require_reason,
+    rows_to_write,
+    write_exclusion,
+)
 from strandline.runs.record import RunRecord, RunRequest, excluded
-from strandline.runs.tables import INTERRUPTED, translated
-
-__all__ = ["INTERRUPTED", "Counts", "Ledger"]
 
 COPIED_STATES = frozenset({"ok", "failed", "invalid"})
 """Outcomes that the model decided; a timeout or a vanished process only says something about the other machine."""
@@ -107,7 +112,7 @@ class Ledger:
 
     @classmethod
     def _for_reading(cls, path: Path, model: str | None) -> "Ledger":
-        ledger = cls(path, tables.opened_for_reading(path), None)
+        ledger = cls(path, ledger_schema.opened_for_reading(path), None)
         ledger._checked(model)
         return ledger
 
@@ -115,14 +120,14 @@ class Ledger:
     def _for_writing(cls, path: Path, model: str, description: str, lock: BaseFileLock) -> "Ledger":
         with translated(path):
             if not path.exists():
-                tables.create(path, model=model, description=description)
-            connection = tables.connect(path)
+                ledger_schema.create(path, model=model, description=description)
+            connection = ledger_schema.connect(path)
         ledger = cls(path, connection, lock)
         ledger._hold = Hold(path, lock)
         ledger._checked(model)
         with ledger._closed_on_error(), translated(path):
-            tables.require_sound(path, connection)
-            ledger.backup = tables.upgrade(path, connection)
+            ledger_schema.require_sound(path, connection)
+            ledger.backup = ledger_schema.upgrade(path, connection)
             columns = "(pid, host, opened_at) VALUES (?, ?, ?)"
             row = connection.execute(
                 f"INSERT INTO sessions {columns}", (os.getpid(), socket.gethostname(), time.time())
@@ -132,9 +137,9 @@ class Ledger:
 
     def _checked(self, model: str | None) -> None:
         with self._closed_on_error(), translated(self.path):
-            tables.require_version(self.path, self._connection)
+            ledger_schema.require_version(self.path, self._connection)
             if model is not None:
-                tables.require_model(self.path, self._connection, model)
+                ledger_schema.require_model(self.path, self._connection, model)
 
     @contextlib.contextmanager
     def _closed_on_error(self) -> Iterator[None]:
@@ -304,23 +309,24 @@ class Ledger:
 
     def _meta(self, key: str) -> str:
         with translated(self.path):
-            return tables.fact(self.path, self._connection, key)
+            return ledger_schema.fact(self.path, self._connection, key)
 
     def _start(self, request: RunRequest, at: float) -> int:
-        row = (self._writing_session(), request.key, rows.inputs_text(request.inputs), at)
+        row = (self._writing_session(), request.key, ledger_rows.inputs_text(request.inputs), at)
         with translated(self.path):
             sql = "INSERT INTO starts (session, key, inputs, started_at) VALUES (?, ?, ?, ?)"
             return int(self._connection.execute(sql, row).lastrowid or 0)
 
     def _finish(self, number: int, record: RunRecord, *, origin: str | None = None) -> None:
         self._writing_session()
-        outcome, arrays = rows.rows_of(record, origin or record.origin)
+        outcome, arrays = ledger_rows.rows_of(record, origin or record.origin)
         row = (number, *outcome, time.time())
         alone = not arrays or self._connection.in_transaction
         with contextlib.nullcontext() if alone else self._transaction(), translated(self.path):
-            sql = f"INSERT INTO outcomes (attempt, {rows.OUTCOME_COLUMNS}, finished_at) VALUES ({rows.MARKS})"
+            columns = f"attempt, {ledger_rows.OUTCOME_COLUMNS}, finished_at"
+            sql = f"INSERT INTO outcomes ({columns}) VALUES ({ledger_rows.MARKS})"
             self._connection.execute(sql, row)
-            sql = f"INSERT INTO arrays (attempt, {rows.ARRAY_COLUMNS}) VALUES ({rows.ARRAY_MARKS})"
+            sql = f"INSERT INTO arrays (attempt, {ledger_rows.ARRAY_COLUMNS}) VALUES ({ledger_rows.ARRAY_MARKS})"
             self._connection.executemany(sql, [(number, *array) for array in arrays])
 
     def _writing_session(self) -> int:
@@ -351,13 +357,15 @@ class Ledger:
 
     def _records(self, attempts: str, values: Sequence[Any] = ()) -> Iterator[RunRecord]:
         numbers = self._rows(f"SELECT attempt FROM outcomes WHERE attempt IN ({attempts}) ORDER BY attempt", values)
-        columns = f"key, inputs, {rows.OUTCOME_COLUMNS}"
+        columns = f"key, inputs, {ledger_rows.OUTCOME_COLUMNS}"
         sql = f"SELECT {columns} FROM outcomes JOIN starts USING (attempt) WHERE attempt = ?"
         for first in range(0, len(numbers), RECORDS_PER_READING):
             with self._reading():  # ends before the caller goes on: a driver cannot write meanwhile
-                extended = tables.has_table(self._connection, "arrays")
+                extended = ledger_schema.has_table(self._connection, "arrays")
                 records = [
-                    rows.record_of(self.path, self._rows(sql, number)[0], self._arrays(*number) if extended else [])
+                    ledger_rows.record_of(
+                        self.path, self._rows(sql, number)[0], self._arrays(*number) if extended else []
+                    )
                     for number in numbers[first : first + RECORDS_PER_READING]
                 ]
             yield from records
@@ -376,7 +384,7 @@ class Ledger:
                     self._connection.execute("COMMIT")
 
     def _arrays(self, number: int) -> list[Any]:
-        sql = f"SELECT {rows.ARRAY_COLUMNS} FROM arrays WHERE attempt = ? ORDER BY rowid"
+        sql = f"SELECT {ledger_rows.ARRAY_COLUMNS} FROM arrays WHERE attempt = ? ORDER BY rowid"
         return self._connection.execute(sql, (number,)).fetchall()
 
     def _rows(self, sql: str, values: Sequence[Any] = ()) -> list[Any]:

@@ -11,8 +11,6 @@ from strandline.runs.executors.seat import KILLED_STARTS_BORNE, killed_while_sta
 from strandline.runs.record import RunRecord, RunRequest
 from strandline.runs.workers import Worker
 
-__all__ = ["OnCall"]
-
 LOOKED_AFTER_SECONDS = 0.25
 
 

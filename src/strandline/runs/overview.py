@@ -14,12 +14,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple
 
-from strandline.runs import tables
-from strandline.runs.exclusions import Exclusion, read_exclusions
-from strandline.runs.plans import Plan, read_plan
-from strandline.runs.tables import ATTEMPTS, INTERRUPTED, translated
-
-__all__ = ["OPEN", "STATES", "Attempt", "Details", "Driver", "Overview", "Run", "is_at_work"]
+from strandline.runs import ledger_schema
+from strandline.runs.ledger_schema import ATTEMPTS, INTERRUPTED, translated
+from strandline.runs.plans import Exclusion, Plan, read_exclusions, read_plan
 
 OPEN = "open"
 """State of a run that was started and has not ended: under way, or lost with its driver."""
@@ -129,12 +126,12 @@ class Overview:
             LedgerError: the ledger is missing, damaged, of a newer version, or of another model.
         """
         self.path = path
-        self._connection = tables.opened_for_reading(path)
+        self._connection = ledger_schema.opened_for_reading(path)
         try:
             with translated(path):
-                tables.require_version(path, self._connection)
+                ledger_schema.require_version(path, self._connection)
                 if model is not None:
-                    tables.require_model(path, self._connection, model)
+                    ledger_schema.require_model(path, self._connection, model)
         except BaseException:
             self.close()
             raise
@@ -213,9 +210,9 @@ class Overview:
         return Driver(session, pid, host, opened_at, is_at_work(pid, host, self.path.with_suffix(".lock")))
 
     def _attempts(self, which: str = "1", given: Sequence[int] = ()) -> Iterator[tuple[str, Attempt]]:
-        with_plans = tables.has_table(self._connection, "plans")
+        with_plans = ledger_schema.has_table(self._connection, "plans")
         hint = "INDEXED BY outcomes_told" if with_plans else ""  # otherwise each row is read past its interface
-        slopes = WITH_SENSITIVITIES if tables.has_table(self._connection, "arrays") else "0"
+        slopes = WITH_SENSITIVITIES if ledger_schema.has_table(self._connection, "arrays") else "0"
         sql = f"""SELECT key, attempt, session, inputs, started_at, COALESCE(state, '{OPEN}'), kind, seconds, origin,
             finished_at, {slopes}
             FROM starts LEFT JOIN outcomes {hint} USING (attempt) WHERE {which} ORDER BY attempt"""

@@ -13,8 +13,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-__all__ = ["PREFIX", "clear_stale", "scratch_folder"]
-
 PREFIX = "strandline-runs-"
 NAME = re.compile(PREFIX + r"(?P<machine>[0-9a-f]{8})-(?P<pid>\d+)-(?P<begun>\d+)-")
 

@@ -16,8 +16,6 @@ from strandline.errors import InvalidInput
 from strandline.runs.record import RunRecord, RunRequest, State, with_log
 from strandline.runs.worker import UNUSABLE
 
-__all__ = ["Worker", "interrupts_held_back"]
-
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
 )

@@ -8,8 +8,8 @@ from typing import Any
 
 from strandline.errors import StrandlineError
 from strandline.models.python import PythonModel
+from strandline.runs.ledger_rows import outcome_digest, unsound
 from strandline.runs.overview import Overview
-from strandline.runs.soundness import outcome_digest, unsound
 from strandline.studies.folder import (
     CHECK,
     CHECK_LEDGER,

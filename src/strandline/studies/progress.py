@@ -11,9 +11,9 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any, Literal
 
+from strandline.runs.ledger_schema import EXCLUDED, INTERRUPTED
 from strandline.runs.overview import OPEN, Attempt, Driver, Overview, Run
 from strandline.runs.plans import Plan
-from strandline.runs.tables import EXCLUDED, INTERRUPTED
 from strandline.studies.folder import LEDGER, REFINEMENT, STUDY, SUMMARY
 from strandline.studies.question_keys import digest_of
 

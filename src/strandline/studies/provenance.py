@@ -13,7 +13,7 @@ from strandline.errors import InvalidStudy, StrandlineError
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.report import FIGURES
 from strandline.runs import FailurePolicy
-from strandline.runs.soundness import outcome_digest
+from strandline.runs.ledger_rows import outcome_digest
 from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY
 from strandline.studies.study import Study
 from strandline.version import __version__

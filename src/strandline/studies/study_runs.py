@@ -15,8 +15,8 @@ from strandline.models.fidelities import CHEAPER, first_runs, run_identity
 from strandline.models.protocol import ForwardModel, fingerprint
 from strandline.parameters import ParameterSpace
 from strandline.runs import Ledger, RunRecord, run_key
+from strandline.runs.ledger_schema import ATTEMPTS, EXCLUDED
 from strandline.runs.plans import Plan
-from strandline.runs.tables import ATTEMPTS, EXCLUDED
 from strandline.studies.folder import REFINEMENT, write_json
 from strandline.studies.settings import failure_words
 

@@ -18,8 +18,8 @@ from strandline.posterior.quadrature import QuadratureResult, mixture
 from strandline.report.fit import fit_as_json
 from strandline.report.nearness import as_json, nearest_runs
 from strandline.report.warnings import find_warnings
-from strandline.runs.soundness import outcome_digest
-from strandline.runs.tables import EXCLUDED
+from strandline.runs.ledger_rows import outcome_digest
+from strandline.runs.ledger_schema import EXCLUDED
 from strandline.studies.chosen import in_words
 from strandline.studies.outline_effect import outline_effect
 from strandline.studies.pictures.shown import read_how

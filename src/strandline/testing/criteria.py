@@ -17,7 +17,7 @@ from strandline.interface import Interface, Observation
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import Uniform
 from strandline.runs import RunRecord
-from strandline.testing.parts import by_name
+from strandline.testing import by_name
 
 __all__ = ["CHECKS"]
 

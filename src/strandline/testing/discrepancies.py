@@ -19,7 +19,7 @@ from strandline.discrepancy import (
     unit_of,
 )
 from strandline.interface import Interface
-from strandline.testing.parts import by_name
+from strandline.testing import by_name
 
 __all__ = ["CHECKS"]
 

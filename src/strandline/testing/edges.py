@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.special import ndtr
 
 from strandline.imaging import Edge, EdgeMethod, find_edge
-from strandline.testing.parts import by_name, require_parts
+from strandline.testing import by_name, require_parts
 
 __all__ = ["CHECKS"]
 

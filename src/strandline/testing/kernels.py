@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from strandline.numerics.precision import use_double
 from strandline.surrogate.kernels import Kernel
-from strandline.testing.parts import by_name, require_parts
+from strandline.testing import by_name, require_parts
 
 __all__ = ["CHECKS"]
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import integrate
 
 from strandline.interface import Noise
-from strandline.testing.parts import by_name, require_parts
+from strandline.testing import by_name, require_parts
 
 __all__ = ["CHECKS"]
 

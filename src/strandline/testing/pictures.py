@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from strandline.imaging import PictureReading, read_picture
-from strandline.testing.parts import by_name, refusal
+from strandline.testing import by_name
+from strandline.testing.readers import require_refused
 
 __all__ = ["CHECKS"]
 
@@ -37,9 +38,7 @@ def check_a_damaged_file_is_refused(path: Path, how: PictureReading) -> None:
     """An empty file and half a file are refused in one line."""
     content = path.read_bytes()
     for what, left in (("an empty file", b""), ("half a file", content[: len(content) // 2])):
-        complaint = refusal(path.name, left, partial(read_picture, how=how))
-        assert complaint, f"{what} is read"
-        assert "\n" not in complaint, f"{what} is refused in several lines"
+        require_refused(what, path.name, left, partial(read_picture, how=how))
 
 
 CHECKS: dict[str, Callable[[Path, PictureReading], None]] = by_name(

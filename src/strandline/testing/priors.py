@@ -11,7 +11,7 @@ import numpy as np
 
 from strandline.numerics.precision import use_double
 from strandline.priors import Prior
-from strandline.testing.parts import by_name, require_parts
+from strandline.testing import by_name, require_parts
 
 __all__ = ["CHECKS"]
 

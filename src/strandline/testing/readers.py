@@ -8,11 +8,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from strandline.readers import Reading, read_interface
-from strandline.testing.parts import by_name, refusal
+from strandline.readers import Reading, Unreadable, read_interface
+from strandline.testing import by_name
 
 __all__ = ["CHECKS"]
 
@@ -49,9 +50,21 @@ def check_a_damaged_file_is_refused(path: Path, how: Reading) -> None:
         ("a file of random bytes", noise, how),
         ("half a file, whose points are counted,", content[: len(content) // 2], counted),
     ):
-        complaint = refusal(path.name, left, partial(read_interface, how=by))
-        assert complaint, f"{what} is read"
-        assert "\n" not in complaint, f"{what} is refused in several lines"
+        require_refused(what, path.name, left, partial(read_interface, how=by))
+
+
+def require_refused(what: str, name: str, content: bytes, read: Callable[[Path], object]) -> None:
+    """Require that `read` refuses a file of this name and content as unreadable, in one line."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        path.write_bytes(content)
+        try:
+            read(path)
+        except Unreadable as error:
+            complaint = str(error)
+        else:
+            raise AssertionError(f"{what} is read")
+    assert "\n" not in complaint, f"{what} is refused in several lines"
 
 
 CHECKS: dict[str, Callable[[Path, Reading], None]] = by_name(

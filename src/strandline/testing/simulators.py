@@ -17,7 +17,7 @@ from strandline.interface import Interface
 from strandline.models.offers import SolvesOnFinerMesh, undeformed_interface
 from strandline.models.protocol import ForwardModel, declared_inputs, fingerprint, with_sensitivities
 from strandline.runs import RunRecord, RunRequest, attempt
-from strandline.testing.parts import by_name
+from strandline.testing import by_name
 
 __all__ = ["CHECKS"]
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.surrogate import Fit, Predictor
-from strandline.testing.parts import by_name, require_parts
+from strandline.testing import by_name, require_parts
 
 __all__ = ["CHECKS"]
 

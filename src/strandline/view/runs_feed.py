@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from strandline.runs.ledger_schema import EXCLUDED
 from strandline.runs.overview import OPEN, Attempt, Overview
-from strandline.runs.tables import EXCLUDED
 
 __all__ = ["RunsFeed", "rounded"]
 

@@ -70,7 +70,7 @@ def hanging_driver(folder, executor, fault="hang_in_c", before="pass"):
 def driven_by(place, **limits):
     """Return a Dask executor that opens the cluster `place()` and whose driver has other limits than the product's."""
     from strandline.runs.executors.dask_driver import Driver
-    from strandline.runs.executors.packing import packed_model
+    from strandline.runs.worker import packed_model
 
     limits = {"timeout": None, "life": None, "least": 1, "most": 1, **limits}
 

@@ -181,8 +181,8 @@ def test_a_second_driver_is_refused_and_told_who_the_first_is(path):
 
 KILLED_WHILE_WRITING = """
 import os, signal, sqlite3, sys
-from strandline.runs import tables
-connection = tables.connect(sys.argv[1])
+from strandline.runs import ledger_schema
+connection = ledger_schema.connect(sys.argv[1])
 connection.execute("PRAGMA cache_size = 1")
 connection.execute("BEGIN IMMEDIATE")
 for k in range(300):

@@ -1,8 +1,7 @@
 """A SLURM of the tests' own, where its programs are."""
 
 import pytest
-
-from strandline.testing.slurm import missing_programs, temporary_slurm
+from verification.private_slurm import missing_programs, temporary_slurm
 
 
 @pytest.fixture(scope="session")

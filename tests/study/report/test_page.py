@@ -33,7 +33,7 @@ from strandline.report.methods import methods_paragraph
 from strandline.report.plots.style import DOUBLE, SINGLE
 from strandline.report.run_figures import failed_runs
 from strandline.report.warnings import find_warnings
-from strandline.runs.tables import LOG_TITLE
+from strandline.runs.ledger_schema import LOG_TITLE
 
 FIGURES = [
     "interfaces", "leave_one_out", "likelihood", "log_likelihood", "log_likelihood_sd", "marginals", "offsets",

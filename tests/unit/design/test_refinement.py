@@ -5,10 +5,10 @@ from functools import partial
 
 import numpy as np
 import pytest
+from tests.densities import banana
 
 import strandline as sl
 from strandline.design.refinement import Learnt, Refinement, Round, refine, shifts
-from strandline.testing.densities import banana
 
 EXACT = banana(centre=1.0, sd=0.5, bend=0.6, width=0.4)
 SPACE = sl.ParameterSpace(

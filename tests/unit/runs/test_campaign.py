@@ -12,8 +12,8 @@ from tests.unit.runs.fakes import Elsewhere, Moody, Noted, Seen, Served, begun_b
 from strandline.errors import CampaignStopped, InvalidInput, LedgerError, NumericsError
 from strandline.runs import Counts, FailurePolicy, InProcess, Ledger, Progress, Retry, RunRecord, attempt, run_campaign
 from strandline.runs.campaign import Starts
+from strandline.runs.failures import IN_A_ROW, Outages
 from strandline.runs.ledger import INTERRUPTED
-from strandline.runs.outages import IN_A_ROW, Outages
 from strandline.testing.executors import same_outcome
 from strandline.testing.models import Cantilever, Counted, Faulty, TwoLoads
 

@@ -13,11 +13,10 @@ from strandline.runs import LocalProcesses, RunRecord
 from strandline.runs.array_task import _out_of_walltime
 from strandline.runs.executors import dask_cluster, slurm_commands, with_workers
 from strandline.runs.executors.dask import DaskCluster
-from strandline.runs.executors.dask_security import keys_in_files
+from strandline.runs.executors.dask_cluster import keys_in_files
 from strandline.runs.executors.options import walltime_seconds
 from strandline.runs.executors.slurm_array import SlurmArray, _without_result
-from strandline.runs.executors.slurm_batch import Batch, known_batches
-from strandline.runs.run_file import read_run
+from strandline.runs.executors.slurm_batch import Batch, known_batches, read_run
 from strandline.testing.executors import requests_for, same_outcome
 from strandline.testing.models import Cantilever
 

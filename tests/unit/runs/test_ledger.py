@@ -14,7 +14,7 @@ from tests.unit.runs.fakes import BAD, LINE, ONE, RECORDS, SURFACE, TWO, exact, 
 
 from strandline.errors import LedgerError
 from strandline.interface import Interface
-from strandline.runs import Counts, FailurePolicy, Ledger, Retry, RunRecord, RunRequest, tables
+from strandline.runs import Counts, FailurePolicy, Ledger, Retry, RunRecord, RunRequest, ledger_schema
 from strandline.runs.overview import Overview
 from strandline.runs.plans import Plan
 from strandline.testing.executors import same_outcome
@@ -146,7 +146,7 @@ def overwrite(path):
     path.write_bytes(data)
 
 
-NEWER = f"UPDATE meta SET value = '{tables.VERSION + 1}' WHERE key = 'schema_version'"
+NEWER = f"UPDATE meta SET value = '{ledger_schema.VERSION + 1}' WHERE key = 'schema_version'"
 
 
 @pytest.mark.parametrize(
@@ -279,7 +279,7 @@ def test_a_failure_while_creating_leaves_no_ledger(path, monkeypatch):
         raise sqlite3.OperationalError("disk full")
 
     with monkeypatch.context() as patch:
-        patch.setattr(tables.journal, "settle", full)
+        patch.setattr(ledger_schema.journal, "settle", full)
         with pytest.raises(LedgerError, match="disk full"):
             Ledger.open(path, model="m")
     assert not [file for file in path.parent.iterdir() if file.suffix != ".lock"]

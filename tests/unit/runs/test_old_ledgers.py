@@ -9,8 +9,8 @@ from tests.unit.runs.fakes import TWO, campaign, exact, put, query, states, stor
 
 from strandline.errors import LedgerError
 from strandline.models.protocol import fingerprint
-from strandline.runs import Counts, Ledger, run_key, tables
-from strandline.runs.backup import copied
+from strandline.runs import Counts, Ledger, ledger_schema, run_key
+from strandline.runs.ledger_schema import copied
 from strandline.runs.overview import STATES, Overview
 from strandline.runs.plans import read_plan
 from strandline.testing.models import Cantilever, TwoLoads
@@ -60,7 +60,7 @@ def test_a_reader_changes_nothing_and_a_driver_upgrades_a_ledger_and_touches_no_
         with Ledger.open(ledger.backup, model=model, read_only=True) as kept:
             assert [exact(record) for record in kept] == runs
         assert version_of(ledger.backup) == version
-    assert version_of(path) == str(tables.VERSION)
+    assert version_of(path) == str(ledger_schema.VERSION)
     assert content(path) == (names | added, rows if arrays else [*rows, []])
     assert definitions(path) == definitions(tmp_path / "fresh.sqlite")
     with Ledger.open(path, model=model) as ledger:
@@ -82,12 +82,12 @@ def test_an_upgrade_that_fails_leaves_the_ledger_as_it_was(tmp_path, name):
     assert (content(path), version_of(path)) == (before, version)
     query(path, "DROP VIEW exclusions")
     Ledger.open(path, model=model).close()
-    assert version_of(path) == str(tables.VERSION)
+    assert version_of(path) == str(ledger_schema.VERSION)
 
 
 def test_a_reader_of_an_old_ledger_sees_what_an_upgrading_driver_writes(tmp_path):
     path = stored(V1, tmp_path)
-    with closing(tables.connect(path)), Ledger.open(path, model=None, read_only=True) as reader:
+    with closing(ledger_schema.connect(path)), Ledger.open(path, model=None, read_only=True) as reader:
         assert len(list(reader)) == 4
         with Ledger.open(path, model=BEAM) as driver:
             put(driver, TWO)

@@ -9,7 +9,7 @@ import pytest
 from tests.unit.runs.fakes import BAD, LINE, SLOPES, put, query
 
 from strandline.errors import LedgerError
-from strandline.runs import Ledger, RunRecord, RunRequest, tables
+from strandline.runs import Ledger, RunRecord, RunRequest, ledger_schema
 from strandline.runs.overview import OPEN, STATES, Overview, is_at_work
 from strandline.runs.plans import Plan
 from strandline.runs.record import STATES as ENDS
@@ -78,7 +78,7 @@ def test_whether_a_driver_is_at_work_is_told_or_said_to_be_unknown(path):
         assert is_at_work(me, here, path) is True
     assert is_at_work(me, here, path) is False
     path.unlink()
-    tables.create(path, model="m", description="")
+    ledger_schema.create(path, model="m", description="")
     with Overview(path, model="m") as overview:
         assert (overview.driver(), overview.runs()) == (None, [])
     with Ledger.open(path, model="m") as ledger, Overview(path) as overview:

@@ -21,8 +21,8 @@ from strandline.errors import ForwardModelError, InvalidInput
 from strandline.interface import Interface
 from strandline.models.protocol import Simulation
 from strandline.runs import InProcess, RunRecord, RunRequest, attempt, run_key, scratch
+from strandline.runs.executors.slurm_batch import read_run, write_run
 from strandline.runs.record import MESSAGE_CHARACTERS, with_log
-from strandline.runs.run_file import read_run, write_run
 from strandline.runs.workers import Worker, _how_it_ended
 from strandline.testing.executors import same_outcome
 from strandline.testing.models import Cantilever, TwoLoads

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from tests.densities import gaussian
 
 from strandline.errors import InvalidInput, NumericsError
 from strandline.smc import SMCResult, SMCSettings, StepInfo, carried, carried_over, devices, metropolis, sample
@@ -15,7 +16,6 @@ from strandline.smc.halves import joined
 from strandline.smc.moves import proposal_factor, proposal_scale
 from strandline.smc.resampling import systematic
 from strandline.smc.tempering import effective_sample_size, next_temperature
-from strandline.testing.densities import gaussian
 
 STEP = StepInfo(1.0, 900.0, 0.3, True, -3.0, 1.0)
 WEIGHTS = np.random.default_rng(4).dirichlet(0.5 * np.ones(25))

@@ -9,7 +9,7 @@ from strandline.design import sobol
 from strandline.errors import InvalidStudy, LedgerError
 from strandline.models.protocol import fingerprint
 from strandline.runs import Ledger, RunRecord, RunRequest, attempt, run_key
-from strandline.runs.tables import ATTEMPTS
+from strandline.runs.ledger_schema import ATTEMPTS
 from strandline.studies import load_study
 from strandline.studies.doctor import _gaps, examine
 from strandline.studies.progress import RATE_RUNS, _per_minute, progress_in, progress_of

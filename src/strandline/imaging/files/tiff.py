@@ -16,7 +16,7 @@ from jaxtyping import Shaped
 from strandline.imaging.checked import unfit
 from strandline.imaging.picture import PictureFile, require_pixels
 from strandline.imaging.reading import PictureReading, PixelSize
-from strandline.readers.problems import refused
+from strandline.readers.contents import refused
 
 MIN_IS_WHITE, MIN_IS_BLACK, RGB = 0, 1, 2
 """TIFF's numbers of the ways in which a number becomes a colour."""

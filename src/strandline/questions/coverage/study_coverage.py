@@ -33,7 +33,7 @@ from strandline.questions.shown import figures_of, html_answer, input_label
 from strandline.report import write_coverage
 from strandline.report.coverage import draw_coverage
 from strandline.runs import Progress
-from strandline.runs.soundness import outcome_digest
+from strandline.runs.ledger_rows import outcome_digest
 from strandline.studies.check import finished_posterior
 from strandline.studies.check_file import posterior_digest
 from strandline.studies.first_run import observations_of

@@ -18,7 +18,7 @@ from strandline.questions.arguments import chosen_measure, require_seed
 from strandline.questions.knowledge import field_knowledge
 from strandline.questions.specimens.files import SpecimenFiles, noise_of_outline, require_one_condition, specimen_files
 from strandline.runs import Ledger, RunRecord
-from strandline.runs.soundness import outcome_digest
+from strandline.runs.ledger_rows import outcome_digest
 from strandline.studies.folder import SPECIMENS_LEDGER
 from strandline.studies.observed import require_plausible
 from strandline.studies.study import Study

@@ -10,14 +10,13 @@ from dataclasses import replace
 from typing import Any, Protocol, cast, runtime_checkable
 
 from strandline.models.protocol import ForwardModel
-from strandline.runs.executors.in_process import InProcess
-from strandline.runs.executors.local import LocalProcesses, usable_cores
+from strandline.runs.executors.local import InProcess, LocalProcesses, usable_cores
 from strandline.runs.record import RunRecord, RunRequest
 
 __all__ = ["EXECUTORS", "Executor", "InProcess", "LocalProcesses", "usable_cores", "with_workers"]
 
 EXECUTORS = {
-    "in_process": "strandline.runs.executors.in_process:InProcess",
+    "in_process": "strandline.runs.executors.local:InProcess",
     "local": "strandline.runs.executors.local:LocalProcesses",
     "dask": "strandline.runs.executors.dask:DaskCluster",
     "slurm_array": "strandline.runs.executors.slurm_array:SlurmArray",

@@ -22,8 +22,8 @@ from strandline.runs.executors.options import (
     require_timeout,
     walltime_seconds,
 )
-from strandline.runs.executors.packing import imported, packed_model, require_posix
 from strandline.runs.record import RunRecord, RunRequest
+from strandline.runs.worker import imported, packed_model, require_posix
 
 __all__ = ["DaskCluster"]
 

@@ -14,13 +14,29 @@ from typing import ClassVar
 
 from strandline.models.protocol import ForwardModel
 from strandline.runs.executors.options import require_count, require_timeout
-from strandline.runs.executors.packing import packed_model, require_posix
 from strandline.runs.executors.seat import KILLED_STARTS_BORNE, LONGEST_WAIT_SECONDS, killed_while_starting
-from strandline.runs.record import NOT_NOW, RunRecord, RunRequest
+from strandline.runs.record import NOT_NOW, RunRecord, RunRequest, attempt
 from strandline.runs.scratch import scratch_folder
+from strandline.runs.worker import packed_model, require_posix
 from strandline.runs.workers import Worker
 
-__all__ = ["LocalProcesses", "usable_cores"]
+
+@dataclass(frozen=True)
+class InProcess:
+    """Runs one after the other in this process: for small models and for debugging.
+
+    A simulator that crashes takes the driver down, and one that hangs blocks it; `LocalProcesses` is safe.
+    """
+
+    def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:
+        """Yield a record for each request, in order."""
+        for request in requests:
+            folder = scratch_folder()
+            try:
+                record = attempt(model, request, folder)
+            finally:
+                shutil.rmtree(folder, ignore_errors=True)
+            yield record
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,6 @@ import re
 
 from strandline.errors import InvalidInput
 
-__all__ = ["SPARE_SECONDS", "require_count", "require_room_in_walltime", "require_timeout", "walltime_seconds"]
-
 SPARE_SECONDS = 60.0
 """Part of its walltime that a job needs before and after a run."""
 LONGEST_TIMEOUT = 366 * 24 * 3600.0

@@ -10,8 +10,6 @@ from strandline.runs.record import RunRecord, RunRequest
 from strandline.runs.scratch import scratch_folder
 from strandline.runs.workers import Worker
 
-__all__ = ["KILLED_STARTS_BORNE", "LONGEST_WAIT_SECONDS", "Seat", "killed_while_starting"]
-
 LONGEST_WAIT_SECONDS = 0.5
 """Time after which a worker that has said nothing is checked."""
 KILLED_STARTS_BORNE = 10

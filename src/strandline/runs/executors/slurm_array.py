@@ -21,9 +21,8 @@ from strandline.runs.executors.options import (
     require_timeout,
     walltime_seconds,
 )
-from strandline.runs.executors.slurm_batch import Batch, known_batches
+from strandline.runs.executors.slurm_batch import Batch, known_batches, read_run
 from strandline.runs.record import RunRecord, RunRequest, State, with_log
-from strandline.runs.run_file import read_run
 
 __all__ = ["UNUSABLE", "Detached", "SlurmArray"]
 

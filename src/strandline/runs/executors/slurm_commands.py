@@ -7,8 +7,6 @@ from pathlib import Path
 
 from strandline.errors import InvalidInput
 
-__all__ = ["SlurmUnreachable", "cancel", "job_called", "largest_array", "past_state", "states", "submit"]
-
 ANSWER_SECONDS = 120.0
 DEFAULT_LARGEST_ARRAY = 1001
 

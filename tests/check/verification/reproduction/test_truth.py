@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.special import logsumexp
+from tests.check.verification.reproduction.folding import Folding
 from verification.reproduction.field_table import FieldTable, LoadCoordinates, tabulate, withheld
 from verification.reproduction.grid_posterior import posterior_on_grid, product_grid
 from verification.reproduction.log_likelihood_field import log_likelihood_field
@@ -15,7 +16,6 @@ from strandline.likelihood import InterfaceLikelihood
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import LogNormal, ScaledBeta, Uniform
 from strandline.runs import InProcess, Ledger
-from strandline.testing.folding import Folding
 
 MODEL = Folding(softness=0.97)
 """Its fold is 3 % away from the one that the coordinates are told."""

@@ -1,9 +1,12 @@
-"""How a record becomes rows of the ledger and is rebuilt from them; the tables are in `tables`."""
+"""How a record becomes rows of the ledger and is rebuilt from them; the tables are in `ledger_schema`."""
 
 import hashlib
 import json
+import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +15,10 @@ from jaxtyping import Shaped
 
 from strandline.errors import LedgerError
 from strandline.interface import Interface
+from strandline.runs import ledger_schema
+from strandline.runs.ledger_schema import translated
+from strandline.runs.plans import read_exclusions
 from strandline.runs.record import RunRecord
-
-__all__ = ["ARRAY_COLUMNS", "ARRAY_MARKS", "MARKS", "OUTCOME_COLUMNS", "inputs_text", "record_of", "rows_of"]
 
 OUTCOME_COLUMNS = (
     "state, points, points_shape, cells, cells_shape, diagnostics, seconds, kind, message, log, origin, checksum"
@@ -117,3 +121,48 @@ def _checksum(key: str, inputs: str, values: tuple[Any, ...], arrays: Sequence[t
         part = value if isinstance(value, bytes) else repr(value).encode()
         digest.update(f"{len(part)}:".encode() + part)
     return digest.hexdigest()
+
+
+MOST = 5
+"""Maximum number of damaged runs to name."""
+
+
+def unsound(path: Path) -> Iterator[str]:
+    """Yield a sentence for each thing wrong with the ledger at `path`; nothing if it is sound."""
+    try:
+        with closing(ledger_schema.opened_for_reading(path)) as connection, translated(path):
+            ledger_schema.require_version(path, connection)
+            checked = connection.execute(f"PRAGMA integrity_check({MOST})")
+            yield from (f"SQLite says: {found}" for (found,) in checked if found != "ok")
+            for table, *_ in connection.execute("PRAGMA foreign_key_check"):
+                yield f"a row of {table} refers to a row that does not exist"
+                break
+            yield from _damaged_outcomes(path, connection)
+    except LedgerError as error:
+        yield " ".join(str(error).split())
+
+
+def outcome_digest(path: Path, keys: frozenset[str]) -> str:
+    """Return a digest of the last outcomes of these runs, and of which of them are excluded by hand."""
+    sql = """SELECT key, checksum FROM outcomes JOIN starts USING (attempt)
+        WHERE attempt IN (SELECT max(attempt) FROM outcomes JOIN starts USING (attempt) GROUP BY key) ORDER BY key"""
+    with closing(ledger_schema.opened_for_reading(path)) as connection, translated(path):
+        found = [row for row in connection.execute(sql) if row[0] in keys]
+        excluded = sorted(keys & read_exclusions(connection).keys())
+    return sha256(repr((found, excluded)).encode()).hexdigest()
+
+
+def _damaged_outcomes(path: Path, connection: sqlite3.Connection) -> Iterator[str]:
+    """Yield the runs whose contents do not match their checksum."""
+    extended, damaged = ledger_schema.has_table(connection, "arrays"), []
+    sql = f"SELECT attempt, key, inputs, {OUTCOME_COLUMNS} FROM outcomes JOIN starts USING (attempt)"
+    of_one = f"SELECT {ARRAY_COLUMNS} FROM arrays WHERE attempt = ? ORDER BY rowid"
+    for number, *row in connection.execute(sql):
+        arrays = connection.execute(of_one, (number,)).fetchall() if extended else []
+        try:
+            record_of(path, tuple(row), arrays)
+        except (LedgerError, ValueError, KeyError, TypeError):
+            damaged.append(f"run {str(row[0])[:12]} (start {number})")
+    if damaged:
+        more = f" and {len(damaged) - MOST} more" if len(damaged) > MOST else ""
+        yield f"{len(damaged)} outcome(s) do not match their checksum: {', '.join(damaged[:MOST])}{more}"

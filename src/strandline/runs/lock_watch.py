@@ -7,9 +7,7 @@ from pathlib import Path
 from filelock import BaseFileLock, FileLock, Timeout
 
 from strandline.errors import LedgerError
-from strandline.runs.tables import last_driver
-
-__all__ = ["Hold", "locked"]
+from strandline.runs.ledger_schema import last_driver
 
 
 def locked(path: Path) -> BaseFileLock:
