@@ -244,8 +244,6 @@ EXPLAINED_ON_LINE: dict[tuple[str, str, str, str], str] = {
     ("runs/ledger_schema.py", 'if os.name == "posix"', "os.name == 'posix'", "(os.name != 'posix')"): (
         "Only shows if the power fails."
     ),
-    ("runs/workers.py", "def end(self, deadline", "0.0", "(1.0)"): "Never a time that is still to come.",
-    ("runs/workers.py", "self.process.wait(max(0.0", "0.0", "(1.0)"): "Waits up to a second longer.",
     ("imaging/course.py", "far = bound > 0", "0", "(1)"): "Crossed normals are sought from one pixel farther out.",
     ("imaging/edge.py", "(-ASIDE, 0.0, ASIDE)", "0.0", "(1.0)"): "Looks at the place one pixel beside.",
     (

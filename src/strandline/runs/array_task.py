@@ -16,11 +16,11 @@ from pathlib import Path
 from strandline.errors import InvalidInput
 from strandline.models.protocol import ForwardModel, asks_sensitivities, fingerprint, with_sensitivities
 from strandline.models.python import PythonModel
-from strandline.runs.executors.seat import Seat
 from strandline.runs.executors.slurm_array import UNUSABLE
 from strandline.runs.executors.slurm_batch import Batch
 from strandline.runs.record import RunRecord, RunRequest, with_log
 from strandline.runs.worker import packed_model
+from strandline.runs.worker_slot import WorkerSlot
 
 
 def main(arguments: list[str]) -> None:
@@ -50,11 +50,11 @@ def run_task(folder: Path, index: int, load: Callable[[], ForwardModel]) -> None
         return
     request, began = batch.requests[index], time.monotonic()
     try:
-        seat = Seat(packed_model(_fitting(load(), batch)))
+        slot = WorkerSlot(packed_model(_fitting(load(), batch)))
         try:
-            record = seat.run(request, batch.timeout, wanted=lambda: not walltime_over.is_set())
+            record = slot.run(request, batch.timeout, wanted=lambda: not walltime_over.is_set())
         finally:
-            seat.close()
+            slot.close()
     except InvalidInput as error:
         batch.put(index, RunRecord(request.key, request.inputs, "killed", failure_kind=UNUSABLE, message=str(error)))
         return

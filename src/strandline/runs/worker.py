@@ -2,7 +2,6 @@
 
 import contextlib
 import ctypes
-import importlib
 import os
 import pickle
 import signal
@@ -12,7 +11,6 @@ import traceback
 from multiprocessing import spawn
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
 from strandline.errors import InvalidInput
 from strandline.models.protocol import ForwardModel
@@ -140,20 +138,3 @@ def require_posix() -> None:
         raise InvalidInput(
             "worker processes", value=os.name, expected="Linux or macOS", remedy="Use InProcess(), or run under WSL."
         )
-
-
-def imported(module: str) -> Any:
-    """Return a module of the extra ``dask``.
-
-    Raises:
-        InvalidInput: the module is not installed.
-    """
-    try:
-        return importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        raise InvalidInput(
-            "the executor dask",
-            value=f"no module {error.name}",
-            expected="the extra `dask`",
-            remedy='Install it: pip install "strandline[dask]"',
-        ) from None

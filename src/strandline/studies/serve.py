@@ -19,7 +19,8 @@ from strandline.models.umbridge.answers import Blocks, ServedModel
 from strandline.models.umbridge.layout import flattened
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord, RunRequest, run_key
-from strandline.runs.on_call import OnCall
+from strandline.runs.worker import packed_model
+from strandline.runs.worker_slot import WorkerSlot
 from strandline.studies.inputs import check_values
 from strandline.studies.noise import require_stated
 from strandline.studies.observed import noisy
@@ -39,10 +40,10 @@ class Solver:
     """
 
     def __init__(self, model: ForwardModel, *, workers: int = 1, timeout: float | None = None) -> None:
-        self._all = [OnCall(model, timeout=timeout) for _ in range(workers)]
-        self._idle: LifoQueue[OnCall] = LifoQueue()
-        for process in self._all:
-            self._idle.put(process)
+        self._timeout, self._workers, self._closed = timeout, workers, threading.Event()
+        self._idle: LifoQueue[WorkerSlot] = LifoQueue()
+        for _ in range(workers):
+            self._idle.put(WorkerSlot(packed_model(model)))
         self._known: dict[str, Future[RunRecord]] = {}
         self._lock = threading.Lock()
 
@@ -66,17 +67,21 @@ class Solver:
 
     def close(self) -> None:
         """End the processes, with the runs that they are making."""
-        for process in self._all:
-            process.close()
+        self._closed.set()
+        for _ in range(self._workers):
+            self._idle.get().close()
 
     def _make(self, request: RunRequest, future: Future[RunRecord]) -> None:
-        process = self._idle.get()
+        slot = self._idle.get()
         try:
-            future.set_result(process(request))
+            record = slot.run(request, self._timeout, wanted=lambda: not self._closed.is_set())
+            message = "stopped with its process"
+            stopped = RunRecord(request.key, request.inputs, "killed", failure_kind="stopped", message=message)
+            future.set_result(stopped if record is None or self._closed.is_set() else record)
         except BaseException as error:
             future.set_exception(error)
         finally:
-            self._idle.put(process)
+            self._idle.put(slot)
         if future.exception() is not None or not future.result().ok:
             with self._lock:
                 self._known.pop(request.key, None)

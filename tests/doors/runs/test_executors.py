@@ -12,7 +12,8 @@ from tests.doors.runs.processes import Unloadable, hanging_driver, pids, process
 
 from strandline.errors import InvalidInput
 from strandline.runs import InProcess, LocalProcesses
-from strandline.runs.on_call import OnCall
+from strandline.runs.worker import packed_model
+from strandline.runs.worker_slot import WorkerSlot
 from strandline.testing.executors import CHECKS, CRASH_CHECKS, TIMEOUT_CHECKS, WAITING_CHECKS, requests_for
 from strandline.testing.models import Cantilever, Counted, Faulty, KilledWhileLoading
 
@@ -40,14 +41,14 @@ def test_local_processes_wait_for_requests():
         WAITING_CHECKS[name](LocalProcesses(1), workers=1)
 
 
-def on_call(model, requests):
+def one_slot(model, requests):
     """Give requests one by one to a worker process that is kept."""
-    with contextlib.closing(OnCall(model)) as call:
+    with contextlib.closing(WorkerSlot(packed_model(model))) as slot:
         for request in requests:
-            yield call(request)
+            yield slot.run(request, None, wanted=lambda: True)
 
 
-@pytest.mark.parametrize("executor", [LocalProcesses(2), on_call], ids=["local", "on call"])
+@pytest.mark.parametrize("executor", [LocalProcesses(2), one_slot], ids=["local", "one slot"])
 def test_workers_killed_while_they_load_are_replaced_and_not_for_ever(tmp_path, executor):
     thrice = KilledWhileLoading(str(tmp_path), times=3)
     assert [record.state for record in executor(thrice, requests_for(thrice))] == ["ok"] * 6

@@ -1,7 +1,5 @@
 """Executors for clusters, without a cluster: options, keys, what is submitted, and what comes back."""
 
-import os
-import socket
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,8 +11,7 @@ from strandline.runs import LocalProcesses, RunRecord
 from strandline.runs.array_task import _out_of_walltime
 from strandline.runs.executors import dask_cluster, slurm_commands, with_workers
 from strandline.runs.executors.dask import DaskCluster
-from strandline.runs.executors.dask_cluster import keys_in_files
-from strandline.runs.executors.options import walltime_seconds
+from strandline.runs.executors.shared import walltime_seconds
 from strandline.runs.executors.slurm_array import SlurmArray, _without_result
 from strandline.runs.executors.slurm_batch import Batch, known_batches, read_run
 from strandline.testing.executors import requests_for, same_outcome
@@ -86,29 +83,13 @@ def test_the_scheduler_of_jobs_listens_at_one_address_and_shows_no_pages():
     assert "host" not in dask_cluster._listening("slurm", {"interface": "ib0"})
 
 
-def test_files_of_keys_are_for_their_owner_and_go(tmp_path):
-    before = os.umask(0)
-    try:
-        with keys_in_files(tmp_path / "here") as security:
-            key, certificate = Path(security.tls_worker_key), Path(security.tls_ca_file)
-            assert "PRIVATE KEY" in key.read_text()
-            assert "PRIVATE KEY" not in certificate.read_text()
-            assert {path.stat().st_mode & 0o777 for path in (key, certificate)} == {0o600}
-            assert key.parent.stat().st_mode & 0o777 == 0o700
-    finally:
-        os.umask(before)
-    assert list((tmp_path / "here").iterdir()) == []
-
-
-def test_only_keys_of_drivers_of_this_machine_that_are_gone_are_removed(tmp_path, monkeypatch):
-    """A machine whose name begins like ours shares the folder; its process 2-… is no process 2 of ours."""
-    monkeypatch.setattr(socket, "gethostname", lambda: "node")
-    gone, mine = 999_999_999, os.getpid()
-    theirs, ours, alive = (tmp_path / f"dask-node-{rest}" for rest in (f"{gone}-{gone}-x1", f"{gone}-x1", f"{mine}-x1"))
-    for folder in (theirs, ours, alive):
-        folder.mkdir()
-    with keys_in_files(tmp_path):
-        assert [folder.exists() for folder in (theirs, ours, alive)] == [True, False, True]
+def test_a_folder_for_keys_that_cannot_be_written_is_one_clear_error(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert dask_cluster._shared_folder("slurm") == str(tmp_path / ".cache" / "strandline")
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("HOME", str(tmp_path / "file"))
+    with pytest.raises(InvalidInput, match=r"folder for the keys.*jobqueue\.pbs\.shared-temp-directory"):
+        dask_cluster._shared_folder("pbs")
 
 
 def test_the_options_of_an_array_are_those_of_sbatch():

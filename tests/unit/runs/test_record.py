@@ -8,7 +8,6 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -23,7 +22,7 @@ from strandline.models.protocol import Simulation
 from strandline.runs import InProcess, RunRecord, RunRequest, attempt, run_key, scratch
 from strandline.runs.executors.slurm_batch import read_run, write_run
 from strandline.runs.record import MESSAGE_CHARACTERS, with_log
-from strandline.runs.workers import Worker, _how_it_ended
+from strandline.runs.worker_slot import _how_it_ended
 from strandline.testing.executors import same_outcome
 from strandline.testing.models import Cantilever, TwoLoads
 
@@ -254,4 +253,3 @@ def test_folders_of_other_machines_and_users_and_links_stay(parent, monkeypatch)
 
 def test_how_a_worker_ended():
     assert [_how_it_ended(code) for code in (None, 3, -9)] == ["exit code None", "exit code 3", "signal SIGKILL"]
-    assert [Worker.overdue(SimpleNamespace(deadline=at)) for at in (None, -math.inf, math.inf)] == [False, True, False]

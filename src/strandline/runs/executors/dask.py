@@ -13,17 +13,17 @@ from typing import Any, ClassVar
 
 from strandline.errors import InvalidInput
 from strandline.models.protocol import ForwardModel
-from strandline.runs.executors.dask_cluster import JOB_OPTIONS, opened
+from strandline.runs.executors.dask_cluster import JOB_OPTIONS, imported, opened
 from strandline.runs.executors.dask_driver import Driver
 from strandline.runs.executors.local import usable_cores
-from strandline.runs.executors.options import (
+from strandline.runs.executors.shared import (
     require_count,
     require_room_in_walltime,
     require_timeout,
     walltime_seconds,
 )
 from strandline.runs.record import RunRecord, RunRequest
-from strandline.runs.worker import imported, packed_model, require_posix
+from strandline.runs.worker import packed_model, require_posix
 
 __all__ = ["DaskCluster"]
 

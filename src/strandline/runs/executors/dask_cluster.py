@@ -1,11 +1,9 @@
 """Starting, reaching and ending Dask clusters."""
 
 import contextlib
+import importlib
 import logging
 import os
-import re
-import shutil
-import socket
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -13,98 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from strandline.errors import InvalidInput
-from strandline.runs.worker import imported, require_not_loading
-from strandline.runs.workers import interrupts_held_back
-
-ROLES = ("client", "scheduler", "worker")
-
-
-def key_in_memory() -> Any:
-    """Return a new key and its certificate, for all parts of a cluster, as a `distributed.Security`.
-
-    Raises:
-        InvalidInput: the package ``cryptography`` is not installed.
-    """
-    from distributed.security import Security
-
-    imported("cryptography")
-    return Security.temporary()  # type: ignore[no-untyped-call]
-
-
-@contextlib.contextmanager
-def keys_in_files(parent: Path) -> Iterator[Any]:
-    """Yield a new key whose files, readable by this user only, are in their own folder inside `parent`.
-
-    Jobs find the files by their path, so a command line shows only the path. The files are removed at the end; those of
-    a driver that was killed are removed by the next one on the same machine.
-
-    Args:
-        parent: folder that the nodes see.
-
-    Raises:
-        InvalidInput: the files cannot be written; the package ``cryptography`` is not installed.
-    """
-    security = key_in_memory()
-    try:
-        parent.mkdir(parents=True, exist_ok=True)
-        _remove_forgotten(parent)
-        folder = Path(tempfile.mkdtemp(prefix=f"{_prefix()}{os.getpid()}-", dir=parent))  # with mode 0700
-    except OSError as error:
-        raise _unwritable(parent, error) from None
-    try:
-        yield _written(security, folder)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _written(security: Any, folder: Path) -> Any:
-    """Return `security` with its key and its certificate in files inside `folder`."""
-    from distributed.security import Security
-
-    certificate = _put(folder / "certificate.pem", security.tls_worker_cert)
-    key = _put(folder / "key.pem", security.tls_worker_key)
-    parts = {f"tls_{role}_cert": certificate for role in ROLES} | {f"tls_{role}_key": key for role in ROLES}
-    return Security(require_encryption=True, tls_ca_file=certificate, **parts)  # type: ignore[no-untyped-call]
-
-
-def _put(path: Path, text: str) -> str:
-    """Write a file that no other user may read, not even for a moment."""
-    path.touch(mode=0o600, exist_ok=False)
-    path.write_text(text, encoding="ascii")
-    return str(path)
-
-
-def _prefix() -> str:
-    return f"dask-{socket.gethostname()}-"
-
-
-def _remove_forgotten(parent: Path) -> None:
-    """Remove the keys of drivers on this machine that are gone."""
-    name = re.compile(re.escape(_prefix()) + r"(\d+)-[^-]+")  # not the folders of a machine whose name begins like ours
-    for folder in parent.iterdir():
-        found = name.fullmatch(folder.name)
-        if found and not _alive(int(found[1])):
-            shutil.rmtree(folder, ignore_errors=True)
-
-
-def _alive(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass
-    return True
-
-
-def _unwritable(parent: Path, error: OSError) -> InvalidInput:
-    return InvalidInput(
-        "folder for the keys of a Dask cluster",
-        value=f"{parent}: {error.strerror or error}",
-        expected="a folder that can be written here and read on the nodes",
-        remedy="Name one in Dask's configuration: jobqueue.slurm.shared-temp-directory (or jobqueue.pbs.…).",
-    )
-
+from strandline.runs.worker import require_not_loading
+from strandline.runs.worker_slot import interrupts_held_back
 
 JOB_OPTIONS = ("cores", "memory", "walltime", "queue", "account", "interface", "extra", "prologue")
 REACH_SECONDS = 20.0
@@ -202,8 +110,7 @@ def opened(
             yield Cluster(client, address)
             return
         submissions = Submissions() if kind in ("slurm", "pbs") else None
-        security = key_in_memory() if submissions is None else stack.enter_context(keys_in_files(_shared_folder(kind)))
-        maker = _started(kind, workers, jobs, submissions, security)
+        maker = _started(kind, workers, jobs, submissions)
         stack.callback(_end, maker)
         client = stack.enter_context(_client(maker, str(maker.scheduler_address), reach_seconds))
         patience = lost_process_seconds if submissions is None else LOST_JOB_SECONDS
@@ -241,9 +148,16 @@ def _first_line(error: Exception) -> str:
     return (str(error).strip() or type(error).__name__).splitlines()[0]
 
 
-def _started(kind: str, workers: int, jobs: Mapping[str, Any], submissions: Submissions | None, security: Any) -> Any:
-    """Return a cluster of our own; its processes leave Ctrl-C to the driver."""
+def _started(kind: str, workers: int, jobs: Mapping[str, Any], submissions: Submissions | None) -> Any:
+    """Return a cluster of our own with a new key, without which nobody can give or take runs.
+
+    Its processes leave Ctrl-C to the driver.
+    """
+    from distributed.security import Security
+
     require_not_loading()
+    imported("cryptography")
+    security: Any = Security.temporary()  # type: ignore[no-untyped-call]
     with interrupts_held_back():
         return _local(workers, security) if submissions is None else _queued(kind, workers, jobs, submissions, security)
 
@@ -272,7 +186,10 @@ def _local(workers: int, security: Any) -> Any:
 
 
 def _queued(kind: str, workers: int, jobs: Mapping[str, Any], submissions: Submissions, security: Any) -> Any:
-    """Return a cluster whose workers are jobs, always adaptive: with plain scaling, a lost job is never replaced."""
+    """Return a cluster whose workers are jobs, always adaptive: with plain scaling, a lost job is never replaced.
+
+    Jobs find the key in a file that only this user can read, and that goes with the cluster.
+    """
     import dask.config
 
     queues: Any = imported("dask_jobqueue")
@@ -287,6 +204,7 @@ def _queued(kind: str, workers: int, jobs: Mapping[str, Any], submissions: Submi
         job_script_prologue=list(jobs.get("prologue", ())),
         silence_logs=logging.CRITICAL,
         security=security,
+        shared_temp_directory=_shared_folder(kind),
         protocol="tls://",
         scheduler_options=_listening(kind, jobs),
         worker_extra_args=[*arguments, "--no-dashboard", "--dashboard-address", LOOPBACK],
@@ -306,10 +224,41 @@ def _listening(kind: str, jobs: Mapping[str, Any]) -> dict[str, Any]:
     return options
 
 
-def _shared_folder(kind: str) -> Path:
-    """Return the folder of the keys that jobs read: as in Dask's configuration, otherwise in the home folder."""
+def _shared_folder(kind: str) -> str:
+    """Return the folder of the keys that jobs read: as in Dask's configuration, otherwise in the home folder.
+
+    Raises:
+        InvalidInput: No file can be written there.
+    """
     import dask.config
 
-    imported("dask_jobqueue")
     named = dask.config.get(f"jobqueue.{kind}.shared-temp-directory", None)
-    return Path(os.path.expandvars(named)).expanduser() if named else Path.home() / ".cache" / "strandline"
+    folder = Path(os.path.expandvars(named)).expanduser() if named else Path.home() / ".cache" / "strandline"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise InvalidInput(
+            "folder for the keys of a Dask cluster",
+            value=f"{folder}: {error.strerror or error}",
+            expected="a folder that can be written here and read on the nodes",
+            remedy=f"Name one in Dask's configuration: jobqueue.{kind}.shared-temp-directory.",
+        ) from None
+    return str(folder)
+
+
+def imported(module: str) -> Any:
+    """Return a module of the extra ``dask``.
+
+    Raises:
+        InvalidInput: the module is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        raise InvalidInput(
+            "the executor dask",
+            value=f"no module {error.name}",
+            expected="the extra `dask`",
+            remedy='Install it: pip install "strandline[dask]"',
+        ) from None

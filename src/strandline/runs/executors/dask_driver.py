@@ -1,127 +1,99 @@
 """The driver of one call of the Dask executor: it gives each run to a free thread, and looks after the workers."""
 
 import contextlib
-import itertools
 import math
 import threading
 import time
 import uuid
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from queue import Empty, SimpleQueue
 from typing import Any
 
 from strandline.errors import InvalidInput
 from strandline.runs.executors.dask_cluster import Cluster
-from strandline.runs.executors.options import SPARE_SECONDS
-from strandline.runs.executors.seat import Seat
-from strandline.runs.record import NOT_NOW, RunRecord, RunRequest
+from strandline.runs.executors.shared import SPARE_SECONDS, Dispatcher
+from strandline.runs.record import RunRecord, RunRequest
+from strandline.runs.worker_slot import WorkerSlot
 
+SECONDS_BETWEEN_DISMISSALS = 2.0
+SECONDS_BETWEEN_LOOKS = 1.0
+SECONDS_BETWEEN_QUESTIONS = 0.25
+"""How long the driver waits for news before it asks again for requests, if there were none the last time."""
+SILENCE_BORNE_SECONDS = 60.0
+"""How long the scheduler may be unreachable."""
+FETCH_SECONDS = 30.0
 SESSIONS_REMEMBERED = 1000
 
 
 @dataclass(frozen=True)
-class DaskStart:
-    """The start of one worker process as Dask sees it; `DaskJob` uses the process.
-
-    Args:
-        session: call of the executor that it belongs to.
-        setup: model, from `packed_model`.
-    """
-
-    session: str
-    setup: bytes
-
-    def __call__(self) -> bool:
-        """Start a new worker process and return whether it is ready.
-
-        Raises:
-            InvalidInput: the worker process cannot load the model.
-        """
-        _seats.end_others(self.session)
-        with _seats.kept(self.session, Seat(self.setup)) as seat:
-            return seat.start(wanted=_wanted())
-
-
-@dataclass(frozen=True)
 class DaskJob:
-    """One run as Dask sees it: it returns a record whatever the simulator does.
+    """A task as Dask sees it, which a Dask worker hands to a worker process of strandline: a crash harms only that.
 
     Args:
-        session: the call of the executor that it belongs to.
-        setup: the model, from `packed_model`.
-        request: the run.
-        timeout: seconds after which it is killed.
+        session: Call of the executor that it belongs to.
+        setup: Model, from `packed_model`.
+        request: Run to make; None: start a worker process and keep it for a run.
+        timeout: Seconds after which the run is killed.
     """
 
     session: str
     setup: bytes
-    request: RunRequest
-    timeout: float | None
+    request: RunRequest | None = None
+    timeout: float | None = None
 
-    def __call__(self) -> RunRecord | None:
-        """Make the run and return its record; the record is lost if the driver has gone meanwhile.
+    def __call__(self) -> RunRecord | bool | None:
+        """Return the record of the run, however it ends, or whether a worker process is ready; None if not wanted.
 
         Raises:
             InvalidInput: the worker process cannot load the model.
         """
-        with _seats.kept(self.session, _seats.idle_one(self.session) or Seat(self.setup)) as seat:
-            return seat.run(self.request, self.timeout, wanted=_wanted())
+        wanted = _wanted()
+        if self.request is None:
+            with _lock:  # the drivers of other sessions may be gone; if not, they start new processes
+                others = [session for session in _idle if session != self.session]
+            _close_idle(others)
+            with _kept(self.session, WorkerSlot(self.setup)) as slot:
+                return slot.start(wanted=wanted)
+        with _lock:
+            mine = _idle.get(self.session)
+            idle = mine.pop() if mine else None
+        with _kept(self.session, idle or WorkerSlot(self.setup)) as slot:
+            return slot.run(self.request, self.timeout, wanted=wanted)
+
+
+_lock = threading.Lock()
+_idle: dict[str, list[WorkerSlot]] = {}
+"""The idle slots of this Dask worker, by the session for which they are set up."""
+_ended: deque[str] = deque(maxlen=SESSIONS_REMEMBERED)
 
 
 def end_session(session: str) -> None:
     """End the worker processes of `session` on this Dask worker: the idle ones now, the others after their run."""
-    _seats.end(session)
+    _ended.append(session)
+    _close_idle([session])
 
 
-class _Seats:
-    """The idle seats of this process, by the session for which they are set up."""
-
-    def __init__(self) -> None:
-        self.lock = threading.Lock()
-        self.idle: dict[str, list[Seat]] = {}
-        self.ended: deque[str] = deque(maxlen=SESSIONS_REMEMBERED)
-
-    def idle_one(self, session: str) -> Seat | None:
-        """Take an idle seat of `session`; None if there is none."""
-        with self.lock:
-            mine = self.idle.get(session)
-            return mine.pop() if mine else None
-
-    @contextmanager
-    def kept(self, session: str, seat: Seat) -> Iterator[Seat]:
-        """Yield `seat`, which is idle afterwards; close it if the session has ended, or after an error."""
-        try:
-            yield seat
-        except BaseException:
-            seat.close()
-            raise
-        with self.lock:
-            ended = session in self.ended
-            if not ended:
-                self.idle.setdefault(session, []).append(seat)
-        if ended:
-            seat.close()
-
-    def end(self, session: str) -> None:
-        """Close the idle seats of `session`, and let none of its seats become idle again."""
-        with self.lock:
-            self.ended.append(session)
-            seats = self.idle.pop(session, [])
-        for seat in seats:
-            seat.close()
-
-    def end_others(self, session: str) -> None:
-        """Close the idle seats of other sessions: their drivers may be gone; if not, they start new ones."""
-        with self.lock:
-            others = [self.idle.pop(of) for of in list(self.idle) if of != session]
-        for seat in itertools.chain.from_iterable(others):
-            seat.close()
+def _close_idle(sessions: Collection[str]) -> None:
+    with _lock:
+        slots = [slot for session in sessions for slot in _idle.pop(session, [])]
+    for slot in slots:
+        slot.close()
 
 
-_seats = _Seats()
+@contextlib.contextmanager
+def _kept(session: str, slot: WorkerSlot) -> Iterator[WorkerSlot]:
+    """Yield `slot`, which is idle afterwards; close it if the session has ended, or after an error."""
+    try:
+        yield slot
+    except BaseException:
+        slot.close()
+        raise
+    with _lock:
+        _idle.setdefault(session, []).append(slot)
+    if session in _ended:
+        _close_idle([session])
 
 
 def _wanted() -> Callable[[], bool]:
@@ -138,26 +110,17 @@ def _wanted() -> Callable[[], bool]:
     return wanted
 
 
-SECONDS_BETWEEN_DISMISSALS = 2.0
-SECONDS_BETWEEN_LOOKS = 1.0
-SECONDS_BETWEEN_QUESTIONS = 0.25
-"""How long the driver waits for news before it asks again for requests, if there were none the last time."""
-SILENCE_BORNE_SECONDS = 60.0
-"""How long the scheduler may be unreachable."""
-FETCH_SECONDS = 30.0
-
-
 @dataclass
-class _Out:
-    """A run that was given to a worker."""
+class _Task:
+    """What was given to a worker: a run, or the start of a worker process if there is no request."""
 
-    request: RunRequest
+    request: RunRequest | None
     worker: str
     future: Any
     began: float
 
 
-class Driver:
+class Driver(Dispatcher[str]):
     """One call: the runs that are out, the records not handed over yet, and the workers present.
 
     A thread gets runs only when it has a worker process that has loaded the model, so no run waits for that.
@@ -185,66 +148,32 @@ class Driver:
         most: int,
         silence_borne_seconds: float = SILENCE_BORNE_SECONDS,
     ) -> None:
-        self.cluster, self.setup, self.requests = cluster, setup, requests
+        super().__init__(requests)
+        self.cluster, self.setup = cluster, setup
         self.timeout, self.life, self.least, self.most = timeout, life, least, most
         self.silence_borne_seconds = silence_borne_seconds
         self.session, self.number = uuid.uuid4().hex, 0
-        self.exhausted = self.told_to_wait = False
-        self.held: RunRequest | None = None
-        self.out: dict[str, _Out] = {}
-        self.starts: dict[str, tuple[str, Any]] = {}
+        self.out: dict[str, _Task] = {}
         self.news: SimpleQueue[str] = SimpleQueue()
-        self.done: deque[tuple[str, RunRecord]] = deque()
         self.threads: dict[str, int] = {}
         self.ready: dict[str, int] = {}
         self.first_seen: dict[str, float] = {}
         self.retired: dict[str, float] = {}
         self.looked = self.reached = time.monotonic()
 
-    def records(self) -> Iterator[RunRecord]:
-        """Yield records until every request that was pulled is answered."""
-        self._look()
-        while True:
-            while self.done:
-                _, record = self.done.popleft()
-                self._fill()
-                yield record
-            if self.told_to_wait:
-                self._hear(0.0)  # the requests may wait for what has come meanwhile
-                if self.done:
-                    continue
-                self.told_to_wait = False
-            self._fill()
-            if self.exhausted and self.held is None and not self.out and not self.done:
-                return
-            self._hear(self._patience())
-
     def close(self) -> None:
         """Stop the runs that are still out."""
         if self.looked > self.reached:
             return  # the scheduler is gone, or was a moment ago
         client: Any = self.cluster.client
-        futures = [out.future for out in self.out.values()] + [future for _, future in self.starts.values()]
         with contextlib.suppress(Exception):  # the scheduler may be gone, and the runs with it
-            client.cancel(futures, force=True)
+            client.cancel([task.future for task in self.out.values()], force=True)
             client.run(end_session, self.session, on_error="ignore")
 
-    def _fill(self) -> None:
-        """Pull a request for each free thread and start it there."""
-        while (worker := self._free_worker()) is not None:
-            if self.held is None:
-                self.held = self._pulled()
-                if self.held is None:
-                    return
-                if time.monotonic() >= self.looked + SECONDS_BETWEEN_LOOKS:
-                    self._look()  # a worker may have gone while the next run was chosen
-                    continue
-            request, self.held = self.held, None
-            self._submit(request, worker)
-
-    def _free_worker(self) -> str | None:
+    def free(self) -> str | None:
         """Return a worker with a free thread; let workers go whose job has too little time left."""
-        taken = Counter(out.worker for out in self.out.values()) + Counter(worker for worker, _ in self.done)
+        taken = Counter(task.worker for task in self.out.values() if task.request is not None)
+        taken.update(worker for worker, _ in self.done)
         free = None
         for worker, ready in self.ready.items():
             if self._spent(worker):
@@ -254,77 +183,82 @@ class Driver:
                 free = worker
         return free
 
-    def _pulled(self) -> RunRequest | None:
-        """Return the next request; None if there is none now, or there are no more."""
-        if self.exhausted or self.told_to_wait:
-            return None
-        try:
-            request = next(self.requests)
-        except StopIteration:
-            self._no_more()
-            return None
-        self.told_to_wait = request is NOT_NOW
-        return None if self.told_to_wait else request
-
-    def _submit(self, request: RunRequest, worker: str) -> None:
-        key, future = self._sent(DaskJob(self.session, self.setup, request, self.timeout), worker)
-        self.out[key] = _Out(request, worker, future, time.monotonic())
+    def submit(self, request: RunRequest | None, place: str) -> None:
+        """Give a run to a worker; without a request, let it start a worker process."""
+        self.number += 1
+        key = f"strandline-{self.session}-{self.number}"
+        job = DaskJob(self.session, self.setup, request, self.timeout)
+        future = self.cluster.client.submit(
+            job, key=key, workers=[place], allow_other_workers=False, pure=False, retries=0
+        )
+        self.out[key] = _Task(request, place, future, time.monotonic())
         future.add_done_callback(lambda done: self.news.put(done.key))
+
+    def hear(self, *, wait: bool) -> None:
+        """Deal with all news, and look after the workers now and then."""
+        longest = SECONDS_BETWEEN_QUESTIONS if self.told_to_wait else SECONDS_BETWEEN_LOOKS
+        with contextlib.suppress(Empty):
+            self._take(self.news.get(timeout=longest if self.threads else 0.1) if wait else self.news.get_nowait())
+            while True:
+                self._take(self.news.get_nowait())
+        if not self.threads:
+            self._look()
+        self.changed()
+
+    def busy(self) -> bool:
+        """Return whether a run is out."""
+        return any(task.request is not None for task in self.out.values())
+
+    def changed(self) -> bool:
+        """Look after the workers if it is time: one may have gone while the next run was chosen."""
+        late = time.monotonic() >= self.looked + SECONDS_BETWEEN_LOOKS
+        if late:
+            self._look()
+        return late
+
+    def no_more(self) -> None:
+        """Release jobs that have nothing left to do."""
+        busy = {task.worker for task in self.out.values() if task.request is not None}
+        self.cluster.shrink(max(self.least, len(busy)))
 
     def _start_processes(self) -> None:
         """Start worker processes for the threads that have none, up to the maximum number of threads."""
-        starting = Counter(worker for worker, _ in self.starts.values())
+        starting = Counter(task.worker for task in self.out.values() if task.request is None)
         room = self.most - sum(self.ready.values()) - starting.total()
         for worker, threads in self.threads.items():
             for _ in range(min(room, threads - self.ready.setdefault(worker, 0) - starting[worker])):
                 room -= 1
-                key, future = self._sent(DaskStart(self.session, self.setup), worker)
-                self.starts[key] = worker, future
-                future.add_done_callback(lambda done: self.news.put(done.key))
-
-    def _sent(self, job: DaskJob | DaskStart, worker: str) -> tuple[str, Any]:
-        self.number += 1
-        key = f"strandline-{self.session}-{self.number}"
-        future = self.cluster.client.submit(
-            job, key=key, workers=[worker], allow_other_workers=False, pure=False, retries=0
-        )
-        return key, future
-
-    def _patience(self) -> float:
-        """Return the seconds until something must be done even without news."""
-        if not self.threads:
-            return 0.1
-        return SECONDS_BETWEEN_QUESTIONS if self.told_to_wait else SECONDS_BETWEEN_LOOKS
-
-    def _hear(self, longest: float) -> None:
-        """Wait for news, up to `longest` seconds, and deal with all of it; look after the workers now and then."""
-        with contextlib.suppress(Empty):
-            self._take(self.news.get(timeout=longest) if longest else self.news.get_nowait())
-        while not self.news.empty():
-            self._take(self.news.get())
-        if time.monotonic() >= self.looked + SECONDS_BETWEEN_LOOKS or not self.threads:
-            self._look()
+                self.submit(None, worker)
 
     def _take(self, key: str) -> None:
         """Keep the record of a run that has ended, or note that a thread is ready."""
-        if key in self.starts:
-            self._note_start(*self.starts.pop(key))
-        elif key in self.out:
-            out = self.out.pop(key)
-            self.done.append((out.worker, self._record(out)))
-
-    def _note_start(self, worker: str, future: Any) -> None:
-        if self._result(future) is True and worker in self.ready:
-            self.ready[worker] += 1
-
-    def _record(self, out: _Out) -> RunRecord:
-        result = self._result(out.future)
-        if isinstance(result, RunRecord):
-            return replace(result, key=out.request.key, inputs=out.request.inputs)
-        if isinstance(result, Exception):
+        task = self.out.pop(key, None)
+        if task is None:
+            return
+        result = self._result(task.future)
+        if task.request is None:
+            if result is True and task.worker in self.ready:
+                self.ready[task.worker] += 1
+        elif isinstance(result, RunRecord):
+            self.done.append((task.worker, replace(result, key=task.request.key, inputs=task.request.inputs)))
+        elif isinstance(result, Exception):
             self._look()  # if the scheduler is gone, nothing must be given to it
-            return _vanished(out, type(result).__name__)
-        return _vanished(out, "it was cancelled")
+            self._lose(task, type(result).__name__)
+        else:
+            self._lose(task, "it was cancelled")
+
+    def _lose(self, task: _Task, how: str) -> None:
+        """Keep the record of a run that vanished with its worker."""
+        if task.request is not None:
+            record = RunRecord(
+                task.request.key,
+                task.request.inputs,
+                "killed",
+                seconds=time.monotonic() - task.began,
+                failure_kind="worker_died",
+                message=f"the Dask worker of this run vanished: {how}",
+            )
+            self.done.append((task.worker, record))
 
     def _result(self, future: Any) -> Any:
         """Return what a future holds, or the error that says that its worker is gone.
@@ -368,14 +302,11 @@ class Driver:
     def _forget_the_gone(self) -> None:
         """Record as lost the runs of workers that are no longer there."""
         self.ready = {worker: ready for worker, ready in self.ready.items() if worker in self.threads}
-        for key in [key for key, (worker, _) in self.starts.items() if worker not in self.threads]:
-            self.starts.pop(key)[1].cancel(force=True)
-        for key in [key for key, out in self.out.items() if out.worker not in self.threads]:
-            if self.out[key].future.status == "finished":
-                continue
-            out = self.out.pop(key)
-            out.future.cancel(force=True)
-            self.done.append((out.worker, _vanished(out, f"the Dask worker {out.worker} is gone")))
+        for key, task in list(self.out.items()):
+            if task.worker not in self.threads and (task.request is None or task.future.status != "finished"):
+                del self.out[key]
+                task.future.cancel(force=True)
+                self._lose(task, f"the Dask worker {task.worker} is gone")
 
     def _spent(self, worker: str) -> bool:
         """Return whether a run started there now might not end before its job does."""
@@ -395,22 +326,6 @@ class Driver:
         self.retired[worker] = now
         with contextlib.suppress(OSError, TimeoutError):
             self.cluster.client.retire_workers([worker], close_workers=True)
-
-    def _no_more(self) -> None:
-        """Release jobs that have nothing left to do."""
-        self.exhausted = True
-        self.cluster.shrink(max(self.least, len({out.worker for out in self.out.values()})))
-
-
-def _vanished(out: _Out, how: str) -> RunRecord:
-    return RunRecord(
-        out.request.key,
-        out.request.inputs,
-        "killed",
-        seconds=time.monotonic() - out.began,
-        failure_kind="worker_died",
-        message=f"the Dask worker of this run vanished: {how}",
-    )
 
 
 def _unusable(error: Exception) -> InvalidInput:

@@ -1,24 +1,24 @@
-"""Runs in worker processes on this machine."""
+"""Runs on this machine: in this process, or in worker processes."""
 
 import contextlib
 import os
 import shutil
-import time
-from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
 from operator import length_hint
-from pathlib import Path
+from queue import Empty, SimpleQueue
+from threading import Event, Thread
 from typing import ClassVar
 
 from strandline.models.protocol import ForwardModel
-from strandline.runs.executors.options import require_count, require_timeout
-from strandline.runs.executors.seat import KILLED_STARTS_BORNE, LONGEST_WAIT_SECONDS, killed_while_starting
-from strandline.runs.record import NOT_NOW, RunRecord, RunRequest, attempt
+from strandline.runs.executors.shared import Dispatcher, require_count, require_timeout
+from strandline.runs.record import RunRecord, RunRequest, attempt
 from strandline.runs.scratch import scratch_folder
 from strandline.runs.worker import packed_model, require_posix
-from strandline.runs.workers import Worker
+from strandline.runs.worker_slot import WorkerSlot
+
+LONGEST_WAIT_SECONDS = 0.5
+"""Time after which requests are pulled again if there were none the last time."""
 
 
 @dataclass(frozen=True)
@@ -68,142 +68,91 @@ class LocalProcesses:
             InvalidInput: the model cannot be sent to, or loaded in, a worker process.
         """
         require_posix()
-        setup = packed_model(model)
-        limit = usable_cores() if self.workers is None else self.workers
-        return self._run(setup, requests, limit)
+        return self._run(packed_model(model), requests, self.workers or usable_cores())
 
     def _run(self, setup: bytes, requests: Iterable[RunRequest], limit: int) -> Iterator[RunRecord]:
-        number = max(1, min(limit, length_hint(requests, limit)))
-        folder = scratch_folder()
+        number = min(limit, length_hint(requests, limit))
+        if number == 0:
+            return
+        crew = _Crew(setup, iter(requests), self.timeout, number)
         try:
-            pool = _Pool(folder, setup, iter(requests), self.timeout)
-            try:
-                yield from pool.records(number)
-            finally:
-                pool.close()
+            yield from crew.records()
         finally:
-            shutil.rmtree(folder, ignore_errors=True)
+            crew.close()
 
 
-class _Pool:
-    """The workers of one call, the requests still to come, and the records not handed over yet."""
+class _Crew(Dispatcher["_Place"]):
+    """The worker slots of one call, each with a thread that waits for its runs."""
 
-    def __init__(self, folder: Path, setup: bytes, requests: Iterator[RunRequest], timeout: float | None) -> None:
-        self.folder, self.requests, self.timeout = folder, requests, timeout
-        self.setup = folder / "model.pickle"
-        self.setup.write_bytes(setup)
-        self.workers: list[Worker] = []
-        self.done: deque[tuple[Worker, RunRecord]] = deque()
-        self.exhausted = self.told_to_wait = False
-        self.launched = self.started = self.killed_starts = 0
+    def __init__(self, setup: bytes, requests: Iterator[RunRequest], timeout: float | None, number: int) -> None:
+        super().__init__(requests)
+        self.news: SimpleQueue[tuple[_Place, object]] = SimpleQueue()
+        self.stopped = Event()
+        self.idle: list[_Place] = []
+        self.out = 0
+        self.places = [_Place(setup, timeout, self.news, self.stopped) for _ in range(number)]
+        for place in self.places:
+            place.start()
 
-    def records(self, number: int) -> Iterator[RunRecord]:
-        """Start `number` workers and yield records until every request that was pulled is answered."""
-        for _ in range(number):
-            self._launch()
-        while self.done or not self._finished():
-            while self.done:
-                yield self._handed_over()
-            if self.told_to_wait:
-                self._turn(0.0)  # the requests may wait for what has come meanwhile
-                if self.done:
-                    continue
-                self._ask_again()
-            if not self._finished():
-                self._turn(self._patience())
+    def free(self) -> "_Place | None":
+        taken = [place for place, _ in self.done]
+        return next((place for place in self.idle if place not in taken), None)
+
+    def submit(self, request: RunRequest, place: "_Place") -> None:
+        self.idle.remove(place)
+        self.out += 1
+        place.inbox.put(request)
+
+    def hear(self, *, wait: bool) -> None:
+        with contextlib.suppress(Empty):
+            self._take(*(self.news.get(timeout=LONGEST_WAIT_SECONDS) if wait else self.news.get_nowait()))
+            while True:
+                self._take(*self.news.get_nowait())
+
+    def busy(self) -> bool:
+        return self.out > 0
 
     def close(self) -> None:
         """Stop the workers: the idle ones by hanging up, the others at once."""
-        for worker in self.workers:
-            worker.hang_up()
-        deadline = time.monotonic() + 1.0
-        for worker in self.workers:
-            worker.end(deadline)
-        self.workers.clear()
+        self.stopped.set()
+        for place in self.places:
+            place.inbox.put(None)
+        for place in self.places:
+            place.join()
 
-    def _handed_over(self) -> RunRecord:
-        """Return the next record; before that, give the next request to the worker that made it and to no other."""
-        worker, record = self.done.popleft()
-        if worker in self.workers:
-            self._assign(worker)
-        return record
+    def _take(self, place: "_Place", found: object) -> None:
+        """Note that a place has loaded the model or made a run, or raise the error that keeps it from doing so."""
+        if isinstance(found, BaseException):
+            raise found
+        self.idle.append(place)
+        if isinstance(found, RunRecord):
+            self.out -= 1
+            self.done.append((place, found))
 
-    def _finished(self) -> bool:
-        return self.exhausted and not any(worker.busy for worker in self.workers)
 
-    def _launch(self) -> None:
-        self.launched += 1
-        self.workers.append(Worker.launch(self.folder, self.launched, self.setup))
+class _Place(Thread):
+    """A worker slot in its own thread, which makes the runs in `inbox`; `None` in it is the end."""
 
-    def _ask_again(self) -> None:
-        """Pull requests for the idle workers until `NOT_NOW` comes again."""
-        idle = [worker for worker in self.workers if worker.ready and not worker.busy]
-        self.told_to_wait = not idle
-        for worker in idle:
-            self._assign(worker)
+    def __init__(
+        self, setup: bytes, timeout: float | None, news: "SimpleQueue[tuple[_Place, object]]", stopped: Event
+    ) -> None:
+        super().__init__(daemon=True)
+        self.setup, self.timeout, self.news, self.stopped = setup, timeout, news, stopped
+        self.inbox: SimpleQueue[RunRequest | None] = SimpleQueue()
 
-    def _turn(self, longest: float) -> None:
-        """Wait for news from the workers, up to `longest` seconds, then deal with all of it."""
-        by_connection = {worker.connection: worker for worker in self.workers}
-        for connection in wait(list(by_connection), timeout=longest):
-            assert isinstance(connection, Connection)
-            self._hear(by_connection[connection])
-        for worker in list(self.workers):
-            if worker.overdue() and not worker.connection.poll():
-                self._lose(worker, worker.out_of_time(self.timeout or 0.0))
-            elif worker.gone() and not worker.connection.poll():
-                self._lose(worker, worker.vanished())
-
-    def _patience(self) -> float:
-        """Return the seconds until something must be checked even without news."""
-        deadlines = [worker.deadline for worker in self.workers if worker.deadline is not None]
-        return min([LONGEST_WAIT_SECONDS, *(max(0.0, deadline - time.monotonic()) for deadline in deadlines)])
-
-    def _hear(self, worker: Worker) -> None:
-        """Take what `worker` sent; a worker that has just become ready gets its first request."""
+    def run(self) -> None:
+        """Load the model, then make one run after the other, and report each to `news`."""
         try:
-            record = worker.receive()
-        except (EOFError, OSError):
-            self._lose(worker, worker.vanished())
-            return
-        if record is None:
-            self._assign(worker)
-        else:
-            self._keep(worker, record)
+            with contextlib.closing(WorkerSlot(self.setup)) as slot:
+                self.news.put((self, slot.start(wanted=self.wanted)))
+                for request in iter(self.inbox.get, None):
+                    self.news.put((self, slot.run(request, self.timeout, wanted=self.wanted)))
+        except BaseException as error:
+            self.news.put((self, error))
 
-    def _lose(self, worker: Worker, record: RunRecord | None) -> None:
-        """Replace a worker that is gone; keep the record of the run that it had."""
-        self.workers.remove(worker)
-        worker.end()
-        self.killed_starts += not worker.ready
-        if self.killed_starts > KILLED_STARTS_BORNE:
-            raise killed_while_starting(self.killed_starts)
-        if record is not None:
-            self._keep(worker, record)
-        if not self.exhausted:
-            self._launch()
-
-    def _keep(self, worker: Worker, record: RunRecord) -> None:
-        self.done.append((worker, record))
-        shutil.rmtree(worker.workdir, ignore_errors=True)
-
-    def _assign(self, worker: Worker) -> None:
-        """Pull the next request, which starts it, and send it to `worker`; try again later after `NOT_NOW`."""
-        if self.exhausted or self.told_to_wait:
-            return
-        try:
-            request = next(self.requests)
-        except StopIteration:
-            self.exhausted = True
-            return
-        if request is NOT_NOW:
-            self.told_to_wait = True
-            return
-        self.started += 1
-        workdir = self.folder / f"run-{self.started}"
-        workdir.mkdir()
-        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
-            worker.send(request, workdir, self.timeout)
+    def wanted(self) -> bool:
+        """Return whether the runs of this call are still wanted."""
+        return not self.stopped.is_set()
 
 
 def usable_cores() -> int:

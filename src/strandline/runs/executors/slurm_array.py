@@ -15,7 +15,7 @@ from pathlib import Path
 from strandline.errors import InvalidInput, StrandlineError
 from strandline.models.protocol import ForwardModel, asks_sensitivities
 from strandline.runs.executors import slurm_commands as slurm
-from strandline.runs.executors.options import (
+from strandline.runs.executors.shared import (
     require_count,
     require_room_in_walltime,
     require_timeout,
