@@ -50,7 +50,6 @@ def change(folder: Path, key: str, why: str | None, *, exclude: bool) -> None:
     """
     from strandline.runs import Ledger
     from strandline.studies.folder import LEDGER
-    from strandline.studies.study_runs import report_backup
 
     if exclude and why is None:
         raise InvalidInput(
@@ -64,7 +63,6 @@ def change(folder: Path, key: str, why: str | None, *, exclude: bool) -> None:
         model = reader.model
     with Ledger.open(path, model=model) as ledger:
         ledger.exclude(key, why or "") if exclude else ledger.include(key, why or "")
-        report_backup(ledger, click.echo)
     done = "excluded: it is not used and not made again" if exclude else "included again"
     click.echo(f"run {key[:12]} is {done}; `strandline run {folder}` makes the results again")
 

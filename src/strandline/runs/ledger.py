@@ -3,9 +3,8 @@
 A run is STARTED before it is handed out and gets an outcome when it ends. A run that is STARTED without an outcome is
 running while a driver holds the ledger, and lost otherwise. Only the driving process writes, under a lock, and each
 write is on the disk when the call returns (full synchronisation; see `journal`). Arrays are stored as raw little-endian
-numbers, and each outcome has a checksum; nothing is pickled. A ledger of an earlier version can be read as it is. When
-a driver opens it, it is upgraded to the present version in one transaction that leaves its rows as they are. The file
-must be on a disk of the driving machine or on a file system with working locks.
+numbers, and each outcome has a checksum; nothing is pickled. The file must be on a disk of the driving machine or on a
+file system with working locks.
 """
 
 import contextlib
@@ -74,7 +73,6 @@ class Ledger:
         self._lock = lock
         self._hold: Hold | None = None
         self._session: int | None = None
-        self.backup: Path | None = None
 
     @classmethod
     def open(
@@ -89,7 +87,7 @@ class Ledger:
             read_only: Whether to take no lock and write nothing; this works while a driver is writing.
 
         Raises:
-            LedgerError: the ledger is locked, of another model, of a newer version, damaged, missing (read-only), or in
+            LedgerError: the ledger is locked, of another model, of another version, damaged, missing (read-only), or in
                 a folder that is not writable.
         """
         path = Path(path)
@@ -127,7 +125,6 @@ class Ledger:
         ledger._checked(model)
         with ledger._closed_on_error(), translated(path):
             ledger_schema.require_sound(path, connection)
-            ledger.backup = ledger_schema.upgrade(path, connection)
             columns = "(pid, host, opened_at) VALUES (?, ?, ?)"
             row = connection.execute(
                 f"INSERT INTO sessions {columns}", (os.getpid(), socket.gethostname(), time.time())
@@ -361,11 +358,8 @@ class Ledger:
         sql = f"SELECT {columns} FROM outcomes JOIN starts USING (attempt) WHERE attempt = ?"
         for first in range(0, len(numbers), RECORDS_PER_READING):
             with self._reading():  # ends before the caller goes on: a driver cannot write meanwhile
-                extended = ledger_schema.has_table(self._connection, "arrays")
                 records = [
-                    ledger_rows.record_of(
-                        self.path, self._rows(sql, number)[0], self._arrays(*number) if extended else []
-                    )
+                    ledger_rows.record_of(self.path, self._rows(sql, number)[0], self._arrays(*number))
                     for number in numbers[first : first + RECORDS_PER_READING]
                 ]
             yield from records

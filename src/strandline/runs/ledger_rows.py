@@ -154,11 +154,11 @@ def outcome_digest(path: Path, keys: frozenset[str]) -> str:
 
 def _damaged_outcomes(path: Path, connection: sqlite3.Connection) -> Iterator[str]:
     """Yield the runs whose contents do not match their checksum."""
-    extended, damaged = ledger_schema.has_table(connection, "arrays"), []
+    damaged = []
     sql = f"SELECT attempt, key, inputs, {OUTCOME_COLUMNS} FROM outcomes JOIN starts USING (attempt)"
     of_one = f"SELECT {ARRAY_COLUMNS} FROM arrays WHERE attempt = ? ORDER BY rowid"
     for number, *row in connection.execute(sql):
-        arrays = connection.execute(of_one, (number,)).fetchall() if extended else []
+        arrays = connection.execute(of_one, (number,)).fetchall()
         try:
             record_of(path, tuple(row), arrays)
         except (LedgerError, ValueError, KeyError, TypeError):

@@ -1,11 +1,10 @@
-"""The ledger's file: its tables and versions, and how it is created, opened and upgraded; standard library only."""
+"""The ledger's file: its tables, and how it is created, opened and copied; standard library only."""
 
 import contextlib
 import os
 import sqlite3
 import time
-from collections.abc import Iterator, Sequence
-from itertools import count
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -13,8 +12,7 @@ from strandline.errors import LedgerError
 from strandline.runs import journal
 
 VERSION = 4
-"""1: one unnamed interface per outcome. 2: a table of further arrays: named conditions, sensitivities. 3: plans.
-4: runs excluded by hand."""
+"""Of strandline 0.2 and later."""
 EXCLUDED: Final = "excluded"
 """State of a run excluded by hand, whatever its outcome."""
 INTERRUPTED = "interrupted"
@@ -23,7 +21,7 @@ LOG_TITLE = "last lines of its log:"
 """Line of a message that introduces the end of the run's log."""
 ATTEMPTS = 3
 """Starts after which a campaign gives up on a run whose process vanishes each time."""
-APPEND_ONLY = ("sessions", "starts", "outcomes")
+APPEND_ONLY = ("sessions", "starts", "outcomes", "arrays", "plans", "exclusions")
 TABLES = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE sessions (
@@ -51,8 +49,6 @@ CREATE TABLE outcomes (
     checksum TEXT NOT NULL,
     finished_at REAL NOT NULL
 );
-"""
-ARRAYS = """
 CREATE TABLE arrays (
     attempt INTEGER NOT NULL REFERENCES outcomes,
     role TEXT NOT NULL CHECK (role IN ('points', 'cells', 'sensitivity')),
@@ -62,9 +58,6 @@ CREATE TABLE arrays (
     data BLOB NOT NULL
 );
 CREATE UNIQUE INDEX arrays_by_attempt ON arrays (attempt, role, condition, input);
-"""
-"""What version 2 adds; a run of one unnamed condition without sensitivities is stored as in version 1."""
-PLANS = """
 CREATE TABLE plans (
     plan INTEGER PRIMARY KEY,
     session INTEGER NOT NULL REFERENCES sessions,
@@ -80,9 +73,6 @@ CREATE TABLE plans (
 );
 CREATE INDEX plans_by_study ON plans (study_sha256);
 CREATE INDEX outcomes_told ON outcomes (attempt, state, kind, seconds, origin, finished_at);
-"""
-"""What version 3 adds: which runs a study asks for, and an index to see how runs ended without reading interfaces."""
-EXCLUSIONS = """
 CREATE TABLE exclusions (
     exclusion INTEGER PRIMARY KEY,
     session INTEGER NOT NULL REFERENCES sessions,
@@ -92,9 +82,17 @@ CREATE TABLE exclusions (
     decided_at REAL NOT NULL
 );
 """
-"""What version 4 adds: the last row of a key says whether that run is excluded by hand."""
-ADDED = {"arrays": ARRAYS, "plans": PLANS, "exclusions": EXCLUSIONS}
-"""Tables added after version 1, in order, with the statements that create them."""
+"""A run of one unnamed condition without sensitivities has no row in `arrays`. The index `outcomes_told` shows how runs
+ended without reading interfaces. The last row of a key in `exclusions` says whether that run is excluded by hand."""
+
+
+GUARDS = "".join(
+    f"CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table} "
+    f"BEGIN SELECT RAISE(ABORT, 'the ledger is append-only'); END;\n"
+    for table in APPEND_ONLY
+    for verb in ("UPDATE", "DELETE")
+)
+"""Triggers that prevent changes to rows."""
 
 
 def create(path: Path, *, model: str, description: str) -> None:
@@ -192,15 +190,16 @@ def require_sound(path: Path, connection: sqlite3.Connection) -> None:
 
 
 def require_version(path: Path, connection: sqlite3.Connection) -> None:
-    """Refuse a file of a newer version, or one that is not a ledger."""
+    """Refuse a file of another version, or one that is not a ledger."""
     found = fact(path, connection, "schema_version")
-    version = int(found) if found.isascii() and found.isdigit() and len(found) < 10 else None
-    if version is None or version > VERSION:
+    if found != str(VERSION):
+        old = found in map(str, range(VERSION))
+        way = f"`python -m verification.upgrade_ledger {path}`, in strandline's source, upgrades it"
         raise LedgerError(
             f"version of the ledger {path}",
             value=found,
-            expected=f"a number, at most {VERSION}",
-            remedy="Install a newer strandline, or start a new ledger.",
+            expected=str(VERSION),
+            remedy=f"{way if old else 'Install a newer strandline'}; or start a new ledger.",
         )
 
 
@@ -223,34 +222,6 @@ def fact(path: Path, connection: sqlite3.Connection, key: str) -> str:
     if row is None:
         raise _damaged(path, f"no row {key} in its table meta")
     return str(row[0])
-
-
-def has_table(connection: sqlite3.Connection, name: str) -> bool:
-    """Return whether the ledger has this table; a writer may upgrade it while it is being read."""
-    sql = "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND name = ?"
-    return bool(connection.execute(sql, (name,)).fetchone()[0])
-
-
-def upgrade(path: Path, connection: sqlite3.Connection) -> Path | None:
-    """Upgrade a ledger of an earlier version to this one, in one transaction, without changing any run.
-
-    Returns:
-        The backup made beforehand; None if there was nothing to upgrade.
-    """
-    missing = [table for table in ADDED if not has_table(connection, table)]
-    if not missing:
-        return None
-    backup = backup_before_upgrade(path, connection)
-    try:
-        connection.executescript(
-            f"BEGIN IMMEDIATE;\n{_added(missing)}"
-            f"UPDATE meta SET value = '{VERSION}' WHERE key = 'schema_version';\nCOMMIT;"
-        )
-    except BaseException:
-        if connection.in_transaction:
-            connection.execute("ROLLBACK")
-        raise
-    return backup
 
 
 @contextlib.contextmanager
@@ -287,24 +258,9 @@ def _damaged(path: Path, how: str) -> LedgerError:
     )
 
 
-def _added(tables: Sequence[str]) -> str:
-    """Return the statements that create these tables and guard their rows."""
-    return "".join(ADDED[table] + _guards([table]) for table in tables)
-
-
-def _guards(tables: Sequence[str]) -> str:
-    """Return the triggers that prevent changes to the rows of these tables."""
-    return "".join(
-        f"CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table} "
-        f"BEGIN SELECT RAISE(ABORT, 'the ledger is append-only'); END;\n"
-        for table in tables
-        for verb in ("UPDATE", "DELETE")
-    )
-
-
 def _fill(connection: sqlite3.Connection, model: str, description: str) -> None:
     """Create tables and guards in one transaction."""
-    connection.executescript(f"BEGIN;\n{TABLES}{_guards(APPEND_ONLY)}{_added(list(ADDED))}COMMIT;")
+    connection.executescript(f"BEGIN;\n{TABLES}{GUARDS}COMMIT;")
     facts = {"schema_version": VERSION, "model": model, "description": description, "created_at": time.time()}
     connection.executemany("INSERT INTO meta VALUES (?, ?)", [(key, str(value)) for key, value in facts.items()])
 
@@ -349,12 +305,3 @@ def _given_its_name(partial: Path, target: Path) -> None:
         if target.exists():
             raise FileExistsError(f"{target} exists") from None
         partial.rename(target)
-
-
-def backup_before_upgrade(path: Path, connection: sqlite3.Connection) -> Path:
-    """Copy a ledger of an earlier version to its own folder, as ``ledger.sqlite.v3-backup``; return the copy's path."""
-    (version,) = connection.execute("SELECT value FROM meta WHERE key = 'schema_version'").fetchone()
-    names = (f"{path.name}.v{version}-backup{f'-{number}' if number else ''}" for number in count())
-    target = next(path.with_name(name) for name in names if not path.with_name(name).exists())
-    copied(connection, target)
-    return target

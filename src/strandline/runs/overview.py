@@ -123,7 +123,7 @@ class Overview:
         """Open the ledger at `path`; it must be of `model` if one is given.
 
         Raises:
-            LedgerError: the ledger is missing, damaged, of a newer version, or of another model.
+            LedgerError: the ledger is missing, damaged, of another version, or of another model.
         """
         self.path = path
         self._connection = ledger_schema.opened_for_reading(path)
@@ -210,12 +210,10 @@ class Overview:
         return Driver(session, pid, host, opened_at, is_at_work(pid, host, self.path.with_suffix(".lock")))
 
     def _attempts(self, which: str = "1", given: Sequence[int] = ()) -> Iterator[tuple[str, Attempt]]:
-        with_plans = ledger_schema.has_table(self._connection, "plans")
-        hint = "INDEXED BY outcomes_told" if with_plans else ""  # otherwise each row is read past its interface
-        slopes = WITH_SENSITIVITIES if ledger_schema.has_table(self._connection, "arrays") else "0"
+        # Without the index, each row is read past its interface.
         sql = f"""SELECT key, attempt, session, inputs, started_at, COALESCE(state, '{OPEN}'), kind, seconds, origin,
-            finished_at, {slopes}
-            FROM starts LEFT JOIN outcomes {hint} USING (attempt) WHERE {which} ORDER BY attempt"""
+            finished_at, {WITH_SENSITIVITIES}
+            FROM starts LEFT JOIN outcomes INDEXED BY outcomes_told USING (attempt) WHERE {which} ORDER BY attempt"""
         for key, *told, with_slopes in self._connection.execute(sql, given):
             yield key, Attempt._make((*told, bool(with_slopes)))
 

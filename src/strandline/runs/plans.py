@@ -1,4 +1,7 @@
-"""Runs that a study asks for, as its driver recorded them in the ledger, to show progress without loading the study."""
+"""What a ledger keeps beside its runs: those that a study asks for, and those excluded by hand.
+
+A study's driver records its plan, to show progress without loading the study. Standard library only.
+"""
 
 import json
 import sqlite3
@@ -6,7 +9,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from strandline.errors import LedgerError
-from strandline.runs.ledger_schema import has_table
 
 COLUMNS = "study_sha256, part, name, model, inputs, sensitivities, planned, keys"
 
@@ -44,8 +46,6 @@ def read_plan(connection: sqlite3.Connection, study_sha256: str) -> Plan | None:
 
     Each row holds one part and replaces that part and all later ones.
     """
-    if not has_table(connection, "plans"):
-        return None
     plan = None
     sql = f"SELECT {COLUMNS} FROM plans WHERE study_sha256 = ? ORDER BY plan"
     for digest, part, name, model, inputs, sensitivities, planned, keys in connection.execute(sql, (study_sha256,)):
@@ -91,9 +91,7 @@ class Exclusion:
 
 
 def read_exclusions(connection: sqlite3.Connection) -> Mapping[str, Exclusion]:
-    """Return the runs that are excluded now, by key; none in a ledger of an earlier version."""
-    if not has_table(connection, "exclusions"):
-        return {}
+    """Return the runs that are excluded now, by key."""
     found: dict[str, Exclusion] = {}
     sql = "SELECT key, excluded, why, decided_at FROM exclusions ORDER BY exclusion"
     for key, excluded, why, decided_at in connection.execute(sql):

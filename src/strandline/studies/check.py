@@ -30,7 +30,7 @@ from strandline.studies.noise import require_stated
 from strandline.studies.observed import noisy
 from strandline.studies.progress import results_of
 from strandline.studies.study import Study
-from strandline.studies.study_runs import report_backup, settled
+from strandline.studies.study_runs import settled
 
 __all__ = ["PosteriorCheck", "check_posterior", "finished_posterior", "plain_model"]
 
@@ -146,7 +146,6 @@ def _run(
     inputs = [{**study.fixed, **study.space.as_mapping(x)} for x in positions]
     keys = {run_key(identity, entry) for entry in inputs}
     with Ledger.open(study.folder / CHECK_LEDGER, model=identity, description=f"{study.name}, checked") as ledger:
-        report_backup(ledger, observer.note)
         known = len(settled(ledger, keys))
         records = run_campaign(model, inputs, ledger=ledger, executor=executor, on_record=observer.run)
     return records, len(keys) - known

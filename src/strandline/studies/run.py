@@ -33,7 +33,6 @@ from strandline.studies.observed import noisy
 from strandline.studies.pictures.shown import pictures_in_page
 from strandline.studies.provenance import require_its_own_text
 from strandline.studies.study import Study
-from strandline.studies.study_runs import report_backup
 from strandline.studies.summary import summarise
 from strandline.version import __version__
 
@@ -79,7 +78,6 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
     study.runs.require_sound_ledgers()
     executor, observer, made = executor or study.executor, observer_or_default(observer), _Made()
     with study.runs.ledger() as ledger:
-        report_backup(ledger, observer.note)
         given = study.runs.begin_active(ledger)
         ledger.plan(study.runs.plan)
         study.runs.take_over(ledger)
@@ -122,7 +120,6 @@ def submit_study(study: Study, *, executor: Executor, observer: Observer | None 
     tell = observer_or_default(observer)
     inputs = [*([] if study.truth is None else [study.truth]), *study.runs.design]
     with study.runs.ledger() as ledger:
-        report_backup(ledger, tell.note)
         study.runs.take_over(ledger)
         tell.stage("forward")
         run_campaign(study.model, inputs, ledger=ledger, executor=executor, on_record=tell.run)

@@ -1,7 +1,7 @@
 """The forward runs that a study needs, and which of them its ledgers hold."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
@@ -288,9 +288,3 @@ def settled(ledger: Ledger, keys: Iterable[str], *, sensitivities: bool = False)
         for record in ledger.latest(keys).values()
         if record.settles(sensitivities=sensitivities) or ledger.open_attempts(record.key) >= ATTEMPTS
     ]
-
-
-def report_backup(ledger: Ledger, note: Callable[[str], None]) -> None:
-    """Report the backup of a ledger that was upgraded when it was opened."""
-    if ledger.backup is not None:
-        note(f"{ledger.path.name} was of an earlier version; a copy of it is {ledger.backup}")

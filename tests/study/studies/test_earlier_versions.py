@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from tests.study.conftest import SAMPLER
+from verification.upgrade_ledger import upgrade
 
 from strandline.runs import InProcess
 from strandline.studies import load_study, run_study
@@ -23,6 +24,8 @@ LONG = [
 @pytest.mark.parametrize(("version", "kind"), [("0.1", "sobol"), *LONG])
 def test_the_posterior_is_the_same(version, kind, tmp_path):
     folder = Path(shutil.copytree(DATA / f"studies-{version}" / kind, tmp_path / kind))
+    if version == "0.1":
+        upgrade(folder / "ledger.sqlite")
     if kind == "sobol":  # what a draft leaves out does not change the posterior of runs that are given
         text = (folder / "study.yaml").read_text("utf-8")
         (folder / "study.yaml").write_text(text + "draft: true\nreport: none\n", "utf-8")
@@ -51,6 +54,7 @@ def test_an_earlier_study_or_ledger_is_known_to_be_finished_before_it_is_run(tmp
     folder = write_study(tmp_path / "old", name="old", fixed={"load": 1e-4}, design={"sobol": {"runs": 8}}, **quick)
     shutil.copy(DATA / "ledger-v2-study.sqlite", folder / "ledger.sqlite")
     (folder / "ledger.sqlite").chmod(0o644)
+    upgrade(folder / "ledger.sqlite")
     assert recorded_plan(folder) is None
     before = progress_in(folder)
     assert (before.ok, before.failed, before.to_do) == (4, 4, 0)

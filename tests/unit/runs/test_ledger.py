@@ -146,7 +146,7 @@ def overwrite(path):
     path.write_bytes(data)
 
 
-NEWER = f"UPDATE meta SET value = '{ledger_schema.VERSION + 1}' WHERE key = 'schema_version'"
+VERSIONED = "UPDATE meta SET value = '{}' WHERE key = 'schema_version'"
 
 
 @pytest.mark.parametrize(
@@ -154,11 +154,12 @@ NEWER = f"UPDATE meta SET value = '{ledger_schema.VERSION + 1}' WHERE key = 'sch
     [
         (lambda path: path.write_bytes(b"this is not a database" * 100), "damaged or not a ledger"),
         (overwrite, "damaged"),
-        (lambda path: query(path, NEWER), "newer strandline"),
+        (lambda path: query(path, VERSIONED.format(ledger_schema.VERSION + 1)), "newer strandline"),
+        (lambda path: query(path, VERSIONED.format(3)), r"verification\.upgrade_ledger .*ledger\.sqlite"),
     ],
-    ids=["text", "overwritten", "newer"],
+    ids=["text", "overwritten", "newer", "older"],
 )
-def test_a_damaged_or_newer_file_is_refused(path, spoil, said):
+def test_a_damaged_file_or_one_of_another_version_is_refused(path, spoil, said):
     Ledger.open(path, model="m").close()
     spoil(path)
     for read_only in (False, True):

@@ -1,4 +1,4 @@
-"""Ledgers of earlier versions: if one of these tests fails, studies of users cannot be opened any more."""
+"""Ledgers of versions before 0.2: if one of these tests fails, studies of users cannot be opened any more."""
 
 import sqlite3
 from contextlib import closing
@@ -6,10 +6,11 @@ from contextlib import closing
 import numpy as np
 import pytest
 from tests.unit.runs.fakes import TWO, campaign, exact, put, query, states, stored
+from verification.upgrade_ledger import upgrade
 
 from strandline.errors import LedgerError
 from strandline.models.protocol import fingerprint
-from strandline.runs import Counts, Ledger, ledger_schema, run_key
+from strandline.runs import Counts, Ledger, run_key
 from strandline.runs.ledger_schema import copied
 from strandline.runs.overview import STATES, Overview
 from strandline.runs.plans import read_plan
@@ -17,8 +18,13 @@ from strandline.testing.models import Cantilever, TwoLoads
 
 BEAM = Cantilever(nodes=9)
 V1, V2, STUDY_2, STUDY_3 = "ledger-v1.sqlite", "ledger-v2.sqlite", "ledger-v2-study.sqlite", "ledger-v3-study.sqlite"
-LATER = {"plans", "exclusions"}
-ADDED = [(V1, {"arrays", *LATER}), (V2, LATER), (STUDY_2, LATER), (STUDY_3, {"exclusions"})]
+NAMES = [V1, V2, STUDY_2, STUDY_3]
+
+
+def upgraded(name, folder):
+    path = stored(name, folder)
+    upgrade(path)
+    return path
 
 
 def content(path):
@@ -35,10 +41,19 @@ def definitions(path):
     return sorted(query(path, "SELECT name, sql FROM sqlite_schema"))
 
 
-@pytest.mark.parametrize(("name", "added"), ADDED)
-def test_a_reader_changes_nothing_and_a_driver_upgrades_a_ledger_and_touches_no_run(tmp_path, name, added):
+@pytest.mark.parametrize("name", NAMES)
+def test_an_old_ledger_is_refused_until_it_is_upgraded_which_touches_no_run(tmp_path, name):
     path, version = stored(name, tmp_path), name[len("ledger-v")]
-    before = path.read_bytes()
+    before, (names, rows) = path.read_bytes(), content(path)
+    for read_only in (False, True):
+        with pytest.raises(LedgerError, match="upgrade_ledger"):
+            Ledger.open(path, model="m", read_only=read_only)
+    assert path.read_bytes() == before
+    for number in ("", "-1"):
+        path.write_bytes(before)
+        backup = upgrade(path)
+        assert backup == tmp_path / f"ledger.sqlite.v{version}-backup{number}"
+        assert (content(backup), version_of(backup)) == ((names, rows), version)
     with Ledger.open(path, model=None, read_only=True) as reader, Overview(path) as overview:
         model, runs = reader.model, [exact(record) for record in reader]
         assert overview.model() == model
@@ -47,55 +62,17 @@ def test_a_reader_changes_nothing_and_a_driver_upgrades_a_ledger_and_touches_no_
         assert (reader.exclusions(), overview.plan("any")) == ({}, None)
         with Ledger.open(tmp_path / "fresh.sqlite", model=model) as fresh:
             assert fresh.copy_from(path, [run[0] for run in runs]) == sum(run[2] in ("ok", "failed") for run in runs)
-    (names, rows), arrays = content(path), "arrays" not in added
     with pytest.raises(LedgerError, match="another model"):
         Ledger.open(path, model="another")
-    assert path.read_bytes() == before
-    assert version_of(path) == version
-    for number in ("", "-1"):
-        path.write_bytes(before)
-        with Ledger.open(path, model=model) as ledger:
-            assert ledger.backup == tmp_path / f"ledger.sqlite.v{version}-backup{number}"
-            assert [exact(record) for record in ledger] == runs
-        with Ledger.open(ledger.backup, model=model, read_only=True) as kept:
-            assert [exact(record) for record in kept] == runs
-        assert version_of(ledger.backup) == version
-    assert version_of(path) == str(ledger_schema.VERSION)
-    assert content(path) == (names | added, rows if arrays else [*rows, []])
+    assert content(path)[1] == (rows if "arrays" in names else [*rows, []])
     assert definitions(path) == definitions(tmp_path / "fresh.sqlite")
     with Ledger.open(path, model=model) as ledger:
-        assert ledger.backup is None
         put(ledger, TWO)
         assert exact(ledger.latest(["two"])["two"]) == exact(TWO)
 
 
-@pytest.mark.parametrize("name", [V1, STUDY_3])
-def test_an_upgrade_that_fails_leaves_the_ledger_as_it_was(tmp_path, name):
-    """The last table cannot be made, for its name is taken."""
-    path = stored(name, tmp_path)
-    query(path, "CREATE VIEW exclusions AS SELECT 1")
-    with Ledger.open(path, model=None, read_only=True) as reader:
-        model = reader.model
-    before, version = content(path), version_of(path)
-    with pytest.raises(LedgerError):
-        Ledger.open(path, model=model)
-    assert (content(path), version_of(path)) == (before, version)
-    query(path, "DROP VIEW exclusions")
-    Ledger.open(path, model=model).close()
-    assert version_of(path) == str(ledger_schema.VERSION)
-
-
-def test_a_reader_of_an_old_ledger_sees_what_an_upgrading_driver_writes(tmp_path):
-    path = stored(V1, tmp_path)
-    with closing(ledger_schema.connect(path)), Ledger.open(path, model=None, read_only=True) as reader:
-        assert len(list(reader)) == 4
-        with Ledger.open(path, model=BEAM) as driver:
-            put(driver, TWO)
-            assert exact(reader.latest(["two"])["two"]) == exact(TWO)
-
-
 def test_the_runs_of_version_1_are_right_and_go_on(tmp_path):
-    path = stored(V1, tmp_path)
+    path = upgraded(V1, tmp_path)
     with Ledger.open(path, model=BEAM) as ledger:
         assert ledger.counts() == Counts(ok=2, failed=1, killed=1, open=1)
         assert ledger.description == "a beam, written by format version 1"
@@ -111,7 +88,7 @@ def test_the_runs_of_version_1_are_right_and_go_on(tmp_path):
 def test_the_runs_of_version_2_are_right(tmp_path):
     """Two conditions with sensitivities."""
     model = TwoLoads(Cantilever(nodes=5), sensitivities=True)
-    with Ledger.open(stored(V2, tmp_path), model=model) as ledger:
+    with Ledger.open(upgraded(V2, tmp_path), model=model) as ledger:
         assert ledger.counts() == Counts(ok=2, failed=1)
         for record in ledger:
             direct = model(record.inputs, tmp_path) if record.ok else None
@@ -127,7 +104,7 @@ def test_the_runs_of_version_2_are_right(tmp_path):
 
 def test_the_ledger_of_a_study_is_right_and_so_is_its_plan(tmp_path):
     """Four runs ok, four failed, one more at the inputs of the synthetic observation."""
-    path = stored(STUDY_3, tmp_path)
+    path = upgraded(STUDY_3, tmp_path)
     with Ledger.open(path, model="test:beam-1") as ledger:
         assert ledger.counts() == Counts(ok=5, failed=4)
         for record in ledger:

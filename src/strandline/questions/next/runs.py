@@ -14,7 +14,7 @@ from strandline.models.protocol import with_sensitivities
 from strandline.runs import Executor, Ledger, RunRecord, run_campaign, run_key
 from strandline.studies.folder import NEXT_LEDGER
 from strandline.studies.study import Study
-from strandline.studies.study_runs import report_backup, settled
+from strandline.studies.study_runs import settled
 
 __all__ = ["PointRuns", "Runs", "runs_at"]
 
@@ -79,7 +79,6 @@ def runs_at(
     at_points = [_inputs(study, setting, x) for setting, x in points]
     around = [[_inputs(study, setting, row) for row in rows] for (setting, _), rows in zip(points, beside, strict=True)]
     with Ledger.open(study.folder / NEXT_LEDGER, model=identity, description=f"{study.name}, next") as ledger:
-        report_backup(ledger, observer.note)
         campaign = _Campaign(ledger, executor, observer, identity)
         records = campaign.run(model, at_points)
         if any(one.failure_kind == "no_sensitivities" for one in records):

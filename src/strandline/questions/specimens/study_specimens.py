@@ -46,7 +46,6 @@ from strandline.studies.folder import (
     write_json,
 )
 from strandline.studies.study import Study
-from strandline.studies.study_runs import report_backup
 from strandline.text import with_sd
 
 __all__ = ["StudySpecimens", "posteriors_of_files", "specimens"]
@@ -253,7 +252,6 @@ def _run(opened: Specimens, x: Any, executor: Executor, tell: Observer) -> int:
     inputs = [{**study.fixed, **study.space.as_mapping(row)} for row in x]
     identity, text = study.runs.identity, f"{study.name}, further runs for specimens"
     with Ledger.open(study.folder / SPECIMENS_LEDGER, model=identity, description=text) as ledger:
-        report_backup(ledger, tell.note)
         run_campaign(plain_model(study), inputs, ledger=ledger, executor=executor, on_record=tell.run)
     return len(inputs)
 
