@@ -3,6 +3,8 @@
 import contextlib
 import importlib
 import io
+import re
+import tempfile
 from importlib import import_module
 from io import BufferedReader
 from pathlib import Path
@@ -12,11 +14,14 @@ from xml.etree import ElementTree
 import numpy as np
 
 from strandline.errors import InvalidInput
+from strandline.readers.cells import dimension
 from strandline.readers.contents import Block, Contents
 from strandline.readers.options import Reading
 from strandline.readers.vtk_xml import POLYGON, POLYLINE, STRIP, Allowance, beside, blocks_of, chosen_time
 
 MODULES = {".stl": "stl", ".ply": "ply", ".vtk": "vtk", ".msh": "gmsh", ".mesh": "medit"}
+MEDIT = re.compile(rb"(Dimension|Vertices|Edges|Triangles|Quadrilaterals|Tetrahedra|Prisms|Pyramids|Hexah?edra)\b")
+"""Sections of a Medit file that are read."""
 READS_AT_END = 100
 """Attempts to read past the end after which a PLY file counts as cut off; its reader would go on forever."""
 
@@ -24,10 +29,15 @@ READS_AT_END = 100
 def read_by_meshio(path: Path, how: Reading, name: str) -> Contents:
     """Return the contents of a file with a single time."""
     meshio = imported(name)
+    content = path.read_bytes()
     if how.suffix == ".stl":
-        _require_end(path.read_bytes())
-    with contextlib.redirect_stdout(io.StringIO()):
-        source = _Whole(path.read_bytes()) if how.suffix == ".ply" else str(path)
+        _require_end(content)
+    with contextlib.redirect_stdout(io.StringIO()), tempfile.NamedTemporaryFile() as copy:
+        source = _Whole(content) if how.suffix == ".ply" else str(path)
+        if how.suffix == ".mesh":
+            copy.write(_known_sections(content))
+            copy.flush()
+            source = copy.name
         return converted(getattr(meshio, MODULES[how.suffix]).read(source))
 
 
@@ -49,6 +59,14 @@ def read_msh(path: Path, how: Reading, name: str) -> Contents:
     blocks = [Block(kind, rows[:, :-1] - 1, {"label": rows[:, -1]}) for kind, rows in cells.items() if len(rows)]
     places = vertices.reshape(-1, 3)
     return Contents(places[:, :2], tuple(blocks), {"label": places[:, 2]})
+
+
+def _known_sections(content: bytes) -> bytes:
+    """Return a Medit file without what FreeFEM and bamg add, at which meshio stops, and in double precision."""
+    if not content.rstrip().endswith(b"End"):
+        raise EOFError("the file is cut off")
+    sections = re.split(rb"(?m)^\s*(?=[A-Za-z])", content)
+    return b"\n".join([b"MeshVersionFormatted 2", *(one for one in sections if MEDIT.match(one))]) + b"\n"
 
 
 def _require_end(content: bytes) -> None:
@@ -97,18 +115,19 @@ def imported(name: str) -> Any:
 
 
 def converted(mesh: Any) -> Contents:
-    """Return a meshio mesh as contents."""
-    blocks = tuple(
-        Block(
-            block.type,
-            np.asarray(block.data, dtype=np.int64),
-            {name: np.asarray(arrays[k]) for name, arrays in mesh.cell_data.items()},
-        )
-        for k, block in enumerate(mesh.cells)
-        if block.type != "vertex" and len(block.data)
-    )
+    """Return a meshio mesh as contents; gmsh's physical names become cell data, 1 in the region of that name."""
+    blocks = []
+    for k, block in enumerate(mesh.cells):
+        data = {name: np.asarray(arrays[k]) for name, arrays in mesh.cell_data.items()}
+        if "gmsh:physical" in data:
+            for region, (tag, dim) in mesh.field_data.items():
+                data.setdefault(region, (data["gmsh:physical"] == tag) & (dim == dimension(block.type)))
+        if block.type != "vertex" and len(block.data):
+            blocks.append(Block(block.type, np.asarray(block.data, dtype=np.int64), data))
     return Contents(
-        np.asarray(mesh.points, dtype=float), blocks, {name: np.asarray(v) for name, v in mesh.point_data.items()}
+        np.asarray(mesh.points, dtype=float),
+        tuple(blocks),
+        {name: np.asarray(v) for name, v in mesh.point_data.items()},
     )
 
 

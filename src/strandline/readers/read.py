@@ -67,6 +67,7 @@ BEGINNINGS = {
     rb"\s*\{.{0,400}\"shapes\"": ("an annotation of labelme", OF_PICTURE),
     rb"PK\x03\x04": ("an archive or a workbook", "Save what is in it as .csv or .npy."),
     rb"\x89HDF": ("HDF5", "A picture goes with `observation: {image: {dataset: …}}`; save a mesh as .vtu or .xdmf."),
+    rb'\s*\((0|1) ".*"\)': ("a mesh of ANSYS Fluent", "Export the interface as .stl or .csv, or the mesh as .vtu."),
     rb"ISO-10303-21": ("STEP", "Mesh it, and save the mesh as .vtu, .stl or .msh."),
     rb"(<\?xml.{0,200}?)?\s*<svg": ("SVG", CURVE),
     rb"\s*0\s+SECTION|AutoCAD Binary DXF": ("DXF", CURVE),

@@ -207,7 +207,7 @@ def _of_cells(
         parts = cells.surface_triangles(blocks) if lowest == 2 else cells.boundary_triangles(blocks)
         if lowest == 3 and signed_volume(places, parts) < 0:
             parts = parts[:, ::-1]  # solids that are numbered inside out
-        return _surface(_chosen_part(_kept(parts, contents, places, how, name), places, how), moved, places)
+        return _surface(_chosen_part(_kept(parts, contents, places, how, name), places, how, name), moved, places)
     parts = cells.line_edges(blocks) if lowest == 1 else cells.boundary_edges(blocks)
     if not flat:
         faces = next((block.kind for block in contents.blocks if cells.dimension(block.kind) == 2), None)
@@ -333,26 +333,30 @@ def _surface(
 
 
 def _chosen_part(
-    triangles: Int[np.ndarray, "cell 3"], places: Float[np.ndarray, "point xyz"], how: Reading
+    triangles: Int[np.ndarray, "cell 3"], places: Float[np.ndarray, "point xyz"], how: Reading, name: str
 ) -> Int[np.ndarray, "chosen 3"]:
-    """Return the connected part of a surface that `near` or `keep` chooses, if one of them is given."""
-    if how.near is None and how.keep is None:
-        return triangles
+    """Return the connected part of a surface that `near` or `keep` chooses, if there are several."""
     triangles = _merged(triangles, places)
     sides = np.concatenate([triangles[:, :2], triangles[:, 1:]])
     number = len(places)
     part = connected_components(coo_array((np.ones(len(sides)), sides.T), shape=(number, number)), directed=False)[1]
+    found, of_triangle = np.unique(part[triangles[:, 0]], return_inverse=True)
+    areas = np.bincount(of_triangle, weights=np.linalg.norm(vector_areas(places, triangles), axis=1))
+    if len(found) == 1:
+        return triangles
     if how.near is not None:
         used = np.unique(triangles)
-        chosen = part[used[np.argmin(np.linalg.norm(places[used] - _place(how.near), axis=1))]]
+        chosen = part[used[np.argmin(np.linalg.norm(places[used] - np.array([*how.near, 0.0][:3]), axis=1))]]
+    elif how.keep is not None:
+        chosen = found[np.argmax(areas)]
     else:
-        areas = np.linalg.norm(vector_areas(places, triangles), axis=1)
-        chosen = np.argmax(np.bincount(part[triangles[:, 0]], weights=areas))
+        raise refused(
+            f"{name} holds {len(found)} surfaces apart from each other",
+            f"areas of {', '.join(f'{area:.4g}' for area in areas[:5])} mm²",
+            "one surface",
+            "Choose by `keep: longest`, the one of the largest area, or `near: [x, y, z]` in mm.",
+        )
     return np.asarray(triangles[part[triangles[:, 0]] == chosen])
-
-
-def _place(near: tuple[float, ...]) -> Float[np.ndarray, "3"]:
-    return np.array([*near, 0.0][:3])
 
 
 def _is_flat(points: Float[np.ndarray, "point xyz"], axes: tuple[int, int]) -> bool:

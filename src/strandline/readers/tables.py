@@ -83,6 +83,10 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
     by_name = any(isinstance(column, str) for column in (*(how.columns or ()), *(how.field or ()), how.sd))
     comment = _fields(comments[-1], separator) if comments else ()
     titles = titles or (comment if len(comment) == len(rows[0].fields) or by_name else ())
+    _require_no_empty_end(name, lines, rows)
+    columns = how.columns or (1, 2)
+    chosen = [_place(name, column, titles, rows[0], pair=True) for column in columns]
+    _require_no_count(name, rows, chosen)
     _require_one_width(name, rows, titles)
     if how.columns is None:
         if len(rows[0].fields) == 2:
@@ -91,10 +95,7 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
             raise _no_point(name, rows[0], titles)
     if not titles:
         _require_upright(name, len(rows), len(rows[0].fields))
-    columns = how.columns or (1, 2)
     points = _columns(name, rows, titles, columns)
-    chosen = [_place(name, column, titles, rows[0], pair=True) for column in columns]
-    _require_no_count(name, rows, chosen)
     moved = None if how.field is None else _columns(name, rows, titles, tuple(how.field))
     data = {} if how.sd is None else {SD: _columns(name, rows, titles, (how.sd,))[:, 0]}
     return Contents(points, data=data, displacement=moved, pieces=_pieces(rows, titles, chosen, how))
@@ -242,28 +243,43 @@ def _axes(text: str) -> str:
     return ""
 
 
+def _require_no_empty_end(name: str, lines: Sequence[str], rows: Sequence[Row]) -> None:
+    """Refuse a row without any number before the first point or after the last: a point may be missing."""
+    for number, line in enumerate(lines, 1):
+        empty = line.strip() and not line.strip(" \t,;")
+        if empty and not rows[0].number < number < rows[-1].number:
+            raise refused(f"{name} has an empty row in line {number}", line, "a point in each row", "Remove the line.")
+
+
 def _require_no_count(name: str, rows: Sequence[Row], chosen: Sequence[int]) -> None:
     """Refuse rows that count the points after them, and a first row that numbers the columns."""
-    heads, at = [], 0
-    while at < len(rows) and all(map(str.isdecimal, rows[at].fields)):
-        heads.append(at)
-        at += 1 + int(rows[at].fields[0])
-    skipped = set(heads or [0])
-    rest = [row.fields[k] for number, row in enumerate(rows) if number not in skipped for k in chosen]
-    decimals = bool(rest) and all("." in field for field in rest)
-    widths = bool(rest) and all(rows[head].fields[1:] == (str(len(rows[0].fields)),) for head in heads)
-    counts = at == len(rows) and (decimals or widths)
-    first = [rows[0].fields[k] for k in chosen]
+    heads, names, at = [], [], 0
+    while at < len(rows):
+        if all(map(str.isdecimal, rows[at].fields)):
+            heads.append(at)
+            at += int(rows[at].fields[0])
+        elif _is_header(rows[at]):
+            names.append(at)
+        else:
+            break
+        at += 1
+    skipped = {*names, *(heads or [0])}
+    rest = [row.fields for number, row in enumerate(rows) if number not in skipped]
+    decimals = bool(rest) and all("." in fields[k] for fields in rest for k in chosen if k < len(fields))
+    widths = bool(rest) and all(rows[head].fields[1:] in ((), (str(len(rest[-1])),)) for head in heads)
+    counts = at == len(rows) and bool(heads) and (decimals or widths)
+    first = [rows[0].fields[k] for k in chosen if k < len(rows[0].fields)]
     numbers = False
-    if heads in ([], [0]) and decimals and all(map(str.isdecimal, first)):
+    if heads in ([], [0]) and decimals and len(first) == len(chosen) and all(map(str.isdecimal, first)):
         counts = counts or str(len(rows) - 1) in first
         numbers = {int(field) - k for field, k in zip(first, chosen, strict=True)} in ({-1}, {0}, {1})
     if counts or numbers:
+        line = rows[heads[0] if heads else 0]
         raise refused(
-            f"{name} {'counts its points' if counts else 'numbers its columns'} in line {rows[0].number}",
-            str(rows[0]),
+            f"{name} {'counts its points' if counts else 'numbers its columns'} in line {line.number}",
+            str(line),
             "points alone",
-            "Remove this line; if it is a point, write it with decimals.",
+            "Remove this line, and a name before it; if it is a point, write it with decimals.",
         )
 
 

@@ -85,6 +85,19 @@ def test_meshes_that_gmsh_and_medit_write(tmp_path):
     meshio.gmsh.write(str(tmp_path / "a.msh"), mesh, fmt_version="2.2")
     for name in ("a.mesh", "a.msh"):
         assert read(tmp_path / name, start=[0, 1]).points.tolist() == [[0, 1], [1, 1], [1, 0]]
+    mesh.cell_data, mesh.field_data = (
+        {"gmsh:physical": [[7, 7], [1, 2]]},
+        {"gel": [7, 2], "top": [1, 1], "side": [2, 1]},
+    )
+    mesh.cell_data["gmsh:geometrical"] = mesh.cell_data["gmsh:physical"]
+    meshio.gmsh.write(str(tmp_path / "a.msh"), mesh, fmt_version="2.2")
+    assert read(tmp_path / "a.msh", cells={"top": 1}, start=[0, 1]).points.tolist() == [[0, 1], [1, 1]]
+    added = "SubDomainFromGeom\n1\n2 1 1 1\nEnd\n"
+    text = (tmp_path / "a.mesh").read_text().replace("MeshVersionFormatted 2", "MeshVersionFormatted 0")
+    (tmp_path / "a.mesh").write_text(text.replace("End", added).replace("1.0000000000000000e+00", "1.1"))
+    assert read(tmp_path / "a.mesh", start=[0, 1.1]).points.tolist() == [[0, 1.1], [1.1, 1.1], [1.1, 0]]
+    (tmp_path / "a.mesh").write_text(text.replace("End", ""))
+    refused("cut off", tmp_path / "a.mesh")
     faces = [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]
     solid = meshio.Mesh(np.eye(4, 3), [("line", [[0, 1]]), ("triangle", faces), ("tetra", [[0, 1, 2, 3]])])
     meshio.vtk.write(str(tmp_path / "solid.vtk"), solid)
@@ -97,6 +110,7 @@ def test_known_formats_are_refused_by_name(tmp_path):
     for name, content, words in (
         ("a.svg", b'<?xml version="1.0"?>\n<svg xmlns="x">', "is SVG.*along the curve"),
         ("a.dxf", b"  0\nSECTION\n", "is DXF"),
+        ("a.msh", b'(1 "mesh of a bump")\n(2 2)\n', "ANSYS Fluent.*stl"),
         ("a.step", b"ISO-10303-21;", "is STEP.*[Mm]esh"),
         ("a.roi", b"Iout\0\xe4", "selection of ImageJ.*image: {path"),
         ("a.json", b'{\n "version": "6.3.1",\n "flags": {},\n "shapes": []}', "labelme.*image: {path"),
