@@ -84,9 +84,6 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
     comment = _fields(comments[-1], separator) if comments else ()
     titles = titles or (comment if len(comment) == len(rows[0].fields) or by_name else ())
     _require_no_empty_end(name, lines, rows)
-    columns = how.columns or (1, 2)
-    chosen = [_place(name, column, titles, rows[0], pair=True) for column in columns]
-    _require_no_count(name, rows, chosen)
     _require_one_width(name, rows, titles)
     if how.columns is None:
         if len(rows[0].fields) == 2:
@@ -95,7 +92,10 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
             raise _no_point(name, rows[0], titles)
     if not titles:
         _require_upright(name, len(rows), len(rows[0].fields))
+    columns = how.columns or (1, 2)
     points = _columns(name, rows, titles, columns)
+    chosen = [_place(name, column, titles, rows[0], pair=True) for column in columns]
+    _require_no_count(name, rows, chosen)
     moved = None if how.field is None else _columns(name, rows, titles, tuple(how.field))
     data = {} if how.sd is None else {SD: _columns(name, rows, titles, (how.sd,))[:, 0]}
     return Contents(points, data=data, displacement=moved, pieces=_pieces(rows, titles, chosen, how))
@@ -210,6 +210,7 @@ def _require_one_width(name: str, rows: Sequence[Row], titles: Sequence[str]) ->
     usual = len(titles) or max(set(counts), key=counts.count)
     for row, count in zip(rows, counts, strict=True):
         if count != usual:
+            _require_no_count(name, rows, range(len(rows[-1].fields)))
             raise refused(
                 f"{name} has too {'many' if count > usual else 'few'} fields in line {row.number}",
                 f"{count}: {row}",

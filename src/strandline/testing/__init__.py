@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import Any, ParamSpec
 
+__all__ = ["by_name", "require_parts"]
+
 _Arguments = ParamSpec("_Arguments")
 
 

@@ -121,6 +121,9 @@ def opened(
 def _end(maker: Any) -> None:
     with contextlib.suppress(TimeoutError, OSError):
         maker.close(timeout=10)
+    for kept in vars(maker).values():
+        if isinstance(kept, tempfile._TemporaryFileWrapper):  # a file of the key, which dask-jobqueue leaves open
+            kept.close()
 
 
 @contextlib.contextmanager
