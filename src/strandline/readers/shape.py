@@ -17,6 +17,8 @@ from strandline.readers.contents import Block, Contents, refused
 from strandline.readers.options import Reading
 from strandline.readers.tables import SD
 
+Points = Float[np.ndarray, "point xyz"]
+Plane = Float[np.ndarray, "point 2"]
 FLATNESS = 1e-6
 """Share of the extent by which points may leave a plane: files in single precision are rounded by 1e-7."""
 CLOSING = 1e-3
@@ -51,9 +53,7 @@ def interface_of(contents: Contents, how: Reading, name: str) -> Interface:
     return found
 
 
-def _places(
-    contents: Contents, how: Reading, name: str
-) -> tuple[Float[np.ndarray, "point xyz"], Float[np.ndarray, "point xyz"]]:
+def _places(contents: Contents, how: Reading, name: str) -> tuple[Points, Points]:
     """Return the points as they are in the file and with the displacement added, mm."""
     places, displacement = contents.points, contents.displacement
     moving = [key for key, v in contents.data.items() if _may_move(key, v)]
@@ -104,13 +104,7 @@ def point_sds(contents: Contents, how: Reading, name: str) -> Float[np.ndarray, 
     return np.asarray(sds)
 
 
-def _of_table(
-    contents: Contents,
-    places: Float[np.ndarray, "point xyz"],
-    moved: Float[np.ndarray, "point xyz"],
-    how: Reading,
-    name: str,
-) -> Interface:
+def _of_table(contents: Contents, places: Points, moved: Points, how: Reading, name: str) -> Interface:
     order = _order(contents, places, how, name)
     _require_finite(moved[order], name)
     chain = moved[order]
@@ -123,7 +117,7 @@ def _of_table(
     return polyline
 
 
-def _repeats_first(chain: Float[np.ndarray, "point 2"], how: Reading) -> bool:
+def _repeats_first(chain: Plane, how: Reading) -> bool:
     """Return whether a chain repeats its first point at its end, but for rounding."""
     if len(chain) <= 3 or how.closed is False:
         return False
@@ -131,9 +125,7 @@ def _repeats_first(chain: Float[np.ndarray, "point 2"], how: Reading) -> bool:
     return bool(np.linalg.norm(chain[0] - chain[-1]) <= CLOSING * np.median(lengths))
 
 
-def _order(
-    contents: Contents, places: Float[np.ndarray, "point xyz"], how: Reading, name: str
-) -> Int[np.ndarray, " chosen"]:
+def _order(contents: Contents, places: Points, how: Reading, name: str) -> Int[np.ndarray, " chosen"]:
     """Return the numbers of the chosen points of a table, along the interface."""
     if places.shape[1] != 2:
         raise refused(f"{name} holds points and no cells", f"{len(places)} points", "lines or faces between them")
@@ -166,11 +158,7 @@ def _order(
 
 
 def _one_piece(
-    order: Int[np.ndarray, " chosen"],
-    pieces: Int[np.ndarray, " chosen"],
-    places: Float[np.ndarray, "point xyz"],
-    how: Reading,
-    name: str,
+    order: Int[np.ndarray, " chosen"], pieces: Int[np.ndarray, " chosen"], places: Points, how: Reading, name: str
 ) -> Int[np.ndarray, " piece"]:
     """Return the points of the piece that `near` or `keep` chooses."""
     found = [order[pieces == one] for one in np.unique(pieces)]
@@ -189,13 +177,7 @@ def _one_piece(
     )
 
 
-def _of_cells(
-    contents: Contents,
-    places: Float[np.ndarray, "point xyz"],
-    moved: Float[np.ndarray, "point xyz"],
-    how: Reading,
-    name: str,
-) -> Interface:
+def _of_cells(contents: Contents, places: Points, moved: Points, how: Reading, name: str) -> Interface:
     blocks = _chosen(contents, how, name)
     used = np.unique(np.concatenate([block.nodes.ravel() for block in blocks]))
     _require_finite(places[used], name)
@@ -266,11 +248,7 @@ def _is_one_of(values: Shaped[np.ndarray, "..."], wanted: Any) -> Bool[np.ndarra
 
 
 def _kept(
-    parts: Int[np.ndarray, "part node"],
-    contents: Contents,
-    places: Float[np.ndarray, "point xyz"],
-    how: Reading,
-    name: str,
+    parts: Int[np.ndarray, "part node"], contents: Contents, places: Points, how: Reading, name: str
 ) -> Int[np.ndarray, "kept node"]:
     """Return the edges or triangles all of whose nodes are in the box and have the requested point data."""
     good = np.ones(len(places), dtype=bool)
@@ -284,7 +262,7 @@ def _kept(
     return kept
 
 
-def _inside(places: Float[np.ndarray, "point xyz"], box: Mapping[str, Sequence[float]]) -> Bool[np.ndarray, " point"]:
+def _inside(places: Points, box: Mapping[str, Sequence[float]]) -> Bool[np.ndarray, " point"]:
     """Return which points lie in a box; its sides are as exact as files print coordinates."""
     good, slack = np.ones(len(places), dtype=bool), ROUNDED * float(np.ptp(places, axis=0).max(initial=0.0))
     for axis, (low, high) in box.items():
@@ -293,17 +271,13 @@ def _inside(places: Float[np.ndarray, "point xyz"], box: Mapping[str, Sequence[f
     return good
 
 
-def _merged(
-    parts: Int[np.ndarray, "part node"], places: Float[np.ndarray, "point xyz"]
-) -> Int[np.ndarray, "part node"]:
+def _merged(parts: Int[np.ndarray, "part node"], places: Points) -> Int[np.ndarray, "part node"]:
     """Return the parts with a single number for points that coincide."""
     _, first, inverse = np.unique(places, axis=0, return_index=True, return_inverse=True)
     return np.asarray(first[inverse.reshape(-1)][parts])
 
 
-def _polyline(
-    chain: Chain, places: Float[np.ndarray, "point 2"], moved: Float[np.ndarray, "point 2"], start: Any
-) -> Interface:
+def _polyline(chain: Chain, places: Plane, moved: Plane, start: Any) -> Interface:
     """Return a chain as an interface that begins at `start`; a closed one runs counter-clockwise."""
     nodes = chain.nodes
     if chain.closed and _area(places[nodes]) < 0:
@@ -319,21 +293,19 @@ def _polyline(
     return polyline
 
 
-def _area(ring: Float[np.ndarray, "point 2"]) -> float:
+def _area(ring: Plane) -> float:
     after = np.roll(ring, -1, axis=0)
     return float((ring[:, 0] * after[:, 1] - ring[:, 1] * after[:, 0]).sum())
 
 
-def _surface(
-    triangles: Int[np.ndarray, "cell 3"], moved: Float[np.ndarray, "point xyz"], places: Float[np.ndarray, "point xyz"]
-) -> Interface:
+def _surface(triangles: Int[np.ndarray, "cell 3"], moved: Points, places: Points) -> Interface:
     triangles = _merged(triangles, places)
     used, corners = np.unique(triangles, return_inverse=True)
     return Interface(np.ascontiguousarray(moved[used]), corners.reshape(-1, 3).astype(np.int64))
 
 
 def _chosen_part(
-    triangles: Int[np.ndarray, "cell 3"], places: Float[np.ndarray, "point xyz"], how: Reading, name: str
+    triangles: Int[np.ndarray, "cell 3"], places: Points, how: Reading, name: str
 ) -> Int[np.ndarray, "chosen 3"]:
     """Return the connected part of a surface that `near` or `keep` chooses, if there are several."""
     triangles = _merged(triangles, places)
@@ -359,13 +331,13 @@ def _chosen_part(
     return np.asarray(triangles[part[triangles[:, 0]] == chosen])
 
 
-def _is_flat(points: Float[np.ndarray, "point xyz"], axes: tuple[int, int]) -> bool:
+def _is_flat(points: Points, axes: tuple[int, int]) -> bool:
     others = [k for k in range(points.shape[1]) if k not in axes]
     extent = float(np.ptp(points, axis=0).max())
     return all(float(np.ptp(points[:, k])) <= FLATNESS * extent for k in others)
 
 
-def _require_finite(points: Float[np.ndarray, "point xyz"], name: str) -> None:
+def _require_finite(points: Points, name: str) -> None:
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
         where = int(np.argmin(finite))

@@ -12,8 +12,8 @@ from strandline.models.offers import prepare_runs
 from strandline.models.protocol import ForwardModel, asks_sensitivities, fingerprint
 from strandline.runs.executors import Executor
 from strandline.runs.failures import FailurePolicy, Outages, aborted
-from strandline.runs.ledger import INTERRUPTED, Ledger
-from strandline.runs.ledger_schema import EXCLUDED
+from strandline.runs.ledger import Ledger
+from strandline.runs.ledger_schema import EXCLUDED, INTERRUPTED
 from strandline.runs.record import NOT_NOW, RunRecord, RunRequest, run_key
 
 

@@ -28,6 +28,7 @@ from strandline.interface import Interface
 from strandline.models.protocol import fingerprint
 from strandline.runs.executors import Executor
 from strandline.runs.record import NOT_NOW, RunRecord, RunRequest, run_key
+from strandline.testing import by_name
 from strandline.testing.models import Cantilever, Faulty, Patient, Slow, TwoLoads
 
 __all__ = ["CHECKS", "CRASH_CHECKS", "TIMEOUT_CHECKS", "WAITING_CHECKS", "requests_for", "same_outcome"]
@@ -61,12 +62,12 @@ def check_answers_each_request_once(executor: Executor, *, workers: int) -> None
     records = list(executor(Cantilever(), iter(requests)))
     _require_one_each(requests, records)
     inputs = {request.key: dict(request.inputs) for request in requests}
-    _require(all(dict(r.inputs) == inputs[r.key] for r in records), "a record carries another run's inputs")
+    assert all(dict(r.inputs) == inputs[r.key] for r in records), "a record carries another run's inputs"
 
 
 def check_accepts_no_requests(executor: Executor, *, workers: int) -> None:
     """Without requests there are no records."""
-    _require(list(executor(Cantilever(), iter([]))) == [], "records without requests")
+    assert list(executor(Cantilever(), iter([]))) == [], "records without requests"
 
 
 def check_returns_the_models_result(executor: Executor, *, workers: int) -> None:
@@ -85,8 +86,8 @@ def _require_the_models_result(executor: Executor, model: Any) -> None:
         expected = RunRecord(record.key, record.inputs, "ok", direct.interfaces, direct.diagnostics)
         expected = replace(expected, sensitivities=direct.sensitivities)
         told = f"{record.state} {record.message or ''}, {dict(record.diagnostics)}"
-        _require(same_outcome(record, expected), f"{dict(record.inputs)}: not what the model returned: {told}")
-        _require(math.isfinite(record.seconds) and record.seconds >= 0, f"seconds = {record.seconds}")
+        assert same_outcome(record, expected), f"{dict(record.inputs)}: not what the model returned: {told}"
+        assert 0 <= record.seconds < math.inf, f"seconds = {record.seconds}"
 
 
 def check_yields_in_order_of_completion(executor: Executor, *, workers: int) -> None:
@@ -100,7 +101,7 @@ def check_yields_in_order_of_completion(executor: Executor, *, workers: int) -> 
             (Path(folder) / str(len(order))).touch()
     expected = stiffness if workers == 1 else [*stiffness[1:], stiffness[0]]
     alike = order == expected or (workers > 2 and order[-1] == stiffness[0])
-    _require(alike, f"records came in the order {order}, the runs ended in the order {expected}")
+    assert alike, f"records came in the order {order}, the runs ended in the order {expected}"
 
 
 def check_pulls_when_a_worker_is_free(executor: Executor, *, workers: int) -> None:
@@ -108,10 +109,10 @@ def check_pulls_when_a_worker_is_free(executor: Executor, *, workers: int) -> No
     requests = requests_for(Cantilever(), np.linspace(300.0, 500.0, 4 * workers + 4).tolist())
     pulled: list[RunRequest] = []
     records = executor(Slow(seconds=0.01), _noted(requests, pulled))
-    _require(not pulled, "requests were pulled before the first record was asked for")
+    assert not pulled, "requests were pulled before the first record was asked for"
     for answered, _ in enumerate(records, start=1):
         out = len(pulled) - answered
-        _require(out <= workers, f"{out} requests are out, with {workers} worker(s)")
+        assert out <= workers, f"{out} requests are out, with {workers} worker(s)"
 
 
 def check_stops_when_closed(executor: Executor, *, workers: int) -> None:
@@ -125,14 +126,14 @@ def check_stops_when_closed(executor: Executor, *, workers: int) -> None:
         records.close()
     count = len(pulled)
     time.sleep(0.3)
-    _require(time.monotonic() - begin < 8.0, "closing took as long as the runs")
-    _require(len(pulled) == count <= workers + 1, f"{len(pulled)} requests were pulled though one record was requested")
+    assert time.monotonic() - begin < 8.0, "closing took as long as the runs"
+    assert len(pulled) == count <= workers + 1, f"{len(pulled)} requests were pulled though one record was requested"
 
 
 def check_gives_each_run_an_empty_folder(executor: Executor, *, workers: int) -> None:
     """Files that one run leaves behind are not there in the next."""
     states = [record.state for record in executor(*_faulty("dirty", above=0.0))]
-    _require(states == ["ok"] * len(STIFFNESS), f"a run met a used folder: {states}")
+    assert states == ["ok"] * len(STIFFNESS), f"a run met a used folder: {states}"
 
 
 def check_waits_for_what_follows(executor: Executor, *, workers: int) -> None:
@@ -167,7 +168,7 @@ def check_hands_over_before_it_asks_again(executor: Executor, *, workers: int) -
 
     for record in executor(Cantilever(), following()):
         records.append(record)  # noqa: PERF402 (the requests look at them)
-    _require(early == [False] * len(requests), "a request was pulled while the record that it depends on was held back")
+    assert early == [False] * len(requests), "a request was pulled while the record that it depends on was held back"
 
 
 def check_asks_beside_a_run(executor: Executor, *, workers: int, pause: float = 1.0, longest: float = 10.0) -> None:
@@ -196,7 +197,7 @@ def check_asks_beside_a_run(executor: Executor, *, workers: int, pause: float = 
             order.append(record.inputs["E"])
             if record.inputs["E"] == 300.0:
                 (Path(folder) / "done").touch()
-    _require(order == [400.0, 300.0, 600.0], f"records came in the order {order}; the first run waits for the third")
+    assert order == [400.0, 300.0, 600.0], f"records came in the order {order}; the first run waits for the third"
 
 
 def _not_now_until(condition: Callable[[], bool], *, seconds: float = 30.0) -> Iterator[RunRequest]:
@@ -217,26 +218,27 @@ def _failure_check(fault: str, state: str, kind: str, *, told: str = "") -> Chec
         _require_one_each(requests, records)
         for record in records:
             if record.inputs["E"] != SICK:
-                _require(record.ok, f"a healthy run ended {record.state}: {record.message}")
+                assert record.ok, f"a healthy run ended {record.state}: {record.message}"
                 continue
             ending = (record.state, record.failure_kind)
-            _require(ending == (state, kind), f"'{fault}' ended {ending}, expected {(state, kind)}")
-            _require(told in (record.message or ""), f"the message lacks '{told}': {record.message}")
-            _require(not record.interfaces, "a run that failed has an interface")
+            assert ending == (state, kind), f"'{fault}' ended {ending}, expected {(state, kind)}"
+            assert told in (record.message or ""), f"the message lacks '{told}': {record.message}"
+            assert not record.interfaces, "a run that failed has an interface"
 
     check.__doc__ = f"The fault '{fault}' ends '{state}' ({kind}) and harms no other run."
     return check
 
 
-CHECKS: dict[str, Check] = {
-    "answers_each_request_once": check_answers_each_request_once,
-    "accepts_no_requests": check_accepts_no_requests,
-    "returns_the_models_result": check_returns_the_models_result,
-    "returns_all_conditions_and_sensitivities": check_returns_all_conditions_and_sensitivities,
-    "yields_in_order_of_completion": check_yields_in_order_of_completion,
-    "pulls_when_a_worker_is_free": check_pulls_when_a_worker_is_free,
-    "stops_when_closed": check_stops_when_closed,
-    "gives_each_run_an_empty_folder": check_gives_each_run_an_empty_folder,
+CHECKS: dict[str, Check] = by_name(
+    check_answers_each_request_once,
+    check_accepts_no_requests,
+    check_returns_the_models_result,
+    check_returns_all_conditions_and_sensitivities,
+    check_yields_in_order_of_completion,
+    check_pulls_when_a_worker_is_free,
+    check_stops_when_closed,
+    check_gives_each_run_an_empty_folder,
+) | {
     "exception": _failure_check("exception", "failed", "exception", told="the matrix is singular"),
     "declared_failure": _failure_check("declared", "failed", "newton_stalled", told="half of the load"),
     "unpicklable_exception": _failure_check("unpicklable", "failed", "exception", told="payload that cannot travel"),
@@ -261,11 +263,11 @@ TIMEOUT_CHECKS: dict[str, Check] = {
 }
 """What an executor with a timeout must stop."""
 
-WAITING_CHECKS: dict[str, Check] = {
-    "waits_for_what_follows": check_waits_for_what_follows,
-    "hands_over_before_it_asks_again": check_hands_over_before_it_asks_again,
-    "asks_beside_a_run": check_asks_beside_a_run,
-}
+WAITING_CHECKS: dict[str, Check] = by_name(
+    check_waits_for_what_follows,
+    check_hands_over_before_it_asks_again,
+    check_asks_beside_a_run,
+)
 """What an executor with ``asks_again`` must do with `NOT_NOW`."""
 
 
@@ -300,10 +302,5 @@ def _bits(interface: Interface) -> tuple[object, ...]:
 def _require_one_each(requests: Sequence[RunRequest], records: Sequence[RunRecord]) -> None:
     asked, answered = Counter(r.key for r in requests), Counter(r.key for r in records)
     missing, surplus = asked - answered, answered - asked
-    _require(not missing, f"{missing.total()} request(s) without a record")
-    _require(not surplus, f"{surplus.total()} record(s) too many")
-
-
-def _require(condition: bool, otherwise: str) -> None:
-    if not condition:
-        raise AssertionError(otherwise)
+    assert not missing, f"{missing.total()} request(s) without a record"
+    assert not surplus, f"{surplus.total()} record(s) too many"

@@ -142,7 +142,15 @@ class TwoLoads:
         return {name: {"E": -loads[name] / modulus * unit, "load": factors[name] * unit} for name in self.conditions}
 
 
-Model = Callable[[Mapping[str, float], Path], Any]
+class _SameResults:
+    """A wrapper that changes no result of its `base`."""
+
+    base: Any
+
+    @property
+    def fingerprint(self) -> str:
+        """The base's."""
+        return str(self.base.fingerprint)
 
 
 @dataclass(frozen=True)
@@ -166,17 +174,12 @@ class Faulty:
 
 
 @dataclass(frozen=True)
-class Slow:
+class Slow(_SameResults):
     """`base`, `seconds` later; with `name` given, that many seconds per unit of the input."""
 
     base: Any = Cantilever()
     seconds: float = 0.1
     name: str | None = None
-
-    @property
-    def fingerprint(self) -> str:
-        """The base's: time does not change results."""
-        return str(self.base.fingerprint)
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
         """Wait, then return what the base returns."""
@@ -185,16 +188,11 @@ class Slow:
 
 
 @dataclass(frozen=True)
-class Counted:
+class Counted(_SameResults):
     """`base`; writes process id and inputs as a line to ``calls`` in `folder` before a run and to ``ends`` after it."""
 
     folder: str
     base: Any = Cantilever()
-
-    @property
-    def fingerprint(self) -> str:
-        """The base's: counting does not change results."""
-        return str(self.base.fingerprint)
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
         """Record the call, then return what the base returns."""
@@ -206,7 +204,7 @@ class Counted:
 
 
 @dataclass(frozen=True)
-class Patient:
+class Patient(_SameResults):
     """`base`; a run with `name` above `above` first waits until there are `others` files in `folder`.
 
     The receiver of the records puts them there, and so decides which runs end first.
@@ -219,11 +217,6 @@ class Patient:
     above: float = 500.0
     longest: float = 60.0
 
-    @property
-    def fingerprint(self) -> str:
-        """The base's: time does not change results."""
-        return str(self.base.fingerprint)
-
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
         """Wait, then return what the base returns."""
         deadline = time.monotonic() + (self.longest if inputs[self.name] > self.above else 0.0)
@@ -233,16 +226,11 @@ class Patient:
 
 
 @dataclass(frozen=True)
-class CrashesOnce:
+class CrashesOnce(_SameResults):
     """`base`, whose process dies the first time that inputs are run; `folder` remembers it."""
 
     folder: str
     base: Any = Cantilever()
-
-    @property
-    def fingerprint(self) -> str:
-        """The base's: the second attempt counts."""
-        return str(self.base.fingerprint)
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
         """Die, or return what the base returns."""
@@ -254,17 +242,12 @@ class CrashesOnce:
 
 
 @dataclass(frozen=True)
-class KilledWhileLoading:
+class KilledWhileLoading(_SameResults):
     """`base`, whose process is killed while it loads the model, the first `times` times; `folder` keeps count."""
 
     folder: str
     times: int
     base: Any = Cantilever()
-
-    @property
-    def fingerprint(self) -> str:
-        """The base's."""
-        return str(self.base.fingerprint)
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
         """Load like any other model, or be killed."""

@@ -21,6 +21,8 @@ from typing import Any
 
 import httpx
 
+from strandline.testing import by_name
+
 __all__ = ["CHECKS", "STRICT_CHECKS", "ModelUnderTest"]
 
 FEATURES = ("Evaluate", "Gradient", "ApplyJacobian", "ApplyHessian")
@@ -48,7 +50,7 @@ class ModelUnderTest:
     def ask(self, endpoint: str, **content: Any) -> Any:
         """Return the answer to a request that must succeed."""
         response = self.post(endpoint, {"name": self.name, "config": {}, **content})
-        _require(response.status_code == 200, f"{endpoint} is answered with HTTP {response.status_code}")
+        assert response.status_code == 200, f"{endpoint} is answered with HTTP {response.status_code}"
         return response.json()
 
     @property
@@ -89,81 +91,80 @@ Check = Callable[[ModelUnderTest], None]
 def check_info(model: ModelUnderTest) -> None:
     """Info returns the version 1.0 and the names of the models, and nothing else."""
     response = model.get("Info")
-    _require(response.status_code == 200, f"Info is answered with HTTP {response.status_code}")
+    assert response.status_code == 200, f"Info is answered with HTTP {response.status_code}"
     info = _keys(response.json(), {"protocolVersion", "models"}, "Info")
-    _require(
-        _is_number(info["protocolVersion"]) and info["protocolVersion"] == 1.0, "the version is not the number 1.0"
-    )
-    _require(all(isinstance(name, str) for name in _list(info["models"], "models")), "a model's name is not a string")
-    _require(model.name in info["models"], f"{model.name} is not among the models")
+    assert json.dumps(info["protocolVersion"]) in ("1.0", "1"), "the version is not the number 1.0"
+    assert all(isinstance(name, str) for name in _list(info["models"], "models")), "a model's name is not a string"
+    assert model.name in info["models"], f"{model.name} is not among the models"
 
 
 def check_model_info(model: ModelUnderTest) -> None:
     """ModelInfo says with true or false which of the four features the model supports."""
     support = _keys(model.ask("ModelInfo"), {"support"}, "ModelInfo")["support"]
-    _require(isinstance(support, dict) and set(support) <= set(FEATURES), f"support is {support}")
-    _require(all(type(value) is bool for value in support.values()), "support holds other values than true and false")
+    assert isinstance(support, dict), f"support is {support}"
+    assert set(support) <= set(FEATURES), f"support is {support}"
+    assert all(type(value) is bool for value in support.values()), "support holds other values than true and false"
 
 
 def check_input_sizes(model: ModelUnderTest) -> None:
     """InputSizes is a list of whole numbers, the sizes of the input blocks."""
     sizes = _keys(model.ask("InputSizes"), {"inputSizes"}, "InputSizes")["inputSizes"]
-    _require(all(type(size) is int for size in _list(sizes, "inputSizes")), "a size is not a whole number")
-    _require(sizes == [len(block) for block in model.inputs], f"{sizes} are not the sizes of the inputs given")
+    assert all(type(size) is int for size in _list(sizes, "inputSizes")), "a size is not a whole number"
+    assert sizes == [len(block) for block in model.inputs], f"{sizes} are not the sizes of the inputs given"
 
 
 def check_output_sizes(model: ModelUnderTest) -> None:
     """OutputSizes is a list of whole numbers, at least one."""
     sizes = _keys(model.ask("OutputSizes"), {"outputSizes"}, "OutputSizes")["outputSizes"]
-    _require(all(type(size) is int for size in _list(sizes, "outputSizes")), "a size is not a whole number")
+    assert all(type(size) is int for size in _list(sizes, "outputSizes")), "a size is not a whole number"
 
 
 def check_sizes_need_no_config(model: ModelUnderTest) -> None:
     """A request may leave `config` out."""
     for endpoint in ("InputSizes", "OutputSizes", "ModelInfo"):
         code = model.post(endpoint, {"name": model.name}).status_code
-        _require(code == 200, f"{endpoint} without config is answered with HTTP {code}")
+        assert code == 200, f"{endpoint} without config is answered with HTTP {code}"
     request = model.request("Evaluate")
     del request["config"]
-    _require(model.post("Evaluate", request).status_code == 200, "Evaluate without config fails")
+    assert model.post("Evaluate", request).status_code == 200, "Evaluate without config fails"
 
 
 def check_evaluate(model: ModelUnderTest) -> None:
     """Evaluate yields blocks of numbers of the declared sizes."""
     output = _keys(model.ask("Evaluate", input=model.inputs), {"output"}, "Evaluate")["output"]
     sizes = [len(_numbers(block, "a block of the output")) for block in _list(output, "output")]
-    _require(sizes == model.output_sizes, f"the output has blocks of {sizes} numbers; {model.output_sizes} declared")
+    assert sizes == model.output_sizes, f"the output has blocks of {sizes} numbers; {model.output_sizes} declared"
 
 
 def check_evaluate_repeats(model: ModelUnderTest) -> None:
     """The same inputs yield the same outputs."""
     first, second = (model.ask("Evaluate", input=model.inputs) for _ in range(2))
-    _require(first == second, "two calls with the same inputs differ")
+    assert first == second, "two calls with the same inputs differ"
 
 
 def check_gradient(model: ModelUnderTest) -> None:
     """Gradient yields a number for each input of its block, and 0 for weights of 0."""
     if model.supports("Gradient"):
         size = model.input_sizes[0]
-        _require(len(_product(model, "Gradient")) == size, f"the gradient does not have {size} numbers")
+        assert len(_product(model, "Gradient")) == size, f"the gradient does not have {size} numbers"
         still = _product(model, "Gradient", sens=[0.0] * model.output_sizes[0])
-        _require(not any(still), "weights of 0 yield a gradient that is not 0")
+        assert not any(still), "weights of 0 yield a gradient that is not 0"
 
 
 def check_apply_jacobian(model: ModelUnderTest) -> None:
     """ApplyJacobian yields a number for each output of its block, and 0 for a vector of 0."""
     if model.supports("ApplyJacobian"):
         size = model.output_sizes[0]
-        _require(len(_product(model, "ApplyJacobian")) == size, f"the product does not have {size} numbers")
+        assert len(_product(model, "ApplyJacobian")) == size, f"the product does not have {size} numbers"
         still = _product(model, "ApplyJacobian", vec=[0.0] * model.input_sizes[0])
-        _require(not any(still), "a vector of 0 yields a product that is not 0")
+        assert not any(still), "a vector of 0 yields a product that is not 0"
 
 
 def check_apply_hessian(model: ModelUnderTest) -> None:
     """ApplyHessian yields a number for each input of its first block."""
     if model.supports("ApplyHessian"):
         size = model.input_sizes[0]
-        _require(len(_product(model, "ApplyHessian")) == size, f"the product does not have {size} numbers")
+        assert len(_product(model, "ApplyHessian")) == size, f"the product does not have {size} numbers"
 
 
 def check_gradient_and_jacobian_agree(model: ModelUnderTest) -> None:
@@ -175,8 +176,8 @@ def check_gradient_and_jacobian_agree(model: ModelUnderTest) -> None:
         backward = _product(model, "Gradient", sens=sens)
         one = math.fsum(s * p for s, p in zip(sens, forward, strict=True))
         other = math.fsum(g * v for g, v in zip(backward, vec, strict=True))
-        _require(
-            math.isclose(one, other, rel_tol=1e-8, abs_tol=1e-300), f"{one!r} by ApplyJacobian, {other!r} by Gradient"
+        assert math.isclose(one, other, rel_tol=1e-8, abs_tol=1e-300), (
+            f"{one!r} by ApplyJacobian, {other!r} by Gradient"
         )
 
 
@@ -264,7 +265,7 @@ def check_missing_keys(model: ModelUnderTest) -> None:
 def check_large_requests(model: ModelUnderTest) -> None:
     """A request of 11 MB is refused with HTTP 413, and the server keeps running."""
     response = model.post("Evaluate", b" " * 11_000_000)
-    _require(response.status_code == 413, f"a request of 11 MB is answered with HTTP {response.status_code}")
+    assert response.status_code == 413, f"a request of 11 MB is answered with HTTP {response.status_code}"
     check_evaluate(model)
 
 
@@ -275,45 +276,45 @@ def check_unknown_endpoints(model: ModelUnderTest) -> None:
         (model.get("Evaluate"), 405),
         (model.post("Info", {}), 405),
     ):
-        _require(response.status_code == code, f"HTTP {response.status_code} instead of {code}")
-        _require(set(response.json()["error"]) == {"type", "message"}, "not an error of the protocol")
+        assert response.status_code == code, f"HTTP {response.status_code} instead of {code}"
+        assert set(response.json()["error"]) == {"type", "message"}, "not an error of the protocol"
 
 
-CHECKS: Mapping[str, Check] = {
-    "info": check_info,
-    "model_info": check_model_info,
-    "input_sizes": check_input_sizes,
-    "output_sizes": check_output_sizes,
-    "sizes_need_no_config": check_sizes_need_no_config,
-    "evaluate": check_evaluate,
-    "evaluate_repeats": check_evaluate_repeats,
-    "gradient": check_gradient,
-    "apply_jacobian": check_apply_jacobian,
-    "apply_hessian": check_apply_hessian,
-    "gradient_and_jacobian_agree": check_gradient_and_jacobian_agree,
-    "unknown_models": check_unknown_models,
-    "unsupported_features": check_unsupported_features,
-    "number_of_blocks": check_number_of_blocks,
-    "sizes_of_blocks": check_sizes_of_blocks,
-    "weights_and_vectors": check_weights_and_vectors,
-    "blocks_that_do_not_exist": check_blocks_that_do_not_exist,
-}
+CHECKS: Mapping[str, Check] = by_name(
+    check_info,
+    check_model_info,
+    check_input_sizes,
+    check_output_sizes,
+    check_sizes_need_no_config,
+    check_evaluate,
+    check_evaluate_repeats,
+    check_gradient,
+    check_apply_jacobian,
+    check_apply_hessian,
+    check_gradient_and_jacobian_agree,
+    check_unknown_models,
+    check_unsupported_features,
+    check_number_of_blocks,
+    check_sizes_of_blocks,
+    check_weights_and_vectors,
+    check_blocks_that_do_not_exist,
+)
 """What the protocol specifies, by name."""
 
-STRICT_CHECKS: Mapping[str, Check] = {
-    "malformed_json": check_malformed_json,
-    "wrong_types": check_wrong_types,
-    "numbers_that_are_not_finite": check_numbers_that_are_not_finite,
-    "missing_keys": check_missing_keys,
-    "large_requests": check_large_requests,
-    "unknown_endpoints": check_unknown_endpoints,
-}
+STRICT_CHECKS: Mapping[str, Check] = by_name(
+    check_malformed_json,
+    check_wrong_types,
+    check_numbers_that_are_not_finite,
+    check_missing_keys,
+    check_large_requests,
+    check_unknown_endpoints,
+)
 """What a careful server does in cases that the protocol does not specify, by name."""
 
 
 def _product(model: ModelUnderTest, feature: str, **changes: Any) -> list[float]:
     response = model.post(feature, model.request(feature, **changes))
-    _require(response.status_code == 200, f"{feature} is answered with HTTP {response.status_code}")
+    assert response.status_code == 200, f"{feature} is answered with HTTP {response.status_code}"
     return _numbers(_keys(response.json(), {"output"}, feature)["output"], f"the output of {feature}")
 
 
@@ -327,33 +328,30 @@ def _refused_everywhere(model: ModelUnderTest, key: str, value: Any, features: t
 
 
 def _require_error(response: httpx.Response, kind: str | tuple[str, ...], what: str) -> None:
-    _require(response.status_code == 400, f"{what} is answered with HTTP {response.status_code}, not 400")
+    assert response.status_code == 400, f"{what} is answered with HTTP {response.status_code}, not 400"
     error = _keys(_keys(response.json(), {"error"}, what)["error"], {"type", "message"}, "error")
     kinds = (kind,) if isinstance(kind, str) else kind
-    _require(error["type"] in kinds, f"{what} is answered with {error['type']}, not {' or '.join(kinds)}")
-    _require(isinstance(error["message"], str), "the message is not a string")
+    assert error["type"] in kinds, f"{what} is answered with {error['type']}, not {' or '.join(kinds)}"
+    assert isinstance(error["message"], str), "the message is not a string"
 
 
 def _keys(content: Any, expected: set[str], what: str) -> dict[str, Any]:
-    _require(isinstance(content, dict) and set(content) == expected, f"the keys of {what} are not exactly {expected}")
+    keys = set(content) if isinstance(content, dict) else None
+    assert keys == expected, f"the keys of {what} are not exactly {expected}"
     return dict(content)
 
 
 def _list(content: Any, what: str) -> list[Any]:
-    _require(isinstance(content, list) and bool(content), f"{what} is not a list with entries")
+    assert isinstance(content, list), f"{what} is not a list"
+    assert content, f"{what} is an empty list"
     return list(content)
 
 
 def _numbers(content: Any, what: str) -> list[float]:
     values = _list(content, what)
-    _require(all(_is_number(value) for value in values), f"{what} holds something other than numbers")
+    assert all(_is_number(value) for value in values), f"{what} holds something other than numbers"
     return values
 
 
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _require(condition: bool, problem: str) -> None:
-    if not condition:
-        raise AssertionError(problem)

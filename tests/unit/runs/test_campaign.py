@@ -13,7 +13,7 @@ from strandline.errors import CampaignStopped, InvalidInput, LedgerError, Numeri
 from strandline.runs import Counts, FailurePolicy, InProcess, Ledger, Progress, Retry, RunRecord, attempt, run_campaign
 from strandline.runs.campaign import Starts
 from strandline.runs.failures import IN_A_ROW, Outages
-from strandline.runs.ledger import INTERRUPTED
+from strandline.runs.ledger_schema import INTERRUPTED
 from strandline.testing.executors import same_outcome
 from strandline.testing.models import Cantilever, Counted, Faulty, TwoLoads
 

@@ -9,7 +9,7 @@ import pytest
 from strandline.errors import InvalidInput
 from strandline.runs import LocalProcesses, RunRecord
 from strandline.runs.array_task import _out_of_walltime
-from strandline.runs.executors import dask_cluster, slurm_commands, with_workers
+from strandline.runs.executors import dask_cluster, slurm_batch, with_workers
 from strandline.runs.executors.dask import DaskCluster
 from strandline.runs.executors.shared import walltime_seconds
 from strandline.runs.executors.slurm_array import SlurmArray, _without_result
@@ -184,5 +184,5 @@ def test_an_executor_without_workers_stays_as_it_is():
 
 def test_a_job_that_accounting_does_not_know_has_no_state(monkeypatch):
     for said, state in (("", None), ("COMPLETED\n", "COMPLETED")):
-        monkeypatch.setattr(slurm_commands, "_said", lambda *words, said=said: said)
-        assert slurm_commands.past_state("7", 1) == state
+        monkeypatch.setattr(slurm_batch, "_said", lambda *words, said=said: said)
+        assert slurm_batch.past_state("7", 1) == state

@@ -27,7 +27,8 @@ from strandline.runs.worker import packed_model, require_posix
 
 __all__ = ["DaskCluster"]
 
-KINDS = ("local", "slurm", "pbs")
+QUEUES = ("slurm", "pbs")
+KINDS = ("local", *QUEUES)
 
 
 @dataclass(frozen=True)
@@ -66,9 +67,13 @@ class DaskCluster:
         require_timeout(self.timeout)
         for name, least in {"workers": 1, "minimum": 0, "maximum": 1}.items():
             require_count(name, getattr(self, name), remedy="Correct the number.", least=least)
-        _require_one_place(self)
-        _require_plain_counts(self)
-        _require_jobs(self)
+        for wrong, what, value, expected, remedy in (*_contradictions(self), *_job_faults(self)):
+            if wrong:
+                raise InvalidInput(what, value=value, expected=expected, remedy=remedy)
+        if self.kind in QUEUES:
+            require_count("jobs.cores", self.jobs["cores"], remedy="Correct the number.")
+            walltime_seconds(self.jobs["walltime"])
+            require_room_in_walltime(self.timeout, self.jobs["walltime"])
 
     @property
     def kind(self) -> str:
@@ -110,82 +115,34 @@ class DaskCluster:
                 driver.close()
 
 
-def _require_one_place(options: DaskCluster) -> None:
-    if options.cluster is not None and options.cluster not in KINDS:
-        raise InvalidInput(
-            "cluster",
-            value=options.cluster,
-            expected=f"one of {', '.join(KINDS)}",
-            remedy="Choose one, or give the address of a scheduler.",
-        )
-    if options.address is not None and options.cluster is not None:
-        raise InvalidInput(
-            "cluster and address",
-            value=f"{options.cluster} and {options.address}",
-            expected="one of the two",
-            remedy="Leave the cluster out if there is a scheduler already.",
-        )
+def _contradictions(options: DaskCluster) -> list[tuple[bool, str, object, str, str]]:
+    """Return options that contradict each other or that somebody else decides: whether they do, and the refusal."""
+    place, workers, least, most = options.cluster, options.workers, options.minimum, options.maximum
+    bounds = [value for value in (least, most) if value is not None]
+    both = place is not None and options.address is not None
+    alone, theirs = "workers alone, or minimum and maximum", "the workers that the scheduler has"
+    coming = "cluster: slurm or pbs, whose jobs come and go"
+    kinds, either = f"one of {', '.join(KINDS)}", "Leave the cluster out if there is a scheduler already."
+    larger = least is not None and (most is None or least > most)
+    return [
+        (place not in (None, *KINDS), "cluster", place, kinds, "Choose one, or give the address of a scheduler."),
+        (both, "cluster and address", f"{place} and {options.address}", "one of the two", either),
+        (workers is not None and bool(bounds), "workers and minimum or maximum", workers, alone, "Leave workers out."),
+        (options.kind not in QUEUES and bool(bounds), "minimum and maximum", bounds, coming, "Give workers instead."),
+        (options.kind == "address" and workers is not None, "workers", workers, theirs, "Leave workers out."),
+        (larger, "minimum", least, "a maximum that is at least as large", "Give one."),
+    ]
 
 
-def _require_plain_counts(options: DaskCluster) -> None:
-    """Refuse numbers that contradict each other, or that somebody else decides."""
-    bounds = [value for value in (options.minimum, options.maximum) if value is not None]
-    if options.workers is not None and bounds:
-        raise InvalidInput(
-            "workers together with minimum or maximum",
-            value=options.workers,
-            expected="workers alone, or minimum and maximum",
-            remedy="Leave workers out.",
-        )
-    if options.kind in ("local", "address") and bounds:
-        raise InvalidInput(
-            "minimum and maximum",
-            value=bounds,
-            expected="cluster: slurm or pbs, whose jobs come and go",
-            remedy="Give workers instead.",
-        )
-    if options.kind == "address" and options.workers is not None:
-        raise InvalidInput(
-            "workers together with the address of a scheduler",
-            value=options.workers,
-            expected="the workers that the scheduler has",
-            remedy="Leave workers out.",
-        )
-    if options.minimum is not None and (options.maximum is None or options.minimum > options.maximum):
-        raise InvalidInput(
-            "minimum",
-            value=options.minimum,
-            expected="a maximum that is at least as large",
-            remedy="Give one.",
-        )
-
-
-def _require_jobs(options: DaskCluster) -> None:
-    if options.kind not in ("slurm", "pbs"):
-        if options.jobs:
-            raise InvalidInput(
-                "jobs",
-                value=dict(options.jobs),
-                expected="none, because this cluster has no jobs",
-                remedy="Choose cluster: slurm or pbs, or remove jobs.",
-            )
-        return
-    for name in options.jobs:
-        if name not in JOB_OPTIONS:
-            raise InvalidInput(
-                "jobs: unknown option",
-                value=name,
-                expected=f"one of {', '.join(JOB_OPTIONS)}",
-                remedy=f"Remove {name}; directives of the queueing system go under extra.",
-            )
-    for name in ("cores", "memory", "walltime"):
-        if name not in options.jobs:
-            raise InvalidInput(
-                f"jobs.{name}",
-                value=None,
-                expected="cores, memory and walltime of a job",
-                remedy=f"Add {name}.",
-            )
-    require_count("jobs.cores", options.jobs["cores"], remedy="Correct the number.")
-    walltime_seconds(options.jobs["walltime"])
-    require_room_in_walltime(options.timeout, options.jobs["walltime"])
+def _job_faults(options: DaskCluster) -> list[tuple[bool, str, object, str, str]]:
+    """Return what may be wrong with the options of jobs: whether it is, and the refusal."""
+    jobs = options.jobs
+    if options.kind not in QUEUES:
+        remedy = "Choose cluster: slurm or pbs, or remove jobs."
+        return [(bool(jobs), "jobs", dict(jobs), "none, because this cluster has no jobs", remedy)]
+    known, needed = f"one of {', '.join(JOB_OPTIONS)}", ("cores", "memory", "walltime")
+    rest = "directives of the queueing system go under extra."
+    return [
+        *((name not in JOB_OPTIONS, "jobs: unknown option", name, known, f"Remove {name}; {rest}") for name in jobs),
+        *((name not in jobs, f"jobs.{name}", None, ", ".join(needed), f"Add {name}.") for name in needed),
+    ]

@@ -14,14 +14,24 @@ from pathlib import Path
 
 from strandline.errors import InvalidInput, StrandlineError
 from strandline.models.protocol import ForwardModel, asks_sensitivities
-from strandline.runs.executors import slurm_commands as slurm
 from strandline.runs.executors.shared import (
     require_count,
     require_room_in_walltime,
     require_timeout,
     walltime_seconds,
 )
-from strandline.runs.executors.slurm_batch import Batch, known_batches, read_run
+from strandline.runs.executors.slurm_batch import (
+    Batch,
+    SlurmUnreachable,
+    cancel_jobs,
+    job_called,
+    job_states,
+    known_batches,
+    largest_array,
+    past_state,
+    read_run,
+    submit_job,
+)
 from strandline.runs.record import RunRecord, RunRequest, State, with_log
 
 __all__ = ["UNUSABLE", "Detached", "SlurmArray"]
@@ -209,13 +219,13 @@ class _Driver:
         if not self.waiting:
             return
         try:
-            largest = slurm.largest_array()
+            largest = largest_array()
             while self.waiting:
                 batch = self._submitted(self.waiting[:largest])
                 for index, request in enumerate(batch.requests):
                     self.out[request.key] = batch, index, request
                 del self.waiting[:largest]
-        except slurm.SlurmUnreachable:
+        except SlurmUnreachable:
             if not self.out:
                 raise
 
@@ -230,7 +240,7 @@ class _Driver:
         logs = str(batch.folder / "logs" / "A.txt").replace("%", "%%").removesuffix("A.txt") + "%a.txt"
         place = [f"--job-name={batch.name}", f"--output={logs}", f"--chdir={batch.folder}"]
         try:
-            batch.submitted(slurm.submit([*place, *self.options.options(len(requests))], script))
+            batch.submitted(submit_job([*place, *self.options.options(len(requests))], script))
         except InvalidInput:
             if not _found(batch):  # a submission whose answer was lost still counts
                 batch.remove()
@@ -246,8 +256,8 @@ class _Driver:
                 yield key, self._read(batch, index, request, there[batch.name][index])
         if not self.out:
             return
-        with contextlib.suppress(slurm.SlurmUnreachable):
-            yield from self._lost(slurm.states(batches), there)
+        with contextlib.suppress(SlurmUnreachable):
+            yield from self._lost(job_states(batches), there)
 
     def _lost(
         self, states: Mapping[tuple[str, int], str], there: Mapping[str, Mapping[int, Path]]
@@ -261,7 +271,7 @@ class _Driver:
             self.ended[key] = self.ended.get(key, 0) + 1
             if self.ended[key] > LOOKS_FOR_A_LATE_RESULT:
                 del self.ended[key]
-                state = state or (slurm.past_state(batch.job, index) if batch.job else None)
+                state = state or (past_state(batch.job, index) if batch.job else None)
                 yield key, _without_result(batch, index, request, state)
 
     def _read(self, batch: Batch, index: int, request: RunRequest, path: Path) -> RunRecord:
@@ -281,8 +291,8 @@ class _Driver:
 
     def _give_up(self, batch: Batch) -> None:
         """Cancel a batch that cannot succeed."""
-        with contextlib.suppress(slurm.SlurmUnreachable):
-            slurm.cancel(batch.name)
+        with contextlib.suppress(SlurmUnreachable):
+            cancel_jobs(batch.name)
         batch.remove()
 
     def _tidy(self) -> None:
@@ -295,7 +305,7 @@ class _Driver:
 
 def _found(batch: Batch) -> bool:
     """Return whether SLURM has the job of a batch whose driver could not note its number; if so, note it."""
-    job = slurm.job_called(batch.name)
+    job = job_called(batch.name)
     if job is not None:
         batch.submitted(job)
     return job is not None
