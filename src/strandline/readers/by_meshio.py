@@ -78,16 +78,12 @@ def _require_end(content: bytes) -> None:
 class _Whole(io.BytesIO):
     """The bytes of a file; too many reads past the end raise an error."""
 
-    def __init__(self, content: bytes) -> None:
-        super().__init__(content)
-        self.at_end = 0
+    at_end = 0
 
     def readline(self, size: int | None = -1, /) -> bytes:
-        """Return the next line."""
-        return self._counted(super().readline(-1 if size is None else size))
+        return self._counted(super().readline(size))
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """Return the next bytes."""
         return self._counted(super().read(size))
 
     def _counted(self, found: bytes) -> bytes:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ class Unreadable(InvalidInput):
         super().__init__(what, value=value, expected=expected, remedy=remedy)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuilt, (self.what, self.value, self.expected, self.remedy, self.kind)
+        return partial(refused, kind=self.kind), (self.what, self.value, self.expected, self.remedy)
 
 
 def refused(
@@ -40,10 +41,6 @@ def refused(
     kind: str = "result_unreadable",
 ) -> Unreadable:
     """Return the error for a file that cannot be used."""
-    return Unreadable(what, value=value, expected=expected, remedy=remedy, kind=kind)
-
-
-def _rebuilt(what: str, value: object, expected: str, remedy: str, kind: str) -> Unreadable:
     return Unreadable(what, value=value, expected=expected, remedy=remedy, kind=kind)
 
 

@@ -105,7 +105,7 @@ def create(path: Path, *, model: str, description: str) -> None:
             _fill(connection, model, description)
             journal.settle(connection, path)
         draft.replace(path)
-        _synchronise(path.parent)
+        synchronise(path.parent)
     except BaseException:
         draft.unlink(missing_ok=True)
         raise
@@ -265,7 +265,7 @@ def _fill(connection: sqlite3.Connection, model: str, description: str) -> None:
     connection.executemany("INSERT INTO meta VALUES (?, ?)", [(key, str(value)) for key, value in facts.items()])
 
 
-def _synchronise(folder: Path) -> None:
+def synchronise(folder: Path) -> None:
     """Put the folder's own entries on the disk, if the platform can."""
     if os.name == "posix":
         descriptor = os.open(folder, os.O_RDONLY)

@@ -11,7 +11,6 @@ import socket
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import NamedTuple
 
 from strandline.runs import ledger_schema
@@ -143,9 +142,7 @@ class Overview:
     def __enter__(self) -> "Overview":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def plan(self, study_sha256: str) -> Plan | None:

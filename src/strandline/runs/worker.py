@@ -18,11 +18,7 @@ from strandline.runs.record import attempt
 
 READY, UNUSABLE = "ready", "unusable"
 _loading = threading.Event()
-
-
-def loads_main_module() -> bool:
-    """Return whether this process is a worker that is running the user's script to find the model."""
-    return _loading.is_set()
+"""Set while this process is a worker that runs the user's script to find the model."""
 
 
 def main(descriptor: int, setup: str) -> None:
@@ -123,7 +119,7 @@ def packed_model(model: ForwardModel) -> bytes:
 
 def require_not_loading() -> None:
     """Refuse to start workers from a worker that is only looking for the model in the user's script."""
-    if loads_main_module():
+    if _loading.is_set():
         raise InvalidInput(
             "worker processes were asked for while a worker was loading the script that defines the model",
             value="a script without a guard",

@@ -144,27 +144,17 @@ def check_evaluate_repeats(model: ModelUnderTest) -> None:
 
 def check_gradient(model: ModelUnderTest) -> None:
     """Gradient yields a number for each input of its block, and 0 for weights of 0."""
-    if model.supports("Gradient"):
-        size = model.input_sizes[0]
-        assert len(_product(model, "Gradient")) == size, f"the gradient does not have {size} numbers"
-        still = _product(model, "Gradient", sens=[0.0] * model.output_sizes[0])
-        assert not any(still), "weights of 0 yield a gradient that is not 0"
+    _require_product(model, "Gradient", model.input_sizes[0], sens=[0.0] * model.output_sizes[0])
 
 
 def check_apply_jacobian(model: ModelUnderTest) -> None:
     """ApplyJacobian yields a number for each output of its block, and 0 for a vector of 0."""
-    if model.supports("ApplyJacobian"):
-        size = model.output_sizes[0]
-        assert len(_product(model, "ApplyJacobian")) == size, f"the product does not have {size} numbers"
-        still = _product(model, "ApplyJacobian", vec=[0.0] * model.input_sizes[0])
-        assert not any(still), "a vector of 0 yields a product that is not 0"
+    _require_product(model, "ApplyJacobian", model.output_sizes[0], vec=[0.0] * model.input_sizes[0])
 
 
 def check_apply_hessian(model: ModelUnderTest) -> None:
-    """ApplyHessian yields a number for each input of its first block."""
-    if model.supports("ApplyHessian"):
-        size = model.input_sizes[0]
-        assert len(_product(model, "ApplyHessian")) == size, f"the product does not have {size} numbers"
+    """ApplyHessian yields a number for each input of its first block, and 0 for a vector of 0."""
+    _require_product(model, "ApplyHessian", model.input_sizes[0], vec=[0.0] * model.input_sizes[0])
 
 
 def check_gradient_and_jacobian_agree(model: ModelUnderTest) -> None:
@@ -316,6 +306,13 @@ def _product(model: ModelUnderTest, feature: str, **changes: Any) -> list[float]
     response = model.post(feature, model.request(feature, **changes))
     assert response.status_code == 200, f"{feature} is answered with HTTP {response.status_code}"
     return _numbers(_keys(response.json(), {"output"}, feature)["output"], f"the output of {feature}")
+
+
+def _require_product(model: ModelUnderTest, feature: str, size: int, **nothing: list[float]) -> None:
+    """Require so many numbers of a feature that the model supports, and only zeros with `nothing`."""
+    if model.supports(feature):
+        assert len(_product(model, feature)) == size, f"{feature} does not yield {size} numbers"
+        assert not any(_product(model, feature, **nothing)), f"{feature} of 0 is not 0"
 
 
 def _refused_everywhere(model: ModelUnderTest, key: str, value: Any, features: tuple[str, ...]) -> None:

@@ -30,6 +30,7 @@ import numpy as np
 from strandline.errors import InvalidInput, StrandlineError
 from strandline.interface import Interface
 from strandline.models.protocol import ForwardModel, asks_sensitivities, fingerprint
+from strandline.runs.ledger_schema import synchronise
 from strandline.runs.record import RunRecord, RunRequest
 
 HEADER = b"strandline run 1 "
@@ -76,11 +77,7 @@ def put_durably(path: Path, content: bytes) -> None:
         stream.flush()
         os.fsync(stream.fileno())
     partial.replace(path)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+    synchronise(path.parent)
 
 
 def _read(content: bytes) -> RunRecord:
