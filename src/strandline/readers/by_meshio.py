@@ -33,7 +33,7 @@ def read_by_meshio(path: Path, how: Reading, name: str) -> Contents:
     if how.suffix == ".stl":
         _require_end(content)
     with contextlib.redirect_stdout(io.StringIO()), tempfile.NamedTemporaryFile() as copy:
-        source = _Whole(content) if how.suffix == ".ply" else str(path)
+        source = _WholeFile(content) if how.suffix == ".ply" else str(path)
         if how.suffix == ".mesh":
             copy.write(_known_sections(content))
             copy.flush()
@@ -75,7 +75,7 @@ def _require_end(content: bytes) -> None:
         raise EOFError("the file is cut off")
 
 
-class _Whole(io.BytesIO):
+class _WholeFile(io.BytesIO):
     """The bytes of a file; too many reads past the end raise an error."""
 
     at_end = 0

@@ -49,7 +49,7 @@ SHORTEST_PIECE = 3
 
 
 @dataclass(frozen=True)
-class Row:
+class TableRow:
     """A line of a table.
 
     Args:
@@ -141,9 +141,9 @@ def _require_upright(name: str, rows: int, columns: int) -> None:
         raise refused(f"{name} seems to hold a row for each coordinate", found, "a row for each point", remedy)
 
 
-def _rows(lines: Sequence[str], separator: str) -> tuple[list[Row], list[str]]:
+def _rows(lines: Sequence[str], separator: str) -> tuple[list[TableRow], list[str]]:
     """Return the rows, and the comments before the first one."""
-    rows: list[Row] = []
+    rows: list[TableRow] = []
     comments: list[str] = []
     gap = False
     for number, line in enumerate(lines, 1):
@@ -151,7 +151,7 @@ def _rows(lines: Sequence[str], separator: str) -> tuple[list[Row], list[str]]:
             gap = bool(rows)
             comments += [line.lstrip(" #%*")] if line.strip(" #%*") and not rows else []
             continue
-        rows.append(Row(number, _fields(line, separator), gap))
+        rows.append(TableRow(number, _fields(line, separator), gap))
         gap = False
     return rows, comments
 
@@ -163,7 +163,7 @@ def _fields(line: str, separator: str) -> tuple[str, ...]:
     return found[:-1] if len(found) > 1 and not found[-1] else found
 
 
-def _is_header(row: Row) -> bool:
+def _is_header(row: TableRow) -> bool:
     """Return whether a first row holds names: letters first, and none of what programs write for numbers."""
     return all(
         re.match(r"[^\W\d]|[\[(]|$", field) and not _is_number(field) and field.lower() not in MISSING
@@ -172,7 +172,7 @@ def _is_header(row: Row) -> bool:
 
 
 def _columns(
-    name: str, rows: Sequence[Row], titles: Sequence[str], columns: Sequence[str | int]
+    name: str, rows: Sequence[TableRow], titles: Sequence[str], columns: Sequence[str | int]
 ) -> Float[np.ndarray, "point column"]:
     """Return columns of a table."""
     chosen = [_place(name, column, titles, rows[0], pair=len(columns) > 1) for column in columns]
@@ -182,7 +182,7 @@ def _columns(
     return np.array([[float(row.fields[k]) for k in chosen] for row in rows])
 
 
-def _place(name: str, column: str | int, titles: Sequence[str], row: Row, *, pair: bool) -> int:
+def _place(name: str, column: str | int, titles: Sequence[str], row: TableRow, *, pair: bool) -> int:
     if isinstance(column, int):
         return column - 1
     if list(titles).count(column) != 1:
@@ -194,17 +194,17 @@ def _place(name: str, column: str | int, titles: Sequence[str], row: Row, *, pai
     return list(titles).index(column)
 
 
-def _with_points(name: str, rows: Sequence[Row]) -> list[Row]:
+def _with_points(name: str, rows: Sequence[TableRow]) -> list[TableRow]:
     """Return rows with decimal commas replaced by decimal points."""
     for row in rows:
         odd = next((field for field in row.fields if _is_number(field) and "." in field), None)
         if odd is not None:
             expected = 'decimal commas, as `decimal: ","` says'
             raise refused(f"{name} has a decimal point in line {row.number}", odd, expected, "Remove one of the two.")
-    return [Row(row.number, tuple(field.replace(",", ".") for field in row.fields), row.after_gap) for row in rows]
+    return [TableRow(row.number, tuple(field.replace(",", ".") for field in row.fields), row.after_gap) for row in rows]
 
 
-def _require_one_width(name: str, rows: Sequence[Row], titles: Sequence[str]) -> None:
+def _require_one_width(name: str, rows: Sequence[TableRow], titles: Sequence[str]) -> None:
     """Refuse rows with more or fewer fields than there are column names, or than most rows have."""
     counts = [len(row.fields) for row in rows]
     usual = len(titles) or max(set(counts), key=counts.count)
@@ -244,7 +244,7 @@ def _axes(text: str) -> str:
     return ""
 
 
-def _require_no_empty_end(name: str, lines: Sequence[str], rows: Sequence[Row]) -> None:
+def _require_no_empty_end(name: str, lines: Sequence[str], rows: Sequence[TableRow]) -> None:
     """Refuse a row without any number before the first point or after the last: a point may be missing."""
     for number, line in enumerate(lines, 1):
         empty = line.strip() and not line.strip(" \t,;")
@@ -252,7 +252,7 @@ def _require_no_empty_end(name: str, lines: Sequence[str], rows: Sequence[Row]) 
             raise refused(f"{name} has an empty row in line {number}", line, "a point in each row", "Remove the line.")
 
 
-def _require_no_count(name: str, rows: Sequence[Row], chosen: Sequence[int]) -> None:
+def _require_no_count(name: str, rows: Sequence[TableRow], chosen: Sequence[int]) -> None:
     """Refuse rows that count the points after them, and a first row that numbers the columns."""
     heads, names, at = [], [], 0
     while at < len(rows):
@@ -285,7 +285,7 @@ def _require_no_count(name: str, rows: Sequence[Row], chosen: Sequence[int]) -> 
 
 
 def _pieces(
-    rows: Sequence[Row], titles: Sequence[str], chosen: Sequence[int], how: Reading
+    rows: Sequence[TableRow], titles: Sequence[str], chosen: Sequence[int], how: Reading
 ) -> Int[np.ndarray, " point"] | None:
     """Return the number of each point's piece, if a blank line, a comment or a column tells several pieces apart.
 
@@ -372,7 +372,7 @@ def require_end(path: Path, name: str) -> None:
         )
 
 
-def _no_point(name: str, row: Row, titles: Sequence[str], columns: Sequence[str | int] = ()) -> Unreadable:
+def _no_point(name: str, row: TableRow, titles: Sequence[str], columns: Sequence[str | int] = ()) -> Unreadable:
     expected = f"numbers in the columns {', '.join(map(str, columns))}" if columns else "two numbers x, y"
     remedy = "Correct the line, or what writes it."
     if not columns and len(row.fields) > 2:
@@ -380,7 +380,7 @@ def _no_point(name: str, row: Row, titles: Sequence[str], columns: Sequence[str 
     return refused(f"{name} has no point in line {row.number}", str(row), expected, _touching(row) or remedy)
 
 
-def _touching(row: Row) -> str | None:
+def _touching(row: TableRow) -> str | None:
     """Return the remedy if numbers of a row touch, as in columns of fixed width."""
     if not any(TOUCHING.match(field) for field in row.fields):
         return None
@@ -411,7 +411,7 @@ def _quoted(title: str) -> str:
 CLOSED = {"polygon": True, "linestrip": False, "line": False}
 CLOSED |= {"Polygon": True, "MultiPolygon": True, "LineString": False, "MultiLineString": False}
 """Shapes of labelme and geometries of GeoJSON → whether they are closed."""
-Outline = tuple[Float[np.ndarray, "point 2"], bool]
+DrawnLine = tuple[Float[np.ndarray, "point 2"], bool]
 
 
 def read_json(path: Path, how: Reading, name: str) -> Contents:
@@ -422,7 +422,7 @@ def read_json(path: Path, how: Reading, name: str) -> Contents:
     return Contents(np.concatenate(found), pieces=np.repeat(np.arange(len(found)), [len(points) for points in found]))
 
 
-def outlines(content: bytes) -> list[Outline]:
+def outlines(content: bytes) -> list[DrawnLine]:
     """Return points of each outline in a GeoJSON or labelme file, holes as well, and whether it is closed.
 
     Raises:
@@ -431,7 +431,7 @@ def outlines(content: bytes) -> list[Outline]:
     return list(_drawn(json.loads(content)))
 
 
-def _drawn(found: Any) -> Iterator[Outline]:
+def _drawn(found: Any) -> Iterator[DrawnLine]:
     inner = [one for key in ("features", "geometries", "shapes") for one in found.get(key, ())]
     for one in filter(None, [*inner, found.get("geometry")]):
         yield from _drawn(one)

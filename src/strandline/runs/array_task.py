@@ -17,7 +17,7 @@ from strandline.errors import InvalidInput
 from strandline.models.protocol import ForwardModel, asks_sensitivities, fingerprint, with_sensitivities
 from strandline.models.python import PythonModel
 from strandline.runs.executors.slurm_array import UNUSABLE
-from strandline.runs.executors.slurm_batch import Batch
+from strandline.runs.executors.slurm_batch import ArrayBatch
 from strandline.runs.record import RunRecord, RunRequest, with_log
 from strandline.runs.worker import packed_model
 from strandline.runs.worker_slot import WorkerSlot
@@ -43,7 +43,7 @@ def run_task(folder: Path, index: int, load: Callable[[], ForwardModel]) -> None
     walltime_over = threading.Event()
     signal.signal(signal.SIGUSR1, lambda number, frame: walltime_over.set())
     try:
-        batch = Batch.read(folder)
+        batch = ArrayBatch.read(folder)
     except FileNotFoundError:
         return  # the batch was given up meanwhile
     if index in batch.present()[0] or index in batch.present()[1]:
@@ -63,7 +63,7 @@ def run_task(folder: Path, index: int, load: Callable[[], ForwardModel]) -> None
     batch.put(index, record)
 
 
-def _fitting(model: ForwardModel, batch: Batch) -> ForwardModel:
+def _fitting(model: ForwardModel, batch: ArrayBatch) -> ForwardModel:
     """Return the model as the batch needs it; refuse one that has changed since."""
     if batch.sensitivities and not asks_sensitivities(model):
         model = with_sensitivities(model)

@@ -77,14 +77,14 @@ def run_batches(
     _require_patience(patience)
     policy = policy or FailurePolicy(stop_share=2.0)
     campaign = Campaign(model, [], ledger, executor, on_record, maximum_attempts, policy)
-    course = _Course(campaign, batches, choose, patience)
+    course = _BatchCourse(campaign, batches, choose, patience)
     further = course.further if getattr(executor, "asks_again", False) else None
     while course.goes_on():
         campaign.run_pending(further)
     return campaign.results()
 
 
-class _Course:
+class _BatchCourse:
     """Which batch is the last, whether it is closed, and what comes after it."""
 
     def __init__(self, campaign: Campaign, batches: Sequence[Batch], choose: Choose, patience: float) -> None:

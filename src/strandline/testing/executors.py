@@ -39,7 +39,7 @@ SICK = 600.0
 
 
 @runtime_checkable
-class Check(Protocol):
+class ExecutorCheck(Protocol):
     """One check of the suite."""
 
     def __call__(self, executor: Executor, *, workers: int) -> None: ...
@@ -208,7 +208,7 @@ def _not_now_until(condition: Callable[[], bool], *, seconds: float = 30.0) -> I
         yield NOT_NOW
 
 
-def _failure_check(fault: str, state: str, kind: str, *, told: str = "") -> Check:
+def _failure_check(fault: str, state: str, kind: str, *, told: str = "") -> ExecutorCheck:
     """Return a check that `fault` ends the run that it hits, and no other, in `state` and `kind`."""
 
     def check(executor: Executor, *, workers: int) -> None:
@@ -229,7 +229,7 @@ def _failure_check(fault: str, state: str, kind: str, *, told: str = "") -> Chec
     return check
 
 
-CHECKS: dict[str, Check] = by_name(
+CHECKS: dict[str, ExecutorCheck] = by_name(
     check_answers_each_request_once,
     check_accepts_no_requests,
     check_returns_the_models_result,
@@ -248,7 +248,7 @@ CHECKS: dict[str, Check] = by_name(
 }
 """What every executor must do, by name."""
 
-CRASH_CHECKS: dict[str, Check] = {
+CRASH_CHECKS: dict[str, ExecutorCheck] = {
     "exit": _failure_check("exit", "killed", "worker_died", told="code 3"),
     "sigkill": _failure_check("kill", "killed", "worker_died", told="SIGKILL"),
     "segfault": _failure_check("segfault", "killed", "worker_died", told="SIGSEGV"),
@@ -256,14 +256,14 @@ CRASH_CHECKS: dict[str, Check] = {
 }
 """What an executor with processes of its own must survive and report."""
 
-TIMEOUT_CHECKS: dict[str, Check] = {
+TIMEOUT_CHECKS: dict[str, ExecutorCheck] = {
     "hang": _failure_check("hang", "timeout", "timeout", told="waiting for nothing"),
     "hang_in_c": _failure_check("hang_in_c", "timeout", "timeout"),
     "hanging_child": _failure_check("child", "timeout", "timeout"),
 }
 """What an executor with a timeout must stop."""
 
-WAITING_CHECKS: dict[str, Check] = by_name(
+WAITING_CHECKS: dict[str, ExecutorCheck] = by_name(
     check_waits_for_what_follows,
     check_hands_over_before_it_asks_again,
     check_asks_beside_a_run,

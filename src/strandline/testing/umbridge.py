@@ -85,7 +85,7 @@ class ModelUnderTest:
         return content | changes
 
 
-Check = Callable[[ModelUnderTest], None]
+ServerCheck = Callable[[ModelUnderTest], None]
 
 
 def check_info(model: ModelUnderTest) -> None:
@@ -270,7 +270,7 @@ def check_unknown_endpoints(model: ModelUnderTest) -> None:
         assert set(response.json()["error"]) == {"type", "message"}, "not an error of the protocol"
 
 
-CHECKS: Mapping[str, Check] = by_name(
+CHECKS: Mapping[str, ServerCheck] = by_name(
     check_info,
     check_model_info,
     check_input_sizes,
@@ -291,7 +291,7 @@ CHECKS: Mapping[str, Check] = by_name(
 )
 """What the protocol specifies, by name."""
 
-STRICT_CHECKS: Mapping[str, Check] = by_name(
+STRICT_CHECKS: Mapping[str, ServerCheck] = by_name(
     check_malformed_json,
     check_wrong_types,
     check_numbers_that_are_not_finite,

@@ -69,18 +69,18 @@ def hanging_driver(folder, executor, fault="hang_in_c", before="pass"):
 
 def driven_by(place, **limits):
     """Return a Dask executor that opens the cluster `place()` and whose driver has other limits than the product's."""
-    from strandline.runs.executors.dask_driver import Driver
+    from strandline.runs.executors.dask_driver import DaskDispatcher
     from strandline.runs.worker import packed_model
 
     limits = {"timeout": None, "life": None, "least": 1, "most": 1, **limits}
 
     def execute(model, requests):
         with place() as cluster:
-            driver = Driver(cluster, packed_model(model), iter(requests), **limits)
+            runs = DaskDispatcher(cluster, packed_model(model), iter(requests), **limits)
             try:
-                yield from driver.records()
+                yield from runs.records()
             finally:
-                driver.close()
+                runs.close()
 
     return execute
 

@@ -13,7 +13,7 @@ from strandline.runs.executors import dask_cluster, slurm_batch, with_workers
 from strandline.runs.executors.dask import DaskCluster
 from strandline.runs.executors.shared import walltime_seconds
 from strandline.runs.executors.slurm_array import SlurmArray, _without_result
-from strandline.runs.executors.slurm_batch import Batch, known_batches, read_run
+from strandline.runs.executors.slurm_batch import ArrayBatch, known_batches, read_run
 from strandline.testing.executors import requests_for, same_outcome
 from strandline.testing.models import Cantilever
 
@@ -101,9 +101,9 @@ def test_the_options_of_an_array_are_those_of_sbatch():
 
 
 def test_a_batch_is_read_as_it_was_written_and_keeps_what_came_back(tmp_path):
-    batch = Batch.new(tmp_path, BEAM, REQUESTS, 50.0)
+    batch = ArrayBatch.new(tmp_path, BEAM, REQUESTS, 50.0)
     batch.submitted("17")
-    again = Batch.read(batch.folder)
+    again = ArrayBatch.read(batch.folder)
     assert (again, again.job, again.timeout) == (batch, "17", 50.0)
     record, other = (RunRecord(REQUESTS[0].key, REQUESTS[0].inputs, state) for state in ("failed", "killed"))
     batch.put(0, record)
@@ -123,9 +123,9 @@ def test_a_batch_is_read_as_it_was_written_and_keeps_what_came_back(tmp_path):
 
 
 def test_batches_are_listed_oldest_first_without_those_that_another_driver_removes(tmp_path, monkeypatch):
-    made = [Batch.new(tmp_path, BEAM, REQUESTS, 50.0) for _ in range(3)]
+    made = [ArrayBatch.new(tmp_path, BEAM, REQUESTS, 50.0) for _ in range(3)]
     assert [batch.name for batch in known_batches(tmp_path)] == [batch.name for batch in made]
-    read = Batch.read
+    read = ArrayBatch.read
 
     def remove_the_others_first(folder):
         for batch in made:
@@ -133,12 +133,12 @@ def test_batches_are_listed_oldest_first_without_those_that_another_driver_remov
                 batch.remove()
         return read(folder)
 
-    monkeypatch.setattr(Batch, "read", remove_the_others_first)
+    monkeypatch.setattr(ArrayBatch, "read", remove_the_others_first)
     assert len(list(known_batches(tmp_path))) == 1
 
 
 def test_a_job_without_a_result_is_told_by_its_state(tmp_path):
-    batch = Batch.new(tmp_path, BEAM, REQUESTS, 50.0)
+    batch = ArrayBatch.new(tmp_path, BEAM, REQUESTS, 50.0)
     (batch.folder / "logs" / "3.txt").write_text("the last words\n")
     ends = {
         "TIMEOUT": ("timeout", "walltime"),

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 from strandline.errors import InvalidInput
 from strandline.models.protocol import ForwardModel
 from strandline.runs.executors.dask_cluster import JOB_OPTIONS, imported, opened
-from strandline.runs.executors.dask_driver import Driver
+from strandline.runs.executors.dask_driver import DaskDispatcher
 from strandline.runs.executors.local import usable_cores
 from strandline.runs.executors.shared import (
     require_count,
@@ -100,7 +100,7 @@ class DaskCluster:
         least = min(needed, most if self.minimum is None else self.minimum)
         with opened(self.kind, self.address, needed, self.jobs) as cluster:
             life = walltime_seconds(self.jobs["walltime"]) if "walltime" in self.jobs else None
-            driver = Driver(
+            runs = DaskDispatcher(
                 cluster,
                 setup,
                 iter(requests),
@@ -110,9 +110,9 @@ class DaskCluster:
                 most=length_hint(requests, sys.maxsize),
             )
             try:
-                yield from driver.records()
+                yield from runs.records()
             finally:
-                driver.close()
+                runs.close()
 
 
 def _contradictions(options: DaskCluster) -> list[tuple[bool, str, object, str, str]]:

@@ -111,7 +111,7 @@ def _wanted() -> Callable[[], bool]:
 
 
 @dataclass
-class _Task:
+class _DaskTask:
     """What was given to a worker: a run, or the start of a worker process if there is no request."""
 
     request: RunRequest | None
@@ -120,7 +120,7 @@ class _Task:
     began: float
 
 
-class Driver(Dispatcher[str]):
+class DaskDispatcher(Dispatcher[str]):
     """One call: the runs that are out, the records not handed over yet, and the workers present.
 
     A thread gets runs only when it has a worker process that has loaded the model, so no run waits for that.
@@ -153,7 +153,7 @@ class Driver(Dispatcher[str]):
         self.timeout, self.life, self.least, self.most = timeout, life, least, most
         self.silence_borne_seconds = silence_borne_seconds
         self.session, self.number = uuid.uuid4().hex, 0
-        self.out: dict[str, _Task] = {}
+        self.out: dict[str, _DaskTask] = {}
         self.news: SimpleQueue[str] = SimpleQueue()
         self.threads: dict[str, int] = {}
         self.ready: dict[str, int] = {}
@@ -191,7 +191,7 @@ class Driver(Dispatcher[str]):
         future = self.cluster.client.submit(
             job, key=key, workers=[place], allow_other_workers=False, pure=False, retries=0
         )
-        self.out[key] = _Task(request, place, future, time.monotonic())
+        self.out[key] = _DaskTask(request, place, future, time.monotonic())
         future.add_done_callback(lambda done: self.news.put(done.key))
 
     def hear(self, *, wait: bool) -> None:
@@ -247,7 +247,7 @@ class Driver(Dispatcher[str]):
         else:
             self._lose(task, "it was cancelled")
 
-    def _lose(self, task: _Task, how: str) -> None:
+    def _lose(self, task: _DaskTask, how: str) -> None:
         """Keep the record of a run that vanished with its worker."""
         if task.request is not None:
             record = RunRecord(

@@ -81,24 +81,24 @@ class LocalProcesses:
             crew.close()
 
 
-class _Crew(Dispatcher["_Place"]):
+class _Crew(Dispatcher["_SlotThread"]):
     """The worker slots of one call, each with a thread that waits for its runs."""
 
     def __init__(self, setup: bytes, requests: Iterator[RunRequest], timeout: float | None, number: int) -> None:
         super().__init__(requests)
-        self.news: SimpleQueue[tuple[_Place, object]] = SimpleQueue()
+        self.news: SimpleQueue[tuple[_SlotThread, object]] = SimpleQueue()
         self.stopped = Event()
-        self.idle: list[_Place] = []
+        self.idle: list[_SlotThread] = []
         self.out = 0
-        self.places = [_Place(setup, timeout, self.news, self.stopped) for _ in range(number)]
+        self.places = [_SlotThread(setup, timeout, self.news, self.stopped) for _ in range(number)]
         for place in self.places:
             place.start()
 
-    def free(self) -> "_Place | None":
+    def free(self) -> "_SlotThread | None":
         taken = [place for place, _ in self.done]
         return next((place for place in self.idle if place not in taken), None)
 
-    def submit(self, request: RunRequest, place: "_Place") -> None:
+    def submit(self, request: RunRequest, place: "_SlotThread") -> None:
         self.idle.remove(place)
         self.out += 1
         place.inbox.put(request)
@@ -120,7 +120,7 @@ class _Crew(Dispatcher["_Place"]):
         for place in self.places:
             place.join()
 
-    def _take(self, place: "_Place", found: object) -> None:
+    def _take(self, place: "_SlotThread", found: object) -> None:
         """Note that a place has loaded the model or made a run, or raise the error that keeps it from doing so."""
         if isinstance(found, BaseException):
             raise found
@@ -130,11 +130,11 @@ class _Crew(Dispatcher["_Place"]):
             self.done.append((place, found))
 
 
-class _Place(Thread):
+class _SlotThread(Thread):
     """A worker slot in its own thread, which makes the runs in `inbox`; `None` in it is the end."""
 
     def __init__(
-        self, setup: bytes, timeout: float | None, news: "SimpleQueue[tuple[_Place, object]]", stopped: Event
+        self, setup: bytes, timeout: float | None, news: "SimpleQueue[tuple[_SlotThread, object]]", stopped: Event
     ) -> None:
         super().__init__(daemon=True)
         self.setup, self.timeout, self.news, self.stopped = setup, timeout, news, stopped

@@ -21,7 +21,7 @@ from strandline.runs.executors.shared import (
     walltime_seconds,
 )
 from strandline.runs.executors.slurm_batch import (
-    Batch,
+    ArrayBatch,
     SlurmUnreachable,
     cancel_jobs,
     job_called,
@@ -128,7 +128,7 @@ class SlurmArray:
             InvalidInput: SLURM accepts no jobs, or a job cannot load the model.
             Detached: all runs are submitted, and `detach` is set.
         """
-        return _Driver(self, model, iter(requests)).records()
+        return _ArrayRuns(self, model, iter(requests)).records()
 
     def options(self, number: int) -> list[str]:
         """Return the options of ``sbatch`` for an array of `number` jobs."""
@@ -152,9 +152,9 @@ class SlurmArray:
             else min(WARNING_SECONDS, int(walltime_seconds(self.walltime) / 10))
         )
 
-    def _known(self, model: ForwardModel) -> dict[str, tuple[Batch, int]]:
+    def _known(self, model: ForwardModel) -> dict[str, tuple[ArrayBatch, int]]:
         """Return batch and number of each run that was submitted and not collected; the latest batch counts."""
-        known: dict[str, tuple[Batch, int]] = {}
+        known: dict[str, tuple[ArrayBatch, int]] = {}
         for batch in known_batches(self.folder):
             if batch.sensitivities < asks_sensitivities(model):
                 continue
@@ -168,14 +168,14 @@ class SlurmArray:
         return known
 
 
-class _Driver:
+class _ArrayRuns:
     """One call: the runs that are out, and those that wait for room."""
 
     def __init__(self, options: SlurmArray, model: ForwardModel, requests: Iterator[RunRequest]) -> None:
         self.options, self.model, self.requests = options, model, requests
         self.exhausted = False
         self.waiting: list[RunRequest] = []
-        self.out: dict[str, tuple[Batch, int, RunRequest]] = {}
+        self.out: dict[str, tuple[ArrayBatch, int, RunRequest]] = {}
         self.ended: dict[str, int] = {}
 
     def records(self) -> Iterator[RunRecord]:
@@ -199,7 +199,7 @@ class _Driver:
             else:
                 time.sleep(self.options.poll)
 
-    def _pull(self, known: Mapping[str, tuple[Batch, int]]) -> None:
+    def _pull(self, known: Mapping[str, tuple[ArrayBatch, int]]) -> None:
         """Pull what there is room for if at least half of the room is free, so that arrays do not become tiny."""
         most = self.options.max_jobs
         if self.exhausted or (most is not None and len(self.out) + len(self.waiting) > most // 2):
@@ -229,9 +229,9 @@ class _Driver:
             if not self.out:
                 raise
 
-    def _submitted(self, requests: Sequence[RunRequest]) -> Batch:
+    def _submitted(self, requests: Sequence[RunRequest]) -> ArrayBatch:
         self.options.folder.mkdir(parents=True, exist_ok=True)
-        batch = Batch.new(self.options.folder.resolve(), self.model, requests, self.options.timeout)
+        batch = ArrayBatch.new(self.options.folder.resolve(), self.model, requests, self.options.timeout)
         script = batch.folder / "job.sh"
         command = shlex.join([*self.options.command, str(batch.folder)])
         # A warning must not kill a job that does not handle it yet: SLURM then reports the end of the walltime.
@@ -274,7 +274,7 @@ class _Driver:
                 state = state or (past_state(batch.job, index) if batch.job else None)
                 yield key, _without_result(batch, index, request, state)
 
-    def _read(self, batch: Batch, index: int, request: RunRequest, path: Path) -> RunRecord:
+    def _read(self, batch: ArrayBatch, index: int, request: RunRequest, path: Path) -> RunRecord:
         try:
             record = read_run(path)
         except InvalidInput as error:
@@ -289,7 +289,7 @@ class _Driver:
             )
         return record
 
-    def _give_up(self, batch: Batch) -> None:
+    def _give_up(self, batch: ArrayBatch) -> None:
         """Cancel a batch that cannot succeed."""
         with contextlib.suppress(SlurmUnreachable):
             cancel_jobs(batch.name)
@@ -303,7 +303,7 @@ class _Driver:
                 batch.remove()
 
 
-def _found(batch: Batch) -> bool:
+def _found(batch: ArrayBatch) -> bool:
     """Return whether SLURM has the job of a batch whose driver could not note its number; if so, note it."""
     job = job_called(batch.name)
     if job is not None:
@@ -311,7 +311,7 @@ def _found(batch: Batch) -> bool:
     return job is not None
 
 
-def _without_result(batch: Batch, index: int, request: RunRequest, job_state: str | None) -> RunRecord:
+def _without_result(batch: ArrayBatch, index: int, request: RunRequest, job_state: str | None) -> RunRecord:
     """Return the record of a run whose job ended with this state and left no result."""
     word = (job_state or "").split("+")[0]
     log = batch.log_tail(index)

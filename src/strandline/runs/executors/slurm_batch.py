@@ -22,7 +22,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 from zipfile import BadZipFile
 
 import numpy as np
@@ -104,7 +104,7 @@ VERSION = 1
 
 
 @dataclass(frozen=True)
-class Batch:
+class ArrayBatch:
     """One submitted array.
 
     Args:
@@ -124,7 +124,7 @@ class Batch:
     requests: tuple[RunRequest, ...]
 
     @classmethod
-    def new(cls, parent: Path, model: ForwardModel, requests: Sequence[RunRequest], timeout: float | None) -> "Batch":
+    def new(cls, parent: Path, model: ForwardModel, requests: Sequence[RunRequest], timeout: float | None) -> Self:
         """Write a new batch to its own folder inside `parent`, durably."""
         folder = parent / f"strandline-{time.strftime('%Y%m%d-%H%M%S')}-{uuid.uuid4().hex[:8]}"
         for part in ("logs", "results"):
@@ -142,7 +142,7 @@ class Batch:
         return batch
 
     @classmethod
-    def read(cls, folder: Path) -> "Batch":
+    def read(cls, folder: Path) -> Self:
         """Return the batch in `folder`.
 
         Raises:
@@ -209,12 +209,12 @@ class Batch:
         return self.folder / "results" / f"{index}.taken"
 
 
-def known_batches(parent: Path) -> Iterable[Batch]:
+def known_batches(parent: Path) -> Iterable[ArrayBatch]:
     """Yield the batches inside `parent`, the oldest first; what another driver removes meanwhile is left out."""
     batches = []
     for path in parent.glob(f"strandline-*/{BATCH}"):
         with suppress(FileNotFoundError):
-            batches.append(Batch.read(path.parent))
+            batches.append(ArrayBatch.read(path.parent))
     yield from sorted(batches, key=lambda batch: batch.created)
 
 
