@@ -42,8 +42,9 @@ class Solver:
     def __init__(self, model: ForwardModel, *, workers: int = 1, timeout: float | None = None) -> None:
         self._timeout, self._workers, self._closed = timeout, workers, threading.Event()
         self._idle: LifoQueue[WorkerSlot] = LifoQueue()
+        setup = packed_model(model)
         for _ in range(workers):
-            self._idle.put(WorkerSlot(packed_model(model)))
+            self._idle.put(WorkerSlot(setup))
         self._known: dict[str, Future[RunRecord]] = {}
         self._lock = threading.Lock()
 
@@ -68,8 +69,9 @@ class Solver:
     def close(self) -> None:
         """End the processes, with the runs that they are making."""
         self._closed.set()
-        for _ in range(self._workers):
-            self._idle.get().close()
+        for slot in [self._idle.get() for _ in range(self._workers)]:
+            slot.close()
+            self._idle.put(slot)  # for those who still wait for one
 
     def _make(self, request: RunRequest, future: Future[RunRecord]) -> None:
         slot = self._idle.get()
