@@ -264,7 +264,12 @@ EXPLAINED_ON_LINE: dict[tuple[str, str, str, str], str] = {
     ("imaging/surfaces/surface_errors.py", "np.maximum(known, 1)", "1", "(2)"): "Differs at lags with a single pair.",
     ("studies/observed.py", "close = get_close_matches", "1", "(2)"): "Only the first is named.",
     ("studies/pictures/photographed.py", 'source="nothing yet"', "1.0", "(2.0)"): "A size that is not used.",
-    ("runs/ledger_schema.py", "partial.unlink(missing_ok=True)", "True", "(False)"): "Only where a disk has no hard links.",
+    (
+        "runs/ledger_schema.py",
+        "partial.unlink(missing_ok=True)",
+        "True",
+        "(False)",
+    ): "Only where a disk has no hard links.",
     ("runs/executors/in_process.py", "shutil.rmtree(folder, ignore_errors=True)", "True", "(False)"): (
         "Only if a scratch folder cannot be removed."
     ),

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from strandline.imaging.checked import keys_of, number, unfit, word
-from strandline.readers.options import TO_MM
 from strandline.readers.contents import refused
+from strandline.readers.options import TO_MM
 from strandline.registry import imported
 
 UNITS = TO_MM | {"nm": 1e-6}
