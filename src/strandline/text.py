@@ -90,7 +90,6 @@ def with_sd(mean: float, sd: float) -> str:
     from 100, all those before the point."""
     if not 1e-4 <= sd < 1e6:
         return f"{mean:.4g} ± {sd:.2g}"
-    if sd >= 10:
-        return f"{mean:.0f} ± {sd:.0f}"
-    decimals = len(f"{sd:.2g}".partition(".")[2])
-    return f"{mean:.{decimals}f} ± {sd:.2g}"
+    width = f"{sd:.0f}" if sd >= 10 else f"{sd:.2g}"
+    decimals = len(width.partition(".")[2])
+    return f"{round(mean, decimals) + 0.0:.{decimals}f} ± {width}"  # a mean of zero has no sign

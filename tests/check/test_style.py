@@ -4,6 +4,7 @@ import ast
 import importlib
 import pkgutil
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -36,6 +37,18 @@ def test_words_are_those_of_every_day():
         for phrase in re.finditer(pattern, path.read_text("utf-8"), re.IGNORECASE)
     ]
     assert not found, "\n".join(found)
+
+
+def test_modules_named_in_strings_lie_below_too():
+    """The contract that imports point down cannot see those by name."""
+    contract = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"]["contracts"][0]
+    floor = {room: k for k, row in enumerate(reversed(contract["layers"])) for room in row.split(" | ")}
+    for path in (ROOT / "src" / "strandline").rglob("*.py"):
+        room = path.relative_to(ROOT / "src" / "strandline").parts[0].removesuffix(".py")
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            named = re.fullmatch(r"strandline\.(\w+)[\w.:]*", str(getattr(node, "value", "")))
+            if named and room in floor:
+                assert named[1] == room or floor[named[1]] < floor[room], f"{path}: {named[0]}"
 
 
 def has_public_names(path):

@@ -1,11 +1,14 @@
-"""Figures of the reproduction: likelihoods of nested designs (Fig. 8) and how fast they approach the truth."""
+"""Figures of the reproduction: nested likelihoods (Fig. 8), errors against runs (Fig. 12), parts (Fig. 11)."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.patches import Patch
+from matplotlib.ticker import NullLocator
 from verification.reproduction.grid_posterior import GridPosterior
 from verification.reproduction.nested import NestedStep
 
@@ -25,11 +28,12 @@ from strandline.report.plots.style import (
     styled,
 )
 
-__all__ = ["plot_convergence", "plot_nested_likelihoods"]
+__all__ = ["plot_convergence", "plot_nested_likelihoods", "plot_parts", "plot_surrogate_errors"]
 
 _WINDOW_SDS = 5.0
 _POINTS = (121, 101)
 _LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
+_COLOURS = ("#dbe9f4", "#7fb3d5", "#f0b27a", "#82c39b", "#c39bd3", "#f7dc6f")
 
 
 def plot_nested_likelihoods(
@@ -118,4 +122,56 @@ def plot_convergence(steps: Mapping[str, Sequence[NestedStep]], *, ax: Axes | No
         ax.set_xticks(ticks, labels=[str(n) for n in ticks], minor=False)
         ax.minorticks_off()
         below(ax, columns=2)
+    return ax
+
+
+def plot_surrogate_errors(
+    sizes: Sequence[int] | Int[np.ndarray, " size"],
+    errors: Mapping[str, Sequence[float] | Float[np.ndarray, " size"]],
+    *,
+    quantity: str = "relative L² error at the test points",
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw errors against the number of training runs, both on logarithmic scales.
+
+    Args:
+        sizes: numbers of training runs (size,).
+        errors: error at each size (size,), by the name of the case.
+        quantity: what the errors are.
+        ax: axes to draw in.
+    """
+    with styled():
+        ax = axes_or_new(ax, (SINGLE, 2.8))
+        for k, (case, values) in enumerate(errors.items()):
+            colour, dashes = CYCLE[k % len(CYCLE)], DASHES[k % len(DASHES)]
+            ax.loglog(sizes, values, linestyle=dashes, marker="o", markersize=4, color=colour, label=case)
+        ax.set(xlabel="training runs", ylabel=quantity)
+        ax.set_xticks(list(sizes), [f"{n:d}" for n in sizes])
+        ax.xaxis.set_minor_locator(NullLocator())
+        ax.legend()
+    return ax
+
+
+def plot_parts(
+    points: Float[np.ndarray, "point 2"],
+    cells: Mapping[str, Int[np.ndarray, "_ 3"]],
+    *,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the triangles of each part in its own colour.
+
+    Args:
+        points: vertices of the mesh, mm.
+        cells: vertex numbers of the triangles by name of the part, in the order of the legend; at most six parts.
+        ax: axes to draw in.
+    """
+    with styled():
+        ax = axes_or_new(ax, (DOUBLE, 3.8))
+        for (_, triangles), colour in zip(cells.items(), _COLOURS, strict=False):
+            shade, faces = ListedColormap([colour]), np.zeros(len(triangles))
+            x, y = points.T
+            ax.tripcolor(x, y, triangles, facecolors=faces, cmap=shade, edgecolors="0.4", lw=0.3, rasterized=True)
+        handles = [Patch(facecolor=colour, edgecolor="0.4") for colour in _COLOURS[: len(cells)]]
+        ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
+        ax.legend(handles, list(cells), loc="upper right", ncols=len(cells))
     return ax

@@ -10,12 +10,16 @@ import ngsolve as ng
 import numpy as np
 from matplotlib.figure import Figure
 from verification.reproduction.evidence import Evidence
-from verification.reproduction.figures import plot_convergence, plot_nested_likelihoods
+from verification.reproduction.figures import (
+    plot_convergence,
+    plot_nested_likelihoods,
+    plot_parts,
+    plot_surrogate_errors,
+)
 
 from strandline.models.biofilm.geometry import MESHES, mesh_flow_cell
 from strandline.models.biofilm.model import Biofilm
-from strandline.report import plots
-from strandline.report.page import PAGE_PIXELS_PER_INCH
+from strandline.report.figure_files import PAGE_PIXELS_PER_INCH
 from strandline.report.plots.style import DOTS_PER_INCH, styled
 
 __all__ = ["FROM_REPORTS", "Picture", "draw"]
@@ -70,7 +74,7 @@ def draw(evidence: Evidence) -> Iterator[Picture]:
     for key, words in (("log_likelihood", "log-likelihood"), ("likelihood", "likelihood")):
         errors = {rule: getattr(found, key) for rule, found in evidence.convergence.items()}
         sizes = next(iter(evidence.convergence.values())).sizes
-        axes = plots.plot_convergence(sizes, errors, quantity=f"relative L² error of the {words}")
+        axes = plot_surrogate_errors(sizes, errors, quantity=f"relative L² error of the {words}")
         caption = f"S6: error of the surrogate of the {words} at later points of the Sobol sequence."
         yield Picture("12" if key == "log_likelihood" else "12, likelihood", caption, _png(axes.figure))
 
@@ -105,7 +109,7 @@ def _parts(evidence: Evidence) -> Figure:
         label: np.array([[v.nr for v in e.vertices] for e in mesh.Elements(ng.VOL) if e.mat == name])
         for name, label in names.items()
     }
-    figure = plots.plot_parts(points, cells).figure
+    figure = plot_parts(points, cells).figure
     assert isinstance(figure, Figure)
     return figure
 

@@ -61,7 +61,7 @@ def command(study: Path, plot: bool, as_json: bool, widths: bool) -> None:
 
 def _about(study: "Study", record: "RunRecord") -> Iterator[str]:
     """Yield what the study states: inputs, conditions, how pictures were read."""
-    from strandline.report.warnings import small_share
+    from strandline.report.html import small_share
     from strandline.studies.first_run import turned_lines
     from strandline.studies.pictures.shown import read_lines
 

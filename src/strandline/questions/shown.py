@@ -6,7 +6,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from strandline.report.captioned import Captioned
+from strandline.report.figure_files import Captioned
 from strandline.typeset import html_table, html_text, unit_text
 
 __all__ = ["figures_of", "html_answer", "input_label"]

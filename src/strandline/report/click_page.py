@@ -1,21 +1,22 @@
 """The page on which a person marks a picture: one HTML file that needs no server and loads nothing."""
 
 import base64
-from importlib.resources import files
+import io
+import math
 from pathlib import Path, PurePath
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from markupsafe import Markup
 
+from strandline.errors import InvalidInput
 from strandline.imaging.clicks import Clicks, as_json
-from strandline.report.click_picture import MOST_PIXELS, shown
-from strandline.report.inline import embedded, script_hash
-from strandline.report.page import template
+from strandline.report.html import embedded, script_hash, template, write_page
 
-__all__ = ["click_page", "write_click_page"]
+__all__ = ["ScreenPicture", "click_page", "for_screen", "write_click_page"]
 
-SCRIPTS = ("marks.js", "view.js", "changes.js", "pointer.js", "keyboard.js", "panel.js", "files.js")
+SCRIPTS = ("marks.js", "view.js", "editing.js", "panel.js")
 TOOLS = (
     ("move", "Move the picture", False),
     ("scale", "Scale bar", True),
@@ -37,6 +38,27 @@ SHORTCUTS = (
     (("Ctrl Z", "Ctrl Y"), "undo, redo"),
     (("Ctrl S",), "save"),
 )
+MOST_PIXELS, LONGEST_SIDE = 6_000_000, 8192
+"""Largest picture that is shown as it is, in pixels."""
+ENDS = (0.2, 99.8)
+"""Percentiles of the values that become black and white."""
+SAMPLED = 1_000_000
+"""Number of values from which percentiles are taken."""
+DARK = 0.1
+"""Median below which a picture is brightened, as intensities of coherent light need it."""
+BRIGHTEST_POWER = 0.25
+
+
+class ScreenPicture(NamedTuple):
+    """A picture for the screen.
+
+    Args:
+        png: The picture as a PNG file.
+        factor: Number of pixels of the original, in each direction, that one pixel stands for.
+    """
+
+    png: bytes
+    factor: int
 
 
 def click_page(
@@ -66,18 +88,19 @@ def click_page(
     height, width = values.shape
     if clicks is not None:
         clicks.require_picture(sha256, (width, height))
-    png, factor = shown(values, most_pixels=most_pixels)
+    png, factor = for_screen(values, most_pixels=most_pixels)
     given = {
         "name": name,
         "sha256": sha256.lower(),
         "size": [width, height],
         "factor": factor,
         "pixel_mm": pixel_mm,
-        "file": file_name(name),
+        "file": f"{PurePath(name).stem}.path.json",
         "clicks": None if clicks is None else as_json(clicks),
         "picture": f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}",
     }
-    script = _script()
+    folder = Path(__file__).parent / "templates" / "clicks"
+    script = '\n"use strict";\n' + "\n".join((folder / part).read_text(encoding="utf-8") for part in SCRIPTS)
     return str(
         template("clicks.html.j2").render(
             name=name,
@@ -103,31 +126,65 @@ def write_click_page(
     clicks: Clicks | None = None,
     pixel_mm: tuple[float, float] | None = None,
 ) -> Path:
-    """Write the page for one picture, whole or not at all, and return its path.
+    """Write the `click_page` of one picture to `target`, whole or not at all, and return its path."""
+    return write_page(target, click_page(values, name=name, sha256=sha256, clicks=clicks, pixel_mm=pixel_mm))
+
+
+def for_screen(values: Float[np.ndarray, "row column"], *, most_pixels: int = MOST_PIXELS) -> ScreenPicture:
+    """Return a picture for the screen; values that are not finite are black.
 
     Args:
-        values: Grey values of the picture.
-        target: Path of the page, ``….html``.
-        name: File name of the picture.
-        sha256: SHA-256 checksum of the picture's file, in hexadecimal.
-        clicks: What was marked before.
-        pixel_mm: Width and height of a pixel if they are known, in mm.
+        values: Grey values.
+        most_pixels: Largest picture that is shown as it is, in pixels.
 
     Raises:
-        InvalidInput: As `click_page` does.
+        InvalidInput: There is no finite value.
     """
-    page = click_page(values, name=name, sha256=sha256, clicks=clicks, pixel_mm=pixel_mm)
-    unfinished = target.with_name(f".{target.name}.partial")
-    unfinished.write_text(page, encoding="utf-8")
-    return unfinished.replace(target)
+    from PIL import Image
+
+    height, width = values.shape
+    factor = _factor(height, width, most_pixels)
+    grey = np.round(255 * _reduced(_shaded(values), factor)).astype(np.uint8)
+    buffer = io.BytesIO()
+    Image.fromarray(np.asarray(grey, dtype=np.uint8)).save(buffer, format="png")
+    return ScreenPicture(buffer.getvalue(), factor)
 
 
-def file_name(picture: str) -> str:
-    """Return the name of the file that the page saves: ``scan.path.json`` for the picture ``scan.tif``."""
-    return f"{PurePath(picture).stem}.path.json"
+def _factor(height: int, width: int, most_pixels: int) -> int:
+    """Return the smallest factor that makes the picture small enough."""
+    factor = max(1, math.ceil(max(height, width) / LONGEST_SIDE))
+    while math.ceil(height / factor) * math.ceil(width / factor) > most_pixels:
+        factor += 1
+    return factor
 
 
-def _script() -> str:
-    folder = files("strandline.report") / "templates" / "clicks"
-    parts = ((folder / name).read_text(encoding="utf-8") for name in SCRIPTS)
-    return '\n"use strict";\n' + "\n".join(parts)
+def _shaded(values: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "row column"]:
+    """Return brightness from 0 to 1, single precision."""
+    sample = values[:: max(1, math.isqrt(values.size // SAMPLED)), :: max(1, math.isqrt(values.size // SAMPLED))]
+    finite = sample[np.isfinite(sample)]
+    if finite.size == 0:
+        raise InvalidInput(
+            "values of the picture",
+            value=f"{values.shape[1]} × {values.shape[0]} px without a finite value",
+            expected="numbers",
+            remedy="Look at the picture, its page and its scale.",
+        )
+    low, middle, high = np.percentile(finite, [ENDS[0], 50, ENDS[1]])
+    if not high > low:
+        low, high = float(finite.min()), float(finite.max())
+    range_ = (high - low) or 1.0
+    brightness = np.clip((values - low) / range_, 0.0, 1.0).astype(np.float32)
+    median = (middle - low) / range_
+    if 0 < median < DARK:
+        brightness **= max(BRIGHTEST_POWER, math.log(3 * DARK) / math.log(median))
+    return np.asarray(np.nan_to_num(brightness, copy=False))
+
+
+def _reduced(brightness: Float[np.ndarray, "row column"], factor: int) -> Float[np.ndarray, "block_row block_column"]:
+    """Return means of blocks; the picture is continued to whole blocks by its last row and column."""
+    if factor == 1:
+        return brightness
+    height, width = brightness.shape
+    whole = np.pad(brightness, ((0, -height % factor), (0, -width % factor)), mode="edge")
+    blocks = whole.reshape(whole.shape[0] // factor, factor, whole.shape[1] // factor, factor)
+    return np.asarray(blocks.mean(axis=(1, 3)))

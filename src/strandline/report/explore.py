@@ -1,4 +1,4 @@
-"""The part of a report that a browser makes interactive: runs, interfaces and posterior, as data in the page."""
+"""Runs, interfaces and posterior as data of the panels, and the part of a report that holds them."""
 
 import base64
 import gzip
@@ -14,17 +14,28 @@ from markupsafe import Markup
 from strandline.calibration import Calibration
 from strandline.calibration.misfit import Prediction, by_field, by_runs
 from strandline.calibration.usual_alternatives import prior_in_words
+from strandline.discrepancy.normal_offset import signed_distances
 from strandline.interface import Interface
+from strandline.interface.normals import node_normals
 from strandline.models.offers import DrawsFields, undeformed_interface
+from strandline.models.protocol import ForwardModel
 from strandline.parameters import ParameterSpace
 from strandline.posterior import systematic_indices
-from strandline.report.inline import PANELS, PLOTLY, bundled, embedded, script_hash
-from strandline.report.outlines import offsets_um, outline, predictive_band
+from strandline.report.html import PANELS, PLOTLY, bundled, embedded, script_hash
 from strandline.runs import RunRecord
 from strandline.runs.ledger_schema import LOG_TITLE
 
-__all__ = ["Explore", "explore", "inputs_as_json"]
+__all__ = [
+    "SDS", "Explore", "band", "by_name", "columns", "conditions_as_json", "explore", "inputs_as_json", "offsets_um",
+    "outline", "point_normals", "predictive_band", "rounded",
+]  # fmt: skip
 
+SDS = 2.0
+"""Half of the width of a band, in standard deviations."""
+DECIMALS, DIGITS = 6, 6
+"""Of coordinates in mm: a nanometre; of other numbers."""
+LARGEST_STEP = 300
+"""Decimals that a number may have at most; a power of ten must not overflow."""
 MOST_RUNS, MOST_OUTLINES, MOST_NUMBERS = 1000, 200, 120_000
 """Runs that a page holds, runs with their interfaces, and numbers of which these may consist."""
 BEST = 0.5
@@ -35,7 +46,123 @@ DRAWS, BAND_DRAWS = 2000, 200
 """Draws of the posterior in the page, and those whose interfaces make its band."""
 CHARACTERS, LOG_LINES, FIGURES = 500, 8, 12
 """Characters of a message, and of a log with so many lines; figures of a run."""
-DIGITS = 6
+
+
+def inputs_as_json(space: ParameterSpace) -> list[dict[str, Any]]:
+    """Return the inputs as the panels show them."""
+    return [
+        {
+            "name": one.name,
+            "label": one.shown,
+            "unit": "" if one.unit == "1" else one.unit,
+            "low": one.interval[0],
+            "high": one.interval[1],
+            "nuisance": one.nuisance,
+            "prior": prior_in_words(one.prior),
+            "middle": float(one.truncated_prior.quantile(0.5)),
+        }
+        for one in space
+    ]
+
+
+def conditions_as_json(
+    model: ForwardModel, observed: Mapping[str, Interface | None], pictures: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """Return each condition with what was observed, the undeformed interface and the picture behind it.
+
+    Args:
+        model: The simulator.
+        observed: Observed interfaces by condition; None for one that is not known yet.
+        pictures: Pictures behind the interfaces by condition, with size, place and address.
+    """
+    rest = undeformed_interface(model)
+    flat = None if rest is None or rest.dim != 2 else _few(outline(rest), MOST_POINTS)
+    return [
+        {
+            "name": name,
+            "observed": None if seen is None else _few(outline(seen), MOST_OBSERVED),
+            "undeformed": flat,
+            "picture": pictures.get(name),
+        }
+        for name, seen in observed.items()
+    ]
+
+
+def by_name(space: ParameterSpace, values: Float[np.ndarray, " dim"]) -> dict[str, float | None]:
+    """Return a number for each input; None for one that is not finite."""
+    each = (value if math.isfinite(value) else None for value in values.tolist())
+    return dict(zip(space.names, each, strict=True))
+
+
+def columns(
+    space: ParameterSpace, draws: Float[np.ndarray, "draw dim"], digits: int = DIGITS
+) -> dict[str, list[float | None]]:
+    """Return the draws of each input, with so many significant digits."""
+    return {name: rounded(values, digits) for name, values in zip(space.names, draws.T, strict=True)}
+
+
+def rounded(values: Sequence[float | None] | Float[np.ndarray, " _"], digits: int = DIGITS) -> list[float | None]:
+    """Return numbers with so many significant digits; None for those that are not finite."""
+    given = np.array(values, dtype=float)
+    finite = np.isfinite(given)
+    size = np.floor(np.log10(np.abs(given), where=finite & (given != 0.0), out=np.zeros_like(given)))
+    step = np.minimum(digits - 1 - size, LARGEST_STEP)
+    up, down = 10.0 ** np.maximum(step, 0.0), 10.0 ** np.maximum(-step, 0.0)
+    short = np.where(step >= 0, np.round(given * up) / up, np.round(given / down) * down).tolist()
+    return short if finite.all() else [one if good else None for one, good in zip(short, finite, strict=True)]
+
+
+def outline(interface: Interface) -> list[list[float]]:
+    """Return the points of a polyline in order, [[x, …], [y, …]], mm; the first one again at the end if it is closed.
+
+    A surface is shown by its points.
+    """
+    order = _in_order(interface) if interface.dim == 2 else slice(None)
+    return np.round(interface.points[order].T, DECIMALS).tolist()  # type: ignore[no-any-return]
+
+
+def _in_order(interface: Interface) -> list[int]:
+    """Return the numbers of the points along a polyline."""
+    return [*interface.cells[:, 0].tolist(), int(interface.cells[-1, 1])]
+
+
+def offsets_um(observed: Interface, predicted: Interface) -> list[float] | None:
+    """Return the signed distances of the observed points from a prediction, µm; None if they cannot be compared."""
+    if observed.dim != predicted.dim:
+        return None
+    return [float(f"{1e3 * one:.4g}") for one in signed_distances(observed.points, predicted)]
+
+
+def point_normals(interface: Interface) -> Float[np.ndarray, "point xyz"]:
+    """Return the unit normal of an interface at each of its points."""
+    return np.asarray(node_normals(interface.points[None], interface.cells)[0])
+
+
+def band(interface: Interface, width: Float[np.ndarray, " point"]) -> list[list[float]] | None:
+    """Return the outline of a band on both sides of a polyline, mm; None for a surface."""
+    if interface.dim != 2:
+        return None
+    order, off = _in_order(interface), width[:, None] * point_normals(interface)
+    ends = np.concatenate([(interface.points + off)[order], (interface.points - off)[order][::-1]])
+    return np.round(ends.T, DECIMALS).tolist()  # type: ignore[no-any-return]
+
+
+def predictive_band(
+    prediction: Prediction, mean: Float[np.ndarray, " dim"], draws: Float[np.ndarray, "draw dim"]
+) -> dict[str, dict[str, Any]]:
+    """Return by condition the interface at the posterior mean, and twice the spread of the posterior's interfaces.
+
+    Args:
+        prediction: Interfaces as a function of the inputs.
+        mean: Posterior mean.
+        draws: Equally weighted draws of the posterior.
+    """
+    central, drawn, out = prediction.points(mean[None]), prediction.points(draws), {}
+    for name, template in prediction.templates.items():
+        interface = Interface(central[name][0], template.cells)
+        off = np.einsum("dpx,px->dp", drawn[name] - drawn[name].mean(axis=0), point_normals(interface))
+        out[name] = {"line": outline(interface), "band": band(interface, SDS * off.std(axis=0))}
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +203,7 @@ class Explore:
     @property
     def style(self) -> Markup:
         """Style of the panels."""
-        return Markup("".join((PANELS / name).read_text(encoding="utf-8") for name in ("panels.css", "explore.css")))
+        return Markup((PANELS / "panels.css").read_text(encoding="utf-8"))
 
     @property
     def size(self) -> int:
@@ -101,20 +228,20 @@ def explore(
         truth: Inputs of a synthetic observation.
         pictures: Pictures behind the interfaces by condition, with size, place and address.
     """
-    every, space = calibration.all_runs, calibration.problem.space
-    observed = {seen.condition: seen.interface for seen in calibration.problem.observations if seen.interface.dim == 2}
+    every, problem = calibration.all_runs, calibration.problem
+    observed = {seen.condition: seen.interface for seen in problem.observations if seen.interface.dim == 2}
     order = _best_first(calibration)
     rows = _some(order, len(every), MOST_RUNS)
     outlines = _outlines(calibration, observed, rows, order)
     data = {
         "facts": {
-            "inputs": inputs_as_json(space),
-            "fixed": {name: _short(value) for name, value in calibration.problem.fixed.items()},
+            "inputs": inputs_as_json(problem.space),
+            "fixed": dict(zip(problem.fixed, rounded(list(problem.fixed.values())), strict=True)),
             "truth": None if truth is None else dict(truth),
-            "conditions": _conditions(calibration, observed, pictures or {}),
+            "conditions": conditions_as_json(problem.model, observed, pictures or {}),
         },
         "state": {"open": 0},
-        "runs": _columns(every, rows, space),
+        "runs": _columns(every, rows, problem.space),
         "details": {row: found for row in rows if (found := _details(every[row]))},
         "interfaces": outlines,
         "posterior": _posterior(calibration, observed),
@@ -125,25 +252,8 @@ def explore(
         of=len(every),
         ok=sum(every[row].ok for row in rows),
         outlines=len(outlines) if observed else None,
-        flow=isinstance(calibration.problem.model, DrawsFields),
+        flow=isinstance(problem.model, DrawsFields),
     )
-
-
-def inputs_as_json(space: ParameterSpace) -> list[dict[str, Any]]:
-    """Return the inputs as the panels show them."""
-    return [
-        {
-            "name": one.name,
-            "label": one.shown,
-            "unit": "" if one.unit == "1" else one.unit,
-            "low": one.interval[0],
-            "high": one.interval[1],
-            "nuisance": one.nuisance,
-            "prior": prior_in_words(one.prior),
-            "middle": float(one.truncated_prior.quantile(0.5)),
-        }
-        for one in space
-    ]
 
 
 def _best_first(calibration: Calibration) -> list[int]:
@@ -184,17 +294,18 @@ def _columns(every: Sequence[RunRecord], rows: Sequence[int], space: ParameterSp
         "number": list(rows),
         "state": [one.state for one in some],
         "kind": [one.failure_kind for one in some],
-        "seconds": [_short(one.seconds, 3) for one in some],
-        "inputs": {name: [_short(one.inputs[name]) for one in some] for name in space.names},
+        "seconds": rounded([one.seconds for one in some], 3),
+        "inputs": {name: rounded([one.inputs[name] for one in some]) for name in space.names},
     }
 
 
 def _details(record: RunRecord) -> dict[str, Any]:
     """Return message and log of a run that failed, and the figures of any run."""
     found: dict[str, Any] = {}
-    figures = [(name, _short(value, 4)) for name, value in record.diagnostics.items() if math.isfinite(value)]
+    figures = {name: value for name, value in record.diagnostics.items() if math.isfinite(value)}
     if figures:
-        found["diagnostics"] = dict(figures[:FIGURES])
+        names = list(figures)[:FIGURES]
+        found["diagnostics"] = dict(zip(names, rounded([figures[name] for name in names], 4), strict=True))
     if record.message:
         found["message"] = record.message.partition(f"\n{LOG_TITLE}\n")[0][:CHARACTERS]
     if record.log:
@@ -231,53 +342,32 @@ def _few(line: Sequence[Sequence[float]], most: int) -> list[list[float]]:
     return [[column[i] for i in kept.tolist()] for column in line]
 
 
-def _conditions(
-    calibration: Calibration, observed: Mapping[str, Interface], pictures: Mapping[str, Mapping[str, Any]]
-) -> list[dict[str, Any]]:
-    rest = undeformed_interface(calibration.problem.model)
-    flat = None if rest is None or rest.dim != 2 else _few(outline(rest), MOST_POINTS)
-    return [
-        {
-            "name": name,
-            "observed": _few(outline(seen), MOST_OBSERVED),
-            "undeformed": flat,
-            "picture": pictures.get(name),
-        }
-        for name, seen in observed.items()
-    ]
-
-
 def _posterior(calibration: Calibration, observed: Mapping[str, Interface]) -> dict[str, Any]:
-    posterior, names = calibration.posterior, calibration.problem.space.names
+    posterior, space = calibration.posterior, calibration.problem.space
     draws = posterior.draws[systematic_indices(posterior.weights, DRAWS, np.random.default_rng(0))]
     return {
         "source": "stored",
         "why_none": "",
-        "mean": dict(zip(names, posterior.mean.tolist(), strict=True)),
-        "sd": dict(zip(names, posterior.sd.tolist(), strict=True)),
-        "draws": {name: [_short(value, 5) for value in draws[:, i].tolist()] for i, name in enumerate(names)},
-        "bands": _bands(calibration, observed, draws),
+        "mean": by_name(space, posterior.mean),
+        "sd": by_name(space, posterior.sd),
+        "draws": columns(space, draws, 5),
+        "bands": _bands(calibration, draws) if observed else {},
         "surrogate": None,
     }
 
 
-def _bands(
-    calibration: Calibration, observed: Mapping[str, Interface], draws: Float[np.ndarray, "draw dim"]
-) -> dict[str, Any]:
+def _bands(calibration: Calibration, draws: Float[np.ndarray, "draw dim"]) -> dict[str, Any]:
     """Return the interface at the posterior mean and a band around it, by condition; nothing if no field is known."""
-    if not observed:
-        return {}
     prediction = _prediction(calibration)
     if prediction.run_alone:
         return {}
     few = np.random.default_rng(0).permutation(draws)[:BAND_DRAWS]
-    found = predictive_band(prediction, calibration.posterior.mean, few)
     return {
         name: {
             "line": _few(one["line"], MOST_POINTS),
             "band": None if one["band"] is None else _few(one["band"], 2 * MOST_POINTS),
         }
-        for name, one in found.items()
+        for name, one in predictive_band(prediction, calibration.posterior.mean, few).items()
     }
 
 
@@ -294,8 +384,3 @@ def _prediction(calibration: Calibration) -> Prediction:
         problem.observations,
         next(iter(problem.discrepancies.values())),
     )
-
-
-def _short(value: float, digits: int = DIGITS) -> float | None:
-    """Return a number with few digits; None if it is not finite."""
-    return float(f"{value:.{digits}g}") if math.isfinite(value) else None

@@ -1,18 +1,37 @@
-"""The part of a report on whether the model fits: its numbers for summary.json, and its figure."""
+"""Whether the model fits: how near the runs come to the observation, and the entries of summary.json."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from strandline.calibration import Calibration, Misfit
-from strandline.calibration.misfit import ConditionMisfit, Region
-from strandline.report import plots
-from strandline.report.captioned import Captioned, whole
+import numpy as np
+from jaxtyping import Float
 
-__all__ = ["fit_as_json", "fit_figures"]
+from strandline.calibration import Misfit, Problem
+from strandline.calibration.misfit import ConditionMisfit, Region
+from strandline.discrepancy import (
+    Discrepancy,
+    apart,
+    count_of_distances,
+    extent,
+    extent_ratio,
+    noise_units,
+    unit_mistake,
+)
+from strandline.errors import InvalidInput, NumericsError
+from strandline.interface import Observation
+from strandline.likelihood import InterfaceLikelihood, compared, noise_length, sd_of_distances
+from strandline.runs import RunRecord
+
+__all__ = ["Nearest", "as_json", "fit_as_json", "nearest_runs", "nothing_near"]
 
 TO_MICROMETRES = 1e3
-CONSPICUOUS = 0.05
-"""Parts of an arc with a smaller p-value are marked in the figure."""
+FAR = 5.0
+"""Residual in units of the noise above which a run is not near the observation."""
+SPACINGS = 2.0
+"""A run is not near if the observation is further away than this many times the distance of neighbouring runs."""
+TELLING = 2.0
+"""Smallest ratio of extents, or inverse of it, that the message mentions."""
 
 
 def fit_as_json(found: Misfit | None, far: str | None) -> dict[str, Any] | None:
@@ -75,20 +94,150 @@ def _region(found: Region) -> dict[str, Any]:
     }
 
 
-def fit_figures(calibration: Calibration) -> Iterator[Captioned]:
-    """Yield the residuals along the observed polylines; nothing for surfaces."""
-    found = calibration.misfit
-    lines = [one for one in (found.conditions if found is not None else ()) if not one.surface]
-    if not lines:
-        return
-    drawn = {one.condition: _along(one) for one in lines}
-    caption = (
-        "Signed distance of each observed point from the prediction that fits best, and twice the standard deviation "
-        "of the noise. A correct model leaves residuals that scatter about zero within the band."
+@dataclass(frozen=True)
+class Nearest:
+    """The run with the largest log-likelihood and how near it is to one observation.
+
+    Args:
+        condition: The observed condition.
+        run: The key of the run.
+        inputs: The inputs of the run.
+        residual: √(d²/(n σ_N²)), n being the number of distances that d² sums, 1 for a norm.
+        distance: Root mean square distance of the two interfaces, mm.
+        noise: The noise as a length, mm: σ_N if d² sums distances, else the shift for which d² = σ_N². None if it was
+            not needed.
+        offset: Distance of their centres, mm.
+        extent: Extent of the observed interface, mm.
+        extent_ratio: Extent of the observed interface divided by that of the run.
+        near: Whether the run is near in any of these senses.
+    """
+
+    condition: str
+    run: str
+    inputs: Mapping[str, float]
+    residual: float
+    distance: float
+    noise: float | None
+    offset: float
+    extent: float
+    extent_ratio: float
+    near: bool
+
+    @property
+    def message(self) -> str:
+        """A sentence that nothing comes near, with the distance of the best run and the likely reason."""
+        of = f" of {self.condition}" if self.condition else ""
+        where = ", ".join(f"{name} = {value:.4g}" for name, value in self.inputs.items())
+        reason = "The model, the box or the noise is wrong."
+        if max(self.extent_ratio, 1 / self.extent_ratio) >= TELLING:
+            mistake = unit_mistake(self.extent_ratio)
+            reason = f"The observed interface has {self.extent_ratio:.3g} times the extent of the run's" + (
+                f": {mistake}." if mistake else "."
+            )
+        elif self.offset > self.extent:
+            reason = f"Their centres lie {_length(self.offset)} apart: do both have the same origin and axes?"
+        return (
+            f"NOTHING IN THE BOX COMES NEAR the observation{of}: the best run ({where}) is {self.residual:.3g} noise "
+            f"units and {_length(self.distance)} away. {reason}"
+        )
+
+
+def nothing_near(found: list[Nearest]) -> str | None:
+    """Return the message on the first observation that no run comes near; None if there is no such observation."""
+    return next((nearest.message for nearest in found if not nearest.near), None)
+
+
+def nearest_runs(
+    problem: Problem, records: Sequence[RunRecord], log_likelihood: Float[np.ndarray, " ok"] | None = None
+) -> list[Nearest]:
+    """Return how near the best run comes to each observation.
+
+    Args:
+        problem: The calibration problem; only its first measure counts.
+        records: The runs, at least one successful one among them.
+        log_likelihood: Log-likelihoods of the successful runs (ok,) under the first measure, if they are known already.
+
+    A run is far if all of these hold: its residual is above 5 noise units, or d² no longer grows with the distance;
+    the interfaces are further apart than 5 times the noise; and they are further apart than the runs are from each
+    other, so that no input between two runs is likely to fit.
+    """
+    measure = next(iter(problem.discrepancies.values()))
+    runs = [record for record in records if record.ok]
+    if log_likelihood is None or len(log_likelihood) != len(runs):
+        log_likelihood = _log_likelihood(problem, measure, runs)
+    best = runs[int(np.argmax(log_likelihood))]
+    return [_nearest(seen, measure, best, runs) for seen in problem.observations]
+
+
+def _nearest(seen: Observation, measure: Discrepancy, best: RunRecord, runs: list[RunRecord]) -> Nearest:
+    simulated = best.interfaces[seen.condition]
+    square = float(InterfaceLikelihood((seen,), measure).discrepancies(best.interfaces)[0])
+    one = compared(seen, measure, len(simulated.points))
+    residual = noise_units(square, one.noise.scale, count_of_distances(measure, simulated, seen.interface))
+    distance, _ = apart(simulated, seen.interface)
+    noise = None
+    far = residual > FAR or distance > extent(seen.interface)
+    if far:
+        sd = sd_of_distances(seen, measure, simulated)
+        noise = noise_length(seen, measure) if sd is None else sd
+        far = distance > FAR * noise and _outside(seen, runs, FAR * noise)
+    centres = [interface.points.mean(axis=0) for interface in (simulated, seen.interface)]
+    return Nearest(
+        condition=seen.condition,
+        run=best.key,
+        inputs=dict(best.inputs),
+        residual=residual,
+        distance=distance,
+        noise=noise,
+        offset=float(np.linalg.norm(centres[0] - centres[1])),
+        extent=extent(seen.interface),
+        extent_ratio=extent_ratio(seen.interface, simulated),
+        near=not far,
     )
-    yield Captioned("residuals", "fit", caption, whole(plots.plot_residuals(drawn)))
 
 
-def _along(found: ConditionMisfit) -> plots.ResidualsAlong:
-    marked = tuple((one.begin, one.end) for one in found.regions if one.p_value < CONSPICUOUS)
-    return plots.ResidualsAlong(found.arc_length, found.residual, found.expected.sd, marked)
+def _log_likelihood(problem: Problem, measure: Discrepancy, runs: list[RunRecord]) -> Float[np.ndarray, " ok"]:
+    """Return the log-likelihood of each run; -inf if the measure refuses its interface."""
+    likelihood = InterfaceLikelihood(problem.observations, measure)
+
+    def value(record: RunRecord) -> float:
+        try:
+            return likelihood(record.interfaces)
+        except (InvalidInput, NumericsError):
+            return -np.inf
+
+    return np.array([value(record) for record in runs])
+
+
+def _outside(seen: Observation, runs: list[RunRecord], least: float) -> bool:
+    """Return whether the observation is further from all runs than `least`, mm, and than the runs are from each other.
+
+    The latter is the distance from the run nearest to the observation to its (d + 1)-th neighbour, d being the number
+    of inputs that vary: it takes d + 1 neighbours to enclose a point.
+    """
+    interfaces = [record.interfaces[seen.condition] for record in runs]
+    distances = np.array([apart(interface, seen.interface)[0] for interface in interfaces])
+    nearest = interfaces[int(np.argmin(distances))]
+    neighbours = np.sort([apart(interface, nearest)[0] for interface in interfaces])[1:]
+    spacing = float(neighbours[min(_varying(runs), len(neighbours) - 1)]) if len(neighbours) else 0.0
+    return float(distances.min()) > max(least, SPACINGS * spacing)
+
+
+def _varying(runs: list[RunRecord]) -> int:
+    """Return how many inputs differ between runs."""
+    values: Float[np.ndarray, "run input"] = np.array([list(record.inputs.values()) for record in runs], float)
+    return int((np.ptp(values, axis=0) > 0).sum())
+
+
+def _length(mm: float) -> str:
+    return f"{mm:.3g} mm" if mm >= 1 else f"{1e3 * mm:.3g} µm"
+
+
+def as_json(found: list[Nearest]) -> dict[str, Any]:
+    """Return the entry of summary.json."""
+    keys = ("condition", "run", "inputs", "residual", "distance", "noise", "offset", "extent_ratio", "near")
+    return {
+        "near": all(nearest.near for nearest in found),
+        "message": nothing_near(found),
+        "observations": [{key: getattr(nearest, key) for key in keys} for nearest in found],
+    }

@@ -9,18 +9,21 @@ import numpy as np
 from strandline.calibration import Calibration
 from strandline.calibration.misfit import unlikely_errors
 from strandline.calibration.steps import steps_of
+from strandline.design.active import FieldOutcome
 from strandline.interface import UnknownErrors
 from strandline.likelihood import noise_length, sd_of_distances
 from strandline.likelihood.set_aside import says_whether_runs_succeed
 from strandline.parameters import Parameter
-from strandline.posterior import Posterior, prior_conflicts
-from strandline.posterior.quadrature import mixture
-from strandline.report.field_warnings import field_warnings, likely_to_fail
+from strandline.posterior import Posterior, Reading, prior_conflicts
+from strandline.posterior.quadrature import QuadratureResult, mixture
+from strandline.report.html import small_share
 from strandline.runs.ledger_schema import EXCLUDED
 from strandline.surrogate.feasibility import learn_feasibility
 from strandline.surrogate.field.odd import stopped_early
 
-__all__ = ["find_warnings", "noise_at_an_end", "reason_to_doubt", "small_share"]
+__all__ = [
+    "field_warnings", "find_warnings", "likely_to_fail", "noise_at_an_end", "reason_to_doubt",
+]  # fmt: skip
 
 BOUND_SHARE = 0.02
 """A bound counts as touched if the outer 2 % of the box hold more than `BOUND_MASS` of the posterior."""
@@ -52,6 +55,14 @@ NOTHING = 0.05
 """Information, nats, below which the posterior is the prior: an input whose sd the data narrow by a twentieth."""
 MASS_CUT_TOLD = 1e-3
 """Share of a prior outside the design box above which the report says so."""
+UNSURE = 0.5
+"""Error of the interface, in units of the shift that the noise hides, above which a warning counts a nuisance value."""
+TENFOLD = np.log(10.0)
+"""Logarithm of a ratio of standard deviations above which the number itself says nothing."""
+EFFECT = 0.25
+"""Largest shift of a mean by the surrogate's variance, in standard deviations, without a warning."""
+TOUCHED = 0.05
+"""Posterior mass where runs are likely to fail, above which a warning reports it."""
 
 
 def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> Iterator[str]:
@@ -65,14 +76,7 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
             "learns the log-likelihood instead, and nothing was checked with the true model: `strandline posterior "
             "check` does that."
         )
-    inferred = None if calibration.field is None else calibration.field.knowledge.likelihood.inferred
-    yield from _misfit(calibration, errs=inferred is not None)
-    if inferred is not None and inferred.posterior.probability_of_model_error > ERRS:
-        yield (
-            f"The model has an error{_probably(inferred.posterior.probability_of_model_error)}. The posterior allows "
-            "for it, but nothing is known of the error at other loads."
-        )
-    yield from _inferred_noise(calibration)
+    yield from _fit(calibration)
     if calibration.field is None:
         yield from _impossible(calibration)
         yield from _surrogate(calibration)
@@ -116,27 +120,6 @@ def reason_to_doubt(calibration: Calibration, check: Mapping[str, Any] | None = 
     return None
 
 
-def small_share(share: float) -> str:
-    """Return a share above zero, even a very small one, as text."""
-    return f"{share:.2%}" if share >= 0.0001 else "less than 0.01%"
-
-
-def _misfit(calibration: Calibration, *, errs: bool) -> Iterator[str]:
-    """Yield doubts about the fit; `errs`: an error of the model, or the noise, was inferred."""
-    if calibration.misfit is None:
-        return
-    if not calibration.misfit.flagged:
-        yield from unlikely_errors(calibration.misfit)
-        return
-    remedy = "" if errs else " Find out what is wrong, or let the model err: `model_error: true` in `noise`."
-    yield f"{calibration.misfit.verdict}{remedy}"
-
-
-def _probably(probability: float) -> str:
-    """Return a probability above one half, in words: two digits say nothing of one that is nearly 1."""
-    return f" with probability {probability:.2g}" if probability < NEARLY_SURE else ", almost surely"
-
-
 def _impossible(calibration: Calibration) -> Iterator[str]:
     highest = float(calibration.posterior.log_likelihood.max())
     if highest > ABOVE_ZERO:
@@ -147,10 +130,26 @@ def _impossible(calibration: Calibration) -> Iterator[str]:
         )
 
 
-def _inferred_noise(calibration: Calibration) -> Iterator[str]:
+def _fit(calibration: Calibration) -> Iterator[str]:
+    """Yield doubts about the fit, and about the noise and an error of the model if these were inferred."""
+    misfit = calibration.misfit
     inferred = None if calibration.field is None else calibration.field.knowledge.likelihood.inferred
+    if misfit is not None and misfit.flagged:
+        remedy = " Find out what is wrong, or let the model err: `model_error: true` in `noise`."
+        yield f"{misfit.verdict}{remedy if inferred is None else ''}"
+    elif misfit is not None:
+        yield from unlikely_errors(misfit)
+    if inferred is None:
+        return
+    chance = inferred.posterior.probability_of_model_error
+    if chance > ERRS:
+        surely = f" with probability {chance:.2g}" if chance < NEARLY_SURE else ", almost surely"
+        yield (
+            f"The model has an error{surely}. The posterior allows for it, but nothing is known of the error at other "
+            "loads."
+        )
     stated = next((seen.noise for seen in calibration.problem.observations), None)
-    if inferred is not None and isinstance(stated, UnknownErrors):
+    if isinstance(stated, UnknownErrors):
         yield from noise_at_an_end({k: one[0] for k, one in inferred.posterior.quantiles([0.5]).items()}, stated)
 
 
@@ -203,8 +202,7 @@ def _stopped_early(calibration: Calibration) -> Iterator[str]:
     found = stopped_early([record.interfaces for record in good])
     if found:
         number, why = next(iter(found.items()))
-        key, inputs = good[number].key[:12], good[number].inputs
-        where = ", ".join(f"{name} = {value:.6g}" for name, value in inputs.items())
+        key, where = good[number].key[:12], _place(good[number].inputs)
         yield (
             f"{len(found)} of {len(good)} runs seem to have STOPPED EARLY; the first is {key} at {where}: {why}. "
             "The surrogate takes the jump for the model's. Let the simulator fail there, or leave such runs out: "
@@ -232,7 +230,7 @@ def _set_aside(calibration: Calibration) -> Iterator[str]:
     """Yield a sentence on the runs that ended ok and were not used, and one on those excluded by hand."""
     for measure in dict.fromkeys(one.measure for one in calibration.set_aside):
         some = [one for one in calibration.set_aside if one.measure == measure]
-        where = ", ".join(f"{name} = {value:.6g}" for name, value in some[0].inputs.items())
+        where = _place(some[0].inputs)
         what = "run that ended ok was" if len(some) == 1 else "runs that ended ok were"
         beside = "" if measure in (None, next(iter(calibration.problem.discrepancies))) else f" for {measure} alone"
         yield (
@@ -290,13 +288,18 @@ def _sampler(calibration: Calibration) -> Iterator[str]:
         return
     if not exact.converged:
         yield "The quadrature that checks the sampler has not converged."
-    mean_error = float(np.max(np.abs(posterior.mean - exact.mean) / exact.sd))
-    sd_error = float(np.max(np.abs(posterior.sd / exact.sd - 1.0)))
+    mean_error, sd_error = _apart(posterior, exact)
     if mean_error > QUADRATURE_MEAN or sd_error > QUADRATURE_SD:
         yield (
             f"Sampler and quadrature of the same surrogate differ: means by up to {mean_error:.3f} standard "
             f"deviations, standard deviations by up to {sd_error:.1%}. More particles or steps will help."
         )
+
+
+def _apart(found: Posterior | Reading, exact: QuadratureResult) -> tuple[float, float]:
+    """Return the largest error of a mean, in standard deviations, and the largest relative one of these."""
+    mean_error = float(np.max(np.abs(found.mean - exact.mean) / exact.sd))
+    return mean_error, float(np.max(np.abs(found.sd / exact.sd - 1.0)))
 
 
 def _cut(calibration: Calibration) -> Iterator[str]:
@@ -318,8 +321,7 @@ def _cut(calibration: Calibration) -> Iterator[str]:
     if calibration.cut_quadrature is None:
         return
     exact = mixture(calibration.cut_quadrature)
-    mean_error = float(np.max(np.abs(cut.mean - exact.mean) / exact.sd))
-    sd_error = float(np.max(np.abs(cut.sd / exact.sd - 1.0)))
+    mean_error, sd_error = _apart(cut, exact)
     if not exact.converged or mean_error > QUADRATURE_MEAN or sd_error > QUADRATURE_SD:
         yield (
             f"Sampler and quadrature of the cut reading differ: means by up to {mean_error:.3f} standard deviations, "
@@ -366,6 +368,69 @@ def _touched(posterior: Posterior) -> Iterator[tuple[Parameter, str, float, floa
                 yield parameter, side, bound, mass
 
 
+def _place(inputs: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} = {value:.6g}" for name, value in inputs.items())
+
+
 def _of(parameter: Parameter) -> str:
     """Return a space and the unit, to follow a number; empty for a pure number."""
     return "" if parameter.unit in ("", "1") else f" {parameter.unit}"
+
+
+def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[str]:
+    """Yield one sentence per doubt."""
+    certificate, surrogate = found.certificate, found.knowledge.surrogate
+    if certificate is not None and not certificate.converged:
+        advice = "" if certificate.scattered else " Allow more runs: design.active.runs."
+        yield f"NOT CONVERGED: {'; '.join(certificate.reasons)}.{advice}"
+    if certificate is not None and certificate.overlooks:
+        yield (
+            "There were too few runs to search for other regions that fit as thoroughly as design.active.unseen "
+            f"asks. {certificate.statement} Allow more runs: design.active.runs."
+        )
+    shift, ratio = float(np.abs(found.effect.shift).max()), float(np.abs(np.log(found.effect.sd_ratio)).max())
+    if max(shift, ratio) > EFFECT:
+        by = f"by up to {np.expm1(ratio):.0%}" if ratio < TENFOLD else "more than tenfold"
+        yield (
+            f"The surrogate's uncertainty about the interface moves means by up to {shift:.3g} standard deviations "
+            f"and changes standard deviations {by}. More runs will lower it."
+        )
+    yield from likely_to_fail(1.0 - found.feasible)
+    checked = None if certificate is None or certificate.checked is None else certificate.checked.check
+    if checked is not None and checked.failed:
+        yield f"{checked.failed} of {checked.draws} runs at draws of the posterior failed; the check leaves them out."
+    yield from _unsure_cut(calibration, found)
+    if certificate is not None and certificate.fidelities is not None and certificate.fidelities.dropped is not None:
+        yield f"The cheaper model is not used: {certificate.fidelities.dropped}."
+    if surrogate.registration_error > surrogate.modes.remainder and surrogate.registration_error > 0:
+        yield (
+            "The runs' interfaces do not share their nodes and were brought to common points by "
+            f"{' and '.join(way for way in surrogate.ways if way != 'nodes')}, which moves them by up to "
+            f"{1e3 * surrogate.registration_error:.2g} µm."
+        )
+
+
+def likely_to_fail(share: float) -> Iterator[str]:
+    """Yield a sentence if a share worth mentioning of the posterior lies where runs are likely to fail."""
+    if share > TOUCHED:
+        yield (
+            f"{share:.0%} of the posterior lies where runs are likely to fail: what the data say there is not known."
+        )
+
+
+def _unsure_cut(calibration: Calibration, found: FieldOutcome) -> Iterator[str]:
+    """Yield a warning if the cut reading goes where there are few runs: they were chosen for the joint reading."""
+    if calibration.under_uncertainty is None:
+        return
+    cut, problem = calibration.under_uncertainty.cut, calibration.problem
+    measure = next(iter(problem.discrepancies.values()))
+    hidden = min(noise_length(seen, measure) for seen in found.knowledge.likelihood.known_observations)
+    errors = found.knowledge.surrogate.predicted_error(cut.extended.draws)
+    of_value = np.array([np.median(errors[cut.value_index == k]) for k in range(len(cut.values))])
+    unsure = of_value > UNSURE * hidden
+    if unsure.any():
+        yield (
+            f"The cut reading is a guess for {int(unsure.sum())} of its {len(cut.values)} values of the nuisance "
+            f"inputs: runs are rare there, and the interface is uncertain by up to {1e3 * of_value.max():.2g} µm where "
+            f"the local noise hides {1e3 * hidden:.2g} µm. The joint reading does not depend on them."
+        )

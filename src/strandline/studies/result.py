@@ -14,7 +14,7 @@ from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import GaussianNoise, PointErrors, UnknownErrors
 from strandline.models.fidelities import is_cheaper
 from strandline.posterior import Posterior, from_datatree, read
-from strandline.report.plots.of_posterior import PosteriorPlots
+from strandline.report.plots.pairs import PosteriorPlots
 from strandline.runs import InProcess
 from strandline.studies.chosen import construct, open_entry
 from strandline.studies.folder import POSTERIOR, SUMMARY

@@ -21,7 +21,7 @@ from strandline.likelihood import compared
 from strandline.models.offers import prepare_runs
 from strandline.posterior import to_datatree, write
 from strandline.report import FIGURES, remove_report, template, write_report
-from strandline.report.nearness import nearest_runs, nothing_near
+from strandline.report.fit import nearest_runs, nothing_near
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.runs.failures import FailurePolicy
 from strandline.studies.check_file import read_check

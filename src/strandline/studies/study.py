@@ -4,9 +4,7 @@ import html
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 from strandline.calibration import Settings
 from strandline.discrepancy import Discrepancy
@@ -103,17 +101,6 @@ class Study:
         facts += [(html.escape(name), f"{value:g}") for name, value in self.fixed.items()]
         inputs = html_table(("input", "unit", "prior"), priors, caption=self.name)
         return inputs + html_table(("study", ""), facts)
-
-    def view(self, *, height: int = 900) -> Any:
-        """Show the page of `strandline view` below a cell of a notebook, until the kernel ends.
-
-        Args:
-            height: Height below the cell, pixels.
-
-        Raises:
-            InvalidInput: The extra `view` is not installed.
-        """
-        return import_module("strandline.view").shown(self, height=height)  # a door up to a layer that knows studies
 
     @cached_property
     def runs(self) -> StudyRuns:

@@ -15,8 +15,7 @@ from strandline.likelihood import InterfaceLikelihood, compared
 from strandline.likelihood.compared import adapted
 from strandline.posterior import Posterior, Reading
 from strandline.posterior.quadrature import QuadratureResult, mixture
-from strandline.report.fit import fit_as_json
-from strandline.report.nearness import as_json, nearest_runs
+from strandline.report.fit import as_json, fit_as_json, nearest_runs
 from strandline.report.warnings import find_warnings
 from strandline.runs.ledger_rows import outcome_digest
 from strandline.runs.ledger_schema import EXCLUDED

@@ -1,6 +1,5 @@
 """A study in the browser: its runs while they are made, its posterior, its interfaces, and what its assumptions do."""
 
-from strandline.view.notebook import Shown, shown
-from strandline.view.server import Server, serving
+from strandline.view.server import NotebookPage, Server, serving, show
 
-__all__ = ["Server", "Shown", "serving", "shown"]
+__all__ = ["NotebookPage", "Server", "serving", "show"]

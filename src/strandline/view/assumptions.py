@@ -1,7 +1,9 @@
-"""What the sliders of the page ask → an alternative to the study, and its posterior."""
+"""What the sliders of the page ask → an alternative to the study, its posterior, and a new study with it."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,16 +15,20 @@ from strandline.errors import InvalidInput
 from strandline.interface import GaussianNoise, Observation, PointErrors
 from strandline.likelihood import FieldLikelihood
 from strandline.priors import Prior
+from strandline.studies.changed_copy import reuse_from, write_copy
 from strandline.studies.inputs import build_prior
 from strandline.studies.study import Study
+from strandline.studies.yaml_edit import REMOVED, changed_text
+from strandline.studies.yaml_text import load_yaml
 
-__all__ = ["Asked", "answer_to", "asked_by", "knobs_of"]
+__all__ = ["Asked", "answer_to", "asked_by", "knobs_of", "number_in", "save_as"]
 
 NOISE, LENGTH = (0.2, 5.0), (0.0, 200.0)
 """Range of the factor on the noise's standard deviation, and of the correlation length, µm."""
 LARGEST = 1e300
 SEED = 1
 TO_UM = 1e3
+NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,62}")
 
 
 @dataclass(frozen=True)
@@ -84,9 +90,9 @@ def asked_by(given: Mapping[str, Any], study: Study) -> Asked:
     known = {"noise", "length_um", "measure", "priors", "fixed"}
     if set(given) - known:
         raise _refused("assumptions", sorted(set(given) - known)[0], f"some of {', '.join(sorted(known))}")
-    noise = _number("noise", given.get("noise", 1.0), *NOISE)
+    noise = number_in("noise", given.get("noise", 1.0), *NOISE)
     length = given.get("length_um")
-    length = None if length is None else _number("length_um", length, *LENGTH)
+    length = None if length is None else number_in("length_um", length, *LENGTH)
     measure = given.get("measure")
     if measure is not None and (not isinstance(measure, str) or measure not in study.discrepancies):
         raise _refused("measure", measure, f"one of {', '.join(study.discrepancies)}")
@@ -97,7 +103,7 @@ def asked_by(given: Mapping[str, Any], study: Study) -> Asked:
         if name not in study.space.names:
             raise _refused("input", name, f"one of {', '.join(study.space.names)}")
     stated = {name: _prior(name, prior) for name, prior in priors.items()}
-    values = {name: _number(name, one, *study.space[name].interval) for name, one in fixed.items()}
+    values = {name: number_in(name, one, *study.space[name].interval) for name, one in fixed.items()}
     return Asked(noise, length, measure, stated, values)
 
 
@@ -155,11 +161,16 @@ def _prior(name: str, given: Any) -> dict[str, list[float]]:
     if isinstance(given, dict) and len(given) == 1:
         ((kind, numbers),) = given.items()
         if isinstance(numbers, list):
-            return {kind: [_number(f"prior of {name}", one, -LARGEST, LARGEST) for one in numbers]}
+            return {kind: [number_in(f"prior of {name}", one, -LARGEST, LARGEST) for one in numbers]}
     raise _refused(f"prior of {name}", given, "a prior with its numbers, {normal: [400, 50]}")
 
 
-def _number(name: str, given: Any, low: float, high: float) -> float:
+def number_in(name: str, given: Any, low: float, high: float) -> float:
+    """Return a number that the page sends.
+
+    Raises:
+        InvalidInput: It is no number between these.
+    """
     if isinstance(given, int | float) and not isinstance(given, bool) and low <= given <= high:
         return float(given)
     raise _refused(name, given, f"a number from {low:g} to {high:g}")
@@ -167,3 +178,77 @@ def _number(name: str, given: Any, low: float, high: float) -> float:
 
 def _refused(what: str, value: object, expected: str) -> InvalidInput:
     return InvalidInput(what, value=value, expected=expected, remedy="Choose another one.")
+
+
+def save_as(study: Study, name: str, asked: Asked) -> Path:
+    """Write a study with other assumptions in a folder beside the present one; return the folder.
+
+    The files that the study needs are copied, its results are not; `reuse` takes over its runs.
+
+    Args:
+        study: The study.
+        name: Name of the new study and its folder.
+        asked: The assumptions.
+
+    Raises:
+        InvalidInput: The name cannot be used, there is such a folder, or the assumptions cannot be written.
+        InvalidStudy: The folder cannot be written to.
+    """
+    if not NAME.fullmatch(name):
+        raise _refused("name of the new study", name, "letters, digits, -, _ and . (at most 63)")
+    present = study.folder.resolve()
+    target = present.parent / name
+    if target.exists():
+        raise _refused("name of the new study", name, "no such folder yet")
+    text = changed_text(study.text, _changes(study, name, asked, present, target))
+    write_copy(present, target, f"# {name}: {study.name} with other assumptions\n{text}")
+    return target
+
+
+def _changes(study: Study, name: str, asked: Asked, present: Path, target: Path) -> dict[tuple[str, ...], Any]:
+    """Return the values that differ in the new study, which takes over the runs of the present one."""
+    content = load_yaml(study.text)
+    changes: dict[tuple[str, ...], Any] = {("name",): name}
+    for key, prior in asked.priors.items():
+        changes["inputs", key, "prior"] = dict(prior)
+        changes["inputs", key, "box"] = content["inputs"][key].get("box", list(study.space[key].interval))
+    for key, value in asked.fixed.items():
+        changes["inputs", key] = REMOVED
+        changes["fixed", key] = value
+    if asked.noise != 1 or asked.length_um is not None:
+        changes["noise",] = _noise(study, asked)
+    if asked.measure is not None:
+        changes["discrepancy",] = _measures(content["discrepancy"], asked.measure)
+    changes["reuse",] = reuse_from(present, target, content.get("reuse"))
+    return changes
+
+
+def _noise(study: Study, asked: Asked) -> dict[str, Any]:
+    """Return the key `noise` with another standard deviation.
+
+    Raises:
+        InvalidInput: The points or the conditions have noise of their own.
+    """
+    noise = study.noise
+    if not study.noises and isinstance(noise, GaussianNoise):
+        return {"variance": float(f"{asked.noise**2 * noise.variance:.6g}")}
+    given = load_yaml(study.text)["noise"]
+    if not study.noises and isinstance(noise, PointErrors) and isinstance(given.get("sd"), int | float | str):
+        sd = float(f"{asked.noise * TO_UM * noise.sd:.6g}")
+        length = TO_UM * noise.length if asked.length_um is None else asked.length_um
+        kept = {key: value for key, value in given.items() if key not in ("sd", "length", "unit")}
+        if not kept:
+            return {"sd": sd, "unit": "um", **({"length": float(f"{length:.6g}")} if length else {})}
+    raise InvalidInput(
+        "noise of the new study",
+        value="other noise for a study whose points or conditions have their own",
+        expected="a study with one standard deviation",
+        remedy="Change noise in study.yaml by hand.",
+    )
+
+
+def _measures(given: Any, first: str) -> list[Any]:
+    """Return the measures with this one first."""
+    stated = given if isinstance(given, list) else [given]
+    each = [{name: options} for one in stated for name, options in one.items()]
+    return sorted(each, key=lambda one: first not in one)

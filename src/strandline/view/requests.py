@@ -1,7 +1,16 @@
-"""The requests of the page, and what they get."""
+"""The requests of the page, who may make them, and what they get.
 
+A server on the loopback address is within reach of every web page that the user opens, and of every user of the
+machine. A page whose domain points to this address (DNS rebinding) is recognised by its `Host`; other users do not know
+the token.
+"""
+
+import hmac
+import ipaddress
 import json
+import secrets
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +21,21 @@ from strandline.errors import InvalidInput, StrandlineError
 from strandline.report import PANELS, template
 from strandline.studies.pictures.shown import picture_png
 from strandline.studies.study import Study
-from strandline.view.assumptions import asked_by
-from strandline.view.desk import Desk
-from strandline.view.door import HEADERS
-from strandline.view.saving import save_as
+from strandline.view.assumptions import asked_by, save_as
+from strandline.view.session import Session
 
-__all__ = ["application"]
+__all__ = ["Access", "application"]
 
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; "
+    "img-src 'self' data: blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self' "
+    "http://localhost:* http://127.0.0.1:*",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+"""Headers of every answer: nothing is loaded from elsewhere, or kept."""
 ERRORS = {
     403: "there is no such page",
     404: "there is no such page",
@@ -28,25 +45,58 @@ ERRORS = {
 PAGE = Path(__file__).parent / "page"
 
 
+@dataclass(frozen=True)
+class Access:
+    """Lets requests in, or refuses them.
+
+    Args:
+        token: Secret that each address must contain.
+    """
+
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
+
+    def refusal(self, host: str, origin: str | None, token: str) -> str:
+        """Return why a request is refused; empty if it is let in.
+
+        Args:
+            host: Its header `Host`.
+            origin: Its header `Origin`, if it has one.
+            token: Token in its address; empty if there is none.
+        """
+        if not _is_loopback(host):
+            return "this page is called by localhost or 127.0.0.1 only"
+        if origin is not None and origin.partition("//")[2] != host:
+            return "other web pages may not ask"
+        if not hmac.compare_digest(token.encode(), self.token.encode()):
+            return "this page needs the whole address that strandline view printed"
+        return ""
+
+
+def _is_loopback(host: str) -> bool:
+    """Return whether the name in a header `Host`, which may have a port, is that of this machine."""
+    host = host.strip().lower()
+    name = host[1:].partition("]")[0] if host.startswith("[") else host.partition(":")[0]
+    try:
+        return ipaddress.ip_address(name).is_loopback
+    except ValueError:
+        return name.rstrip(".") == "localhost"
+
+
 class _Guarded(RequestHandler):
     """A request that is answered only to whoever has the token."""
 
-    def initialize(self, desk: Desk) -> None:
-        """Keep what all requests share."""
-        self.desk = desk
+    def initialize(self, session: Session, access: Access) -> None:
+        self.session, self.access = session, access
 
     def set_default_headers(self) -> None:
-        """Forbid the browser to keep an answer, or to load anything from elsewhere."""
         for name, value in HEADERS.items():
             self.set_header(name, value)
-        self.set_header("Cache-Control", "no-store")
         self.clear_header("Server")
 
     def prepare(self) -> None:
-        """Refuse a request without the token, or from another page."""
         request = self.request
         token = request.path.split("/")[1]
-        why = self.desk.door.refusal(request.host, request.headers.get("Origin"), token)
+        why = self.access.refusal(request.host, request.headers.get("Origin"), token)
         if why:
             self.set_status(403)
             self.finish({"error": why})
@@ -87,7 +137,6 @@ class _Missing(_Guarded):
     """Any other path."""
 
     def prepare(self) -> None:
-        """Refuse it."""
         super().prepare()
         if not self._finished:
             self.send_error(404)
@@ -97,7 +146,6 @@ class _Page(_Guarded):
     """The page itself; what it asks for lies below its own address, so that all requests carry the token."""
 
     def get(self) -> None:
-        """Send the page."""
         self.set_header("Content-Type", "text/html; charset=utf-8")
         self.finish(template("index.html.j2", package="strandline.view").render())
 
@@ -106,16 +154,14 @@ class _WithoutSlash(_Guarded):
     """The address of the page without its last slash."""
 
     def get(self) -> None:
-        """Send the browser there."""
         self.redirect(f"{self.request.path}/")
 
 
 class _Static(_Guarded, StaticFileHandler):
     """Scripts and styles of the page."""
 
-    def initialize(self, desk: Desk, path: str) -> None:  # type: ignore[override]
-        """Keep what all requests share, and the folder of the files."""
-        _Guarded.initialize(self, desk)
+    def initialize(self, path: str, **shared: Any) -> None:  # type: ignore[override]
+        _Guarded.initialize(self, **shared)
         StaticFileHandler.initialize(self, path)
 
 
@@ -124,13 +170,13 @@ class _Ask(_Guarded):
 
     async def get(self, name: str) -> None:
         """Answer a question that only reads."""
-        desk, viewed = self.desk, self.desk.viewed
+        session, viewed = self.session, self.session.viewed
         tasks: dict[str, Callable[[], Awaitable[Any]]] = {
-            "study": lambda: desk.answer(lambda: viewed.facts),
-            "state": lambda: _now(desk.state),
-            "runs": lambda: desk.runs_since(self._integer("since")),
-            "run": lambda: desk.read(lambda: viewed.run(self._integer("row"))),
-            "posterior": lambda: desk.answer(lambda: viewed.posterior),
+            "study": lambda: session.answer(lambda: viewed.facts),
+            "state": lambda: session.answer(lambda: session.state),
+            "runs": lambda: session.runs_since(self._integer("since")),
+            "run": lambda: session.read(lambda: viewed.run(self._integer("row"))),
+            "posterior": lambda: session.answer(lambda: viewed.posterior),
         }
         if name not in tasks:
             self.send_error(404)
@@ -139,7 +185,7 @@ class _Ask(_Guarded):
 
     async def post(self, name: str) -> None:
         """Answer a question that computes or saves; a solution of the flow does not hold up the others."""
-        viewed = self.desk.viewed
+        viewed = self.session.viewed
         tasks: dict[str, Callable[[dict[str, Any]], Any]] = {
             "predict": lambda given: viewed.predict(_part(given, "inputs")),
             "ask": lambda given: viewed.ask(_part(given, "assumptions"), again=bool(given.get("again"))),
@@ -149,7 +195,7 @@ class _Ask(_Guarded):
         if name not in tasks:
             self.send_error(404)
             return
-        work = self.desk.solve if name == "flow" else self.desk.answer
+        work = self.session.solve if name == "flow" else self.session.answer
         await self.told(lambda: work(lambda: tasks[name](self.body())))
 
     def _integer(self, name: str) -> int:
@@ -160,12 +206,11 @@ class _Ask(_Guarded):
 
 
 class _Picture(_Guarded):
-    """The picture of a condition."""
+    """The picture of a condition, as PNG."""
 
     async def get(self) -> None:
-        """Send it as PNG."""
         condition = self.get_query_argument("condition", "")
-        found = await self.desk.answer(lambda: picture_png(self.desk.viewed.study, condition))
+        found = await self.session.answer(lambda: picture_png(self.session.viewed.study, condition))
         if found is None:
             self.send_error(404)
             return
@@ -175,24 +220,23 @@ class _Picture(_Guarded):
 
 
 class _Events(_Guarded):
-    """A stream of server-sent events: the state, whenever something is new."""
+    """A stream of server-sent events: the state, whenever something is new, until the page or the server closes."""
 
     async def get(self) -> None:
-        """Send events until the page or the server closes."""
         self.set_header("Content-Type", "text/event-stream")
-        desk, rings = self.desk, -1
-        desk.streams += 1
+        session, rings = self.session, -1
+        session.streams += 1
         try:
-            while not desk.closing:
-                new = desk.rings if rings < 0 else await desk.heard(rings)
-                state = json.dumps(desk.state, allow_nan=False)
+            while not session.closing:
+                new = session.rings if rings < 0 else await session.heard(rings)
+                state = json.dumps(session.state, allow_nan=False)
                 self.write(f"data: {state}\n\n" if new != rings else ": alive\n\n")
                 rings = new
                 await self.flush()
         except StreamClosedError:
             return
         finally:
-            desk.streams -= 1
+            session.streams -= 1
 
 
 def _part(given: dict[str, Any], name: str) -> dict[str, Any]:
@@ -207,23 +251,20 @@ def _part(given: dict[str, Any], name: str) -> dict[str, Any]:
     return found or {}
 
 
-async def _now(value: Any) -> Any:
-    return value
-
-
 def _saved(study: Study, given: dict[str, Any]) -> dict[str, Any]:
     """Write a new study with the assumptions that were sent."""
     folder = save_as(study, str(given.get("name") or ""), asked_by(_part(given, "assumptions"), study))
     return {"folder": str(folder), "command": f"strandline run {folder}"}
 
 
-def application(desk: Desk) -> Application:
+def application(session: Session, access: Access) -> Application:
     """Return the web application.
 
     Args:
-        desk: What all requests share.
+        session: What all requests share.
+        access: Who may make requests.
     """
-    shared = {"desk": desk}
+    shared = {"session": session, "access": access}
     return Application(
         [
             (r"/[^/]+/", _Page, shared),

@@ -1,15 +1,17 @@
 """The web server of the page: it answers on the loopback address, to whoever has the token."""
 
 import asyncio
+import atexit
+import html
 import os
 import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 from strandline.errors import InvalidInput
 from strandline.studies.study import Study
-from strandline.view.door import Door
 from strandline.view.viewed import ViewedStudy
 
 try:
@@ -22,10 +24,10 @@ except ImportError as error:
         remedy="Install them: pip install 'strandline[view]'",
     ) from error
 
-from strandline.view.desk import PATIENCE, Desk
-from strandline.view.requests import application  # after the check: it imports tornado too
+from strandline.view.requests import Access, application  # after the check: it imports tornado too
+from strandline.view.session import PATIENCE, Session
 
-__all__ = ["Server", "serving"]
+__all__ = ["NotebookPage", "Server", "serving", "show"]
 
 LARGEST_BODY = 1 << 20
 ADDRESS = "127.0.0.1"
@@ -37,15 +39,14 @@ class Server:
     Args:
         study: The study.
         port: Port to listen on; 0 takes any free one.
-        door: Who may see the page.
         patience: Seconds for which the first counts and the first posterior wait until a page has got the runs.
 
     Raises:
         InvalidInput: The port cannot be used.
     """
 
-    def __init__(self, study: Study, *, port: int = 0, door: Door | None = None, patience: float = PATIENCE) -> None:
-        self.viewed, self.door, self._patience = ViewedStudy(study), door or Door(), patience
+    def __init__(self, study: Study, *, port: int = 0, patience: float = PATIENCE) -> None:
+        self.viewed, self.access, self._patience = ViewedStudy(study), Access(), patience
         try:
             self._socket = socket.create_server((ADDRESS, port))
         except (OSError, OverflowError) as error:
@@ -57,45 +58,50 @@ class Server:
             ) from None
         self._socket.setblocking(False)
         self.port: int = self._socket.getsockname()[1]
+        self.is_serving = False
         self._stop: Callable[[], object] = lambda: None
-        self._serving = False
+        self._thread: threading.Thread | None = None
 
     @property
     def url(self) -> str:
         """Address of the page, with its token."""
-        return f"http://{ADDRESS}:{self.port}/{self.door.token}/"
-
-    @property
-    def is_serving(self) -> bool:
-        """Whether the page answers."""
-        return self._serving
+        return f"http://{ADDRESS}:{self.port}/{self.access.token}/"
 
     def run(self, started: Callable[[], None] = lambda: None) -> None:
         """Serve until `stop` is called, or Ctrl-C."""
         asyncio.run(self._serve(started))
 
+    def start(self) -> None:
+        """Serve in a thread of its own, until `stop` is called."""
+        ready = threading.Event()
+        self._thread = threading.Thread(target=self.run, args=(ready.set,), daemon=True)
+        self._thread.start()
+        ready.wait()
+
     def stop(self) -> None:
-        """End `run`, from any thread."""
-        self._serving = False
+        """End `run` from another thread, and wait for the thread of `start`."""
+        self.is_serving = False
         self._stop()
+        if self._thread is not None:
+            self._thread.join()
 
     async def _serve(self, started: Callable[[], None]) -> None:
         ended, loop = asyncio.Event(), asyncio.get_running_loop()
         self._stop = lambda: loop.call_soon_threadsafe(ended.set)
-        desk = Desk(self.viewed, self.door, self._patience)
-        server = HTTPServer(application(desk), max_body_size=LARGEST_BODY)
+        session = Session(self.viewed, self._patience)
+        server = HTTPServer(application(session, self.access), max_body_size=LARGEST_BODY)
         server.add_socket(self._socket)
-        watching = [asyncio.create_task(desk.watch_runs()), asyncio.create_task(desk.watch_posterior())]
-        self._serving = True
+        watching = [asyncio.create_task(session.watch_runs()), asyncio.create_task(session.watch_posterior())]
+        self.is_serving = True
         started()
         try:
             await ended.wait()
         finally:
-            self._stop, self._serving = lambda: None, False
+            self._stop, self.is_serving = lambda: None, False
             for task in watching:
                 task.cancel()
             server.stop()
-            await desk.close()
+            await session.close()
             await server.close_all_connections()
 
 
@@ -108,12 +114,51 @@ def serving(study: Study, *, port: int = 0, patience: float = PATIENCE) -> Itera
         port: Port to listen on; 0 takes any free one.
         patience: Patience of the `Server`.
     """
-    server, ready = Server(study, port=port, patience=patience), threading.Event()
-    thread = threading.Thread(target=server.run, args=(ready.set,), daemon=True)
-    thread.start()
-    ready.wait()
+    server = Server(study, port=port, patience=patience)
+    server.start()
     try:
         yield server
     finally:
         server.stop()
-        thread.join()
+
+
+@dataclass(frozen=True, eq=False)
+class NotebookPage:
+    """A page that is served as long as the notebook's kernel lives, or until `close`.
+
+    Args:
+        server: Its server.
+        height: Height below the cell, pixels.
+    """
+
+    server: Server
+    height: int
+
+    def __repr__(self) -> str:
+        address = f": {self.server.url}" if self.server.is_serving else ", closed"
+        return f"<page of {self.server.viewed.study.name}{address}>"
+
+    def _repr_html_(self) -> str:
+        if not self.server.is_serving:
+            return f"<p>{html.escape(repr(self))}</p>"
+        url, name = html.escape(self.server.url), html.escape(self.server.viewed.study.name)
+        style = "border: 1px solid #8884; border-radius: 8px"
+        return f'<iframe src="{url}" title="{name}" width="100%" height="{self.height}" style="{style}"></iframe>'
+
+    def close(self) -> None:
+        """Stop serving the page."""
+        self.server.stop()
+        atexit.unregister(self.server.stop)
+
+
+def show(study: Study, *, height: int = 900) -> NotebookPage:
+    """Show the page of a study below a cell of a notebook, until the kernel ends.
+
+    Args:
+        study: The study.
+        height: Height below the cell, pixels.
+    """
+    server = Server(study)
+    server.start()
+    atexit.register(server.stop)
+    return NotebookPage(server, height)

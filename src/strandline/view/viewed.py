@@ -2,9 +2,8 @@
 
 import json
 import math
-import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,19 +11,35 @@ from urllib.parse import urlencode
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib.tri import LinearTriInterpolator, Triangulation
 
 from strandline.calibration.alternative import Present
 from strandline.calibration.misfit import by_field
 from strandline.calibration.what_if import Answer
+from strandline.design.active import Knowledge
 from strandline.errors import InvalidInput, InvalidStudy
-from strandline.models.offers import DrawsFields, undeformed_interface
-from strandline.models.protocol import declared_conditions
+from strandline.interface import Interface
+from strandline.models.offers import DrawsFields
+from strandline.models.protocol import ForwardModel, declared_conditions
 from strandline.numerics.one_thread import one_thread
 from strandline.numerics.precision import use_double
 from strandline.posterior import systematic_indices
 from strandline.posterior.pareto_smoothing import reliability_threshold
-from strandline.report.explore import inputs_as_json
-from strandline.report.outlines import offsets_um, outline, predictive_band
+from strandline.report.explore import (
+    BAND_DRAWS,
+    DRAWS,
+    SDS,
+    band,
+    by_name,
+    columns,
+    conditions_as_json,
+    inputs_as_json,
+    offsets_um,
+    outline,
+    point_normals,
+    predictive_band,
+    rounded,
+)
 from strandline.runs import Ledger
 from strandline.runs.overview import Overview
 from strandline.studies.first_run import observations_of
@@ -33,18 +48,14 @@ from strandline.studies.pictures.shown import picture_behind
 from strandline.studies.progress import progress_as_planned
 from strandline.studies.question_keys import digest_of
 from strandline.studies.study import Study
-from strandline.view.assumptions import answer_to, asked_by, knobs_of
-from strandline.view.flow import flow_on_grid
-from strandline.view.posterior_feed import DRAWS, SEED, PosteriorFeed, changed_at
-from strandline.view.predictions import predicted
-from strandline.view.runs_feed import RunsFeed
+from strandline.view.assumptions import answer_to, asked_by, knobs_of, number_in
+from strandline.view.feeds import SEED, PosteriorFeed, RunsFeed, changed_at
 
 __all__ = ["ViewedStudy"]
 
-OF_SUMMARY = ("warnings", "misfit", "certificate", "nearest", "log_evidence", "seconds", "version")
-DIGITS = 6
-BAND_DRAWS = 200
-"""Draws of the posterior whose interfaces make the predictive band."""
+OF_SUMMARY = ("warnings", "misfit", "certificate", "nearest")
+COLUMNS, DIGITS = 240, 4
+"""Columns of the grid of a flow, and digits of its values."""
 
 
 @dataclass
@@ -56,7 +67,6 @@ class ViewedStudy:
     """
 
     study: Study
-    _solving: threading.Lock = field(default_factory=threading.Lock)
 
     @cached_property
     def feed(self) -> RunsFeed:
@@ -70,34 +80,20 @@ class ViewedStudy:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What the page needs to know once: the inputs, the conditions, what was observed, what can be changed."""
-        study = self.study
+        """What the page needs to know once: the inputs, the conditions, what was observed."""
+        study, observed = self.study, dict[str, Interface | None](observations_of(self.study)) or {"": None}
+        pictures = {
+            name: picture_behind(study, name, f"api/picture?{urlencode({'condition': name})}") for name in observed
+        }
         return {
             "name": study.name,
             "folder": str(study.folder),
-            "model": type(study.model).__name__,
             "inputs": inputs_as_json(study.space),
             "fixed": dict(study.fixed),
             "truth": study.truth,
-            "measures": list(study.discrepancies),
             "flow": isinstance(study.model, DrawsFields),
-            "conditions": self._conditions(),
+            "conditions": conditions_as_json(study.model, observed, pictures),
         }
-
-    def _conditions(self) -> list[dict[str, Any]]:
-        """Return each condition with what was observed, the undeformed interface and the picture behind it."""
-        study, rest = self.study, undeformed_interface(self.study.model)
-        observed = observations_of(study)
-        names = list(observed) or [""]
-        return [
-            {
-                "name": name,
-                "observed": None if name not in observed else outline(observed[name]),
-                "undeformed": None if rest is None else outline(rest),
-                "picture": picture_behind(study, name, f"api/picture?{urlencode({'condition': name})}"),
-            }
-            for name in names
-        ]
 
     def require_ledger(self) -> None:
         """Refuse a ledger that is gone although the study has results or the page has shown runs.
@@ -156,7 +152,8 @@ class ViewedStudy:
         with Overview(self.study.ledger_path) as overview:
             exclusion = overview.exclusions().get(key)
             details = overview.details([attempt.number]).get(attempt.number)
-        out: dict[str, Any] = {
+        figures = {} if details is None else details.diagnostics
+        return {
             "row": place,
             "key": key,
             "number": attempt.number,
@@ -168,12 +165,9 @@ class ViewedStudy:
             "seconds": attempt.seconds,
             "message": "" if details is None else details.message,
             "log": "" if details is None else details.log,
-            "diagnostics": {} if details is None else _finite(details.diagnostics),
-            "interfaces": {},
+            "diagnostics": {name: value for name, value in figures.items() if math.isfinite(value)},
+            "interfaces": self._interfaces(key) if attempt.state == "ok" else {},
         }
-        if attempt.state == "ok":
-            out["interfaces"] = self._interfaces(key)
-        return out
 
     def _interfaces(self, key: str) -> dict[str, Any]:
         """Return the interfaces of a run by condition, with the signed distances of the observed points, µm."""
@@ -202,18 +196,14 @@ class ViewedStudy:
         if now is None or few is None:
             return out
         quality = now.quality
+        known = None if quality is None else {"error_um": 1e3 * quality.median, "hidden_um": 1e3 * quality.hidden}
         return {
             **out,
-            **_moments(self.study.space.names, now.weighted.draws, np.exp(now.log_weights)),
-            "draws": self._columns(few.draws),
+            "mean": by_name(self.study.space, now.mean),
+            "sd": by_name(self.study.space, now.sd),
+            "draws": columns(self.study.space, few.draws),
             "bands": _bands(now),
-            "surrogate": None
-            if quality is None
-            else {
-                "error_um": 1e3 * quality.median,
-                "hidden_um": 1e3 * quality.hidden,
-                "good": quality.good,
-            },
+            "surrogate": known,
         }
 
     def predict(self, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -230,7 +220,7 @@ class ViewedStudy:
         x = self._inputs(given)
         knowledge = shown.now.knowledge
         chance = float(np.exp(knowledge.log_feasibility(x[None])[0]))
-        return {"conditions": predicted(knowledge, x, observations_of(self.study)), "success": chance}
+        return {"conditions": _predicted(knowledge, x, observations_of(self.study)), "success": chance}
 
     def ask(self, given: Mapping[str, Any], *, again: bool) -> dict[str, Any]:
         """Return the posterior under other assumptions.
@@ -252,13 +242,12 @@ class ViewedStudy:
             return self._answered(answer_to(asked, self.study, now, again=again), now, again=again)
 
     def _answered(self, answer: Answer, now: Present, *, again: bool) -> dict[str, Any]:
-        threshold = reliability_threshold(len(now.draws))
+        space, threshold = self.study.space, reliability_threshold(len(now.draws))
         out: dict[str, Any] = {
             "by": answer.by,
             "why_not": answer.why_not,
             "effective": answer.effective,
             "k_hat": answer.k_hat if math.isfinite(answer.k_hat) else None,
-            "threshold": threshold,
             "reliable": answer.by != "reweighting" or answer.k_hat < threshold,
         }
         if answer.draws is None:
@@ -266,13 +255,13 @@ class ViewedStudy:
         weights, draws = answer.draws.weights, answer.draws.draws
         if again or answer.by != "reweighting":
             draws = draws[systematic_indices(weights, DRAWS, np.random.default_rng(SEED))]
-            out["draws"] = self._columns(draws)
+            out["draws"] = columns(space, draws)
         return {
             **out,
-            **_moments(self.study.space.names, answer.draws.draws, answer.draws.weights),
+            "mean": by_name(space, answer.draws.mean),
+            "sd": by_name(space, answer.draws.sd),
             "weights": None if "draws" in out else np.round(weights * len(weights), 5).tolist(),
-            "shift": dict(zip(self.study.space.names, _finite_list(answer.shift), strict=True)),
-            "sd_ratio": dict(zip(self.study.space.names, _finite_list(answer.sd_ratio), strict=True)),
+            "shift": by_name(space, answer.shift),
         }
 
     def flow(self, given: Mapping[str, Any], condition: str) -> dict[str, Any]:
@@ -295,27 +284,11 @@ class ViewedStudy:
                 "condition", value=condition, expected=f"one of {', '.join(known)}", remedy="Choose one."
             )
         inputs = {**self.study.fixed, **self.study.space.as_mapping(self._inputs(given))}
-        with self._solving:
-            return flow_on_grid(self.study.model, inputs, condition)
+        return _flow_on_grid(self.study.model, inputs, condition)
 
     def _inputs(self, given: Mapping[str, Any]) -> Float[np.ndarray, " dim"]:
-        values = []
-        for parameter in self.study.space:
-            low, high = parameter.interval
-            value = given.get(parameter.name)
-            if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
-                raise InvalidInput(
-                    parameter.name,
-                    value=value,
-                    expected=f"a number in its box, [{low:g}, {high:g}]",
-                    remedy="Choose another one.",
-                )
-            values.append(float(value))
-        return np.array(values)
-
-    def _columns(self, draws: Float[np.ndarray, "draw dim"]) -> dict[str, list[float]]:
-        names = self.study.space.names
-        return {name: [float(f"{v:.{DIGITS}g}") for v in draws[:, i].tolist()] for i, name in enumerate(names)}
+        space = self.study.space
+        return np.array([number_in(name, given.get(name), *space[name].interval) for name in space.names])
 
 
 def _bands(now: Present) -> dict[str, dict[str, Any]]:
@@ -326,28 +299,78 @@ def _bands(now: Present) -> dict[str, dict[str, Any]]:
     return predictive_band(by_field(now.knowledge.surrogate), now.mean, now.draws[chosen])
 
 
-def _moments(
-    names: Sequence[str], draws: Float[np.ndarray, "draw dim"], weights: Float[np.ndarray, " draw"]
-) -> dict[str, Any]:
-    mean = weights @ draws
-    sd = np.sqrt(weights @ (draws - mean) ** 2)
-    return {
-        "mean": dict(zip(names, mean.tolist(), strict=True)),
-        "sd": dict(zip(names, sd.tolist(), strict=True)),
-    }
-
-
-def _finite(values: Mapping[str, float]) -> dict[str, float]:
-    return {name: value for name, value in values.items() if math.isfinite(value)}
-
-
-def _finite_list(values: Float[np.ndarray, " dim"]) -> list[float | None]:
-    return [value if math.isfinite(value) else None for value in values.tolist()]
-
-
 def _read(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}
+
+
+def _predicted(
+    knowledge: Knowledge, x: Float[np.ndarray, " dim"], observed: Mapping[str, Interface]
+) -> dict[str, dict[str, Any]]:
+    """Return by condition the predicted polyline, the surrogate's standard deviation along its normals, and offsets.
+
+    Args:
+        knowledge: What is known of the interface.
+        x: The inputs.
+        observed: Observed interfaces by condition.
+    """
+    surrogate, out = knowledge.surrogate, {}
+    interfaces, variances = surrogate.interfaces(x), surrogate.predict(x[None]).variance[0]
+    fields = surrogate.modes.basis / surrogate.modes.roots
+    parts = surrogate.by_condition(fields)
+    for name, interface in interfaces.items():
+        along = np.einsum("mpx,px->mp", parts[name], point_normals(interface))
+        sd = np.sqrt(variances @ along**2 + surrogate.modes.remainder**2)
+        out[name] = {
+            "line": outline(interface),
+            "band": band(interface, SDS * sd),
+            "sd_um": float(f"{1e3 * float(np.sqrt(np.mean(sd**2))):.3g}"),
+            "offsets": None if name not in observed else offsets_um(observed[name], interface),
+        }
+    return out
+
+
+def _flow_on_grid(model: ForwardModel, inputs: Mapping[str, float], condition: str) -> dict[str, Any]:
+    """Make a run of the built-in model, and return its fields on a regular grid; None outside the cell.
+
+    Args:
+        model: The model.
+        inputs: All inputs by name.
+        condition: Name of a condition; empty if there is only one.
+
+    Raises:
+        ForwardModelError: The run fails.
+        InvalidInput: The model has no fields.
+    """
+    plain: Any = model
+    fields = plain.fields(inputs, condition) if condition else plain.fields(inputs)
+    (left, low), (right, high) = fields.points.min(axis=0), fields.points.max(axis=0)
+    rows = max(2, round(COLUMNS * (high - low) / (right - left)))
+    x, y = np.linspace(left, right, COLUMNS), np.linspace(low, high, rows)
+    grid = np.meshgrid(x, y)
+    fluid, solid = fields.cell_part == 0, fields.cell_part > 0
+    values = {
+        "speed": (np.linalg.norm(fields.velocity, axis=1), fluid, "mm/s"),
+        "pressure": (fields.pressure, fluid, "Pa"),
+        "displacement": (np.linalg.norm(fields.displacement, axis=1), solid, "mm"),
+    }
+    return {
+        "x": np.round(x, 5).tolist(),
+        "y": np.round(y, 5).tolist(),
+        "fields": {
+            name: {"unit": unit, "values": _on_grid(fields.points, fields.triangles[cells], one, grid)}
+            for name, (one, cells, unit) in values.items()
+            if cells.any()
+        },
+    }
+
+
+def _on_grid(
+    points: Float[np.ndarray, "point 2"], triangles: Any, values: Float[np.ndarray, " point"], grid: Sequence[Any]
+) -> list[list[float | None]]:
+    """Return nodal values interpolated at the grid's points, row by row."""
+    found = LinearTriInterpolator(Triangulation(points[:, 0], points[:, 1], triangles), values)(*grid)
+    return [rounded(row, DIGITS) for row in found.filled(np.nan)]

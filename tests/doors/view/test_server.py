@@ -12,7 +12,7 @@ import pytest
 
 import strandline as sl
 from strandline.testing.studies import write_study
-from strandline.view import Server, Shown, serving
+from strandline.view import NotebookPage, Server, serving, show
 
 
 def until(what: Callable[[], Any]) -> Any:
@@ -50,7 +50,7 @@ def test_each_path_is_answered_or_refused(quick: httpx.Client) -> None:
     runs = {"/api/run?row=999": 404, "/api/run?row=-1": 400, "/api/run?row=1111111111111111": 400}
     outside = {"/page/x/../../server.py": 404, "/page/%2e%2e/server.py": 403, "/page/..%2fserver.py": 403}
     others = {"/api/nothing": 404, "/nothing": 404, "/api/picture": 404, "/page/": 403, "/api/runs?since=x": 400}
-    good = dict.fromkeys(("", "/api/study", "/page/app.js", "/panels/charts.js"), 200)
+    good = dict.fromkeys(("", "/api/study", "/page/app.js", "/panels/shared.js"), 200)
     for path, status in {**runs, **outside, **others, **good}.items():
         assert quick.get(path).status_code == status, path
     for path in good:
@@ -67,8 +67,8 @@ def test_each_path_is_answered_or_refused(quick: httpx.Client) -> None:
 
 @pytest.mark.smoke
 def test_nobody_gets_in_without_the_token(unrun: Server) -> None:
-    for path in ("/", "/api/study", "/events", "/page/app.js", "/panels/charts.js", "/api/picture", "/nothing"):
-        for token in ("", "/wrong", "/" + unrun.door.token + "x"):
+    for path in ("/", "/api/study", "/events", "/page/app.js", "/panels/shared.js", "/api/picture", "/nothing"):
+        for token in ("", "/wrong", "/" + unrun.access.token + "x"):
             assert httpx.get(f"http://127.0.0.1:{unrun.port}{token}{path}").status_code == 403
         whole = unrun.url.rstrip("/") + path
         assert httpx.get(whole, headers={"Host": "example.org"}).status_code == 403
@@ -82,7 +82,7 @@ def test_it_listens_on_this_machine_alone(unrun: Server) -> None:
 
 
 def test_a_notebook_shows_the_page(unrun: Server) -> None:
-    shown: Shown = unrun.viewed.study.view(height=500)
+    shown: NotebookPage = show(unrun.viewed.study, height=500)
     try:
         assert f'<iframe src="{shown.server.url}" title="beam" width="100%" height="500"' in shown._repr_html_()
         assert httpx.get(shown.server.url).status_code == 200

@@ -5,7 +5,7 @@ import re
 from html.parser import HTMLParser
 from typing import Any
 
-from strandline.report.page import template
+from strandline.report.html import template
 
 
 class Page(HTMLParser):

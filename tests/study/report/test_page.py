@@ -26,12 +26,11 @@ from strandline.priors import LogNormal, Uniform
 from strandline.report import explore as section
 from strandline.report import write_report
 from strandline.report.explore import explore
-from strandline.report.figures import BEST, _data
-from strandline.report.fit import fit_as_json, fit_figures
-from strandline.report.inline import PLOTLY, script_hash
+from strandline.report.figures import BEST, _data, failed_runs, fit_figures
+from strandline.report.fit import fit_as_json
+from strandline.report.html import PLOTLY, script_hash
 from strandline.report.methods import methods_paragraph
 from strandline.report.plots.style import DOUBLE, SINGLE
-from strandline.report.run_figures import failed_runs
 from strandline.report.warnings import find_warnings
 from strandline.runs.ledger_schema import LOG_TITLE
 

@@ -14,8 +14,7 @@ import strandline as sl
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.testing.studies import write_study
 from strandline.view import viewed as module
-from strandline.view.assumptions import Asked, answer_to, asked_by, knobs_of
-from strandline.view.saving import save_as
+from strandline.view.assumptions import Asked, answer_to, asked_by, knobs_of, save_as
 from strandline.view.viewed import ViewedStudy
 
 Copy = Callable[[Finished], Path]
@@ -82,7 +81,7 @@ def test_other_assumptions_are_those_of_what_if(viewed: ViewedStudy, field: Fini
 
 
 REFUSED = [
-    ("predict", {"E": 430}, r"tilt: got nothing; expected a number in its box, \[0, 0.04\]"),
+    ("predict", {"E": 430}, "tilt: got nothing; expected a number from 0 to 0.04"),
     ("ask", {"noise": 0}, "noise: got 0; expected a number from 0.2 to 5"),
     ("ask", {"measure": "currents"}, "measure: got currents; expected one of normal_offset, tracked"),
     ("ask", {"fixed": {"E": 400}}, "at least one calibrated input left"),

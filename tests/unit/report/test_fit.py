@@ -18,8 +18,7 @@ from strandline.likelihood.residual_noise import StatedErrors
 from strandline.models.protocol import Simulation
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import Uniform
-from strandline.report.fit import fit_as_json
-from strandline.report.nearness import Nearest, nearest_runs, nothing_near
+from strandline.report.fit import Nearest, fit_as_json, nearest_runs, nothing_near
 from strandline.report.warnings import noise_at_an_end
 from strandline.runs import RunRecord
 

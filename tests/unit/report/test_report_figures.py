@@ -15,13 +15,14 @@ from strandline.interface import Interface, Observation, PointErrors, UnknownErr
 from strandline.parameters import Parameter
 from strandline.posterior import Offsets, Reading
 from strandline.priors import Uniform
-from strandline.report.captioned import Captioned, whole
-from strandline.report.field_figures import _as_stated as as_stated
+from strandline.report.figure_files import Captioned, fitted, marked, saved
 from strandline.report.figures import _reading
-from strandline.report.lighter import fitted
-from strandline.report.page import _fitted, _marked, _saved, _unbroken
+from strandline.report.html import fixed, number
+from strandline.report.page import _without_bad_comparison
 from strandline.report.plots import plot_run_offsets, plot_tempering
 from strandline.report.plots.style import DOUBLE, SINGLE
+from strandline.report.surrogate_figures import _as_stated as as_stated
+from strandline.text import with_sd
 
 
 def test_a_prediction_says_what_the_whole_outline_may_still_do() -> None:
@@ -37,14 +38,14 @@ def captioned(name: str, section: str = "data") -> Captioned:
 
 
 def test_the_mark_of_doubt_is_on_figures_of_the_posterior_alone() -> None:
-    for name, section, doubt, marked in (
+    for name, section, doubt, is_marked in (
         ("marginals", "posterior", None, False),
         ("marginals", "posterior", "not converged", True),
         ("cut_marginals", "uncertainty", "not converged", True),
         ("predictive_slow", "certificate", "not converged", True),
         ("run_history", "certificate", "not converged", False),
     ):
-        assert bool(_marked(captioned(name, section), doubt).figure.get_suptitle()) == marked
+        assert bool(marked(captioned(name, section), doubt).figure.get_suptitle()) == is_marked
 
 
 def test_pictures_for_print_have_300_dots_an_inch_with_all_labels_on_them(tmp_path: Path) -> None:
@@ -52,7 +53,7 @@ def test_pictures_for_print_have_300_dots_an_inch_with_all_labels_on_them(tmp_pa
     s = np.linspace(0.0, 1.45, 60)
     some = Offsets(s, 1e-3 * np.where(s < 0.7, 2.18, 1.18) * np.sin(4.4 * s))
     axes = plot_run_offsets(some, {f"{k} best run, log-likelihood −1.048": some for k in ("second", "third", "fourth")})
-    shown = _saved(Captioned("offsets", "data", "", whole(axes.figure)), tmp_path)
+    shown = saved(Captioned("offsets", "data", "", axes), tmp_path)
     png, pdf = ((tmp_path / f"offsets.{kind}").read_bytes() for kind in ("png", "pdf"))
     assert base64.b64decode(shown["data"]) == png
     width = struct.unpack(">II", png[16:24])[0] / 300
@@ -61,7 +62,7 @@ def test_pictures_for_print_have_300_dots_an_inch_with_all_labels_on_them(tmp_pa
     assert b"/Type3" not in pdf
     assert b"/TrueType" in pdf or b"/CIDFontType2" in pdf
     (tmp_path / "draft.pdf").write_text("of an earlier result", "utf-8")
-    _saved(captioned("draft"), tmp_path, draft=True)
+    saved(captioned("draft"), tmp_path, draft=True)
     assert not (tmp_path / "draft.pdf").exists()
 
 
@@ -73,11 +74,11 @@ def test_the_largest_pictures_become_smaller_until_all_fit() -> None:
         Image.fromarray(random.integers(0, 255, (size, size, 3), dtype=np.uint8)).save(out, format="png")
         return base64.b64encode(out.getvalue()).decode("ascii")
 
-    small, large = both = [noise(20), noise(80)]
-    room = len(small) + len(large)
+    both = [{"name": "a", "data": noise(20)}, {"name": "b", "data": noise(80)}]
+    room = sum(len(one["data"]) for one in both)
     assert fitted(both, room) == both
-    items = _fitted([{"name": "a", "data": small}, {"name": "b", "data": large}], room - 1)
-    assert items[0] == {"name": "a", "data": small}
+    items = fitted(both, room - 1)
+    assert items[0] == both[0]
     with Image.open(io.BytesIO(base64.b64decode(items[1]["data"]))) as picture:
         assert picture.size == (40, 40)
 
@@ -92,5 +93,21 @@ def test_a_reading_under_uncertainty_leaves_out_the_nuisance_input_and_laplace()
     assert not any("Laplace" in text for text in entries(shown.figure))
 
 
-def test_a_power_of_ten_and_a_minus_are_printed_as_such() -> None:
-    assert _unbroken("-5e-05").replace("\u00a0", "") == "−5·10⁻⁵"
+def test_a_second_posterior_is_shown_only_if_its_surrogate_is_good_near_the_mode() -> None:
+    for error, shown in ((0.4, True), (0.6, False)):
+        summary = {"comparison": {"inputs": {}}, "measures": {"currents": {"loo_rms_near_mode": error}}}
+        assert (_without_bad_comparison(summary)["comparison"] is not None) == shown
+    assert _without_bad_comparison({"comparison": None, "measures": {}})["comparison"] is None
+
+
+def test_numbers_have_a_proper_minus_and_a_power_of_ten_only_where_it_reads_better() -> None:
+    given = {-5e-5: "−5·10⁻⁵", 293.0: "290", 123456.0: "120000", 1.23e6: "1.2·10⁶", -0.0: "0", -0.0123: "−0.012"}
+    assert [number(value, 2).replace("\u00a0", "") for value in given] == list(given.values())
+    assert number([1.0, None]) == "1, –"
+    assert [fixed(-0.001), fixed(-1.234), fixed(-0.004, 2, "+"), fixed(0.5, 1, "+")] == [
+        "0.00",
+        "−1.23",
+        "+0.00",
+        "+0.5",
+    ]
+    assert [with_sd(-0.3, 30.0), with_sd(-0.004, 0.12), with_sd(396.1, 30.4)] == ["0 ± 30", "0.00 ± 0.12", "396 ± 30"]

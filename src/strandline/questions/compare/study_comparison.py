@@ -29,8 +29,8 @@ from strandline.questions.compare.results import Compared, describe_comparison, 
 from strandline.questions.compare.separation import Shown, candidates_of, require_settable, shown_by_models
 from strandline.questions.knowledge import field_knowledge
 from strandline.questions.shown import figures_of, html_answer
-from strandline.report import write_comparison
-from strandline.report.comparison import draw_comparison
+from strandline.report import write_answer
+from strandline.report.answers import draw_comparison
 from strandline.runs import Executor
 from strandline.studies.check import finished_posterior
 from strandline.studies.first_run import observations_of
@@ -271,6 +271,6 @@ def _written(content: dict[str, Any], folder: Path, *, draft: bool) -> Path:
     """Write compare.json, compare.html and its figures, in a new folder if needed; return the path of the page."""
     with told_if_unwritable(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        page = write_comparison(content, folder, draft=draft)
+        page = write_answer("compare", content, folder, draft=draft)
         write_json(folder / COMPARISON, content)
     return page

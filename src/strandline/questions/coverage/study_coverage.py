@@ -30,8 +30,8 @@ from strandline.questions.coverage.results import TO_MICROMETRES, describe_cover
 from strandline.questions.knowledge import field_knowledge
 from strandline.questions.line_file import LineFile
 from strandline.questions.shown import figures_of, html_answer, input_label
-from strandline.report import write_coverage
-from strandline.report.coverage import draw_coverage
+from strandline.report import write_answer
+from strandline.report.answers import draw_coverage
 from strandline.runs import Progress
 from strandline.runs.ledger_rows import outcome_digest
 from strandline.studies.check import finished_posterior
@@ -147,7 +147,7 @@ def _origin(study: Study, measure: str, source: str, posterior: Posterior | None
 def _written(content: dict[str, Any], study: Study) -> Path:
     """Write coverage.json, coverage.html and its figures; return the path of the page."""
     with told_if_unwritable(study.folder):
-        page = write_coverage(content, study.folder, draft=study.settings.draft)
+        page = write_answer("coverage", content, study.folder, draft=study.settings.draft)
         write_json(study.folder / COVERAGE, content)
     return page
 

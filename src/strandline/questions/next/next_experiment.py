@@ -19,8 +19,8 @@ from strandline.questions.next.from_posterior import answers_from_posterior
 from strandline.questions.next.from_prior import answers_from_prior
 from strandline.questions.next.results import describe_next
 from strandline.questions.shown import figures_of, html_answer, input_label
-from strandline.report import write_next
-from strandline.report.next import draw_next
+from strandline.report import write_answer
+from strandline.report.answers import draw_next
 from strandline.runs import Executor
 from strandline.studies.check import finished_posterior
 from strandline.studies.folder import NEXT, POSTERIOR, require_writable, told_if_unwritable, write_json
@@ -121,7 +121,7 @@ def next_experiment(
     tell.stage("report")
     content = describe_next(study, found, seed=seed, seconds=time.perf_counter() - begun)
     with told_if_unwritable(study.folder):
-        page = write_next(content, study.folder, draft=study.settings.draft)
+        page = write_answer("next", content, study.folder, draft=study.settings.draft)
         write_json(study.folder / NEXT, content)
     return NextExperiment(content, found, page)
 

@@ -33,8 +33,8 @@ from strandline.questions.specimens.files import SpecimenFiles, specimen_files
 from strandline.questions.specimens.lines import lines_of
 from strandline.questions.specimens.opened import Specimens, open_specimens
 from strandline.questions.specimens.results import describe_specimens, write_table
-from strandline.report import write_specimens
-from strandline.report.specimens import draw_specimens
+from strandline.report import write_answer
+from strandline.report.answers import draw_specimens
 from strandline.runs import Executor, Ledger, Progress, run_campaign
 from strandline.studies.check import plain_model
 from strandline.studies.folder import (
@@ -153,7 +153,7 @@ def specimens(
         content = describe_specimens(
             opened, found.posteriors, found.refused, population, lifted, made=made, alike=files.alike(paths)
         )
-        page = write_specimens(content, study.folder, draft=study.settings.draft)
+        page = write_answer("specimens", content, study.folder, draft=study.settings.draft)
         write_table(study.folder / SPECIMENS_TABLE, content)
         write_json(study.folder / SPECIMENS, content)
     return StudySpecimens(content, found.posteriors, population, lifted, page)

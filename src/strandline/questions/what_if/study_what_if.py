@@ -22,8 +22,8 @@ from strandline.questions.knowledge import field_knowledge
 from strandline.questions.shown import figures_of, html_answer, input_label
 from strandline.questions.what_if.alternatives import alternative_of, asked_in, require_asked
 from strandline.questions.what_if.results import describe_what_if, in_order
-from strandline.report import write_what_if
-from strandline.report.what_if import draw_what_if
+from strandline.report import write_answer
+from strandline.report.answers import draw_what_if
 from strandline.runs import Progress
 from strandline.studies.check import finished_posterior
 from strandline.studies.folder import WHAT_IF, require_writable, told_if_unwritable, write_json
@@ -65,7 +65,7 @@ class StudyWhatIf:
     @property
     def figures(self) -> dict[str, Figure]:
         """The figure of what-if.html by name."""
-        return figures_of([draw_what_if(self.content)])
+        return figures_of(draw_what_if(self.content))
 
 
 def what_if(
@@ -111,7 +111,7 @@ def what_if(
     tell.stage("report")
     content = describe_what_if(study, now, answers, seed=seed)
     with told_if_unwritable(study.folder):
-        page = write_what_if(content, study.folder, draft=study.settings.draft)
+        page = write_answer("what-if", content, study.folder, draft=study.settings.draft)
         write_json(study.folder / WHAT_IF, content)
     return StudyWhatIf(content, answers, page)
 

@@ -4,7 +4,7 @@ import { mountInputs } from "./inputs.js";
 import { mountPosterior } from "./posterior.js";
 import { mountRun } from "./run.js";
 import { mountShapes } from "./shapes.js";
-import { listen, shared, tell } from "./store.js";
+import { listen, shared, tell } from "./shared.js";
 
 const UNKNOWN = { excluded: null, observes: false, message: "", log: "", diagnostics: {} };
 

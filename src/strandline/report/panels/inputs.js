@@ -1,8 +1,6 @@
 // Two inputs of all runs, with failures, over the draws of the posterior.
 
-import { colour, draw } from "./charts.js";
-import { listen, shared, tell } from "./store.js";
-import { element, withUnit } from "./text.js";
+import { colour, draw, element, listen, shared, tell, withUnit } from "./shared.js";
 
 const MOST = 1000; // Points of one kind that are drawn.
 const MANY = 500; // Points of one kind above which they are drawn small.

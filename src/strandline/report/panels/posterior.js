@@ -1,8 +1,6 @@
 // The posterior now, beside the one under other assumptions.
 
-import { colour, draw, histogram } from "./charts.js";
-import { listen, shared } from "./store.js";
-import { element, figure, withSd, withUnit } from "./text.js";
+import { colour, draw, element, figure, histogram, listen, shared, withSd, withUnit } from "./shared.js";
 
 const SOURCES = { stored: "The study's own result.", "so far": "From the runs so far, through the surrogate of the interface." };
 

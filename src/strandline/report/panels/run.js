@@ -1,8 +1,6 @@
 // One run: its inputs, how it ended, its log.
 
-import { newest } from "./newest.js";
-import { listen, shared, tell } from "./store.js";
-import { duration, element, figure } from "./text.js";
+import { duration, element, figure, listen, newest, shared, tell } from "./shared.js";
 
 const field = () => document.getElementById("run-row");
 let read = null; // returns what is known of the run in a row

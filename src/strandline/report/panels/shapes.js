@@ -1,8 +1,6 @@
 // The observed interface, what the posterior, a run and a prediction say of it, and how far apart they are.
 
-import { colour, draw } from "./charts.js";
-import { listen, shared } from "./store.js";
-import { element, figure } from "./text.js";
+import { colour, draw, element, figure, listen, shared } from "./shared.js";
 
 const condition = () => shared.facts.conditions[shared.condition];
 

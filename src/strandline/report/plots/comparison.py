@@ -1,79 +1,146 @@
-"""Several models of the same data: marginals of shared inputs, and predicted interfaces side by side."""
+"""Offsets along normals: a surrogate against the true model, and several models of the same data."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
-from strandline.report.plots.check import OffsetBand, plot_offsets
-from strandline.report.plots.style import (
-    BLACK,
-    CYCLE,
-    DOUBLE,
-    SINGLE,
-    axes_or_new,
-    figure_or_new,
-    legend_under,
-    styled,
-)
+from strandline.report.plots import style
+from strandline.report.plots.style import axes_or_new, below, figure_or_new, labelled, legend_under, panel_grid, styled
 from strandline.typeset import figure_text, unit_text
 
-__all__ = ["ModelMarginals", "plot_averaged", "plot_model_marginals", "plot_predictions"]
+__all__ = [
+    "OffsetBand", "input_label", "plot_averaged", "plot_check", "plot_model_marginals", "plot_offsets",
+    "plot_predictions",
+]  # fmt: skip
 
-COLUMNS = 3
+MARGIN = 0.03
+"""Space on both sides of a histogram, as a share of its width."""
 
 
 @dataclass(frozen=True, eq=False)
-class ModelMarginals:
-    """Histograms of one input under several models, and averaged over them.
+class OffsetBand:
+    """Interfaces as offsets along the normals of their pointwise median; all in mm.
 
     Args:
-        label: Symbol of the input.
-        unit: Its unit; `1` for a pure number.
-        edges: Edges of the bins, one more than there are densities.
-        averaged: Model-averaged density in each bin.
-        models: Densities by name of the model.
+        arc_length: places along the median.
+        low: 5 % quantiles there.
+        median: 50 % quantiles there.
+        high: 95 % quantiles there.
+        observed_arc_length: places of the observed points along the median.
+        observed: their offsets.
     """
 
-    label: str
-    unit: str
-    edges: Float[np.ndarray, " edge"]
-    averaged: Float[np.ndarray, " bin"]
-    models: Mapping[str, Float[np.ndarray, " bin"]]
+    arc_length: Float[np.ndarray, " point"]
+    low: Float[np.ndarray, " point"]
+    median: Float[np.ndarray, " point"]
+    high: Float[np.ndarray, " point"]
+    observed_arc_length: Float[np.ndarray, " observed"]
+    observed: Float[np.ndarray, " observed"]
 
 
-def plot_averaged(
-    inputs: Mapping[str, ModelMarginals], *, figure: Figure | SubFigure | None = None
+def plot_check(
+    true: Float[np.ndarray, " draw"],
+    surrogate: Float[np.ndarray, " draw"],
+    bands: Mapping[str, OffsetBand | None],
+    *,
+    figure: Figure | SubFigure | None = None,
 ) -> Figure | SubFigure:
-    """Draw `plot_model_marginals` for each input, three in a row."""
-    columns = min(COLUMNS, len(inputs))
-    rows = -(-len(inputs) // columns)
+    """Draw true against surrogate log-likelihoods and, for each condition, `plot_offsets`.
+
+    Args:
+        true: Log-likelihoods of the draws by the true model; not finite if the run failed.
+        surrogate: Log-likelihoods of the draws by the surrogate.
+        bands: Bands by condition; None if there is no band to draw.
+        figure: Figure to draw in; a new one by default.
+    """
     with styled():
-        figure = figure_or_new(figure, (SINGLE if columns == 1 else DOUBLE, 2.3 * rows + 0.5))
-        panels = figure.subplots(rows, columns, squeeze=False).ravel()
-        for ax, one in zip(panels, inputs.values(), strict=False):
-            plot_model_marginals(one, ax=ax)
-        for ax in panels[len(inputs) :]:
-            ax.remove()
-        handles, labels = panels[0].get_legend_handles_labels()
-        legend_under(figure, dict(zip(labels, handles, strict=True)))
+        figure = figure_or_new(figure, (style.DOUBLE, 3.6 if len(bands) < 2 else 3.0))
+        first, *others = figure.subplots(1, 1 + len(bands), squeeze=False)[0]
+        _likelihoods(first, true, surrogate)
+        for ax, (condition, band) in zip(others, bands.items(), strict=True):
+            plot_offsets(band, ax=ax)
+            ax.set_title(condition)
     return figure
 
 
-def plot_model_marginals(one: ModelMarginals, *, ax: Axes | None = None) -> Axes:
-    """Draw the histograms of an input under each model, and the average on top."""
+def _likelihoods(ax: Axes, true: Float[np.ndarray, " draw"], surrogate: Float[np.ndarray, " draw"]) -> None:
+    """Draw true against surrogate log-likelihoods, the line of agreement, and the failed runs at the bottom."""
+    ok = np.isfinite(true)
+    both = np.concatenate([true[ok], surrogate])
+    margin = 0.06 * (float(np.ptp(both)) or 1.0)
+    limits = (float(both.min()) - margin, float(both.max()) + margin)
+    ax.plot(limits, limits, color=style.BLACK, linewidth=0.8, label="agreement")
+    ax.plot(surrogate[ok], true[ok], "o", color=style.BLUE, markersize=3.5, alpha=0.6, label="draw of the posterior")
+    if not ok.all():
+        floor = np.full(np.count_nonzero(~ok), limits[0])
+        label = f"failed runs: {len(floor)}"
+        ax.plot(surrogate[~ok], floor, "x", color=style.GREY, markersize=6, clip_on=False, label=label)
+    ax.set(xlim=limits, ylim=limits, box_aspect=1.0)
+    ax.set(xlabel="log-likelihood, surrogate", ylabel="log-likelihood, true model")
+    below(ax, columns=2)
+
+
+def plot_offsets(band: OffsetBand | None, *, legend: bool = True, ax: Axes | None = None) -> Axes:
+    """Draw the band of the interfaces and the observation over the arc length; a note if there is no band."""
     with styled():
-        ax = axes_or_new(ax, (SINGLE, 2.6))
-        for (name, density), colour in zip(one.models.items(), np.resize(CYCLE, len(one.models)), strict=True):
-            ax.stairs(density, one.edges, color=colour, linewidth=1.4, label=name.replace("$", r"\$"))
-        ax.stairs(one.averaged, one.edges, color=BLACK, linewidth=1.6, linestyle="--", label="averaged")
-        unit = unit_text(one.unit)
-        ax.set(xlabel=figure_text(one.label) + (f" [{unit}]" if unit else ""), ylabel="density")
-        ax.set(xlim=(one.edges[0], one.edges[-1]), ylim=(0, None))
+        ax = axes_or_new(ax, (style.SINGLE, 3.6))
+        if band is None:
+            ax.set_axis_off()
+            ax.text(0.5, 0.5, "no band: see the note\nin check.json", ha="center", va="center", color=style.GREY)
+            return ax
+        order = np.argsort(band.arc_length, kind="stable")
+        middle = np.interp(band.observed_arc_length, band.arc_length[order], band.median[order])
+        low, high = (style.TO_MICROMETRES * (end - band.median) for end in (band.low, band.high))
+        ax.fill_between(band.arc_length, low, high, color=style.SKY, alpha=0.6, linewidth=0, label="draws, 5 to 95 %")
+        ax.plot(band.arc_length, 0.0 * band.median, color=style.BLACK, linewidth=0.8, label="draws, median")
+        observed = style.TO_MICROMETRES * (band.observed - middle)
+        ax.plot(band.observed_arc_length, observed, color=style.GREEN, linewidth=2.0, label="observed")
+        ax.set(xlabel="arc length [mm]", ylabel="normal offset from the median [µm]", box_aspect=1.0)
+        if legend:
+            below(ax, columns=2)
     return ax
+
+
+def plot_averaged(
+    inputs: Mapping[str, Mapping[str, Any]], *, figure: Figure | SubFigure | None = None
+) -> Figure | SubFigure:
+    """Draw `plot_model_marginals` for each input, three in a row."""
+    with styled():
+        figure, panels = panel_grid(figure, len(inputs), 2.3)
+        for ax, one in zip(panels, inputs.values(), strict=True):
+            plot_model_marginals(one, ax=ax)
+        legend_under(figure, labelled(panels[0]))
+    return figure
+
+
+def plot_model_marginals(one: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
+    """Draw the histograms of an input under each model, and their average on top.
+
+    Args:
+        one: `label`, `unit` and `histogram` of the input, as compare.json has them.
+        ax: Axes to draw in.
+    """
+    histogram, models = one["histogram"], one["histogram"]["models"]
+    edges = np.array(histogram["edges"], float)
+    with styled():
+        ax = axes_or_new(ax, (style.SINGLE, 2.6))
+        for (name, density), colour in zip(models.items(), np.resize(style.CYCLE, len(models)), strict=True):
+            ax.stairs(density, edges, color=colour, linewidth=1.4, label=name.replace("$", r"\$"))
+        ax.stairs(histogram["averaged"], edges, color=style.BLACK, linewidth=1.6, linestyle="--", label="averaged")
+        around = MARGIN * (edges[-1] - edges[0])  # a step at an end would seem to be cut off
+        ax.set(xlabel=input_label(one), ylabel="density", xlim=(edges[0] - around, edges[-1] + around), ylim=(0, None))
+    return ax
+
+
+def input_label(item: Mapping[str, Any]) -> str:
+    """Return the label of an input with its unit, for Matplotlib."""
+    unit = unit_text(item["unit"])
+    return f"{figure_text(item['label'])} [{unit}]" if unit else figure_text(item["label"])
 
 
 def plot_predictions(
@@ -87,7 +154,7 @@ def plot_predictions(
     """
     conditions, models = (list(dict.fromkeys(key[k] for key in bands)) for k in (0, 1))
     with styled():
-        figure = figure_or_new(figure, (DOUBLE, 3.0 * len(conditions) + 0.3))
+        figure = figure_or_new(figure, (style.DOUBLE, 3.0 * len(conditions) + 0.3))
         panels = figure.subplots(len(conditions), len(models), squeeze=False, sharey="row")
         for row, condition in zip(panels, conditions, strict=True):
             for ax, model in zip(row, models, strict=True):
@@ -95,6 +162,5 @@ def plot_predictions(
                 ax.set_title((f"{model}, {condition}" if condition else model).replace("$", r"\$"))
                 ax.set_box_aspect(None)
                 ax.set_ylabel("" if ax is not row[0] else "offset from the median [µm]")
-        handles, labels = panels[0][0].get_legend_handles_labels()
-        legend_under(figure, dict(zip(labels, handles, strict=True)))
+        legend_under(figure, labelled(panels[0][0]))
     return figure

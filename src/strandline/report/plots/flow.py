@@ -1,6 +1,6 @@
 """Velocity, pressure and displacement on the deformed mesh (Fig. 3)."""
 
-from typing import Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -9,60 +9,19 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.tri import Triangulation
 
-from strandline.report.plots.style import (
-    BLACK,
-    GREY,
-    SINGLE,
-    figure_of,
-    figure_or_new,
-    styled,
-)
+from strandline.report.plots import style
+from strandline.report.plots.style import figure_of, figure_or_new, styled
 
-__all__ = ["FlowFields", "plot_flow"]
+__all__ = ["plot_flow"]
 
 
-@runtime_checkable
-class FlowFields(Protocol):
-    """The state of a fluid–solid interaction at the nodes of its deformed mesh."""
-
-    @property
-    def points(self) -> Float[np.ndarray, "point 2"]:
-        """Deformed node coordinates, mm."""
-        ...
-
-    @property
-    def triangles(self) -> Int[np.ndarray, "cell 3"]:
-        """Node numbers of the cells."""
-        ...
-
-    @property
-    def cell_part(self) -> Int[np.ndarray, " cell"]:
-        """0 in the fluid, else the number of the part of the solid."""
-        ...
-
-    @property
-    def velocity(self) -> Float[np.ndarray, "point 2"]:
-        """Fluid velocity, mm/s."""
-        ...
-
-    @property
-    def pressure(self) -> Float[np.ndarray, " point"]:
-        """Fluid pressure, Pa."""
-        ...
-
-    @property
-    def displacement(self) -> Float[np.ndarray, "point 2"]:
-        """Displacement from the undeformed state, mm."""
-        ...
-
-
-def plot_flow(fields: FlowFields, *, title: str = "", figure: Figure | SubFigure | None = None) -> Figure | SubFigure:
+def plot_flow(fields: Any, *, title: str = "", figure: Figure | SubFigure | None = None) -> Figure | SubFigure:
     """Draw speed and pressure in the fluid and displacement magnitude in the solid, one below the other.
 
     The undeformed interface is grey; thin lines in the solid divide its parts.
 
     Args:
-        fields: The state to draw.
+        fields: The state to draw, in the form of `strandline.models.biofilm.flow_fields.FlowFields`.
         title: Title, e.g. the inputs.
         figure: Figure to draw in; a new one by default.
     """
@@ -70,7 +29,7 @@ def plot_flow(fields: FlowFields, *, title: str = "", figure: Figure | SubFigure
     length = np.linalg.norm(fields.displacement, axis=1)
     fluid, solid = fields.cell_part == 0, fields.cell_part > 0
     with styled():
-        figure = figure_or_new(figure, (SINGLE, 5.4))
+        figure = figure_or_new(figure, (style.SINGLE, 5.4))
         panels = figure.subplots(3, 1, sharex=True, sharey=True)
         _panel(panels[0], fields, speed, fluid, "velocity magnitude [mm/s]", "viridis")
         _panel(panels[1], fields, fields.pressure, fluid, "pressure [Pa]", "cividis")
@@ -81,23 +40,9 @@ def plot_flow(fields: FlowFields, *, title: str = "", figure: Figure | SubFigure
     return figure
 
 
-def interface_edges(fields: FlowFields) -> Int[np.ndarray, "edge 2"]:
-    """Return the node numbers of the edges between a solid and a fluid cell."""
-    return _shared(fields, fields.cell_part == 0, fields.cell_part > 0)
-
-
-def inner_edges(fields: FlowFields) -> Int[np.ndarray, "edge 2"]:
-    """Return the node numbers of the edges between parts of the solid."""
-    parts = range(1, int(fields.cell_part.max()) + 1)
-    found = [_shared(fields, fields.cell_part == k, fields.cell_part > k) for k in parts]
-    return np.concatenate(found) if found else np.empty((0, 2), int)
-
-
-def _shared(
-    fields: FlowFields, one: Bool[np.ndarray, " cell"], other: Bool[np.ndarray, " cell"]
-) -> Int[np.ndarray, "edge 2"]:
-    shared = sorted(_edges(fields.triangles[one]) & _edges(fields.triangles[other]))
-    return np.array(shared, int).reshape(-1, 2)
+def _edges_above(fields: Any, part: int) -> set[tuple[int, int]]:
+    """Return the node numbers of the edges between a part, 0 being the fluid, and those with larger numbers."""
+    return _edges(fields.triangles[fields.cell_part == part]) & _edges(fields.triangles[fields.cell_part > part])
 
 
 def _edges(triangles: Int[np.ndarray, "cell 3"]) -> set[tuple[int, int]]:
@@ -107,7 +52,7 @@ def _edges(triangles: Int[np.ndarray, "cell 3"]) -> set[tuple[int, int]]:
 
 def _panel(
     ax: Axes,
-    fields: FlowFields,
+    fields: Any,
     values: Float[np.ndarray, " point"],
     cells: Bool[np.ndarray, " cell"],
     label: str,
@@ -125,9 +70,15 @@ def _panel(
         high = high if high > low else low + 1.0  # nothing moves: the lowest colour, not the middle one
         drawn = ax.tripcolor(mesh, values, shading="gouraud", cmap=colours, vmin=low, vmax=high)
         figure_of(ax).colorbar(drawn, ax=ax, label=label, shrink=0.95, pad=0.02)
-    interface, rest = interface_edges(fields), fields.points - fields.displacement
-    ax.add_collection(LineCollection(list(rest[interface]), colors=GREY, linewidths=0.9))
-    ax.add_collection(LineCollection(list(fields.points[inner_edges(fields)]), colors=BLACK, linewidths=0.6))
-    ax.add_collection(LineCollection(list(fields.points[interface]), colors=BLACK, linewidths=1.2))
+    interface = _edges_above(fields, 0)
+    inner = set[tuple[int, int]]().union(*(_edges_above(fields, k) for k in range(1, int(fields.cell_part.max()) + 1)))
+    rest = fields.points - fields.displacement
+    for edges, points, colour, width in (
+        (interface, rest, style.GREY, 0.9),
+        (inner, fields.points, style.BLACK, 0.6),
+        (interface, fields.points, style.BLACK, 1.2),
+    ):
+        segments = points[np.array(sorted(edges), int).reshape(-1, 2)]
+        ax.add_collection(LineCollection(list(segments), colors=colour, linewidths=width))
     ax.margins(0.0)
     ax.set(aspect="equal", ylabel="y [mm]")

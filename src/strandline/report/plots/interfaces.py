@@ -1,28 +1,21 @@
-"""The observed interface among the undeformed and some simulated ones (Fig. 4)."""
+"""Interfaces: observed, undeformed and simulated ones (Fig. 4), their offsets, and residuals along them."""
 
 import textwrap
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
-from strandline.report.plots.style import (
-    BLACK,
-    CYCLE,
-    DASHES,
-    DOUBLE,
-    GREEN,
-    GREY,
-    axes_or_new,
-    below,
-    figure_or_new,
-    styled,
-)
+from strandline.posterior import Offsets
+from strandline.report.plots import style
+from strandline.report.plots.style import axes_or_new, below, figure_or_new, labelled, legend_under, styled
 
-__all__ = ["plot_conditions", "plot_interfaces"]
+__all__ = ["ResidualsAlong", "plot_conditions", "plot_interfaces", "plot_residuals", "plot_run_offsets"]
 
 _HALF_LINE = 38
 """Characters of a label that leave room for a second one next to it."""
@@ -49,13 +42,14 @@ def plot_interfaces(
     long = any(len(label) > _HALF_LINE for label in labels)
     lines = sum(label.count("\n") + 1 for label in labels.values()) if long else 0
     with styled():
-        ax = axes_or_new(ax, (DOUBLE, 3.9 + 0.14 * lines))
+        ax = axes_or_new(ax, (style.DOUBLE, 3.9 + 0.14 * lines))
         if reference is not None:
-            _draw(ax, reference, GREY, "undeformed", width=1.2, style=(0, (4, 2)))
+            _draw(ax, reference, style.GREY, "undeformed", width=1.2, dashes=(0, (4, 2)))
         if observed is not None:
-            _draw(ax, observed, GREEN, "observed", width=3.5)
+            _draw(ax, observed, style.GREEN, "observed", width=3.5)
         for k, (label, interface) in enumerate((simulated or {}).items()):
-            _draw(ax, interface, (BLACK, *CYCLE)[k % 6], labels[label], width=1.2, style=(*DASHES, "-")[k % 6])
+            colour, dashes = (style.BLACK, *style.CYCLE)[k % 6], (*style.DASHES, "-")[k % 6]
+            _draw(ax, interface, colour, labels[label], width=1.2, dashes=dashes)
         ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
         width, height = ax.dataLim.size
         if 0 < height < _FLAT * width:
@@ -82,15 +76,14 @@ def plot_conditions(
         figure: Figure to draw in; a new one by default.
     """
     with styled():
-        figure = figure_or_new(figure, (DOUBLE, 1.2 + 2.6 * len(observed)))
+        figure = figure_or_new(figure, (style.DOUBLE, 1.2 + 2.6 * len(observed)))
         panels = figure.subplots(len(observed), 1, sharex=True, squeeze=False)[:, 0]
         for ax, (condition, interface) in zip(panels, observed.items(), strict=True):
             plot_interfaces(interface, reference=reference, simulated=(simulated or {}).get(condition), ax=ax)
             ax.set_title(condition)
             if ax is not panels[-1]:
                 ax.set_xlabel("")
-                legend = ax.get_legend()
-                if legend is not None:
+                if (legend := ax.get_legend()) is not None:
                     legend.remove()
     return figure
 
@@ -109,7 +102,7 @@ def _draw(
     label: str,
     *,
     width: float,
-    style: str | tuple[int, tuple[int, ...]] = "-",
+    dashes: str | tuple[int, tuple[int, ...]] = "-",
 ) -> None:
     if interface.dim != 2:
         raise InvalidInput(
@@ -120,4 +113,70 @@ def _draw(
         )
     ends = interface.points[interface.cells[:, 1]]
     chain = np.concatenate([interface.points[interface.cells[:1, 0]], ends])
-    ax.plot(*chain.T, color=colour, linewidth=width, linestyle=style, label=label)
+    ax.plot(*chain.T, color=colour, linewidth=width, linestyle=dashes, label=label)
+
+
+def plot_run_offsets(observed: Offsets, runs: Mapping[str, Offsets], *, ax: Axes | None = None) -> Axes:
+    """Draw the normal offsets of the observed interface and of some runs from the best run, which is the zero line.
+
+    Args:
+        observed: Offsets of the observed points, mm.
+        runs: Offsets of other runs, mm, by their label in the legend.
+        ax: Axes to draw in.
+    """
+    with styled():
+        ax = axes_or_new(ax, (style.DOUBLE, 3.2))
+        for k, (label, found) in enumerate(runs.items()):
+            colour, dashes = style.CYCLE[k % len(style.CYCLE)], style.DASHES[(k + 1) % len(style.DASHES)]
+            offset = style.TO_MICROMETRES * found.offset
+            ax.plot(found.arc_length, offset, color=colour, linestyle=dashes, linewidth=0.9, label=label)
+        ax.axhline(0.0, color=style.BLACK, linewidth=0.9, label="best run")
+        offset = style.TO_MICROMETRES * observed.offset
+        ax.plot(observed.arc_length, offset, color=style.GREEN, linewidth=1.8, label="observed")
+        ax.set(xlabel="arc length [mm]", ylabel="normal offset from the best run [µm]")
+        below(ax, columns=2)
+    return ax
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualsAlong:
+    """Residuals of one observed interface, mm.
+
+    Args:
+        arc_length: Arc length at each observed point.
+        residual: Signed distance of each point from the prediction.
+        sd: Standard deviation that the noise allows.
+        conspicuous: Ends of the parts of the arc where the residuals are too large.
+    """
+
+    arc_length: Float[np.ndarray, " point"]
+    residual: Float[np.ndarray, " point"]
+    sd: float
+    conspicuous: tuple[tuple[float, float], ...] = ()
+
+
+def plot_residuals(
+    residuals: Mapping[str, ResidualsAlong], *, figure: Figure | SubFigure | None = None
+) -> Figure | SubFigure:
+    """Draw the residuals in µm over the arc length with a band of ± 2 standard deviations, one panel a condition.
+
+    Args:
+        residuals: Residuals by condition.
+        figure: Figure to draw in; a new one by default.
+    """
+    with styled():
+        figure = figure_or_new(figure, (style.DOUBLE, 0.9 + 1.9 * len(residuals)))
+        panels = figure.subplots(len(residuals), 1, squeeze=False)[:, 0]
+        for ax, (condition, along) in zip(panels, residuals.items(), strict=True):
+            order, band = np.argsort(along.arc_length, kind="stable"), 2 * style.TO_MICROMETRES * along.sd
+            values = style.TO_MICROMETRES * along.residual[order]
+            ax.axhspan(-band, band, color=style.SKY, alpha=0.35, linewidth=0, label="noise, ± 2 sd")
+            for k, (begin, end) in enumerate(along.conspicuous):
+                label = "more than the noise allows" if k == 0 else None
+                ax.axvspan(begin, end, color=style.RED, alpha=0.15, linewidth=0, label=label)
+            ax.axhline(0.0, color=style.BLACK, linewidth=0.8, label="best fit")
+            ax.plot(along.arc_length[order], values, color=style.GREEN, marker=".", markersize=3.0, label="observed")
+            ax.set(ylabel="residual [µm]", title=condition)
+        panels[-1].set_xlabel("arc length of the observed interface [mm]")
+        legend_under(figure, labelled(*panels))
+    return figure

@@ -1,4 +1,4 @@
-"""Joint marginal of two inputs with everything the study draws into it (Figs. 9a, 9c, 9d, 14)."""
+"""Joint marginal of two inputs with all that the study draws into it (Figs. 9a, 9c, 9d, 14), and the particles (9b)."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -8,9 +8,8 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
 
-from strandline.errors import InvalidInput, NumericsError
+from strandline.errors import NumericsError
 from strandline.posterior import (
     GaussianApproximation,
     KernelDensity,
@@ -19,25 +18,20 @@ from strandline.posterior import (
     histogram_mode,
     systematic_indices,
 )
-from strandline.report.plots.marginals import draw_marginal
+from strandline.report.plots import style
+from strandline.report.plots.marginals import draw_marginal, shown_interval
 from strandline.report.plots.style import (
-    BLACK,
-    BLUE,
-    DOUBLE,
-    GREEN,
-    ORANGE,
-    SINGLE,
     axes_or_new,
     figure_of,
     figure_or_new,
+    labelled,
     legend_under,
     mark,
     percent,
     styled,
 )
-from strandline.report.plots.view import shown_interval
 
-__all__ = ["plot_hexagons", "plot_joint", "plot_pairs", "plot_selected_pairs", "thinned"]
+__all__ = ["plot_hexagons", "plot_joint", "plot_particles", "thinned"]
 
 PERCENTILES = (0.1, 0.5, 0.9)
 _GRID = 71
@@ -73,7 +67,7 @@ def plot_joint(
     x, y = (posterior.space[name] for name in names)
     values = posterior.columns(names)
     with styled():
-        figure = figure_or_new(figure, (DOUBLE, 6.2))
+        figure = figure_or_new(figure, (style.DOUBLE, 6.2))
         main, top, right = _layout(figure)
         plot_hexagons(posterior, names, percentiles=percentiles, bins=bins, colour_bar=False, ax=main)
         _draw_gaussian(main, posterior, names, percentiles)
@@ -113,17 +107,9 @@ def plot_hexagons(
     across, up = (shown_interval(posterior, name) for name in names)
     values = posterior.columns(names)
     with styled():
-        ax = axes_or_new(ax, (SINGLE, 2.8))
-        drawn = ax.hexbin(
-            values[:, 0],
-            values[:, 1],
-            C=posterior.weights,
-            reduce_C_function=np.sum,
-            gridsize=bins,
-            extent=(*across, *up),
-            cmap="Blues",
-            linewidths=0.1,
-        )
+        ax = axes_or_new(ax, (style.SINGLE, 2.8))
+        sums: Any = {"C": posterior.weights, "reduce_C_function": np.sum, "extent": (*across, *up)}
+        drawn = ax.hexbin(*values.T, gridsize=bins, cmap="Blues", linewidths=0.1, **sums)
         mass: Any = drawn.get_array()
         drawn.set_array(np.ma.masked_less(mass, NEGLIGIBLE * mass.max()))
         drawn.set_clim(vmin=0.0)
@@ -135,100 +121,6 @@ def plot_hexagons(
         if colour_bar:
             figure_of(ax).colorbar(drawn, ax=ax, label="probability of a hexagon")
     return ax
-
-
-def plot_pairs(
-    posterior: Posterior,
-    names: Sequence[str] | None = None,
-    *,
-    bins: int = 20,
-    truth: Mapping[str, float] | None = None,
-    figure: Figure | SubFigure | None = None,
-) -> Figure | SubFigure:
-    """Draw the joint marginals of all pairs of inputs below a diagonal of their marginals; one input or more."""
-    chosen = posterior.space.names if names is None else tuple(names)
-    count = len(chosen)
-    with styled():
-        figure = figure_or_new(figure, _pairs_size(count))
-        panels: Any = figure.subplots(count, count, squeeze=False)
-        for i, j in np.ndindex(count, count):
-            _pair_panel(panels[i, j], posterior, chosen[j], chosen[i], bins, truth)
-            panels[i, j].set_xlabel(panels[i, j].get_xlabel() if i == count - 1 else "")
-            panels[i, j].set_ylabel(panels[i, j].get_ylabel() if j == 0 and i > 0 else "")
-            panels[i, j].tick_params(labelbottom=i == count - 1, labelleft=j == 0 and i > 0)
-            if count > 4:
-                _few_ticks(panels[i, j], i == j)
-        shown = (panels[0, 0], panels[1, 0]) if count > 1 else (panels[0, 0],)
-        entries = {label: h for ax in shown for h, label in zip(*ax.get_legend_handles_labels(), strict=True)}
-        legend_under(figure, entries)
-    return figure
-
-
-def _pairs_size(count: int) -> tuple[float, float]:
-    """Return the size of a figure of this many inputs: one column of a journal for one or two, else two."""
-    return (SINGLE, 0.9 + 1.5 * count) if count < 3 else (DOUBLE, 7.1)
-
-
-def _few_ticks(ax: Axes, diagonal: bool) -> None:
-    """Leave room between the numbers of a small panel."""
-    ax.xaxis.set_major_locator(MaxNLocator(3, prune="both"))
-    if not diagonal:
-        ax.yaxis.set_major_locator(MaxNLocator(3, prune="both"))
-
-
-def plot_selected_pairs(
-    posterior: Posterior,
-    pairs: Sequence[tuple[str, str]],
-    *,
-    bins: int = 25,
-    truth: Mapping[str, float] | None = None,
-    figure: Figure | SubFigure | None = None,
-) -> Figure | SubFigure:
-    """Draw the joint marginals of some pairs of inputs, three in a row (Fig. 14); `plot_pairs` draws all of them.
-
-    Args:
-        posterior: the weighted draws.
-        pairs: the inputs along x and y of each panel.
-        bins: hexagons across.
-        truth: the ground truth by name.
-        figure: figure to draw in.
-
-    Raises:
-        InvalidInput: no pair, or an input that the posterior does not have.
-    """
-    if not pairs:
-        raise InvalidInput(
-            "pairs of inputs to draw", value="none", expected="at least one pair", remedy="Name two inputs."
-        )
-    columns = min(3, len(pairs))
-    rows = -(-len(pairs) // columns)
-    with styled():
-        figure = figure_or_new(figure, (SINGLE if columns == 1 else DOUBLE, 2.2 * rows))
-        panels: Any = figure.subplots(rows, columns, squeeze=False).ravel()
-        for ax, (across, up) in zip(panels, pairs, strict=False):
-            plot_hexagons(posterior, (across, up), bins=bins, colour_bar=False, particles=2500, ax=ax)
-            if truth is not None and across in truth and up in truth:
-                mark(ax, [truth[across], truth[up]], BLUE, "ground truth", marker="o", size=11.0)
-        for ax in panels[len(pairs) :]:
-            ax.remove()
-    return figure
-
-
-def _pair_panel(
-    ax: Axes, posterior: Posterior, across: str, up: str, bins: int, truth: Mapping[str, float] | None
-) -> None:
-    row, column = posterior.space.names.index(up), posterior.space.names.index(across)
-    parameter = posterior.space[across]
-    if row == column:
-        shown = shown_interval(posterior, across)
-        draw_marginal(ax, parameter, posterior.draws[:, row], posterior.weights, shown=shown, bins=bins)
-        ax.set(yticks=[], xlabel=parameter.figure_label(), xlim=shown)
-    elif row < column:
-        ax.set_axis_off()
-    else:
-        plot_hexagons(posterior, (across, up), bins=bins, colour_bar=False, particles=1500, ax=ax)
-        if truth is not None and across in truth and up in truth:
-            mark(ax, [truth[across], truth[up]], BLUE, "ground truth", marker="o", size=11.0)
 
 
 def _layout(figure: Figure | SubFigure) -> tuple[Axes, Axes, Axes]:
@@ -270,14 +162,16 @@ def _draw_kde(
     axes = [np.linspace(*limits, _GRID) for limits in shown]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     levels = np.unique(estimate.percentile_levels(percentiles))
-    ax.contour(*axes, estimate.density(points).reshape(_GRID, _GRID).T, levels=levels, colors=BLACK, linewidths=1.2)
+    ax.contour(
+        *axes, estimate.density(points).reshape(_GRID, _GRID).T, levels=levels, colors=style.BLACK, linewidths=1.2
+    )
 
 
 def _draw_gaussian(ax: Axes, posterior: Posterior, names: tuple[str, str], percentiles: Sequence[float]) -> None:
     indices = _indices(posterior, names)
     approximation = GaussianApproximation(posterior.mean, posterior.covariance).marginal(indices)
-    _ellipses(ax, approximation, percentiles, ORANGE, "Gaussian")
-    mark(ax, approximation.mean, ORANGE, "mean")
+    _ellipses(ax, approximation, percentiles, style.ORANGE, "Gaussian")
+    mark(ax, approximation.mean, style.ORANGE, "mean")
 
 
 def _draw_laplace(
@@ -292,7 +186,7 @@ def _draw_laplace(
         return ""
     if not laplace.definite:
         return "Laplace: none, Hessian indefinite"
-    _ellipses(ax, laplace.gaussian.marginal(_indices(posterior, names)), percentiles, GREEN, "Laplace")
+    _ellipses(ax, laplace.gaussian.marginal(_indices(posterior, names)), percentiles, style.GREEN, "Laplace")
     return ""
 
 
@@ -318,9 +212,9 @@ def _draw_points(
         label = "MAP (fullest bin)"
         bounds = [posterior.space[name].interval for name in names]
         mode = histogram_mode(posterior.columns(names), posterior.weights, bounds=bounds)
-    mark(ax, mode, GREEN, label)
+    mark(ax, mode, style.GREEN, label)
     if truth is not None and all(name in truth for name in names):
-        mark(ax, [truth[name] for name in names], BLUE, "ground truth", marker="o", size=11.0)
+        mark(ax, [truth[name] for name in names], style.BLUE, "ground truth", marker="o", size=11.0)
 
 
 def _indices(posterior: Posterior, names: Sequence[str]) -> list[int]:
@@ -329,12 +223,35 @@ def _indices(posterior: Posterior, names: Sequence[str]) -> list[int]:
 
 def _legend(figure: Figure | SubFigure, main: Axes, top: Axes, percentiles: Sequence[float], note: str) -> None:
     """Put one entry for each kind of artist below the figure."""
-    entries: dict[str, Any] = {f"KDE {percent(percentiles)}": Line2D([], [], color=BLACK)}
-    for handle, label in zip(*main.get_legend_handles_labels(), strict=True):
-        lines = label in ("Gaussian", "Laplace")
-        entries[f"{label} {percent(percentiles)}" if lines else label] = handle
-    above = dict(zip(*reversed(top.get_legend_handles_labels()), strict=True))
-    entries["prior"] = above["prior"]
+    entries: dict[str, Any] = {f"KDE {percent(percentiles)}": Line2D([], [], color=style.BLACK)}
+    for label, handle in labelled(main).items():
+        entries[f"{label} {percent(percentiles)}" if label in ("Gaussian", "Laplace") else label] = handle
+    entries["prior"] = labelled(top)["prior"]
     if note:
         entries[note] = Line2D([], [], color="none")
     legend_under(figure, entries)
+
+
+def plot_particles(
+    posterior: Posterior, names: tuple[str, str], *, largest: float = 16.0, ax: Axes | None = None
+) -> Axes:
+    """Draw the particles in the plane of two inputs; the area of a circle is proportional to its weight.
+
+    Args:
+        posterior: the weighted draws.
+        names: the inputs along x and y.
+        largest: area of the heaviest particle's circle, points².
+        ax: axes to draw in.
+    """
+    order = np.argsort(posterior.weights)
+    weights, points = posterior.weights[order], posterior.columns(names)[order]
+    x, y = posterior.space[names[0]], posterior.space[names[1]]
+    across, up = (shown_interval(posterior, name) for name in names)
+    with styled():
+        ax = axes_or_new(ax, (style.SINGLE, 2.8))
+        area = largest * weights / weights.max()
+        drawn = ax.scatter(points[:, 0], points[:, 1], s=area, c=weights, cmap="viridis_r", vmin=0.0, rasterized=True)
+        drawn.set(edgecolors="white", linewidths=0.15)
+        ax.set(xlabel=x.figure_label(), ylabel=y.figure_label(), xlim=across, ylim=up)
+        figure_of(ax).colorbar(drawn, ax=ax, label="weight of the particle")
+    return ax

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -13,23 +13,16 @@ from matplotlib.ticker import MaxNLocator
 from strandline.errors import NumericsError
 from strandline.parameters import Parameter
 from strandline.posterior import KernelDensity, Posterior, histogram
-from strandline.report.plots.style import (
-    BLACK,
-    BLUE,
-    DOUBLE,
-    PURPLE,
-    RED,
-    SINGLE,
-    SKY,
-    axes_or_new,
-    figure_or_new,
-    legend_under,
-    styled,
-)
-from strandline.report.plots.view import shown_interval
+from strandline.report.plots import style
+from strandline.report.plots.style import axes_or_new, labelled, legend_under, panel_grid, styled
 from strandline.typeset import unit_text
 
-__all__ = ["Curve", "plot_marginal", "plot_marginals"]
+__all__ = ["Curve", "plot_marginal", "plot_marginals", "shown_interval"]
+
+TAIL, MARGIN = 0.002, 0.35
+"""Share of the mass left out at either end of an axis, and the space added there, as a share of what is shown."""
+WHOLE_BOX_FROM = 0.75
+"""Share of the box from which all of it is shown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,13 +54,13 @@ def plot_marginal(
     """Draw the marginal posterior of one input with its prior; `whole_box` shows all of the prior (Fig. 10)."""
     parameter = posterior.space[name]
     with styled():
-        ax = axes_or_new(ax, (SINGLE, 2.6))
+        ax = axes_or_new(ax, (style.SINGLE, 2.6))
         shown = parameter.interval if whole_box else shown_interval(posterior, name)
         draw_marginal(ax, parameter, posterior.columns([name])[:, 0], posterior.weights, shown=shown, bins=bins)
         if overlay is not None:
-            ax.plot(overlay.x, overlay.density, color=PURPLE, linestyle="-.", linewidth=1.6, label=overlay.label)
+            ax.plot(overlay.x, overlay.density, color=style.PURPLE, linestyle="-.", linewidth=1.6, label=overlay.label)
         if truth is not None:
-            ax.axvline(truth, color=BLUE, linestyle=":", label="ground truth")
+            ax.axvline(truth, color=style.BLUE, linestyle=":", label="ground truth")
         ax.set(xlabel=parameter.figure_label(), ylabel=density_label(parameter), xlim=shown)
         if legend:
             ax.legend()
@@ -86,22 +79,13 @@ def plot_marginals(
 ) -> Figure | SubFigure:
     """Draw the marginals of several inputs (by default of all of them), three or four in a row."""
     chosen = posterior.space.names if names is None else tuple(names)
-    columns = min(3 if len(chosen) <= 6 else 4, len(chosen))
-    rows = -(-len(chosen) // columns)
+    height, columns = 2.2 if len(chosen) < 3 else 1.8, 3 if len(chosen) <= 6 else 4
     with styled():
-        figure = figure_or_new(figure, (SINGLE if columns == 1 else DOUBLE, (2.2 if columns < 3 else 1.8) * rows + 0.5))
-        panels = figure.subplots(rows, columns, squeeze=False).ravel()
-        for ax, name in zip(panels, chosen, strict=False):
-            overlay, value = (overlays or {}).get(name), (truth or {}).get(name)
-            plot_marginal(
-                posterior, name, bins=bins, overlay=overlay, truth=value, legend=False, whole_box=whole_box, ax=ax
-            )
-        for ax in panels[len(chosen) :]:
-            ax.remove()
-        handles = {
-            label: h for ax in panels[: len(chosen)] for h, label in zip(*ax.get_legend_handles_labels(), strict=True)
-        }
-        legend_under(figure, handles)
+        figure, panels = panel_grid(figure, len(chosen), height, columns=columns)
+        for ax, name in zip(panels, chosen, strict=True):
+            own: Any = {"overlay": (overlays or {}).get(name), "truth": (truth or {}).get(name)}
+            plot_marginal(posterior, name, bins=bins, **own, legend=False, whole_box=whole_box, ax=ax)
+        legend_under(figure, labelled(*panels))
     return figure
 
 
@@ -119,16 +103,18 @@ def draw_marginal(
     inside = (values >= shown[0]) & (values <= shown[1])
     bars = histogram(values[inside], weights[inside], bounds=shown, bins=bins)
     orientation: Literal["horizontal", "vertical"] = "horizontal" if upright else "vertical"
-    ax.stairs(bars.density, bars.edges, fill=True, color=SKY, alpha=0.7, orientation=orientation, label="particles")
+    ax.stairs(
+        bars.density, bars.edges, fill=True, color=style.SKY, alpha=0.7, orientation=orientation, label="particles"
+    )
     grid = np.linspace(*shown, 301)
     prior = np.exp(np.asarray(parameter.truncated_prior.log_density(grid)))
     prior = np.where(np.isfinite(prior), prior, np.nan)
     try:
         estimate = KernelDensity.fit(values[:, None], weights, bounds=[parameter.interval])
-        _line(ax, grid, estimate.density(grid[:, None]), upright, color=BLACK, label="KDE")
+        _line(ax, grid, estimate.density(grid[:, None]), upright, color=style.BLACK, label="KDE")
     except NumericsError:
         pass  # an input without spread has no density: its one bar shows everything
-    _line(ax, grid, prior, upright, color=RED, linestyle="--", label="prior")
+    _line(ax, grid, prior, upright, color=style.RED, linestyle="--", label="prior")
     along = ax.yaxis if upright else ax.xaxis
     along.set_major_locator(MaxNLocator(nbins=4))  # long labels do not run together
 
@@ -139,7 +125,23 @@ def density_label(parameter: Parameter) -> str:
     return f"density [{unit}]" if unit else "density"
 
 
-def _line(
-    ax: Axes, x: Float[np.ndarray, " point"], y: Float[np.ndarray, " point"], upright: bool, **style: str
-) -> None:
-    ax.plot(*((y, x) if upright else (x, y)), **style)  # type: ignore[arg-type]
+def _line(ax: Axes, x: Float[np.ndarray, " point"], y: Float[np.ndarray, " point"], upright: bool, **look: str) -> None:
+    ax.plot(*((y, x) if upright else (x, y)), **look)  # type: ignore[arg-type]
+
+
+def shown_interval(posterior: Posterior, name: str) -> tuple[float, float]:
+    """Return the part of the design box that holds nearly all mass, with a margin; the box if that is most of it.
+
+    A posterior that data have narrowed to a few per cent of the box would be a speck on axes that show the whole box.
+
+    Args:
+        posterior: The weighted draws.
+        name: Name of the input.
+    """
+    box = posterior.space[name].interval
+    index = posterior.space.names.index(name)
+    first, last = (float(q) for q in posterior.quantiles([TAIL, 1.0 - TAIL])[:, index])
+    margin = MARGIN * (last - first)
+    low, high = max(box[0], first - margin), min(box[1], last + margin)
+    narrow = low < high and high - low < WHOLE_BOX_FROM * (box[1] - box[0])
+    return (low, high) if narrow else box

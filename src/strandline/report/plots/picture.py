@@ -10,21 +10,11 @@ from matplotlib.patches import Rectangle
 from scipy.ndimage import gaussian_filter1d
 
 from strandline.imaging import Edge, Picture
-from strandline.report.plots.style import (
-    BLACK,
-    DOUBLE,
-    GREEN,
-    ORANGE,
-    RED,
-    SKY,
-    figure_or_new,
-    legend_under,
-    styled,
-)
+from strandline.report.plots import style
+from strandline.report.plots.style import figure_or_new, labelled, legend_under, styled
 
 __all__ = ["off_smooth", "plot_picture"]
 
-MM_TO_MICROMETRES = 1e3
 MARGIN = 0.1
 """Part of the picture around the edge that is shown, as a share of the edge's extent."""
 DARKEST = 0.5, 99.5
@@ -51,7 +41,7 @@ def plot_picture(
         figure: Figure to draw in; a new one by default.
     """
     with styled():
-        figure = figure_or_new(figure, (DOUBLE, 5.8))
+        figure = figure_or_new(figure, (style.DOUBLE, 5.8))
         (whole, near), (strip, residual) = figure.subplots(2, 2, height_ratios=(1.25, 1.0))
         black, white = np.percentile(picture.values, DARKEST)
         grey = {"cmap": "gray", "vmin": black, "vmax": white, "interpolation": "nearest"}
@@ -59,9 +49,7 @@ def plot_picture(
         _near(near, whole, picture, edge, grey)
         _strip(strip, picture, edge, grey)
         _residual(residual, edge)
-        parts = [ax.get_legend_handles_labels() for ax in (whole, near, strip, residual)]
-        entries = {label: one for handles, labels in parts for one, label in zip(handles, labels, strict=True)}
-        legend_under(figure, entries)
+        legend_under(figure, labelled(whole, near, strip, residual))
     return figure
 
 
@@ -77,8 +65,8 @@ def off_smooth(edge: Edge) -> Float[np.ndarray, " point"]:
 def _whole(ax: Axes, picture: Picture, path: Float[np.ndarray, "click 2"], edge: Edge, grey: Any) -> None:
     """Draw the picture around the edge."""
     ax.imshow(picture.values, **grey)
-    ax.plot(*edge.points.T, color=GREEN, linewidth=0.7, label="edge")
-    ax.plot(*path.T, color=RED, marker="+", markersize=4, linestyle="none", label="first path")
+    ax.plot(*edge.points.T, color=style.GREEN, linewidth=0.7, label="edge")
+    ax.plot(*path.T, color=style.RED, marker="+", markersize=4, linestyle="none", label="first path")
     shown = np.concatenate([edge.points, path])
     (left, bottom), (right, top) = shown.min(axis=0), shown.max(axis=0)
     around = MARGIN * max(right - left, top - bottom)
@@ -98,35 +86,35 @@ def _near(ax: Axes, whole: Axes, picture: Picture, edge: Edge, grey: Any) -> Non
     pieces = np.flatnonzero(np.diff(np.flatnonzero(edge.kept)) > 1) + 1  # a region left out has no band
     for k, part in enumerate(np.split(np.arange(len(edge.points)), pieces)):
         band = np.concatenate([(edge.points + far)[part], (edge.points - far)[part][::-1]])
-        ax.fill(*band.T, color=ORANGE, alpha=0.5, linewidth=0, label="± 2 sd of a point" if k == 0 else None)
-    ax.plot(*edge.points.T, color=GREEN, linewidth=0.7, marker=".", markersize=3.0)
+        ax.fill(*band.T, color=style.ORANGE, alpha=0.5, linewidth=0, label="± 2 sd of a point" if k == 0 else None)
+    ax.plot(*edge.points.T, color=style.GREEN, linewidth=0.7, marker=".", markersize=3.0)
     (left, top), (right, bottom) = centre - half, centre + half
     ax.set(xlim=(left, right), ylim=(bottom, top), aspect=pixel[1] / pixel[0])
     ax.set(xlabel="x [pixels]", ylabel="y [pixels]", title="the frame on the left, enlarged")
-    whole.add_patch(Rectangle((left, top), right - left, bottom - top, fill=False, edgecolor=SKY, linewidth=1.0))
+    whole.add_patch(Rectangle((left, top), right - left, bottom - top, fill=False, edgecolor=style.SKY, linewidth=1.0))
 
 
 def _strip(ax: Axes, picture: Picture, edge: Edge, grey: Any) -> None:
     """Draw the grey values along the normals of the smooth path."""
-    unit = MM_TO_MICROMETRES * min(picture.pixel)
+    unit = style.TO_MICROMETRES * min(picture.pixel)
     places, number = unit * edge.strip.places, len(edge.kept)
     ax.imshow(edge.strip.samples.T, extent=(0, number, places[-1], places[0]), aspect="auto", **grey)
-    ax.plot(np.flatnonzero(edge.kept) + 0.5, unit * edge.offsets[edge.kept], color=GREEN, linewidth=0.7)
+    ax.plot(np.flatnonzero(edge.kept) + 0.5, unit * edge.offsets[edge.kept], color=style.GREEN, linewidth=0.7)
     for end in np.flatnonzero(np.diff(edge.kept.astype(int))).tolist():
-        ax.axvline(end + 1, color=BLACK, linestyle=":", linewidth=0.8, label="end of what is used")
+        ax.axvline(end + 1, color=style.BLACK, linestyle=":", linewidth=0.8, label="end of what is used")
     ax.invert_yaxis()
     ax.set(xlabel="normal", ylabel="distance from the smooth path [µm]", title="along the normals")
 
 
 def _residual(ax: Axes, edge: Edge) -> None:
     """Draw the edge minus the smoothed edge."""
-    band = 2 * MM_TO_MICROMETRES * edge.errors.sd
-    values = MM_TO_MICROMETRES * off_smooth(edge)
+    band = 2 * style.TO_MICROMETRES * edge.errors.sd
+    values = style.TO_MICROMETRES * off_smooth(edge)
     arc, gaps = edge.arc - edge.arc[0], np.flatnonzero(np.diff(np.flatnonzero(edge.kept)) > 1) + 1
-    ax.axhspan(-band, band, color=ORANGE, alpha=0.3, linewidth=0)
-    ax.axhline(0.0, color=BLACK, linewidth=0.8)
+    ax.axhspan(-band, band, color=style.ORANGE, alpha=0.3, linewidth=0)
+    ax.axhline(0.0, color=style.BLACK, linewidth=0.8)
     for part in np.split(np.arange(len(arc)), gaps):
-        ax.plot(arc[part], values[part], color=GREEN, linewidth=0.6)
+        ax.plot(arc[part], values[part], color=style.GREEN, linewidth=0.6)
     low, high = ax.get_ylim()
     ax.set_ylim(min(low, -1.5 * band), max(high, 1.5 * band))
     ax.set(xlabel="arc length [mm]", ylabel="residual [µm]", title="the edge minus the smoothed edge")

@@ -3,6 +3,7 @@
 Figures are made without pyplot, so no global registry keeps them alive and none needs closing.
 """
 
+import io
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -16,31 +17,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.legend import Legend
 
-from strandline.errors import InvalidInput
-from strandline.report.plots.shown import ShownAxes, ShownFigure
-
 __all__ = [
-    "BLACK",
-    "BLUE",
-    "CYCLE",
-    "DASHES",
-    "DOTS_PER_INCH",
-    "DOUBLE",
-    "DRAFT_DOTS_PER_INCH",
-    "GREEN",
-    "GREY",
-    "ORANGE",
-    "PURPLE",
-    "RED",
-    "SINGLE",
-    "SKY",
-    "axes_or_new",
-    "below",
-    "figure_or_new",
-    "mark",
-    "mark_doubt",
-    "styled",
-]
+    "BLACK", "BLUE", "CYCLE", "DASHES", "DOTS_PER_INCH", "DOUBLE", "DRAFT_DOTS_PER_INCH", "GREEN", "GREY", "ORANGE",
+    "PURPLE", "RED", "SINGLE", "SKY", "axes_or_new", "below", "figure_or_new", "labelled", "legend_under", "mark",
+    "mark_doubt", "panel_grid", "styled",
+]  # fmt: skip
 
 BLACK, GREY = "#000000", "#8c8c8c"
 ORANGE, SKY, GREEN, BLUE, RED, PURPLE = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7"
@@ -51,8 +32,9 @@ DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 
 SINGLE, DOUBLE = 88 / 25.4, 180 / 25.4
 """Widths of figures in inches: one column of a journal, and two."""
-DOTS_PER_INCH, DRAFT_DOTS_PER_INCH = 300, 60
+DOTS_PER_INCH, DRAFT_DOTS_PER_INCH, NOTEBOOK_DOTS_PER_INCH = 300, 60, 150
 MARK_SIZE = 7.5
+TO_MICROMETRES = 1e3
 
 _STYLE: Any = {
     "font.size": 8.0,
@@ -68,6 +50,27 @@ _STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
+
+
+def png_of(figure: Figure) -> bytes:
+    """Return a figure as PNG."""
+    with io.BytesIO() as file:
+        figure.savefig(file, format="png", dpi=NOTEBOOK_DOTS_PER_INCH)
+        return file.getvalue()
+
+
+class ShownFigure(Figure):
+    """A figure that a notebook shows below the cell whose last line returns it."""
+
+    def _repr_png_(self) -> bytes:
+        return png_of(self)
+
+
+class ShownAxes(Axes):
+    """Axes that a notebook shows, with their whole figure, below the cell whose last line returns them."""
+
+    def _repr_png_(self) -> bytes:
+        return png_of(self.figure.figure)
 
 
 def styled() -> AbstractContextManager[None]:
@@ -93,13 +96,7 @@ def new_figure(size: tuple[float, float]) -> Figure:
 def figure_of(ax: Axes) -> Figure | SubFigure:
     """Return the figure or sub-figure that holds `ax`."""
     figure = ax.get_figure()
-    if figure is None:
-        raise InvalidInput(
-            "axes to draw in",
-            value="axes that were removed from their figure",
-            expected="axes of a figure",
-            remedy="Leave `ax` out and a figure is made.",
-        )
+    assert figure is not None
     return figure
 
 
@@ -114,18 +111,8 @@ def mark(
 ) -> None:
     """Draw one cross (or another marker) with a white rim, above everything else."""
     rim = [patheffects.withStroke(linewidth=3.6, foreground="white")]
-    ax.plot(
-        *np.asarray(point, float)[:, None],
-        marker=marker,
-        color=colour,
-        markersize=size,
-        markeredgewidth=2.0,
-        linestyle="none",
-        fillstyle="none",
-        label=label,
-        zorder=10,
-        path_effects=rim,
-    )
+    look: Any = {"color": colour, "markersize": size, "markeredgewidth": 2.0, "linestyle": "none", "fillstyle": "none"}
+    ax.plot(*np.asarray(point, float)[:, None], marker=marker, label=label, zorder=10, path_effects=rim, **look)
 
 
 def below(ax: Axes, *, columns: int = 3, **options: Any) -> None:
@@ -140,6 +127,41 @@ def below(ax: Axes, *, columns: int = 3, **options: Any) -> None:
         return ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=ncols, **options)
 
     _fitting(legend, columns, width)
+
+
+def panel_grid(
+    figure: Figure | SubFigure | None,
+    number: int,
+    height: float,
+    *,
+    columns: int = 3,
+    margin: float = 0.5,
+    single: float = SINGLE,
+    **options: Any,
+) -> tuple[Figure | SubFigure, list[Axes]]:
+    """Return a figure with so many panels, and the panels, in rows.
+
+    Args:
+        figure: Figure to draw in; None for a new one.
+        number: Number of panels.
+        height: Height of a row, inches.
+        columns: Most panels in a row.
+        margin: What is added to the height of all rows, inches.
+        single: Width of a figure with a single column, inches.
+        options: Options of `Figure.subplots`.
+    """
+    columns = min(columns, number)
+    rows = -(-number // columns)
+    figure = figure_or_new(figure, (single if columns == 1 else DOUBLE, height * rows + margin))
+    panels: list[Axes] = figure.subplots(rows, columns, squeeze=False, **options).ravel().tolist()
+    for ax in panels[number:]:
+        ax.remove()
+    return figure, panels[:number]
+
+
+def labelled(*axes: Axes) -> dict[str, Any]:
+    """Return what the legends of axes would show: handles by label."""
+    return {label: handle for ax in axes for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
 
 
 def legend_under(figure: Figure | SubFigure, entries: Mapping[str, Any], *, columns: int = 4) -> None:

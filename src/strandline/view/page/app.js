@@ -5,14 +5,11 @@ import { mountInputs } from "../panels/inputs.js";
 import { mountPosterior } from "../panels/posterior.js";
 import { mountRun } from "../panels/run.js";
 import { mountShapes } from "../panels/shapes.js";
-import { listen, shared, tell } from "../panels/store.js";
+import { listen, shared, tell } from "../panels/shared.js";
 import { get } from "./api.js";
-import { mountAssumptions } from "./panels/assumptions.js";
-import { mountFit } from "./panels/fit.js";
-import { mountFlow } from "./panels/flow.js";
-import { mountHistory } from "./panels/history.js";
-import { mountRuns } from "./panels/runs.js";
-import { mountSliders } from "./panels/sliders.js";
+import { mountAssumptions } from "./assumptions.js";
+import { mountFit, mountHistory, mountRuns } from "./progress.js";
+import { mountFlow, mountSliders } from "./sliders.js";
 
 const EDITED = "study.yaml has changed since this page was opened. Start `strandline view` again to see the study as it is now.";
 const status = document.getElementById("status");

@@ -1,0 +1,137 @@
+"""Pages from templates, with scripts and data inside: nothing is loaded, and no other script can run."""
+
+import base64
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, select_autoescape
+from markupsafe import Markup
+
+from strandline.text import with_sd
+from strandline.typeset import RAISED, html_text, unit_text
+
+__all__ = ["PANELS", "PLOTLY", "bundled", "embedded", "number", "script_hash", "small_share", "template", "write_page"]
+
+PANELS = Path(__file__).parent / "panels"
+"""Scripts and style of the panels that the report and the page of `strandline view` share."""
+PLOTLY = PANELS / "vendor" / "plotly-cartesian.min.js"
+IMPORT = re.compile(r'^import \{ (\w+(?:, \w+)*) \} from "\./([\w-]+)\.js";$', re.MULTILINE)
+EXPORT = re.compile(r"^export (?=(?:async )?function (\w+)|const (\w+))", re.MULTILINE)
+LEFT = re.compile(r"^\s*(?:import|export)\b.*", re.MULTILINE)
+PLAIN_DIGITS = 6
+"""Digits up to which a number is written without a power of ten."""
+
+
+def template(name: str, *, package: str = "strandline.report") -> Any:
+    """Return a template of a package; it may include those of reports, such as their style."""
+    return _environment(package).get_template(name)
+
+
+def write_page(path: Path, page: str) -> Path:
+    """Write a page whole or not at all, and return its path."""
+    unfinished = path.with_name(f".{path.name}.partial")
+    unfinished.write_text(page, encoding="utf-8")
+    return unfinished.replace(path)
+
+
+@lru_cache(maxsize=4)
+def _environment(package: str) -> Environment:
+    """Return the environment that caches the compiled templates of a package."""
+    environment = Environment(
+        loader=ChoiceLoader([PackageLoader(package), PackageLoader("strandline.report")]),
+        autoescape=select_autoescape(default=True, default_for_string=True),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "g": number,
+        "fixed": fixed,
+        "unit": lambda unit: unit_text(unit) or "–",
+        "with_sd": lambda item: with_sd(item["mean"], item["sd"]),
+        "symbol": lambda symbol: Markup(html_text(symbol)),
+        "percent": lambda value: f"{value:.1%}",
+        "small_share": small_share,
+    }
+    return environment
+
+
+def number(value: float | list[float] | None, digits: int = 4) -> str:
+    """Return a number, or several, with this many digits, a proper minus, and powers of ten that no line break splits.
+
+    Numbers with up to six digits before the point have no power of ten: 290, not 2.9 · 10².
+    """
+    if value is None:
+        return "–"
+    if isinstance(value, list):
+        return ", ".join(number(item, digits) for item in value)
+    rounded = float(f"{value:.{digits}g}") + 0.0  # without the sign of a zero
+    mantissa, _, power = f"{rounded:.{max(digits, PLAIN_DIGITS)}g}".partition("e")
+    raised = f"\u00a0·\u00a010{str(int(power)).translate(RAISED)}" if power else ""
+    return mantissa.replace("-", "−") + raised
+
+
+def fixed(value: float, decimals: int = 2, sign: str = "") -> str:
+    """Return a number with this many decimals and a proper minus, which a zero has not; `sign` is ``+`` for both."""
+    return f"{round(value, decimals) + 0.0:{sign}.{decimals}f}".replace("-", "−")
+
+
+def small_share(share: float) -> str:
+    """Return a share above zero, even a very small one, as text."""
+    return f"{share:.2%}" if share >= 0.0001 else "less than 0.01%"
+
+
+def script_hash(script: str) -> str:
+    """Return the script's entry in the page's security policy, so that no other script can run."""
+    return f"sha256-{base64.b64encode(hashlib.sha256(script.encode('utf-8')).digest()).decode('ascii')}"
+
+
+def embedded(data: Mapping[str, Any]) -> Markup:
+    """Return JSON that cannot end the element that it is in."""
+    return Markup(json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"))
+
+
+@lru_cache(maxsize=2)
+def bundled(entry: str, folder: Path = PANELS) -> str:
+    """Return modules as one script: each in a function of its own that returns what it exports.
+
+    Args:
+        entry: Name of the module to start with.
+        folder: Folder of the modules; they import from it alone, and not in a circle.
+
+    Raises:
+        ValueError: An import or export of another form, or a script that would end its element.
+    """
+    order: dict[str, str] = {}
+    for name in _in_order(entry, folder, ()):
+        order.setdefault(name, _as_function(name, (folder / f"{name}.js").read_text(encoding="utf-8")))
+    script = '\n"use strict";\n' + "\n".join(order.values())
+    if "</script" in script.lower() or "<!--" in script:
+        raise ValueError(f"the scripts of {entry} would end their element")
+    return script
+
+
+def _in_order(name: str, folder: Path, above: tuple[str, ...]) -> Iterator[str]:
+    """Yield the modules that one needs, each after those that it imports, and then itself."""
+    if name in above:
+        raise ValueError(f"modules import each other: {' → '.join((*above, name))}")
+    for _, needed in IMPORT.findall((folder / f"{name}.js").read_text(encoding="utf-8")):
+        yield from _in_order(needed, folder, (*above, name))
+    yield name
+
+
+def _as_function(name: str, text: str) -> str:
+    exported = [function or constant for function, constant in EXPORT.findall(text)]
+    text = EXPORT.sub("", IMPORT.sub(lambda found: f"const {{ {found[1]} }} = {_variable(found[2])};", text))
+    if left := LEFT.search(text):
+        raise ValueError(f"{name}.js has an import or export of another form: {left[0]}")
+    return f"const {_variable(name)} = (() => {{\n{text}return {{ {', '.join(exported)} }};\n}})();"
+
+
+def _variable(name: str) -> str:
+    return f"module_{name.replace('-', '_')}"

@@ -1,0 +1,258 @@
+"""Figures of the answers to questions: next experiments, repeated experiments, other assumptions, specimens."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.ticker import MaxNLocator
+
+from strandline.posterior.uniformity import Band
+from strandline.report.plots import style
+from strandline.report.plots.style import axes_or_new, below, figure_or_new, labelled, legend_under, panel_grid, styled
+from strandline.typeset import figure_text
+
+__all__ = [
+    "plot_alternatives", "plot_candidates", "plot_caterpillar", "plot_directions", "plot_intervals",
+    "plot_population", "plot_rank_band", "plot_rank_bands",
+]  # fmt: skip
+
+CANDIDATES_APART, LEVELS_APART = 0.16, 0.12
+"""Distance of the marks of one candidate, and of one input."""
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+ROW, AROUND = 0.17, 0.75
+"""Heights of a row of alternatives and of what is above and below the rows, inches."""
+LABELLED = 1.9
+"""Width of the names, inches."""
+MOST_NAMED = 60
+"""Largest number of specimens whose names are written below their intervals."""
+STROKE = 0.025
+"""Length of the strokes that stand for specimens, as a share of the axes."""
+QUANTILES = ("q05", "q50", "q95")
+
+
+def plot_candidates(
+    labels: Sequence[str],
+    gains: Float[np.ndarray, " candidate"],
+    errors: Float[np.ndarray, " candidate"],
+    failing: Float[np.ndarray, " candidate"],
+    ratios: Mapping[str, Float[np.ndarray, " candidate"]],
+    *,
+    figure: Figure | SubFigure | None = None,
+) -> Figure | SubFigure:
+    """Draw the gain of each candidate for the next experiment as a bar, and beside it the expected widths.
+
+    Args:
+        labels: The candidates in words.
+        gains: Expected information gains, nats.
+        errors: Their standard errors.
+        failing: Probabilities that the experiment fails; the part of the gain that this costs is drawn pale.
+        ratios: Expected standard deviations over the present ones, by input.
+        figure: Figure to draw in.
+    """
+    place = np.arange(len(labels))
+    with styled():
+        figure = figure_or_new(figure, (style.DOUBLE, 1.3 + 0.24 * len(labels)))
+        left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.2, 1))
+        bars = {"ecolor": style.BLACK, "elinewidth": 0.9, "capsize": 2.0}
+        left.barh(place, gains, 0.6, color=style.SKY, alpha=0.45, label="lost where it fails")
+        left.barh(place, gains * (1 - failing), 0.6, xerr=errors, color=style.BLUE, label="gain", error_kw=bars)
+        left.set(xlabel="expected information gain [nats]", yticks=place, yticklabels=[figure_text(a) for a in labels])
+        left.set_xlim(left=0.0)
+        for k, (name, ratio) in enumerate(ratios.items()):
+            look = {"marker": MARKERS[k % len(MARKERS)], "color": style.CYCLE[k % len(style.CYCLE)], "linestyle": ""}
+            shift = CANDIDATES_APART * (k - 0.5 * (len(ratios) - 1))
+            right.plot(ratio, place + shift, markersize=4, label=figure_text(name), **look)
+        right.axvline(1.0, color=style.GREY, linewidth=0.8, linestyle=":")
+        right.set(xlabel="expected sd / present sd", xlim=(0.0, 1.08))
+        left.invert_yaxis()
+        legend_under(figure, labelled(left, right))
+    return figure
+
+
+def plot_directions(
+    names: Sequence[str],
+    weights: Float[np.ndarray, "direction dim"],
+    left: Float[np.ndarray, " direction"],
+    *,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the combinations of the inputs as columns of a matrix, with what is left of the prior's width in each.
+
+    Args:
+        names: Names of the inputs.
+        weights: Unit vectors in prior standard deviations, one combination a row.
+        left: Share of the prior's standard deviation that is left in each.
+        ax: Axes to draw in.
+    """
+    number = len(names)
+    with styled():
+        ax = axes_or_new(ax, (1.6 + 0.5 * number, 1.2 + 0.36 * number))
+        picture = ax.imshow(weights.T, cmap="RdBu_r", vmin=-1, vmax=1, aspect="auto")
+        for (row, column), value in np.ndenumerate(weights.T):
+            text, colour = f"{value:+.2f}".replace("-", "−"), "white" if abs(value) > 0.6 else style.BLACK
+            ax.text(column, row, text, ha="center", va="center", fontsize=6.5, color=colour)
+        ax.set_xticks(range(len(left)), [f"{100 * share:.0f} %" for share in left])
+        ax.set_yticks(range(number), [figure_text(name) for name in names])
+        ax.set(xlabel="prior width left in each combination")
+        ax.figure.colorbar(picture, ax=ax, label="weight", shrink=0.9)
+    return ax
+
+
+def plot_rank_bands(bands: Mapping[str, Band], *, figure: Figure | SubFigure | None = None) -> Figure | SubFigure:
+    """Draw `plot_rank_band` for each input, three in a row."""
+    with styled():
+        figure, panels = panel_grid(figure, len(bands), 2.2)
+        for ax, (name, band) in zip(panels, bands.items(), strict=True):
+            plot_rank_band(band, legend=False, ax=ax).set_title(figure_text(name))
+        legend_under(figure, labelled(*panels))
+    return figure
+
+
+def plot_rank_band(band: Band, *, legend: bool = True, ax: Axes | None = None) -> Axes:
+    """Draw how far the distribution of the ranks is from uniform, and the band that it must stay inside."""
+    with styled():
+        ax, places = axes_or_new(ax, (style.SINGLE, 2.7)), band.places
+        low, high = band.low - places, band.high - places
+        ax.fill_between(places, low, high, color=style.SKY, alpha=0.6, linewidth=0, label="95 % band")
+        ax.axhline(0.0, color=style.GREY, linewidth=0.8)
+        colour, label = (style.BLUE, "ranks") if band.inside else (style.RED, "ranks that leave it")
+        ax.plot(places, band.found - places, color=colour, label=label)
+        ax.set(xlabel="rank of the truth", ylabel="share below minus rank", xlim=(0, 1))
+        if legend:
+            below(ax)
+    return ax
+
+
+def plot_intervals(found: Mapping[str, Sequence[Mapping[str, float]]], *, ax: Axes | None = None) -> Axes:
+    """Draw the share of intervals that contain the truth, for each input and probability.
+
+    Args:
+        found: For each input, and for each probability `level`: the share `found`, and the ends of its interval, `low`
+            and `high`, as coverage.json has them.
+        ax: Axes to draw in.
+    """
+    with styled():
+        ax = axes_or_new(ax, (style.SINGLE, 2.7))
+        levels = [one["level"] for one in next(iter(found.values()))]
+        for k, (level, colour) in enumerate(zip(levels, style.CYCLE, strict=False)):
+            share, low, high = (np.array([each[k][key] for each in found.values()]) for key in ("found", "low", "high"))
+            places = np.arange(len(share)) + LEVELS_APART * (k - 0.5 * (len(levels) - 1))
+            ax.axhline(level, color=colour, linewidth=0.8, linestyle=":")
+            reach = np.maximum([share - low, high - share], 0.0)
+            label = f"{100 * level:.0f} % intervals"
+            ax.errorbar(places, share, reach, fmt="o", color=colour, markersize=4, label=label)
+        ax.set_xticks(range(len(found)), [figure_text(name) for name in found])
+        ax.set(ylabel="share that contain the truth", xlim=(-0.5, len(found) - 0.5), ylim=(0, 1.02))
+        below(ax)
+    return ax
+
+
+def plot_alternatives(
+    present: Mapping[str, Mapping[str, float]],
+    alternatives: Sequence[tuple[str, Sequence[Mapping[str, float] | None]]],
+    *,
+    figure: Figure | SubFigure | None = None,
+) -> Figure | SubFigure:
+    """Draw mean and interval of each input under each alternative, over a band for the present posterior.
+
+    Args:
+        present: The present `mean`, and the ends of the 90 % interval, `low` and `high`, by the label of the input.
+        alternatives: The name of each, with the same of each input and whether it `moves` by more than what counts;
+            None if the input is fixed.
+        figure: Figure to draw in.
+    """
+    with styled():
+        height, sharing = ROW * (len(alternatives) + 1) + AROUND, {"sharey": True}
+        figure, panels = panel_grid(figure, len(present), height, margin=0.3, single=style.SINGLE + LABELLED, **sharing)
+        for i, (ax, (label, band)) in enumerate(zip(panels, present.items(), strict=True)):
+            _whiskers(ax, band, [some[i] for _, some in alternatives])
+            ax.set_xlabel(label)
+        panels[0].set_yticks(range(len(alternatives)), [name for name, _ in alternatives])
+        panels[0].set_ylim(len(alternatives) - 0.4, -0.6)
+        legend_under(figure, labelled(*panels))
+    return figure
+
+
+def _whiskers(ax: Axes, band: Mapping[str, float], some: Sequence[Mapping[str, float] | None]) -> None:
+    ax.axvspan(band["low"], band["high"], color=style.SKY, alpha=0.35, linewidth=0, label="present 90 % interval")
+    ax.axvline(band["mean"], color=style.GREY, linewidth=0.8, label="present mean")
+    for moves, colour, more in ((False, style.BLUE, ""), (True, style.RED, ", moved")):
+        chosen = [(k, one) for k, one in enumerate(some) if one is not None and one["moves"] == moves]
+        if not chosen:
+            continue
+        mean, low, high = np.array([(one["mean"], one["low"], one["high"]) for _, one in chosen]).T
+        reach = np.maximum([mean - low, high - mean], 0.0)
+        places, label = [k for k, _ in chosen], f"mean and 90 % interval{more}"
+        ax.errorbar(mean, places, xerr=reach, fmt="o", color=colour, markersize=3, linewidth=1.0, label=label)
+    ax.xaxis.set_major_locator(MaxNLocator(4))
+    ax.tick_params(axis="y", length=0)
+
+
+def plot_caterpillar(specimens: Sequence[Mapping[str, Any]], name: str, label: str, *, ax: Axes | None = None) -> Axes:
+    """Draw the 90 % intervals of an input for all specimens, sorted by their medians.
+
+    Args:
+        specimens: The specimens of specimens.json.
+        name: Name of the input.
+        label: Its symbol with its unit, for Matplotlib.
+        ax: Where to draw.
+    """
+    items = [one["inputs"][name] for one in specimens]
+    own = np.array([[item[q] for q in QUANTILES] for item in items])
+    given_all = np.array([[item["shrunk"][q] for q in QUANTILES] for item in items if "shrunk" in item]).reshape(-1, 3)
+    order = np.argsort((given_all if len(given_all) else own)[:, 1], kind="stable")
+    odd = np.array([bool(one.get("outlier")) for one in specimens])[order]
+    places, many = np.arange(len(order)), len(order) > MOST_NAMED
+    apart, width, size = (0.0, 0.6, 2) if many else (0.15, 1.2, 4)
+    with styled():
+        ax = axes_or_new(ax, (style.DOUBLE, 2.9))
+        for values, shift, colour, words in (
+            (own, -apart, style.GREY, "own outline alone"),
+            (given_all, apart, style.BLUE, "given all specimens"),
+        ):
+            if len(values):
+                low, median, high = values[order].T
+                ax.vlines(places + shift, low, high, color=colour, linewidth=width, label=words)
+                ax.plot(places + shift, median, ".", color=colour, markersize=size)
+        if odd.any():
+            look = {"color": style.RED, "fillstyle": "none", "markersize": 7, "label": "outlier"}
+            ax.plot(places[odd], own[order][odd, 1], "o", **look)
+        if many:
+            ax.set(xlabel="specimens, sorted", xticks=[])
+        else:
+            ax.set_xticks(places, [specimens[i]["specimen"] for i in order], rotation=90, fontsize=6)
+        ax.set(ylabel=label, xlim=(-1, len(order)))
+        ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)  # above: names of any length stand below
+    return ax
+
+
+def plot_population(
+    density: Mapping[str, Float[np.ndarray, " place"]],
+    specimens: Float[np.ndarray, " specimen"],
+    label: str,
+    *,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the density of an input in the population, above a stroke for the mean of each specimen.
+
+    Args:
+        density: Values `x` of the input, and the `median` and the quantiles of 5 % (`low`) and 95 % (`high`) of the
+            density there, per unit of the input.
+        specimens: Posterior mean of each specimen given all of them.
+        label: Symbol of the input with its unit, for Matplotlib.
+        ax: Where to draw.
+    """
+    x, high = density["x"], density["high"]
+    with styled():
+        ax = axes_or_new(ax, (style.SINGLE, 2.7))
+        ax.fill_between(x, density["low"], high, color=style.SKY, alpha=0.6, linewidth=0, label="90 % band")
+        ax.plot(x, density["median"], color=style.BLUE, label="population")
+        top = float(high.max())
+        ax.vlines(specimens, -2 * STROKE * top, -STROKE * top, color=style.GREY, linewidth=0.6, label="specimens")
+        ends = np.concatenate([x[high > 1e-3 * top], specimens])
+        ax.set(xlabel=label, ylabel="density", xlim=(ends.min(), ends.max()))
+        below(ax)
+    return ax

@@ -1,0 +1,241 @@
+"""Several inputs: their marginals on the diagonal, and each pair below it; and all figures of one posterior."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+
+from strandline.errors import InvalidInput, NumericsError
+from strandline.posterior import KernelDensity, Posterior
+from strandline.report.plots import style
+from strandline.report.plots.joint import plot_hexagons, plot_particles, thinned
+from strandline.report.plots.marginals import draw_marginal, plot_marginal, plot_marginals, shown_interval
+from strandline.report.plots.style import figure_or_new, labelled, legend_under, mark, styled
+
+__all__ = ["PosteriorPlots", "plot_corner", "plot_pairs"]
+
+MASSES = (0.68, 0.95)
+"""Probabilities of the two regions."""
+GRID, PARTICLES, JUDGED = 61, 2000, 400
+"""Grid points along an input, draws behind a region, and draws that its bandwidth is judged by."""
+PANEL = 1.35
+"""Width of a panel, inches."""
+MANY = 4
+"""Number of inputs above which the panels of pairs have few ticks."""
+
+
+def plot_corner(
+    posterior: Posterior,
+    names: Sequence[str] | None = None,
+    *,
+    masses: Sequence[float] = MASSES,
+    prior: bool = True,
+    truth: Mapping[str, float] | None = None,
+    figure: Figure | SubFigure | None = None,
+) -> Figure | SubFigure:
+    """Draw the marginal density of each input, and for each pair the smallest regions that hold some probabilities.
+
+    Args:
+        posterior: Weighted draws.
+        names: Inputs to draw, by default all.
+        masses: Probabilities of the regions, as fractions; the first is the darkest.
+        prior: Whether to draw the prior of each input.
+        truth: True values of some inputs.
+        figure: Figure to draw in.
+
+    Raises:
+        InvalidInput: A probability that is not between 0 and 1, or not at least one of them.
+    """
+    levels = sorted(masses)
+    if not levels or not 0 < levels[0] <= levels[-1] < 1:
+        raise InvalidInput(
+            "probabilities of the regions", value=masses, expected="numbers between 0 and 1", remedy="Use (0.68, 0.95)."
+        )
+    chosen = posterior.space.names if names is None else tuple(names)
+    width = max(style.SINGLE, 0.5 + PANEL * len(chosen))
+
+    def panel(ax: Axes, across: str, up: str) -> None:
+        if across == up:
+            _density(ax, posterior, across, prior=prior, truth=truth)
+        else:
+            _regions(ax, posterior, (across, up), levels, truth)
+
+    with styled():
+        figure, panels = _triangle(figure, posterior, chosen, (width, width + 0.2), panel, few_ticks=True)
+        entries = labelled(panels[0, 0])
+        if len(chosen) > 1:
+            entries |= {f"{100 * mass:.3g} %": _patch(k, len(levels)) for k, mass in enumerate(levels)}
+        legend_under(figure, entries)
+    return figure
+
+
+def plot_pairs(
+    posterior: Posterior,
+    names: Sequence[str] | None = None,
+    *,
+    bins: int = 20,
+    truth: Mapping[str, float] | None = None,
+    figure: Figure | SubFigure | None = None,
+) -> Figure | SubFigure:
+    """Draw the joint marginals of all pairs of inputs below a diagonal of their marginals; one input or more."""
+    chosen = posterior.space.names if names is None else tuple(names)
+    count = len(chosen)
+    size = (style.SINGLE, 0.9 + 1.5 * count) if count < 3 else (style.DOUBLE, 7.1)
+
+    def panel(ax: Axes, across: str, up: str) -> None:
+        if across == up:
+            shown, values = shown_interval(posterior, across), posterior.columns([across])[:, 0]
+            draw_marginal(ax, posterior.space[across], values, posterior.weights, shown=shown, bins=bins)
+            ax.set(yticks=[], xlim=shown)
+        else:
+            plot_hexagons(posterior, (across, up), bins=bins, colour_bar=False, particles=1500, ax=ax)
+            if truth is not None and across in truth and up in truth:
+                mark(ax, [truth[across], truth[up]], style.BLUE, "ground truth", marker="o", size=11.0)
+
+    with styled():
+        figure, panels = _triangle(figure, posterior, chosen, size, panel, few_ticks=count > MANY)
+        legend_under(figure, labelled(*panels[:2, 0]))
+    return figure
+
+
+def _triangle(
+    figure: Figure | SubFigure | None,
+    posterior: Posterior,
+    names: Sequence[str],
+    size: tuple[float, float],
+    panel: Callable[[Axes, str, str], None],
+    *,
+    few_ticks: bool,
+) -> tuple[Figure | SubFigure, Any]:
+    """Return a figure and its panels, on the diagonal and below it, drawn by `panel` and labelled at the outside."""
+    figure = figure_or_new(figure, size)
+    panels: Any = figure.subplots(len(names), len(names), squeeze=False)
+    for row, column in np.ndindex(panels.shape):
+        ax, left, last = panels[row, column], column == 0 and row > 0, row == len(names) - 1
+        if row < column:
+            ax.remove()
+            continue
+        panel(ax, names[column], names[row])
+        ax.set_xlabel(posterior.space[names[column]].figure_label() if last else "")
+        ax.set_ylabel(posterior.space[names[row]].figure_label() if left else "")
+        ax.tick_params(labelbottom=last, labelleft=left)
+        for axis in (ax.xaxis, ax.yaxis)[: 2 if row > column else 1] if few_ticks else ():
+            axis.set_major_locator(MaxNLocator(3, prune="both"))
+    return figure, panels
+
+
+def _density(ax: Axes, posterior: Posterior, name: str, *, prior: bool, truth: Mapping[str, float] | None) -> None:
+    """Draw the density of one input."""
+    parameter, values = posterior.space[name], posterior.columns([name])
+    shown = shown_interval(posterior, name)
+    grid = np.linspace(*shown, 301)
+    try:
+        estimate = KernelDensity.fit(values, posterior.weights, bounds=[parameter.interval])
+        density = estimate.density(grid[:, None])
+        ax.plot(grid, density, color=style.BLACK, label="posterior")
+        ax.fill_between(grid, density, color=style.BLUE, alpha=0.15, linewidth=0)
+    except NumericsError:
+        ax.axvline(float(values[0, 0]), color=style.BLACK, label="posterior")
+    if prior:
+        before = np.exp(np.asarray(parameter.truncated_prior.log_density(grid)))
+        ax.plot(grid, np.where(np.isfinite(before), before, np.nan), color=style.GREY, linestyle="--", label="prior")
+    if truth is not None and name in truth:
+        ax.axvline(truth[name], color=style.RED, linewidth=1.0, label="truth")
+    ax.set(xlim=shown, ylim=(0.0, None), yticks=[])
+    ax.spines["left"].set_visible(False)
+
+
+def _regions(
+    ax: Axes, posterior: Posterior, pair: tuple[str, str], levels: Sequence[float], truth: Mapping[str, float] | None
+) -> None:
+    """Draw the smallest regions of two inputs that hold these probabilities."""
+    across, up = (shown_interval(posterior, name) for name in pair)
+    draws, weights = thinned(posterior.columns(pair), posterior.weights, PARTICLES)
+    bounds = [posterior.space[name].interval for name in pair]
+    try:
+        estimate = KernelDensity.fit(draws, weights, bounds=bounds, loo_points=JUDGED)
+    except NumericsError:
+        ax.plot(*draws.T, ".", color=style.BLUE, markersize=2)
+    else:
+        x, y = np.linspace(*across, GRID), np.linspace(*up, GRID)
+        points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        density = estimate.density(points).reshape(GRID, GRID)
+        edges = sorted({float(one) for one in estimate.percentile_levels(levels)})
+        top = max(float(density.max()), edges[-1]) * 1.001
+        for k, edge in enumerate(edges):
+            ax.contourf(
+                x, y, density, levels=[edge, top], colors=[style.BLUE], alpha=_alpha(len(edges) - 1 - k, len(edges))
+            )
+        ax.contour(x, y, density, levels=edges, colors=style.BLUE, linewidths=0.8)
+    for name, line in zip(pair, (ax.axvline, ax.axhline), strict=True):
+        if truth is not None and name in truth:
+            line(truth[name], color=style.RED, linewidth=1.0)
+    ax.set(xlim=across, ylim=up)
+
+
+def _alpha(place: int, count: int) -> float:
+    """Return the opacity of a region, the inner ones last: drawn over each other they darken."""
+    return 0.2 + 0.3 * (count - 1 - place) / max(count - 1, 1)
+
+
+def _patch(place: int, count: int) -> Patch:
+    """Return a patch for the legend in the colour that a region has in the figure."""
+    opacity = 1.0
+    for k in range(place, count):
+        opacity *= 1.0 - _alpha(k, count)
+    return Patch(facecolor=style.BLUE, alpha=1.0 - opacity, edgecolor=style.BLUE)
+
+
+@dataclass(frozen=True, repr=False)
+class PosteriorPlots:
+    """Draws figures of a posterior; each method returns the axes, or the figure, that it drew in.
+
+    Args:
+        posterior: Weighted draws.
+    """
+
+    posterior: Posterior
+
+    def __repr__(self) -> str:
+        return "<plots: corner, joint, marginal, marginals, pairs, particles>"
+
+    def corner(self, **options: Any) -> Any:
+        """Draw all marginals and the regions with 68 and 95 % of each pair of inputs; options of `plot_corner`."""
+        return plot_corner(self.posterior, **options)
+
+    def joint(self, x: str | None = None, y: str | None = None, *, ax: Any = None, **options: Any) -> Any:
+        """Draw the joint density of two inputs, by default the first two; options of `plot_hexagons`."""
+        return plot_hexagons(self.posterior, self._two(x, y), ax=ax, **options)
+
+    def particles(self, x: str | None = None, y: str | None = None, *, ax: Any = None, **options: Any) -> Any:
+        """Draw the weighted particles in the plane of two inputs; options of `plot_particles`."""
+        return plot_particles(self.posterior, self._two(x, y), ax=ax, **options)
+
+    def marginal(self, name: str | None = None, *, ax: Any = None, **options: Any) -> Any:
+        """Draw the marginal of an input, by default the first, with its prior; options of `plot_marginal`."""
+        return plot_marginal(self.posterior, name or self.posterior.space.names[0], ax=ax, **options)
+
+    def marginals(self, **options: Any) -> Any:
+        """Draw the marginals of all inputs; options of `plot_marginals`."""
+        return plot_marginals(self.posterior, **options)
+
+    def pairs(self, **options: Any) -> Any:
+        """Draw the joint densities of all pairs of inputs; options of `plot_pairs`."""
+        return plot_pairs(self.posterior, **options)
+
+    def _two(self, x: str | None, y: str | None) -> tuple[str, str]:
+        names = self.posterior.space.names
+        if len(names) < 2:
+            raise InvalidInput(
+                "joint density of two inputs",
+                value=f"a posterior of {names[0]} alone",
+                expected="a posterior of two inputs or more",
+                remedy="Draw .plot.marginal() instead.",
+            )
+        first = x or next(name for name in names if name != y)
+        return first, y or next(name for name in names if name != first)

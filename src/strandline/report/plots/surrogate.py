@@ -1,0 +1,140 @@
+"""How good a surrogate is: predictions of runs left out, errors along the interface; and what its inputs explain."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from strandline.posterior import SobolIndices
+from strandline.report.plots import style
+from strandline.report.plots.style import axes_or_new, below, figure_of, legend_under, styled
+
+__all__ = ["ErrorsAlong", "plot_field_error", "plot_leave_one_out", "plot_sensitivity"]
+
+
+def plot_leave_one_out(
+    value: Float[np.ndarray, " run"],
+    prediction: Float[np.ndarray, " run"],
+    *,
+    sd: Float[np.ndarray, " run"] | None = None,
+    near_mode: Bool[np.ndarray, " run"] | None = None,
+    left_out: str = "leave-one-out",
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw predictions against values; on the diagonal they agree.
+
+    Args:
+        value: the log-likelihood at each training point (run,).
+        prediction: the surrogate's prediction without that point, and perhaps some others (run,).
+        sd: its standard deviation there, drawn as error bars.
+        near_mode: the points near the mode, which decide the posterior; highlighted.
+        left_out: how the predictions were made: ``leave-one-out`` or ``leave-a-tenth-out``.
+        ax: axes to draw in.
+    """
+    near = np.zeros(len(value), bool) if near_mode is None else near_mode
+    with styled():
+        ax = axes_or_new(ax, (style.SINGLE, 3.4))
+        both = np.concatenate([value, prediction])
+        margin = 0.04 * (np.ptp(both) or 1.0)
+        limits = (both.min() - margin, both.max() + margin)
+        ax.plot(limits, limits, color=style.BLACK, linewidth=0.8, label="agreement")
+        for chosen, colour, size, label in (
+            (~near, style.GREY, 3.0, "training point"),
+            (near, style.RED, 3.5, "near the mode"),
+        ):
+            if chosen.any():
+                error = None if sd is None else sd[chosen]
+                rms = float(np.sqrt(np.mean((prediction[chosen] - value[chosen]) ** 2)))
+                text = f"{label}, rms error {rms:.2g}"
+                look = {"fmt": "o", "color": colour, "markersize": size, "elinewidth": 0.7, "alpha": 0.6}
+                ax.errorbar(value[chosen], prediction[chosen], error, label=text, **look)
+        ax.set(aspect="equal", xlim=limits, ylim=limits)
+        ax.set(xlabel="log-likelihood", ylabel=f"{left_out} prediction of\nlog-likelihood")
+        below(ax)
+    return ax
+
+
+STYLES: tuple[dict[str, Any], ...] = ({"linewidth": 2.4, "alpha": 0.4}, {"linewidth": 1.0, "linestyle": "--"})
+"""Broad and pale, then thin and broken: both can be seen where the errors are equal."""
+DECADES = 1e-3
+"""Lowest error shown, as a share of the largest: fixed ends have rounding errors only."""
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorsAlong:
+    """Errors at places along an interface, mm; medians over runs or draws.
+
+    Args:
+        arc_length: Places along the interface (point,), mm.
+        left_out: Errors of runs (point,), each predicted from the others.
+        predicted: Standard deviations (point,) that the surrogate predicts at draws of the posterior.
+    """
+
+    arc_length: Float[np.ndarray, " point"]
+    left_out: Float[np.ndarray, " point"]
+    predicted: Float[np.ndarray, " point"]
+
+
+def plot_field_error(errors: Mapping[str, ErrorsAlong], *, ax: Axes | None = None) -> Axes:
+    """Draw both errors over the arc length, logarithmic, in µm; one colour for each condition.
+
+    More conditions than the palette has colours are taken as times, whose colours go from dark to bright.
+    """
+    with styled():
+        ax = axes_or_new(ax, (style.SINGLE, 3.1))
+        kinds: dict[str, Any] = {}
+        conditions: dict[str, Any] = {}
+        for (condition, along), colour in zip(errors.items(), _colours(len(errors)), strict=True):
+            lines = {"runs, each from the others": along.left_out, "its own estimate at draws": along.predicted}
+            for look, (label, values) in zip(STYLES, lines.items(), strict=True):
+                shown = np.where(values > 0, style.TO_MICROMETRES * values, np.nan)  # fixed ends have no error
+                (line,) = ax.semilogy(along.arc_length, shown, color=colour, **look)
+                kinds[label] = line if len(errors) == 1 else Line2D([], [], color=style.GREY, **look)
+            conditions[condition] = Line2D([], [], color=colour, linewidth=2.4)
+        highest = style.TO_MICROMETRES * max(float(np.nanmax([a.left_out, a.predicted])) for a in errors.values())
+        if highest > 0:
+            ax.set_ylim(bottom=max(ax.get_ylim()[0], DECADES * highest))
+        ax.set(xlabel="arc length [mm]", ylabel="error of the interface [µm]")
+        legend_under(figure_of(ax), kinds if len(errors) == 1 else kinds | conditions, columns=4)
+    return ax
+
+
+def _colours(number: int) -> list[Any]:
+    if number <= len(style.CYCLE):
+        return list(style.CYCLE[:number])
+    return list(colormaps["viridis"](np.linspace(0.0, 0.9, number)))
+
+
+HEIGHT = 0.36
+
+
+def plot_sensitivity(indices: SobolIndices, names: Sequence[str], *, ax: Axes | None = None) -> Axes:
+    """Draw the first-order and the total index of each input as a pair of bars, with their bootstrap intervals.
+
+    Args:
+        indices: Sobol' indices of the inputs, in the order of `names`.
+        names: Names of the inputs.
+        ax: Axes to draw in.
+    """
+    place = np.arange(len(names))
+    kinds = (
+        ("alone (first order)", style.BLUE, -0.5 * HEIGHT, indices.first, indices.first_low, indices.first_high),
+        ("with others too (total)", style.ORANGE, 0.5 * HEIGHT, indices.total, indices.total_low, indices.total_high),
+    )
+    with styled():
+        ax = axes_or_new(ax, (style.SINGLE, 1.3 + 0.36 * len(names)))
+        for label, colour, shift, value, low, high in kinds:
+            reach = np.maximum([value - low, high - value], 0.0)
+            bars = {"ecolor": style.BLACK, "elinewidth": 0.9, "capsize": 2.0}
+            ax.barh(place + shift, value, HEIGHT, xerr=reach, color=colour, label=label, error_kw=bars)
+        ax.axvline(0.0, color=style.BLACK, linewidth=0.8)
+        ax.set(yticks=place, yticklabels=list(names), xlabel="share of the variance under the prior")
+        ax.set_xlim(min(0.0, float(np.min(indices.first_low))), max(1.0, float(np.max(indices.total_high))))
+        ax.invert_yaxis()
+        below(ax, columns=2, borderaxespad=1.4)
+    return ax

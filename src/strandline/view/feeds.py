@@ -1,0 +1,222 @@
+"""The runs of a study and its posterior as the page gets them, kept up to date from its ledger and its results."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from strandline.calibration.alternative import Present, present
+from strandline.calibration.so_far import posterior_so_far
+from strandline.errors import InvalidInput, InvalidStudy, NumericsError, TooFewRuns
+from strandline.numerics.one_thread import one_thread
+from strandline.numerics.precision import use_double
+from strandline.posterior import systematic_indices
+from strandline.questions.knowledge import field_knowledge
+from strandline.report.explore import DRAWS, by_name, rounded
+from strandline.runs.overview import OPEN, Attempt, Overview
+from strandline.runs.ledger_schema import EXCLUDED
+from strandline.studies.check import finished_posterior
+from strandline.studies.folder import SUMMARY
+from strandline.studies.progress import results_of
+from strandline.studies.study import Study
+
+__all__ = ["SEED", "CurrentPosterior", "PosteriorFeed", "RunsFeed", "changed_at"]
+
+GROWTH, FEWEST_NEW = 0.1, 4
+"""New runs, as a share of those used and at least, after which the posterior is computed again."""
+SEED = 1
+
+
+@dataclass
+class _Row:
+    """A run as the page shows it, and when it changed last."""
+
+    key: str
+    attempt: Attempt
+    excluded: str | None
+    version: int
+
+
+@dataclass
+class RunsFeed:
+    """All runs in a ledger, in the order in which they were first started.
+
+    Args:
+        path: The ledger; it need not exist yet.
+        inputs: Names of the inputs that the page shows.
+    """
+
+    path: Path
+    inputs: Sequence[str]
+    version: int = 0
+    _rows: dict[str, _Row] = field(default_factory=dict)
+    _open: dict[int, str] = field(default_factory=dict)
+    _last: int = 0
+
+    def update(self) -> bool:
+        """Read what is new in the ledger; return whether there is anything.
+
+        Raises:
+            LedgerError: The ledger is damaged or of a newer version.
+        """
+        if not self.path.is_file():
+            return False
+        with Overview(self.path) as ledger:
+            found, exclusions = ledger.changes(self._last, self._open), ledger.exclusions()
+        version = self.version + 1
+        for key, attempt in found:
+            self._note(key, attempt, version)
+        for key, row in self._rows.items():
+            why = exclusions[key].why if key in exclusions else None
+            if row.excluded != why:
+                row.excluded, row.version = why, version
+        changed = any(row.version == version for row in self._rows.values())
+        self.version = version if changed else self.version
+        return changed
+
+    def _note(self, key: str, attempt: Attempt, version: int) -> None:
+        self._last = max(self._last, attempt.number)
+        ended = attempt.state != OPEN
+        if ended:
+            self._open.pop(attempt.number, None)
+        else:
+            self._open[attempt.number] = key
+        row = self._rows.get(key)
+        if row is None:
+            self._rows[key] = _Row(key, attempt, None, version)
+        elif attempt.number > row.attempt.number or (attempt.number == row.attempt.number and attempt != row.attempt):
+            row.attempt, row.version = attempt, version
+
+    def since(self, version: int) -> dict[str, Any]:
+        """Return the rows that changed after a version, as columns; `row` is the place of each among all runs."""
+        rows = [(place, row) for place, row in enumerate(self._rows.values()) if row.version > version]
+        inputs = json.loads(f"[{','.join(row.attempt.inputs for _, row in rows)}]")
+        return {
+            "version": self.version,
+            "total": len(self._rows),
+            "row": [place for place, _ in rows],
+            "number": [row.attempt.number for _, row in rows],
+            "state": [EXCLUDED if row.excluded is not None else row.attempt.state for _, row in rows],
+            "kind": [row.attempt.kind for _, row in rows],
+            "seconds": rounded([row.attempt.seconds for _, row in rows]),
+            "inputs": {name: rounded([one.get(name) for one in inputs]) for name in self.inputs},
+        }
+
+    def key_at(self, place: int) -> tuple[str, Attempt] | None:
+        """Return key and last start of the run in this place; None if there is none."""
+        rows = list(self._rows.values())
+        return (rows[place].key, rows[place].attempt) if 0 <= place < len(rows) else None
+
+    @property
+    def succeeded(self) -> int:
+        """Number of runs that ended ok and are not excluded."""
+        return sum(row.attempt.state == "ok" and row.excluded is None for row in self._rows.values())
+
+
+@dataclass(frozen=True)
+class CurrentPosterior:
+    """A posterior with all that belongs to it, replaced as a whole: another thread reads it meanwhile.
+
+    Args:
+        now: The newest posterior; None if there is none.
+        few: Some of its draws, few enough to be weighted again while a slider moves.
+        source: Where it comes from: ``none``, ``so far`` or ``stored``.
+        why_none: Why there is none.
+        history: Runs, means and standard deviations of each posterior, the newest last.
+    """
+
+    now: Present | None = None
+    few: Present | None = None
+    source: str = "none"
+    why_none: str = "too few forward runs have ended yet"
+    history: tuple[dict[str, Any], ...] = ()
+
+
+@dataclass
+class PosteriorFeed:
+    """The newest posterior of a study, and the means and standard deviations of all before it.
+
+    Args:
+        study: The study.
+        shown: What the page shows.
+    """
+
+    study: Study
+    shown: CurrentPosterior = CurrentPosterior()
+    _tried: int = 0
+    _stored: int = 0
+
+    def due(self, succeeded: int) -> bool:
+        """Return whether there is a newer posterior than this one: stored, or worth computing.
+
+        Args:
+            succeeded: Number of runs that have succeeded.
+        """
+        if results_of(self.study) == "current":
+            return self._stored != changed_at(self.study.folder / SUMMARY)
+        return succeeded - self._tried >= max(FEWEST_NEW, math.ceil(GROWTH * self._tried))
+
+    def refresh(self, succeeded: int) -> None:
+        """Read the stored posterior if the study is finished, else compute the one of the runs so far.
+
+        Args:
+            succeeded: Number of runs that have succeeded.
+        """
+        use_double()
+        self._tried, self._stored = succeeded, changed_at(self.study.folder / SUMMARY)
+        with one_thread():
+            try:
+                found, source = self._posterior()
+            except (InvalidStudy, InvalidInput, TooFewRuns, NumericsError) as error:
+                self.shown = replace(self.shown, why_none=f"no posterior yet: {error}")
+                return
+        before = self.shown
+        step = {
+            "runs": succeeded if found.knowledge is None else found.knowledge.surrogate.runs,
+            "source": source,
+            "mean": by_name(self.study.space, found.mean),
+            "sd": by_name(self.study.space, found.sd),
+            "moved": None if before.now is None else _moved(before.now, found),
+        }
+        self.shown = CurrentPosterior(found, _thinned(found), source, before.why_none, (*before.history, step))
+
+    def _posterior(self) -> tuple[Present, str]:
+        study, measure = self.study, next(iter(self.study.discrepancies))
+        if results_of(study) == "current":
+            stored = finished_posterior(study, purpose="show")
+            try:
+                knowledge, why_not = field_knowledge(study, measure, purpose="the page"), ""
+            except (InvalidStudy, TooFewRuns) as error:
+                knowledge, why_not = None, f"there is no surrogate of the interface ({error.value})"
+            return present(stored, knowledge, why_not=why_not), "stored"
+        knowledge = field_knowledge(study, measure, purpose="the page")
+        return posterior_so_far(knowledge, study.space, seed=SEED), "so far"
+
+
+def _thinned(now: Present) -> Present:
+    """Return a posterior with equally weighted draws, few enough to be weighted again while a slider moves."""
+    chosen = systematic_indices(np.exp(now.log_weights), DRAWS, np.random.default_rng(SEED))
+    return replace(
+        now,
+        draws=now.draws[chosen],
+        log_weights=np.full(DRAWS, -math.log(DRAWS)),
+        log_likelihood=now.log_likelihood[chosen],
+        log_prior=now.log_prior[chosen],
+    )
+
+
+def changed_at(path: Path) -> int:
+    """Return when a file has changed last, in nanoseconds; 0 if there is none."""
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def _moved(before: Present, after: Present) -> float:
+    """Return the largest shift of a mean, in earlier standard deviations."""
+    return float(np.abs((after.mean - before.mean) / before.sd).max())
