@@ -11,8 +11,6 @@ from strandline.report.figure_files import Captioned
 from strandline.report.plots.comparison import input_label
 from strandline.typeset import figure_text
 
-__all__ = ["draw_check", "draw_comparison", "draw_coverage", "draw_next", "draw_specimens", "draw_what_if"]
-
 MOST_CANDIDATES = 20
 """Candidates that are drawn."""
 CHECK = (

@@ -14,8 +14,6 @@ from strandline.errors import InvalidInput
 from strandline.imaging.clicks import Clicks, as_json
 from strandline.report.html import embedded, script_hash, template, write_page
 
-__all__ = ["ScreenPicture", "click_page", "for_screen", "write_click_page"]
-
 SCRIPTS = ("marks.js", "view.js", "editing.js", "panel.js")
 TOOLS = (
     ("move", "Move the picture", False),

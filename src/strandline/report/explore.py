@@ -25,11 +25,6 @@ from strandline.report.html import PANELS, PLOTLY, bundled, embedded, script_has
 from strandline.runs import RunRecord
 from strandline.runs.ledger_schema import LOG_TITLE
 
-__all__ = [
-    "SDS", "Explore", "band", "by_name", "columns", "conditions_as_json", "explore", "inputs_as_json", "offsets_um",
-    "outline", "point_normals", "predictive_band", "rounded",
-]  # fmt: skip
-
 SDS = 2.0
 """Half of the width of a band, in standard deviations."""
 DECIMALS, DIGITS = 6, 6

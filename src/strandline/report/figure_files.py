@@ -14,8 +14,6 @@ from PIL import Image
 
 from strandline.report.plots.style import DOTS_PER_INCH, DRAFT_DOTS_PER_INCH, mark_doubt, styled
 
-__all__ = ["PAGE_PIXELS_PER_INCH", "Captioned", "fitted", "marked", "saved", "whole_folder"]
-
 PAGE_PIXELS_PER_INCH = 138
 """Pixels on the page per inch of a figure: two columns of a journal fill the page."""
 ANSWERS = ("coverage_*", "next_*", "specimens_*", "what_if*")

@@ -22,8 +22,6 @@ from strandline.report.html import number
 from strandline.report.plots.surfaces import plot_surfaces
 from strandline.report.surrogate_figures import field_figures, likelihood_figures, surrogate_figures
 
-__all__ = ["failed_runs", "figure_groups", "fit_figures"]
-
 BEST = "best run"
 EXAMPLES = (0.1, 0.8, 1.0)
 """Quantiles of the displacement at which runs are drawn as examples."""

@@ -23,8 +23,6 @@ from strandline.interface import Observation
 from strandline.likelihood import InterfaceLikelihood, compared, noise_length, sd_of_distances
 from strandline.runs import RunRecord
 
-__all__ = ["Nearest", "as_json", "fit_as_json", "nearest_runs", "nothing_near"]
-
 TO_MICROMETRES = 1e3
 FAR = 5.0
 """Residual in units of the noise above which a run is not near the observation."""

@@ -15,8 +15,6 @@ from markupsafe import Markup
 from strandline.text import with_sd
 from strandline.typeset import RAISED, html_text, unit_text
 
-__all__ = ["PANELS", "PLOTLY", "bundled", "embedded", "number", "script_hash", "small_share", "template", "write_page"]
-
 PANELS = Path(__file__).parent / "panels"
 """Scripts and style of the panels that the report and the page of `strandline view` share."""
 PLOTLY = PANELS / "vendor" / "plotly-cartesian.min.js"

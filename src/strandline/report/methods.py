@@ -6,8 +6,6 @@ from typing import Any
 from strandline.text import listed, with_sd
 from strandline.typeset import unit_text
 
-__all__ = ["BIBTEX", "methods_paragraph"]
-
 BIBTEX = """\
 @article{{willmann2022bayesian,
   author  = {{Willmann and Nitzler and Brandstäter and Wall}},

@@ -21,8 +21,6 @@ from strandline.report.html import template, write_page
 from strandline.report.methods import BIBTEX, methods_paragraph
 from strandline.report.warnings import LOO_LIMIT, reason_to_doubt
 
-__all__ = ["FIGURES", "add_check", "remove_report", "write_answer", "write_report"]
-
 FILE_NAME = "report.html"
 FIGURES = "figures"
 MOST_CHARACTERS, TEXT = 5_000_000, 200_000

@@ -17,8 +17,6 @@ from strandline.report import plots
 from strandline.report.figure_files import Captioned
 from strandline.text import listed
 
-__all__ = ["field_figures", "likelihood_figures", "surrogate_figures"]
-
 DRAWS = 400
 GRID = 121
 NARROW_SHARE = 0.02

@@ -21,10 +21,6 @@ from strandline.runs.ledger_schema import EXCLUDED
 from strandline.surrogate.feasibility import learn_feasibility
 from strandline.surrogate.field.odd import stopped_early
 
-__all__ = [
-    "field_warnings", "find_warnings", "likely_to_fail", "noise_at_an_end", "reason_to_doubt",
-]  # fmt: skip
-
 BOUND_SHARE = 0.02
 """A bound counts as touched if the outer 2 % of the box hold more than `BOUND_MASS` of the posterior."""
 BOUND_MASS = 0.01

@@ -21,8 +21,6 @@ from strandline.studies.study import Study
 from strandline.studies.yaml_edit import REMOVED, changed_text
 from strandline.studies.yaml_text import load_yaml
 
-__all__ = ["Asked", "answer_to", "asked_by", "knobs_of", "number_in", "save_as"]
-
 NOISE, LENGTH = (0.2, 5.0), (0.0, 200.0)
 """Range of the factor on the noise's standard deviation, and of the correlation length, µm."""
 LARGEST = 1e300

@@ -24,8 +24,6 @@ from strandline.studies.folder import SUMMARY
 from strandline.studies.progress import results_of
 from strandline.studies.study import Study
 
-__all__ = ["SEED", "CurrentPosterior", "PosteriorFeed", "RunsFeed", "changed_at"]
-
 GROWTH, FEWEST_NEW = 0.1, 4
 """New runs, as a share of those used and at least, after which the posterior is computed again."""
 SEED = 1

@@ -24,8 +24,6 @@ from strandline.studies.study import Study
 from strandline.view.assumptions import asked_by, save_as
 from strandline.view.session import Session
 
-__all__ = ["Access", "application"]
-
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' data: blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self' "

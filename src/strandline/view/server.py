@@ -27,8 +27,6 @@ except ImportError as error:
 from strandline.view.requests import Access, application  # after the check: it imports tornado too
 from strandline.view.session import PATIENCE, Session
 
-__all__ = ["NotebookPage", "Server", "serving", "show"]
-
 LARGEST_BODY = 1 << 20
 ADDRESS = "127.0.0.1"
 

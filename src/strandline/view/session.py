@@ -12,8 +12,6 @@ from typing import Any
 from strandline.errors import StrandlineError
 from strandline.view.viewed import ViewedStudy
 
-__all__ = ["PATIENCE", "Session"]
-
 PAUSE = 0.5
 """Seconds between two looks at the ledger."""
 PATIENCE = 5.0

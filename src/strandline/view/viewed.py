@@ -51,8 +51,6 @@ from strandline.studies.study import Study
 from strandline.view.assumptions import answer_to, asked_by, knobs_of, number_in
 from strandline.view.feeds import SEED, PosteriorFeed, RunsFeed, changed_at
 
-__all__ = ["ViewedStudy"]
-
 OF_SUMMARY = ("warnings", "misfit", "certificate", "nearest")
 COLUMNS, DIGITS = 240, 4
 """Columns of the grid of a flow, and digits of its values."""

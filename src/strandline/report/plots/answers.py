@@ -14,11 +14,6 @@ from strandline.report.plots import style
 from strandline.report.plots.style import axes_or_new, below, figure_or_new, labelled, legend_under, panel_grid, styled
 from strandline.typeset import figure_text
 
-__all__ = [
-    "plot_alternatives", "plot_candidates", "plot_caterpillar", "plot_directions", "plot_intervals",
-    "plot_population", "plot_rank_band", "plot_rank_bands",
-]  # fmt: skip
-
 CANDIDATES_APART, LEVELS_APART = 0.16, 0.12
 """Distance of the marks of one candidate, and of one input."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")

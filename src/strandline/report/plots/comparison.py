@@ -13,11 +13,6 @@ from strandline.report.plots import style
 from strandline.report.plots.style import axes_or_new, below, figure_or_new, labelled, legend_under, panel_grid, styled
 from strandline.typeset import figure_text, unit_text
 
-__all__ = [
-    "OffsetBand", "input_label", "plot_averaged", "plot_check", "plot_model_marginals", "plot_offsets",
-    "plot_predictions",
-]  # fmt: skip
-
 MARGIN = 0.03
 """Space on both sides of a histogram, as a share of its width."""
 

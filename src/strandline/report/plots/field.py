@@ -24,8 +24,6 @@ from strandline.report.plots.style import (
     styled,
 )
 
-__all__ = ["FieldGrid", "plot_field", "plot_profile", "three_measures"]
-
 Kind = Literal["likelihood", "log_likelihood", "sd"]
 _LABELS = {
     "likelihood": "likelihood / maximum",

@@ -12,8 +12,6 @@ from matplotlib.tri import Triangulation
 from strandline.report.plots import style
 from strandline.report.plots.style import figure_of, figure_or_new, styled
 
-__all__ = ["plot_flow"]
-
 
 def plot_flow(fields: Any, *, title: str = "", figure: Figure | SubFigure | None = None) -> Figure | SubFigure:
     """Draw speed and pressure in the fluid and displacement magnitude in the solid, one below the other.

@@ -10,8 +10,6 @@ from matplotlib.ticker import MaxNLocator
 from strandline.report.plots import style
 from strandline.report.plots.style import figure_or_new, labelled, legend_under, panel_grid, styled
 
-__all__ = ["plot_run_history", "plot_tempering"]
-
 Series = Sequence[float] | Float[np.ndarray, " step"]
 
 

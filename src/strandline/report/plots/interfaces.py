@@ -15,8 +15,6 @@ from strandline.posterior import Offsets
 from strandline.report.plots import style
 from strandline.report.plots.style import axes_or_new, below, figure_or_new, labelled, legend_under, styled
 
-__all__ = ["ResidualsAlong", "plot_conditions", "plot_interfaces", "plot_residuals", "plot_run_offsets"]
-
 _HALF_LINE = 38
 """Characters of a label that leave room for a second one next to it."""
 _FLAT = 0.3

@@ -31,8 +31,6 @@ from strandline.report.plots.style import (
     styled,
 )
 
-__all__ = ["plot_hexagons", "plot_joint", "plot_particles", "thinned"]
-
 PERCENTILES = (0.1, 0.5, 0.9)
 _GRID = 71
 """Points per axis of the grid on which percentile lines are computed."""

@@ -17,8 +17,6 @@ from strandline.report.plots import style
 from strandline.report.plots.style import axes_or_new, labelled, legend_under, panel_grid, styled
 from strandline.typeset import unit_text
 
-__all__ = ["Curve", "plot_marginal", "plot_marginals", "shown_interval"]
-
 TAIL, MARGIN = 0.002, 0.35
 """Share of the mass left out at either end of an axis, and the space added there, as a share of what is shown."""
 WHOLE_BOX_FROM = 0.75

@@ -17,8 +17,6 @@ from strandline.report.plots.joint import plot_hexagons, plot_particles, thinned
 from strandline.report.plots.marginals import draw_marginal, plot_marginal, plot_marginals, shown_interval
 from strandline.report.plots.style import figure_or_new, labelled, legend_under, mark, styled
 
-__all__ = ["PosteriorPlots", "plot_corner", "plot_pairs"]
-
 MASSES = (0.68, 0.95)
 """Probabilities of the two regions."""
 GRID, PARTICLES, JUDGED = 61, 2000, 400

@@ -17,8 +17,6 @@ from strandline.posterior import Posterior
 from strandline.report.plots import style
 from strandline.report.plots.style import axes_or_new, below, figure_of, styled
 
-__all__ = ["plot_failed_runs", "plot_parallel"]
-
 DENSITY = "log posterior density"
 """Name of the density axis, also in `names`."""
 LOWEST = 0.02

@@ -13,8 +13,6 @@ from strandline.imaging import Edge, Picture
 from strandline.report.plots import style
 from strandline.report.plots.style import figure_or_new, labelled, legend_under, styled
 
-__all__ = ["off_smooth", "plot_picture"]
-
 MARGIN = 0.1
 """Part of the picture around the edge that is shown, as a share of the edge's extent."""
 DARKEST = 0.5, 99.5

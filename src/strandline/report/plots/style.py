@@ -17,12 +17,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.legend import Legend
 
-__all__ = [
-    "BLACK", "BLUE", "CYCLE", "DASHES", "DOTS_PER_INCH", "DOUBLE", "DRAFT_DOTS_PER_INCH", "GREEN", "GREY", "ORANGE",
-    "PURPLE", "RED", "SINGLE", "SKY", "axes_or_new", "below", "figure_or_new", "labelled", "legend_under", "mark",
-    "mark_doubt", "panel_grid", "styled",
-]  # fmt: skip
-
 BLACK, GREY = "#000000", "#8c8c8c"
 ORANGE, SKY, GREEN, BLUE, RED, PURPLE = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7"
 CYCLE = (BLUE, RED, PURPLE, SKY, ORANGE)

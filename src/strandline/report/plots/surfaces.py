@@ -12,8 +12,6 @@ from strandline.interface import Interface
 from strandline.report.plots import style
 from strandline.report.plots.style import figure_or_new, legend_under, styled
 
-__all__ = ["plot_stack", "plot_surfaces"]
-
 AXES = "xyz"
 DARKEST = 0.5, 99.5
 """Percentiles of the grey values that are shown black and white."""

@@ -14,8 +14,6 @@ from strandline.posterior import SobolIndices
 from strandline.report.plots import style
 from strandline.report.plots.style import axes_or_new, below, figure_of, legend_under, styled
 
-__all__ = ["ErrorsAlong", "plot_field_error", "plot_leave_one_out", "plot_sensitivity"]
-
 
 def plot_leave_one_out(
     value: Float[np.ndarray, " run"],
