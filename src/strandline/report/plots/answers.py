@@ -213,7 +213,7 @@ def plot_caterpillar(specimens: Sequence[Mapping[str, Any]], name: str, label: s
                 ax.vlines(places + shift, low, high, color=colour, linewidth=width, label=words)
                 ax.plot(places + shift, median, ".", color=colour, markersize=size)
         if odd.any():
-            look = {"color": style.RED, "fillstyle": "none", "markersize": 7, "label": "outlier"}
+            look: Any = {"color": style.RED, "fillstyle": "none", "markersize": 7, "label": "outlier"}
             ax.plot(places[odd], own[order][odd, 1], "o", **look)
         if many:
             ax.set(xlabel="specimens, sorted", xticks=[])

@@ -49,7 +49,7 @@ def plot_leave_one_out(
                 error = None if sd is None else sd[chosen]
                 rms = float(np.sqrt(np.mean((prediction[chosen] - value[chosen]) ** 2)))
                 text = f"{label}, rms error {rms:.2g}"
-                look = {"fmt": "o", "color": colour, "markersize": size, "elinewidth": 0.7, "alpha": 0.6}
+                look: Any = {"fmt": "o", "color": colour, "markersize": size, "elinewidth": 0.7, "alpha": 0.6}
                 ax.errorbar(value[chosen], prediction[chosen], error, label=text, **look)
         ax.set(aspect="equal", xlim=limits, ylim=limits)
         ax.set(xlabel="log-likelihood", ylabel=f"{left_out} prediction of\nlog-likelihood")
