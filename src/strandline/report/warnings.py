@@ -184,11 +184,11 @@ def _runs(calibration: Calibration) -> Iterator[str]:
 
 def _failing(calibration: Calibration) -> float:
     """Return the share of the posterior that lies where runs fail, learnt from which runs did."""
-    told = [record for record in calibration.records if says_whether_runs_succeed(record)]
+    judged = [record for record in calibration.records if says_whether_runs_succeed(record)]
     space, posterior = calibration.problem.space, calibration.posterior
-    tried = np.array([[record.inputs[name] for name in space.names] for record in told])
+    tried = np.array([[record.inputs[name] for name in space.names] for record in judged])
     z, drawn = (math.sqrt(12.0) * space.to_unit(x) for x in (tried, posterior.draws))
-    known = learn_feasibility(z, np.array([record.ok for record in told]))
+    known = learn_feasibility(z, np.array([record.ok for record in judged]))
     below = known.log_probability(drawn) - known.log_probability(z).max()
     return 1.0 - float(posterior.weights @ np.exp(np.minimum(below, 0.0)))
 

@@ -17,8 +17,8 @@ from strandline.numerics.precision import use_double
 from strandline.posterior import systematic_indices
 from strandline.questions.knowledge import field_knowledge
 from strandline.report.explore import DRAWS, by_name, rounded
-from strandline.runs.overview import OPEN, Attempt, Overview
 from strandline.runs.ledger_schema import EXCLUDED
+from strandline.runs.overview import OPEN, Attempt, Overview
 from strandline.studies.check import finished_posterior
 from strandline.studies.folder import SUMMARY
 from strandline.studies.progress import results_of

@@ -103,7 +103,7 @@ class _Guarded(RequestHandler):
         """Answer an error in words, without a traceback."""
         self.finish({"error": ERRORS.get(status_code, "the page has a fault; see the terminal of `strandline view`")})
 
-    async def told(self, task: Callable[[], Awaitable[Any]]) -> None:
+    async def reply(self, task: Callable[[], Awaitable[Any]]) -> None:
         """Send the result of a task, or why there is none."""
         try:
             found = await task()
@@ -179,7 +179,7 @@ class _Ask(_Guarded):
         if name not in tasks:
             self.send_error(404)
             return
-        await self.told(tasks[name])
+        await self.reply(tasks[name])
 
     async def post(self, name: str) -> None:
         """Answer a question that computes or saves; a solution of the flow does not hold up the others."""
@@ -194,7 +194,7 @@ class _Ask(_Guarded):
             self.send_error(404)
             return
         work = self.session.solve if name == "flow" else self.session.answer
-        await self.told(lambda: work(lambda: tasks[name](self.body())))
+        await self.reply(lambda: work(lambda: tasks[name](self.body())))
 
     def _integer(self, name: str) -> int:
         text = self.get_query_argument(name, "0")

@@ -103,7 +103,7 @@ def test_a_second_posterior_is_shown_only_if_its_surrogate_is_good_near_the_mode
 def test_numbers_have_a_proper_minus_and_a_power_of_ten_only_where_it_reads_better() -> None:
     given = {-5e-5: "−5·10⁻⁵", 293.0: "290", 123456.0: "120000", 1.23e6: "1.2·10⁶", -0.0: "0", -0.0123: "−0.012"}
     assert [number(value, 2).replace("\u00a0", "") for value in given] == list(given.values())
-    assert number([1.0, None]) == "1, –"
+    assert [number([1.0, 2.5]), number(None)] == ["1, 2.5", "–"]
     assert [fixed(-0.001), fixed(-1.234), fixed(-0.004, 2, "+"), fixed(0.5, 1, "+")] == [
         "0.00",
         "−1.23",

@@ -62,21 +62,21 @@ function show() {
 
 function showOffsets(run, found) {
   const traces = [];
-  const told = [];
+  const words = [];
   const add = (values, name, shade) => {
     if (!values) return;
     traces.push({ type: "scatter", mode: "lines", x: values.map((_, k) => k + 1), y: values, name, line: { color: colour(shade), width: 1.5 } });
     const rms = Math.sqrt(values.reduce((sum, value) => sum + value * value, 0) / values.length);
-    told.push(`${name}: root mean square ${figure(rms, 3)} µm`);
+    words.push(`${name}: root mean square ${figure(rms, 3)} µm`);
   };
   add(run && run.offsets, `run ${shared.run ? shared.run.row + 1 : ""}`, "failed");
   add(found && found.offsets, "sliders", "asked");
   document.getElementById("offset-plot").hidden = !traces.length;
   const hint = run ? "How far the observed points lie from this run is not known here." : "Click on a run to see how far the observed points lie from it, in µm along the normal.";
-  document.getElementById("shape-note").textContent = told.length ? `Normal offset of the observed points from ${told.join("; from ")}.` : hint;
+  document.getElementById("shape-note").textContent = words.length ? `Normal offset of the observed points from ${words.join("; from ")}.` : hint;
   if (!traces.length) return;
   const layout = { xaxis: { title: { text: "observed point" } }, yaxis: { title: { text: "normal offset [µm]" } }, showlegend: true };
-  draw("offset-plot", traces, layout, told.join("; "));
+  draw("offset-plot", traces, layout, words.join("; "));
 }
 
 export function mountShapes() {

@@ -1,6 +1,6 @@
 // Requests to the server of this page.
 
-async function told(answer) {
+async function parsed(answer) {
   const found = await answer.json().catch(() => ({ error: `the server answered ${answer.status}` }));
   if (!answer.ok) throw new Error(found.error || `the server answered ${answer.status}`);
   return found;
@@ -8,10 +8,10 @@ async function told(answer) {
 
 export async function get(name, query = {}) {
   const text = new URLSearchParams(query).toString();
-  return told(await fetch(`api/${name}${text ? `?${text}` : ""}`));
+  return parsed(await fetch(`api/${name}${text ? `?${text}` : ""}`));
 }
 
 export async function post(name, body) {
   const headers = { "Content-Type": "application/json" };
-  return told(await fetch(`api/${name}`, { method: "POST", headers, body: JSON.stringify(body) }));
+  return parsed(await fetch(`api/${name}`, { method: "POST", headers, body: JSON.stringify(body) }));
 }
