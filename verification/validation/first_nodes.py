@@ -1,20 +1,27 @@
 """Closed outlines that begin anywhere, in either direction, against the same outlines with fixed nodes.
 
-Random families of outlines of two inputs; the posterior by a sum over a grid, through the surrogate of the interface.
+Random families of outlines of two inputs; the posterior by a sum over a grid, through the surrogate of the interface,
+and the number of runs after which an active design ends (half a minute a problem).
 
 Run it with:  python -m verification.validation.first_nodes [--problems 40]
 """
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from verification.validation.tables import Cell, Table
 
+import strandline as sl
+from strandline.calibration import Problem, Settings, calibrate
 from strandline.design import sobol
+from strandline.design.active import Active
 from strandline.discrepancy import NormalOffset, squared_discrepancies
-from strandline.interface import Interface, PointErrors
+from strandline.interface import Interface, Observation, PointErrors
+from strandline.models.protocol import Simulation
 from strandline.surrogate.field import FieldTraining, fit_field
 
 __all__ = ["Family", "posterior", "table"]
@@ -24,6 +31,7 @@ SD = 0.01
 RUNS, SEEN, GRID = 48, 50, 41
 LOW, HIGH = np.zeros(2), np.ones(2)
 WAVES = np.array([-2, -1, 1, 2, 3])
+DESIGN = Settings(runs=8, particles=1000, surrogate="field", active=Active(120, batch=4), draft=True)
 
 
 class Moments(NamedTuple):
@@ -79,8 +87,31 @@ def posterior(family: Family, make: Callable[[np.ndarray], Interface], nodes: in
     return Moments(mean, sd), ", ".join(surrogate.ways)
 
 
-def compared(seed: int) -> list[tuple[str, float, float, str]]:
-    """Return for each kind of outlines how far mean and width are from those with fixed nodes, in sd and as a ratio."""
+@dataclass(frozen=True)
+class Simulator:
+    """A forward model that returns the outline of the inputs a and b."""
+
+    make: Callable[[np.ndarray], Interface]
+    fingerprint: str = "outlines"
+
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
+        """Return the outline."""
+        return Simulation.of(self.make(np.array([inputs["a"], inputs["b"]])))
+
+
+def runs_of_a_design(family: Family, make: Callable[[np.ndarray], Interface]) -> int:
+    """Return the number of runs after which an active design certifies its posterior."""
+    seen = PointErrors(SD).draw(closed(family(family.truth, SEEN)), np.random.default_rng(7))
+    space = sl.ParameterSpace(tuple(sl.Parameter(name, sl.Uniform(0.0, 1.0)) for name in "ab"))
+    problem = Problem(Simulator(make), space, {}, (Observation(seen, PointErrors(SD)),), {"offset": NormalOffset()})
+    found = calibrate(problem, DESIGN)
+    if found.field is None or not found.field.certificate.converged:
+        raise RuntimeError("an active design ended without a certificate")
+    return len(found.records)
+
+
+def compared(seed: int) -> list[tuple[str, float, float, str, int, int]]:
+    """Return how far mean and width are from those with fixed nodes, in sd and as a ratio, and the runs of both."""
     family, random, found = Family(seed), np.random.default_rng([seed, 2]), []
 
     def wandering(x: np.ndarray) -> Interface:
@@ -91,10 +122,15 @@ def compared(seed: int) -> list[tuple[str, float, float, str]]:
         return closed(family(x, nodes, begin=begin), back=bool(random.integers(2)))
 
     for kind, nodes, make in (("equal numbers of nodes", 60, wandering), ("other numbers", 240, anywhere)):
-        fixed, _ = posterior(family, lambda x, nodes=nodes: closed(family(x, nodes)), nodes)
+
+        def still(x: np.ndarray, nodes: int = nodes) -> Interface:
+            return closed(family(x, nodes))
+
+        fixed, _ = posterior(family, still, nodes)
         other, ways = posterior(family, make, nodes)
         off = float(np.max(np.abs(other.mean - fixed.mean) / fixed.sd))
-        found.append((kind, off, float(np.max(np.abs(other.sd / fixed.sd - 1))), ways))
+        wider = float(np.max(np.abs(other.sd / fixed.sd - 1)))
+        found.append((kind, off, wider, ways, runs_of_a_design(family, still), runs_of_a_design(family, make)))
     return found
 
 
@@ -105,9 +141,10 @@ def table(problems: int) -> Table:
     for kind in dict.fromkeys(one[0] for one in results):
         mine = [one for one in results if one[0] == kind]
         ways = "; ".join(sorted({one[3] for one in mine}))
-        rows.append((kind, len(mine), max(one[1] for one in mine), max(one[2] for one in mine), ways))
-    columns = "outlines", "problems", "mean off, sd, worst", "width off, share, worst", "common points"
-    return Table("first nodes", "Against fixed nodes", columns, ("s", "d", ".2g", ".2g", "s"), tuple(rows))
+        worst = max(one[1] for one in mine), max(one[2] for one in mine)
+        rows.append((kind, len(mine), *worst, ways, sum(one[4] for one in mine), sum(one[5] for one in mine)))
+    columns = "outlines", "problems", "mean off, sd", "width off, share", "common points", "runs, fixed", "runs, these"
+    return Table("first nodes", "Against fixed nodes", columns, ("s", "d", ".2g", ".2g", "s", "d", "d"), tuple(rows))
 
 
 if __name__ == "__main__":
