@@ -270,7 +270,7 @@ EXPLAINED_ON_LINE: dict[tuple[str, str, str, str], str] = {
         "True",
         "(False)",
     ): "Only where a disk has no hard links.",
-    ("runs/executors/in_process.py", "shutil.rmtree(folder, ignore_errors=True)", "True", "(False)"): (
+    ("runs/executors/local.py", "shutil.rmtree(folder, ignore_errors=True)", "True", "(False)"): (
         "Only if a scratch folder cannot be removed."
     ),
 }

@@ -19,7 +19,7 @@ from strandline.readers.contents import Block, Contents
 from strandline.readers.options import Reading
 from strandline.readers.vtk_xml import POLYGON, POLYLINE, STRIP, Allowance, beside, blocks_of, chosen_time
 
-MODULES = {".stl": "stl", ".ply": "ply", ".vtk": "vtk", ".msh": "gmsh", ".mesh": "medit"}
+MODULES = {".stl": "stl", ".ply": "ply", ".vtk": "vtk", ".msh": "gmsh"}
 MEDIT = re.compile(rb"(Dimension|Vertices|Edges|Triangles|Quadrilaterals|Tetrahedra|Prisms|Pyramids|Hexah?edra)\b")
 """Sections of a Medit file that are read."""
 READS_AT_END = 100
@@ -29,16 +29,23 @@ READS_AT_END = 100
 def read_by_meshio(path: Path, how: Reading, name: str) -> Contents:
     """Return the contents of a file with a single time."""
     meshio = imported(name)
-    content = path.read_bytes()
     if how.suffix == ".stl":
-        _require_end(content)
-    with contextlib.redirect_stdout(io.StringIO()), tempfile.NamedTemporaryFile() as copy:
-        source = _WholeFile(content) if how.suffix == ".ply" else str(path)
-        if how.suffix == ".mesh":
-            copy.write(_known_sections(content))
-            copy.flush()
-            source = copy.name
+        _require_end(path.read_bytes())
+    with contextlib.redirect_stdout(io.StringIO()):
+        source = _WholeFile(path.read_bytes()) if how.suffix == ".ply" else str(path)
         return converted(getattr(meshio, MODULES[how.suffix]).read(source))
+
+
+def read_medit(path: Path, how: Reading, name: str) -> Contents:
+    """Return a mesh of Medit in double precision, without what FreeFEM and bamg add, at which meshio stops."""
+    meshio, content = imported(name), path.read_bytes()
+    if not content.rstrip().endswith(b"End"):
+        raise EOFError("the file is cut off")
+    sections = re.split(rb"(?m)^\s*(?=[A-Za-z])", content)
+    with tempfile.NamedTemporaryFile() as copy:
+        copy.write(b"\n".join([b"MeshVersionFormatted 2", *(one for one in sections if MEDIT.match(one)), b""]))
+        copy.flush()
+        return converted(meshio.medit.read(copy.name))
 
 
 def read_msh(path: Path, how: Reading, name: str) -> Contents:
@@ -59,14 +66,6 @@ def read_msh(path: Path, how: Reading, name: str) -> Contents:
     blocks = [Block(kind, rows[:, :-1] - 1, {"label": rows[:, -1]}) for kind, rows in cells.items() if len(rows)]
     places = vertices.reshape(-1, 3)
     return Contents(places[:, :2], tuple(blocks), {"label": places[:, 2]})
-
-
-def _known_sections(content: bytes) -> bytes:
-    """Return a Medit file without what FreeFEM and bamg add, at which meshio stops, and in double precision."""
-    if not content.rstrip().endswith(b"End"):
-        raise EOFError("the file is cut off")
-    sections = re.split(rb"(?m)^\s*(?=[A-Za-z])", content)
-    return b"\n".join([b"MeshVersionFormatted 2", *(one for one in sections if MEDIT.match(one))]) + b"\n"
 
 
 def _require_end(content: bytes) -> None:

@@ -39,7 +39,7 @@ READERS: dict[str, str] = {
     ".stl": _MESH,
     ".ply": _MESH,
     ".msh": "strandline.readers.by_meshio:read_msh",
-    ".mesh": _MESH,
+    ".mesh": "strandline.readers.by_meshio:read_medit",
     ".vtk": "strandline.readers.by_meshio:read_legacy",
     ".frd": "strandline.readers.calculix:read_frd",
     ".json": _JSON,
