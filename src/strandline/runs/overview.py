@@ -16,6 +16,7 @@ from typing import NamedTuple
 from strandline.runs import ledger_schema
 from strandline.runs.ledger_schema import ATTEMPTS, INTERRUPTED, translated
 from strandline.runs.plans import Exclusion, Plan, read_exclusions, read_plan
+from strandline.runs.scratch import exists
 
 OPEN = "open"
 """State of a run that was started and has not ended: under way, or lost with its driver."""
@@ -223,12 +224,8 @@ def is_at_work(pid: int, host: str, lock: Path) -> bool | None:
     """
     if host != socket.gethostname() or os.name != "posix":
         return None
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
+    if not exists(pid):
         return False
-    except PermissionError:
-        pass
     try:
         held = lock.stat()
     except FileNotFoundError:

@@ -52,16 +52,18 @@ def _entries(parent: Path) -> list[str]:
 
 def _lives(pid: int, begun: int) -> bool:
     """Return whether the process `pid` that was started at `begun` still runs; a later one does not count."""
+    return exists(pid) and _begun(pid) in (None, begun)
+
+
+def exists(pid: int) -> bool:
+    """Return whether there is a process of this number, whoever owns it."""
     try:
         os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except OverflowError:
+    except (ProcessLookupError, OverflowError):
         return False
     except PermissionError:
         pass
-    now = _begun(pid)
-    return now is None or now == begun
+    return True
 
 
 def _begun(pid: int) -> int | None:
