@@ -4,6 +4,7 @@ import base64
 import binascii
 import itertools
 import lzma
+import re
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -47,42 +48,20 @@ class Allowance:
                 "write them uncompressed"
             )
 
-    def unzlib(self, data: bytes) -> bytes:
-        """Return data that zlib compressed, unpacked."""
-        unpacker = zlib.decompressobj()
-        return self._whole(unpacker.decompress(data, self._left + 1), lambda: unpacker.eof)
-
-    def unlzma(self, data: bytes) -> bytes:
-        """Return data that lzma compressed, unpacked."""
-        unpacker = lzma.LZMADecompressor(memlimit=4 * ALWAYS_BYTES)
-        return self._whole(unpacker.decompress(data, self._left + 1), lambda: unpacker.eof)
-
-    def _whole(self, found: bytes, at_end: Callable[[], bool]) -> bytes:
+    def unpacked(self, unpacker: Any, data: bytes) -> bytes:
+        """Return compressed data as `unpacker`, a new object of zlib or lzma, unpacks them."""
+        found: bytes = unpacker.decompress(data, self._left + 1)
         self.take(len(found))
-        if not at_end():
+        if not unpacker.eof:
             raise ValueError("its compressed data are cut off")
         return found
 
 
-COMPRESSORS: dict[str, Callable[[Allowance, bytes], bytes]] = {
-    "vtkZLibDataCompressor": Allowance.unzlib,
-    "vtkLZMADataCompressor": Allowance.unlzma,
+UNPACKERS: dict[str, Callable[[], Any]] = {
+    "vtkZLibDataCompressor": zlib.decompressobj,
+    "vtkLZMADataCompressor": partial(lzma.LZMADecompressor, memlimit=4 * ALWAYS_BYTES),
 }
-"""Names in VTK's files → functions that decompress."""
-
-
-TYPES = {
-    "Int8": "i1",
-    "UInt8": "u1",
-    "Int16": "i2",
-    "UInt16": "u2",
-    "Int32": "i4",
-    "UInt32": "u4",
-    "Int64": "i8",
-    "UInt64": "u8",
-    "Float32": "f4",
-    "Float64": "f8",
-}
+"""Names of compressors in VTK's files → functions that make what unpacks their data."""
 
 
 @dataclass(frozen=True)
@@ -92,14 +71,16 @@ class Encoding:
     Args:
         order: Order of the bytes, ``<`` or ``>``.
         header: Type of the counts before binary data.
-        decompress: Function that decompresses, up to the file's allowance; None: not compressed.
+        unpacker: Function that makes what unpacks compressed data; None: not compressed.
+        allowance: Bytes that the data may still take.
         appended: All appended data after the underscore.
         raw: Whether appended data are bytes, not base64.
     """
 
     order: str
-    header: str
-    decompress: Callable[[bytes], bytes] | None
+    header: np.dtype[Any]
+    unpacker: Callable[[], Any] | None
+    allowance: Allowance
     appended: bytes
     raw: bool
 
@@ -107,15 +88,21 @@ class Encoding:
     def of(cls, root: ElementTree.Element, appended: bytes, *, raw: bool, size: int) -> "Encoding":
         """Return the encoding that the root of a file of `size` bytes declares."""
         compressor = root.get("compressor", "")
-        if compressor and compressor not in COMPRESSORS:
+        if compressor and compressor not in UNPACKERS:
             raise ValueError(f"compressed by {compressor}, which is not read; write with zlib or without")
         order = ">" if root.get("byte_order") == "BigEndian" else "<"
-        unpack = partial(COMPRESSORS[compressor], Allowance(size)) if compressor else None
-        return cls(order, TYPES[root.get("header_type", "UInt32")], unpack, appended, raw)
+        header = _dtype(root.get("header_type", "UInt32"), order)
+        return cls(order, header, UNPACKERS.get(compressor), Allowance(size), appended, raw)
 
     def dtype(self, name: str) -> np.dtype[Any]:
         """Return the NumPy type of a VTK type in this file."""
-        return np.dtype(self.order + TYPES[name])
+        return _dtype(name, self.order)
+
+
+def _dtype(name: str, order: str) -> np.dtype[Any]:
+    if not re.fullmatch(r"U?Int(8|16|32|64)|Float(32|64)", name):
+        raise ValueError(f"numbers of the type {name}")
+    return np.dtype(name.lower()).newbyteorder(order)
 
 
 def split(content: bytes) -> tuple[ElementTree.Element, Encoding]:
@@ -185,9 +172,9 @@ class _Bytes:
 
 def _decoded(stream: bytes, encoding: Encoding, *, raw: bool) -> bytes:
     """Return the bytes of one array: counts first, then the data, possibly compressed in blocks."""
-    count, size = np.dtype(encoding.order + encoding.header), int(encoding.header[1])
+    count, size = encoding.header, encoding.header.itemsize
     source = _Bytes(stream, raw=raw)
-    if encoding.decompress is None:
+    if encoding.unpacker is None:
         length = int(np.frombuffer(source.first(size), count)[0])
         if not raw and b"=" in stream[: 4 * -(-size // 3)]:  # the count was encoded separately
             return source.behind(size).first(length)
@@ -197,7 +184,8 @@ def _decoded(stream: bytes, encoding: Encoding, *, raw: bool) -> bytes:
     ends = np.cumsum([0, *header[3:]]).tolist()
     packed = source.behind(size * (3 + blocks)).first(ends[-1])
     try:
-        return b"".join(encoding.decompress(packed[low:high]) for low, high in itertools.pairwise(ends))
+        parts = (packed[low:high] for low, high in itertools.pairwise(ends))
+        return b"".join(encoding.allowance.unpacked(encoding.unpacker(), part) for part in parts)
     except (zlib.error, lzma.LZMAError) as error:
         raise ValueError(f"its compressed data are damaged ({error})") from None
 
