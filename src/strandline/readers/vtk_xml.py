@@ -102,7 +102,7 @@ class Encoding:
 def _dtype(name: str, order: str) -> np.dtype[Any]:
     if not re.fullmatch(r"U?Int(8|16|32|64)|Float(32|64)", name):
         raise ValueError(f"numbers of the type {name}")
-    return np.dtype(name.lower()).newbyteorder(order)
+    return np.dtype(f"{order}{np.dtype(name.lower()).str[1:]}")
 
 
 def split(content: bytes) -> tuple[ElementTree.Element, Encoding]:
