@@ -21,7 +21,7 @@ from verification.benchmarks.forward import Figure, peak_memory
 
 from strandline import Currents, Interface, NormalOffset, PointErrors
 from strandline.discrepancy import squared_discrepancies
-from strandline.discrepancy.search.nearest import squared_distances
+from strandline.discrepancy.nearest import squared_distances
 
 WIDE, NARROW = 0.3, 0.01
 NODES, MANY_NODES, TARGET_NODES = 72, 225, 201

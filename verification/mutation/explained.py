@@ -50,21 +50,21 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
         "Scales the axes of the parabola, whose fit does not depend on it, unless inputs are exactly dependent."
     ),
     ("design/active/parabola.py", "1e-12", "(2e-12)"): "Only a floor that keeps the logarithm of a variance finite.",
-    ("discrepancy/contours/repeats.py", "one.lengths.sum()", "(one.lengths.mean())"): (
+    ("discrepancy/repeats.py", "one.lengths.sum()", "(one.lengths.mean())"): (
         "Takes another contour for the reference; they are compared only where all of them have points."
     ),
-    ("discrepancy/extents.py", "1", "(2)"): "Tells ratios of at least 10 from those of at most 1/10.",
+    ("discrepancy/comparison.py", "1", "(2)"): "Tells ratios of at least 10 from those of at most 1/10.",
     ("discrepancy/normal_offset.py", *_OF_SIDES): "Half or a third of a sum of which only the sign counts.",
-    ("discrepancy/products/kernel_sums.py", "8", "(9)"): "Tiles of another size: the same sum, as fast or slower.",
-    ("discrepancy/products/kernel_sums.py", "x[i] - y[i]", "(y[i] - x[i])"): "It is squared.",
-    ("discrepancy/products/surface_integrals.py", "200", "(201)"): "One more term of a series that has converged.",
-    ("discrepancy/registration.py", "True", "(False)"): "The first estimate from all points, not from some: slower.",
-    ("discrepancy/search/blocks.py", "some.mean(axis=0)", "(some.sum(axis=0))"): (
+    ("discrepancy/kernel_sums.py", "8", "(9)"): "Tiles of another size: the same sum, as fast or slower.",
+    ("discrepancy/kernel_sums.py", "x[i] - y[i]", "(y[i] - x[i])"): "It is squared.",
+    ("discrepancy/kernel_integrals.py", "200", "(201)"): "One more term of a series that has converged.",
+    ("discrepancy/normal_offset.py", "True", "(False)"): "The first estimate from all points, not from some: slower.",
+    ("discrepancy/many_distances.py", "some.mean(axis=0)", "(some.sum(axis=0))"): (
         "Other runs share a block: any do, but it takes longer."
     ),
-    ("discrepancy/search/nearest.py", "0", "(1)"): "A tree of two leaves for few cells: the same cells are nearest.",
-    ("discrepancy/search/sieve.py", "_cross(p, tangent) - across", "(across - _cross(p, tangent))"): "It is squared.",
-    ("discrepancy/search/signed_sums.py", "points.mean(axis=0)", "(points.sum(axis=0))"): (
+    ("discrepancy/nearest.py", "0", "(1)"): "A tree of two leaves for few cells: the same cells are nearest.",
+    ("discrepancy/nearest.py", "_cross(p, tangent) - across", "(across - _cross(p, tangent))"): "It is squared.",
+    ("discrepancy/many_distances.py", "points.mean(axis=0)", "(points.sum(axis=0))"): (
         "Coordinates from another origin: only the rounding differs."
     ),
     ("likelihood/field.py", "measure = measure.tolerating(one.noise.scale, seen.interface)", "pass"): (
@@ -75,7 +75,7 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
     ),
     ("likelihood/joint_errors.py", "True", "(False)"): "Only refuses lists of different lengths, which never come.",
     ("likelihood/nearby.py", "True", "(False)"): "Only refuses lists of different lengths, which never come.",
-    ("surrogate/field/modes.py", "True", "(False)"): "The same sum in another order, which takes longer.",
+    ("surrogate/field/warping.py", "True", "(False)"): "The same sum in another order, which takes longer.",
     ("likelihood/learnt.py", "log_density if is_on_host(log_density) else jax.jit(log_density)", "(log_density)"): (
         "The same function, not compiled."
     ),
@@ -86,21 +86,21 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
     ("smc/moves.py", "positions - weights @ positions", "(weights @ positions - positions)"): (
         "Only products of two of them count."
     ),
-    ("surrogate/field/derivative_kernel.py", "0", "(1)"): "Fills rows that are not there.",
+    ("surrogate/field/mode_process.py", "0", "(1)"): "Fills rows that are not there.",
     ("smc/resampling.py", *_OF_SHARES): "The last cumulative share is 1 to rounding.",
     ("surrogate/field/projection.py", "1e-12", "(2e-12)"): "Only holds parts without a rim, however weakly.",
-    ("discrepancy/direction.py", *_OF_MIDDLES): "Only its length counts.",
+    ("discrepancy/comparison.py", *_OF_MIDDLES): "Only its length counts.",
     ("discrepancy/measurement_lines.py", "np.abs(lines).max()", "(np.abs(lines).min())"): (
         "A margin for rounding, still far above it."
     ),
     ("discrepancy/normal_offset.py", "len(points) >= FEWEST", "(len(points) < FEWEST)"): (
         "Many interfaces one by one, few at once: the same sums by the other way."
     ),
-    ("discrepancy/products/kernel_sums.py", "True", "(False)"): "Only refuses lists of different lengths.",
-    ("discrepancy/products/many_currents.py", "-math.log10(share)", "(math.log10(share))"): (
+    ("discrepancy/kernel_sums.py", "True", "(False)"): "Only refuses lists of different lengths.",
+    ("discrepancy/many_currents.py", "-math.log10(share)", "(math.log10(share))"): (
         "Begins with the order that the bound requires: slower."
     ),
-    ("discrepancy/search/many_distances.py", "True", "(False)"): "Only refuses lists of different lengths.",
+    ("discrepancy/many_distances.py", "True", "(False)"): "Only refuses lists of different lengths.",
     ("likelihood/interfaces.py", "True", "(False)"): "Only refuses lists of different lengths.",
     ("posterior/kde.py", "1e-12", "(2e-12)"): "No number of the cube is so near 0 or 1.",
     ("posterior/kde.py", "-weights", "(weights)"): "The same term for every bandwidth.",
@@ -148,40 +148,40 @@ EXPLAINED_ON_LINE: dict[tuple[str, str, str, str], str] = {
     ("design/active/active_design.py", "len(self._not_looked_at(x, 1)) > 0", "1", "(2)"): (
         "Only whether there are places to look at counts, not how many."
     ),
-    ("design/active/cost.py", "np.linspace(-1.0, 1.0, number)", *_OF_SPREAD): "The same interfaces in reverse order.",
+    ("design/active/sampling.py", "np.linspace(-1.0, 1.0, number)", *_OF_SPREAD): (
+        "The same interfaces in reverse order."
+    ),
     ("design/active/parabola.py", "part = max(int(np.searchsorted(freedom,", *_OF_HALF): (
         "One more draw among those that count most."
     ),
-    ("discrepancy/contours/repeats.py", "half = max(len(path) // (2 * PIECES), 2)", "2", "(3)"): (
+    ("discrepancy/repeats.py", "half = max(len(path) // (2 * PIECES), 2)", "2", "(3)"): (
         "The reference outline is smoothed over a somewhat different window."
     ),
     ("discrepancy/normal_offset.py", "if found is None:", "found is None", "(False)"): (
         "Then the interfaces are compared one by one: slower."
     ),
-    ("discrepancy/products/kernel_integrals.py", "reach = math.inf if", *_OF_PAIRS): (
+    ("discrepancy/kernel_integrals.py", "reach = math.inf if", *_OF_PAIRS): (
         "Pairs that together count for less than 1e-12 are left out of more or of fewer sums."
     ),
-    ("discrepancy/products/kernel_integrals.py", "log_bound = math.log(4)", "4", "(5)"): (
+    ("discrepancy/kernel_integrals.py", "log_bound = math.log(4)", "4", "(5)"): (
         "A bound that is a quarter larger: at most one more point of the rule."
     ),
-    ("discrepancy/products/kernel_integrals.py", "near = beyond**2 + off**2", *_OF_DISTANCE): (
+    ("discrepancy/kernel_integrals.py", "near = beyond**2 + off**2", *_OF_DISTANCE): (
         "Pairs are kept that are too far apart to count: slower."
     ),
-    ("discrepancy/search/nearest.py", "size = max(1, BLOCK // len(target.cells))", "1", "(2)"): (
+    ("discrepancy/nearest.py", "size = max(1, BLOCK // len(target.cells))", "1", "(2)"): (
         "Blocks of another size: the same result."
     ),
-    ("discrepancy/search/nearest.py", "above * above + beside * beside", *_OF_CYLINDERS): (
+    ("discrepancy/nearest.py", "above * above + beside * beside", *_OF_CYLINDERS): (
         "A lower bound of the distance, which is lower still: more boxes are tried."
     ),
     (
-        "discrepancy/search/sieve.py",
+        "discrepancy/nearest.py",
         "_SLACK * (1 + size)",
         "1",
         "(2)",
     ): "More room for rounding: more segments are tried.",
-    ("discrepancy/search/sieve.py", "np.where(lengths > 0, lengths, 1.0)", "1.0", "(2.0)"): (
-        "Divides a vector of zeros."
-    ),
+    ("discrepancy/nearest.py", "np.where(lengths > 0, lengths, 1.0)", "1.0", "(2.0)"): ("Divides a vector of zeros."),
     ("discrepancy/tracked_points.py", "(simulated.points - observed.points) ** 2", *_OF_NODES): "It is squared.",
     ("likelihood/inferred_noise.py", "log_density[1:] -= np.log(max(len(log_density) - 1, 1))", "1", "(2)"): (
         "There is no error of the model to compare, or there are many."
@@ -207,15 +207,15 @@ EXPLAINED_ON_LINE: dict[tuple[str, str, str, str], str] = {
     ("surrogate/field/mode_process.py", "rows = len(observed.z) *", *_OF_ROWS): "More starts are tried: slower.",
     ("posterior/uniformity.py", "np.random.default_rng(0)", "0", "(1)"): "Other random numbers; any will do.",
     ("discrepancy/measurement_lines.py", "beyond(-side, 0.0)", "0.0", "(1.0)"): "More segments are tried: slower.",
-    ("discrepancy/products/kernel_integrals.py", "reach = width * math.sqrt(2", "1.0", "(2.0)"): (
+    ("discrepancy/kernel_integrals.py", "reach = width * math.sqrt(2", "1.0", "(2.0)"): (
         "Pairs are kept that are too far apart to count: slower."
     ),
-    ("discrepancy/products/kernel_sums.py", "length = max(1 <<", "1", "(2)"): "More padding: slower.",
-    ("discrepancy/search/local_means.py", "(around - middle) @ normal", "around - middle", "(around)"): (
+    ("discrepancy/kernel_sums.py", "length = max(1 <<", "1", "(2)"): "More padding: slower.",
+    ("discrepancy/normal_offset.py", "(around - middle) @ normal", "around - middle", "(around)"): (
         "Of the parabola only the bend counts, which no shift changes."
     ),
-    ("discrepancy/search/nearest.py", "self.rounding = _SLACK[1]", "0.0", "(1.0)"): "A larger margin for rounding.",
-    ("discrepancy/search/nearest.py", "apart = np.maximum(np.maximum(low[k]", *_OF_BOXES): (
+    ("discrepancy/nearest.py", "self.rounding = _SLACK[1]", "0.0", "(1.0)"): "A larger margin for rounding.",
+    ("discrepancy/nearest.py", "apart = np.maximum(np.maximum(low[k]", *_OF_BOXES): (
         "A lower bound of the distance, which is lower still: more boxes are tried."
     ),
     ("likelihood/inferred_noise.py", "else 0.1) * rms, 4 * rms", "4", "(5)"): "The grid ends where nothing is left.",

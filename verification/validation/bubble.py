@@ -31,7 +31,7 @@ from verification.validation.tables import Table
 
 from strandline.imaging import find_edge
 from strandline.interface import PointErrors, UnknownErrors
-from strandline.numerics.precision import use_double
+from strandline.numerics.threads import use_double
 from strandline.posterior import Posterior
 from strandline.runs import InProcess
 from strandline.studies import load_result, load_study, run_study

@@ -30,8 +30,7 @@ from strandline.calibration.model_comparison import ModelComparison, averaged
 from strandline.design import sobol
 from strandline.design.active import Knowledge, learn
 from strandline.likelihood import FieldLikelihood
-from strandline.numerics.one_thread import one_thread
-from strandline.numerics.precision import use_double
+from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior.weighted import Weighted
 
 LAWS = ("saint_venant_kirchhoff", "neo_hookean")

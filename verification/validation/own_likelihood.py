@@ -26,8 +26,7 @@ from strandline.calibration.source import prior_source
 from strandline.discrepancy import NormalOffset
 from strandline.interface import GaussianNoise, PointErrors
 from strandline.likelihood.set_aside import Judge
-from strandline.numerics.one_thread import one_thread
-from strandline.numerics.precision import use_double
+from strandline.numerics.threads import one_thread, use_double
 from strandline.questions.knowledge import runs_to_learn_from
 from strandline.studies import Study, load_study
 from strandline.studies.first_run import observations_of

@@ -26,7 +26,7 @@ from strandline.errors import InvalidInput
 from strandline.imaging.edge import EDGES, Edge, find_edge
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood import FieldLikelihood
-from strandline.numerics.precision import use_double
+from strandline.numerics.threads import use_double
 from strandline.posterior.uniformity import coverage_of, uniformity
 from strandline.surrogate.field import FieldSurrogate
 

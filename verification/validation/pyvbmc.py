@@ -38,7 +38,7 @@ from strandline.design.active import Active, learn, posterior_state
 from strandline.design.active.choice import choose
 from strandline.errors import TooFewRuns
 from strandline.likelihood import InterfaceLikelihood
-from strandline.numerics.one_thread import one_thread
+from strandline.numerics.threads import one_thread
 
 OUTPUT = Path(__file__).parent / "output"
 PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "pyvbmc.md"

@@ -19,7 +19,7 @@ from strandline.calibration.importance_sampler import Pool, effective_size, fitt
 from strandline.calibration.log_densities import prior_and_posterior
 from strandline.design import sobol
 from strandline.design.active import Knowledge
-from strandline.numerics.one_thread import one_thread
+from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.posterior import systematic_indices
 from strandline.posterior.weighted import Weighted

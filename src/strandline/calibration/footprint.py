@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from strandline.discrepancy.search.nearest import closest_points
+from strandline.discrepancy.nearest import closest_points
 from strandline.interface import Interface
 
 __all__ = ["Footprint", "footprint"]

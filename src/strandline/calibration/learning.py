@@ -22,7 +22,7 @@ from strandline.errors import NoCommonPoints, NumericsError, TooFewRuns
 from strandline.interface import UnknownErrors
 from strandline.likelihood.set_aside import Judge, SetAside
 from strandline.models.fidelities import WithCheaper, first_runs
-from strandline.numerics.one_thread import one_thread
+from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior
 from strandline.runs import (

@@ -26,7 +26,7 @@ from strandline.calibration.sampler_check import compare_halves
 from strandline.calibration.targets import Target
 from strandline.likelihood.inferred_noise import require_inferable
 from strandline.models.protocol import require_conditions
-from strandline.numerics.precision import use_double
+from strandline.numerics.threads import use_double
 from strandline.parameters import ParameterSpace
 from strandline.posterior import GaussianApproximation, SobolIndices, laplace, log_prior_hessian, sobol_indices
 from strandline.runs import Executor, InProcess, Ledger

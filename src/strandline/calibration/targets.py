@@ -20,7 +20,7 @@ from strandline.design.active import Certificate, FieldOutcome, Knowledge, Varia
 from strandline.design.refinement import SAMPLING
 from strandline.likelihood import OnHost, evaluated, predicted
 from strandline.likelihood.mixture import Mixture
-from strandline.numerics.one_thread import one_thread
+from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Cut, Posterior
 from strandline.posterior.quadrature import QuadratureResult, integrate

@@ -1,11 +1,17 @@
 """Discrepancies d² between a simulated and an observed interface, one measure per file."""
 
 from strandline.discrepancy.closest_point import ClosestPoint
-from strandline.discrepancy.contours import Repeats, Roughness, errors_from_repeats, errors_from_roughness
+from strandline.discrepancy.comparison import (
+    apart,
+    count_of_distances,
+    extent,
+    extent_ratio,
+    noise_units,
+    oriented_like_runs,
+    unit_mistake,
+)
+from strandline.discrepancy.contours import Roughness, errors_from_roughness
 from strandline.discrepancy.currents import Currents
-from strandline.discrepancy.direction import oriented_like_runs
-from strandline.discrepancy.extents import extent, extent_ratio, unit_mistake
-from strandline.discrepancy.many import squared_discrepancies
 from strandline.discrepancy.measurement_lines import LineReadings, MeasurementLines
 from strandline.discrepancy.normal_offset import NormalOffset, WhitenedOffset, signed_distances
 from strandline.discrepancy.protocol import (
@@ -19,9 +25,10 @@ from strandline.discrepancy.protocol import (
     KnowsPointErrors,
     Whitens,
     independent_terms,
+    squared_discrepancies,
     unit_of,
 )
-from strandline.discrepancy.residuals import apart, count_of_distances, noise_units
+from strandline.discrepancy.repeats import Repeats, errors_from_repeats
 from strandline.discrepancy.tracked_points import TrackedPoints
 
 __all__ = [

@@ -6,9 +6,9 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
+from strandline.discrepancy.many_distances import sums_of_squares
+from strandline.discrepancy.nearest import squared_distances
 from strandline.discrepancy.protocol import require_alike
-from strandline.discrepancy.search.many_distances import sums_of_squares
-from strandline.discrepancy.search.nearest import squared_distances
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, PointErrors, spacings, steady_lengths
 

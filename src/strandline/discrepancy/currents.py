@@ -8,11 +8,14 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from strandline.discrepancy.memo import Snapshot
-from strandline.discrepancy.products.kernel_integrals import centre_product, natural_scale, refined_product
-from strandline.discrepancy.products.many_currents import Rule, currents_of_many
-from strandline.discrepancy.products.surface_integrals import refined_surface_product
-from strandline.discrepancy.protocol import require_alike, require_same_direction
+from strandline.discrepancy.kernel_integrals import (
+    centre_product,
+    natural_scale,
+    refined_product,
+    refined_surface_product,
+)
+from strandline.discrepancy.many_currents import Rule, currents_of_many
+from strandline.discrepancy.protocol import Snapshot, require_alike, require_same_direction
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, PointErrors, spacings
 

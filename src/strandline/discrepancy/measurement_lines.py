@@ -9,9 +9,8 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from strandline.discrepancy.memo import Snapshot
-from strandline.discrepancy.protocol import require_polylines
-from strandline.discrepancy.search.blocks import motion, similar
+from strandline.discrepancy.many_distances import motion, similar
+from strandline.discrepancy.protocol import Snapshot, require_polylines
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, PointErrors, normals_at, steady_lengths
 

@@ -1,29 +1,13 @@
-"""Protocols of discrepancies."""
+"""Protocols of discrepancies, how to call them, and keys by which interfaces and measures are recognised."""
 
-from typing import Protocol, runtime_checkable
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface, PointErrors
-
-__all__ = [
-    "AdaptsToErrors",
-    "ComparesMany",
-    "CountsDistances",
-    "Discrepancy",
-    "FollowsOffsets",
-    "HasTerms",
-    "HasTolerance",
-    "KnowsPointErrors",
-    "Whitens",
-    "independent_terms",
-    "require_alike",
-    "require_polylines",
-    "require_same_direction",
-    "unit_of",
-]
 
 
 @runtime_checkable
@@ -182,3 +166,48 @@ def require_same_direction(simulated: Interface, observed: Interface) -> None:
             expected="both run through from the same end, or facing the same side",
             remedy="Turn the observed interface round: oriented_like(observed, simulated).",
         )
+
+
+def squared_discrepancies(
+    measure: Discrepancy, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
+) -> Float[np.ndarray, " run"]:
+    """Return d² of each interface with these points and the cells of `template`.
+
+    The orientation is that of the template.
+
+    Raises:
+        InvalidInterface: as the measure does.
+    """
+    found = measure.many(points, template, observed) if isinstance(measure, ComparesMany) and len(points) else None
+    if found is not None:
+        return np.asarray(found)
+    return np.array([measure(Interface(row, template.cells), observed) for row in points], float)
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """An interface that equals another with the same points and cells: a key for `functools.lru_cache`.
+
+    A copy in another process is recognised as the same interface; an array that was modified is not.
+    """
+
+    content: bytes
+    interface: Interface = field(compare=False)
+
+    @classmethod
+    def of(cls, interface: Interface) -> "Snapshot":
+        """Return the key of `interface` as it is now."""
+        return cls(interface.points.tobytes() + interface.cells.tobytes(), interface)
+
+
+@dataclass(frozen=True)
+class MeasureKey:
+    """A measure that equals another of the same type that prints the same: a key for `functools.lru_cache`."""
+
+    text: str
+    measure: Any = field(compare=False)
+
+    @classmethod
+    def of(cls, measure: Any) -> "MeasureKey":
+        """Return the key of a measure; one that prints its address equals only itself."""
+        return cls(f"{type(measure).__module__}.{measure!r}", measure)

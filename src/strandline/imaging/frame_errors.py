@@ -13,7 +13,7 @@ from itertools import islice
 import numpy as np
 from jaxtyping import Bool, Int
 
-from strandline.discrepancy.contours.repeats import Repeats, errors_from_repeats
+from strandline.discrepancy.repeats import Repeats, errors_from_repeats
 from strandline.imaging.checked import named
 from strandline.imaging.edge import Edge
 from strandline.imaging.edge_checks import require_edge

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.discrepancy import AdaptsToErrors, Discrepancy, Whitens
-from strandline.discrepancy.memo import MeasureKey, Snapshot
 from strandline.discrepancy.normal_offset import WhitenedOffset
+from strandline.discrepancy.protocol import MeasureKey, Snapshot
 from strandline.interface import GaussianNoise, Noise, Observation, PointErrors, UnknownErrors
 from strandline.likelihood.noise_rule import noise_variance
 from strandline.likelihood.registered import Registered, curvature_inverse

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from scipy.stats import qmc
 
 from strandline.discrepancy import Discrepancy, HasTolerance, NormalOffset, count_of_distances, squared_discrepancies
-from strandline.discrepancy.memo import MeasureKey, Snapshot
+from strandline.discrepancy.protocol import MeasureKey, Snapshot
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, Noise, Observation, PointErrors
 from strandline.likelihood.compared import compared, errors_of

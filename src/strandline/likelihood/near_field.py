@@ -15,9 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.sparse import csr_array
 
-from strandline.discrepancy.normal_offset import extended
-from strandline.discrepancy.registration import Sums
-from strandline.discrepancy.search.nearest import closest_points
+from strandline.discrepancy.nearest import closest_points
+from strandline.discrepancy.normal_offset import Sums, extended
 from strandline.interface import ErrorModel, Interface
 from strandline.likelihood.joint_errors import JointErrors
 from strandline.surrogate.field import FieldSurrogate

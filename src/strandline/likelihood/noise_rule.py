@@ -18,8 +18,8 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.discrepancy import Discrepancy, KnowsPointErrors, squared_discrepancies
-from strandline.discrepancy.contours.paths import path_of, smoothed
-from strandline.discrepancy.memo import MeasureKey, Snapshot
+from strandline.discrepancy.contours import path_of, smoothed
+from strandline.discrepancy.protocol import MeasureKey, Snapshot
 from strandline.errors import InvalidInput, NumericsError
 from strandline.interface import Interface, PointErrors, arc_lengths, point_normals, spacings, steady_lengths
 
@@ -180,7 +180,7 @@ def _pairs(dim: int) -> list[tuple[int, int]]:
 
 def _seen(simulated: Interface, observed: Interface) -> Interface:
     """Return the simulated interface with as many points as the observed one, over the part that was observed."""
-    from strandline.discrepancy.search.nearest import closest_points
+    from strandline.discrepancy.nearest import closest_points
 
     points = closest_points(observed.points, simulated).points
     try:

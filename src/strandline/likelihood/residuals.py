@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.discrepancy import signed_distances
-from strandline.discrepancy.normal_offset import extended, weighted_sums
-from strandline.discrepancy.registration import Rows, Sums, linear_sums
+from strandline.discrepancy.normal_offset import Rows, Sums, extended, linear_sums, weighted_sums
 from strandline.interface import ErrorModel, Interface
 from strandline.likelihood.joint_errors import JointErrors, Points
 

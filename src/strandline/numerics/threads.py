@@ -1,4 +1,4 @@
-"""Work split into parts and done by several threads, with results in the order of the parts.
+"""Threads for work in parts, one thread for BLAS, and JAX in double precision.
 
 Threads compute at the same time because NumPy and compiled functions release the interpreter lock. Their number is
 ``OMP_NUM_THREADS``, which limits BLAS as well; by default, it is the number of cores of the process.
@@ -8,12 +8,14 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import lru_cache
-from typing import TypeVar
+from contextlib import AbstractContextManager
+from functools import cache, lru_cache
+from typing import Any, TypeVar
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
-__all__ = ["double", "side_by_side", "threads"]
+from strandline.errors import InvalidInput
 
 Part = TypeVar("Part")
 Result = TypeVar("Result")
@@ -66,3 +68,33 @@ def threads() -> int:
     if limit.isdigit() and int(limit) > 0:
         return int(limit)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def one_thread() -> AbstractContextManager[Any]:
+    """Return a context in which BLAS computes on one thread."""
+    return _controller().limit(limits=1)  # type: ignore[no-any-return]
+
+
+@cache
+def _controller() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+def use_double() -> None:
+    """Switch JAX to double precision for the whole process, unless it already uses it.
+
+    Raises:
+        InvalidInput: JAX stays in single precision, for example inside ``with jax.enable_x64(False)``.
+    """
+    import jax
+
+    if double():
+        return
+    jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]
+    if not double():
+        raise InvalidInput(
+            "precision of JAX",
+            value="float32",
+            expected="float64",
+            remedy='Leave `with jax.enable_x64(False)`, or call jax.config.update("jax_enable_x64", True) first.',
+        )

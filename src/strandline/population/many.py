@@ -18,8 +18,7 @@ from typing import IO, Any
 from strandline.discrepancy import Discrepancy
 from strandline.errors import InvalidInput, NumericsError
 from strandline.interface import Observation
-from strandline.numerics.one_thread import one_thread
-from strandline.numerics.precision import use_double
+from strandline.numerics.threads import one_thread, use_double
 from strandline.population.specimen import SpecimenPosterior, posterior_of
 from strandline.population.start import Start
 from strandline.runs.executors import usable_cores

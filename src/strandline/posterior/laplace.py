@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.errors import InvalidInput, NumericsError
-from strandline.numerics.precision import use_double
+from strandline.numerics.threads import use_double
 from strandline.parameters import ParameterSpace
 from strandline.posterior.gaussian import GaussianApproximation
 

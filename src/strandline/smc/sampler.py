@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from strandline.errors import NumericsError
 from strandline.numerics.compiled import WIDEST
-from strandline.numerics.precision import use_double
+from strandline.numerics.threads import use_double
 from strandline.smc.devices import spread
 from strandline.smc.moves import NARROWEST, BatchedLogDensity, RandomKey
 from strandline.smc.on_host import advance_on_host, is_on_host

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from strandline.design.active import SLOW_BATCH, seconds_of_a_batch
 from strandline.discrepancy import Discrepancy, apart, extent, oriented_like_runs
-from strandline.discrepancy.search.nearest import squared_distances
+from strandline.discrepancy.nearest import squared_distances
 from strandline.errors import ForwardModelError, InvalidInput, NumericsError
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import InterfaceLikelihood, compared, errors_of, noise_length, sd_of_distances

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.discrepancy import ClosestPoint, Discrepancy, MeasurementLines, NormalOffset
-from strandline.discrepancy.contours.paths import path_of
+from strandline.discrepancy.contours import path_of
+from strandline.discrepancy.nearest import closest_points
 from strandline.discrepancy.normal_offset import BEYOND as BEYOND_END
-from strandline.discrepancy.search.nearest import closest_points
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood.compared import adapted, errors_of
 from strandline.runs import RunRecord

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from strandline.discrepancy import DISCREPANCIES, Discrepancy
-from strandline.discrepancy.residuals import apart
+from strandline.discrepancy.comparison import apart
 from strandline.errors import InvalidInput, InvalidStudy, LedgerError
 from strandline.models import MODELS
 from strandline.models.fidelities import CHEAPER, WithCheaper, by_cheaper

@@ -1,6 +1,5 @@
 """Gaussian-process surrogates."""
 
-from strandline.surrogate.convergence import STUDY_SIZES, Convergence, convergence_study
 from strandline.surrogate.gaussian_process import GaussianProcess, batched_mean, condition
 from strandline.surrogate.hyperparameters import (
     Attempt,
@@ -10,9 +9,20 @@ from strandline.surrogate.hyperparameters import (
     fit_hyperparameters,
 )
 from strandline.surrogate.kernels import KERNELS, Kernel, LengthScale
-from strandline.surrogate.log_likelihood import LogLikelihoodSurrogate, fit_log_likelihood, fit_of_the_user
-from strandline.surrogate.predictor import Fit, HasHessian, Predictor, fit_named
-from strandline.surrogate.validation import Validation, validate
+from strandline.surrogate.log_likelihood import (
+    STUDY_SIZES,
+    Convergence,
+    Fit,
+    HasHessian,
+    LogLikelihoodSurrogate,
+    Predictor,
+    Validation,
+    convergence_study,
+    fit_log_likelihood,
+    fit_named,
+    fit_of_the_user,
+    validate,
+)
 
 __all__ = [
     "KERNELS",

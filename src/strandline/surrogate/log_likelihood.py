@@ -1,19 +1,150 @@
 """Surrogates of the log-likelihood over the physical inputs: the study's Gaussian process, or the user's own."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
+from scipy.special import logsumexp
 
 from strandline.errors import InvalidInput
-from strandline.surrogate.gaussian_process import condition, standardisation
+from strandline.numerics.linear_algebra import invert
+from strandline.registry import imported
+from strandline.surrogate.gaussian_process import GaussianProcess, condition, standardisation
 from strandline.surrogate.hyperparameters import FittedHyperparameters, fit_hyperparameters, require_runs
 from strandline.surrogate.kernels import kernel_named
-from strandline.surrogate.predictor import Fit, Predictor
-from strandline.surrogate.validation import Validation, cross_validate, validate
 
-__all__ = ["NUGGET_SHARE", "LogLikelihoodSurrogate", "fit_log_likelihood", "fit_of_the_user"]
+
+@runtime_checkable
+class Predictor(Protocol):
+    """A function learnt from values at the inputs of runs; a `GaussianProcess` is one.
+
+    All inputs are physical. `HasHessian` describes what else it may offer.
+    """
+
+    def mean(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+        """Return the predicted values."""
+        ...
+
+    def variance(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+        """Return the variances of the predicted values, not negative."""
+        ...
+
+
+@runtime_checkable
+class HasHessian(Protocol):
+    """A predictor that knows its second derivatives; for others, central differences are used."""
+
+    def hessian(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "point dim dim"]:
+        """Return the Hessian of the mean."""
+        ...
+
+
+Fit = Callable[[Float[np.ndarray, "run dim"], Float[np.ndarray, " run"]], Predictor]
+"""A function that learns from inputs (run, dim) and values (run,)."""
+
+
+def fit_named(name: str, *, what: str = "name of the surrogate") -> Fit:
+    """Return the function ``module:name`` that learns a surrogate; `what` names it in messages.
+
+    Raises:
+        InvalidInput: There is no such function.
+    """
+    found: Any = imported(name, what)
+    if not callable(found):
+        raise InvalidInput(
+            what,
+            value=name,
+            expected="a function of inputs (run, dim) and log-likelihoods (run,) that returns a surrogate",
+            remedy="Check it with strandline.testing.surrogates.",
+        )
+    return found  # type: ignore[no-any-return]
+
+
+NEAR_MODE_WINDOW = 10.0
+NEAR_MODE_COUNT = 10
+FOLDS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """How well each training run is predicted from others that do not include it.
+
+    For a Gaussian process these are all others, with hyperparameters and centring fixed; else nine tenths of the runs.
+
+    Runs near the mode are those whose target lies within `NEAR_MODE_WINDOW` of the largest one, and always the
+    `NEAR_MODE_COUNT` best.
+
+    Args:
+        residuals: target minus its leave-one-out prediction.
+        standardised_residuals: residuals over their predictive standard deviation (with the nugget).
+        near_mode: which runs lie near the mode.
+        loo_rms: root mean square of the residuals.
+        loo_rms_near_mode: the same near the mode: the error that affects a posterior.
+        near_mode_count: number of runs near the mode.
+        standardised_rms: root mean square of the standardised residuals; near 1 if the variance is realistic.
+        standardised_rms_near_mode: the same near the mode.
+    """
+
+    residuals: Float[np.ndarray, " run"]
+    standardised_residuals: Float[np.ndarray, " run"]
+    near_mode: Bool[np.ndarray, " run"]
+    loo_rms: float
+    loo_rms_near_mode: float
+    near_mode_count: int
+    standardised_rms: float
+    standardised_rms_near_mode: float
+
+
+def validate(gp: GaussianProcess, y: Float[np.ndarray, " run"]) -> Validation:
+    """Return the leave-one-out residuals r_i = α_i / (K⁻¹)_ii of `gp`, whose training targets were `y`."""
+    inverse = gp.cholesky.copy(order="F")
+    invert(inverse)
+    precision = np.diagonal(inverse)
+    return _validation(gp.alpha / precision, gp.alpha / np.sqrt(precision), y)
+
+
+def cross_validate(
+    fit: Callable[[Float[np.ndarray, "run dim"], Float[np.ndarray, " run"]], Predictor],
+    x: Float[np.ndarray, "run dim"],
+    y: Float[np.ndarray, " run"],
+) -> Validation:
+    """Return the residuals of every tenth run, learnt from the others, for all ten tenths."""
+    residuals, variances = np.empty(len(y)), np.empty(len(y))
+    for k in range(min(FOLDS, len(y))):
+        left_out = np.arange(len(y)) % FOLDS == k
+        learnt = fit(x[~left_out], y[~left_out])
+        residuals[left_out] = y[left_out] - learnt.mean(x[left_out])
+        variances[left_out] = learnt.variance(x[left_out])
+    return _validation(residuals, residuals / np.sqrt(np.maximum(variances, np.finfo(float).tiny)), y)
+
+
+def _validation(
+    residuals: Float[np.ndarray, " run"], standardised: Float[np.ndarray, " run"], y: Float[np.ndarray, " run"]
+) -> Validation:
+    near = _near_mode(y)
+    return Validation(
+        residuals=residuals,
+        standardised_residuals=standardised,
+        near_mode=near,
+        loo_rms=_rms(residuals),
+        loo_rms_near_mode=_rms(residuals[near]),
+        near_mode_count=int(near.sum()),
+        standardised_rms=_rms(standardised),
+        standardised_rms_near_mode=_rms(standardised[near]),
+    )
+
+
+def _near_mode(y: Float[np.ndarray, " run"]) -> Bool[np.ndarray, " run"]:
+    tenth_best = np.sort(y)[-min(NEAR_MODE_COUNT, len(y))]
+    return np.asarray(y >= min(tenth_best, y.max() - NEAR_MODE_WINDOW))
+
+
+def _rms(values: Float[np.ndarray, " value"]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
 
 NUGGET_SHARE = 1e-5
 
@@ -111,4 +242,83 @@ def _require_one_each(x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " ot
             value=f"{len(x)} inputs and {len(y)} log-likelihoods",
             expected="one log-likelihood for each run",
             remedy="Pass the successful runs only, in the same order.",
+        )
+
+
+STUDY_SIZES = (100, 200, 500, 1000, 2000, 5000)
+
+
+@dataclass(frozen=True, eq=False)
+class Convergence:
+    """Relative L² errors of the surrogate's mean at test points, by the number of training runs.
+
+    Args:
+        sizes: numbers of training runs.
+        log_likelihood: ‖m - 𝓛‖ / ‖𝓛‖ of the posterior mean m.
+        likelihood: ‖exp m - L‖ / ‖L‖; dominated by the few test points of high likelihood.
+    """
+
+    sizes: Int[np.ndarray, " size"]
+    log_likelihood: Float[np.ndarray, " size"]
+    likelihood: Float[np.ndarray, " size"]
+
+
+def convergence_study(
+    x: Float[np.ndarray, "run dim"],
+    log_likelihood: Float[np.ndarray, " run"],
+    x_test: Float[np.ndarray, "point dim"],
+    log_likelihood_test: Float[np.ndarray, " point"],
+    *,
+    sizes: Sequence[int] | None = None,
+    kernel: str = "matern32",
+) -> Convergence:
+    """Fit surrogates to more and more of the first runs, and compare each with the truth at the test points.
+
+    Args:
+        x: Physical inputs of the successful runs, in the order of the Sobol sequence.
+        log_likelihood: Log-likelihoods of these runs.
+        x_test: Physical inputs of test runs, none of them in `x`; the study takes 100 from later in the sequence.
+        log_likelihood_test: Log-likelihoods of the test runs.
+        sizes: Numbers of training runs; by default those of `STUDY_SIZES` for which there are runs.
+        kernel: A name in `KERNELS`.
+
+    Raises:
+        InvalidInput: more training runs asked for than given, or no test points.
+        TooFewRuns: fewer than dim + 2 runs in one of the fits.
+        NumericsError: hyperparameters that could not be found.
+    """
+    chosen = [n for n in STUDY_SIZES if n <= len(x)] if sizes is None else list(sizes)
+    _require_sizes(chosen, len(x))
+    if len(x_test) == 0:
+        raise InvalidInput("test points of the surrogate", value=0, expected="at least one", remedy="Add some.")
+    means = [fit_log_likelihood(x[:n], log_likelihood[:n], kernel=kernel).process.mean(x_test) for n in chosen]
+    return Convergence(
+        sizes=np.array(chosen),
+        log_likelihood=np.array([relative_error(mean, log_likelihood_test) for mean in means]),
+        likelihood=np.array([relative_error_of_exponentials(mean, log_likelihood_test) for mean in means]),
+    )
+
+
+def relative_error(found: Float[np.ndarray, " point"], truth: Float[np.ndarray, " point"]) -> float:
+    """Return ‖found - truth‖ / ‖truth‖."""
+    return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
+
+
+def relative_error_of_exponentials(found: Float[np.ndarray, " point"], truth: Float[np.ndarray, " point"]) -> float:
+    """Return ‖exp found - exp truth‖ / ‖exp truth‖, whatever the size of the exponents; inf if it overflows."""
+    top = max(found.max(), truth.max())
+    difference = float(np.linalg.norm(np.exp(found - top) - np.exp(truth - top)))
+    if difference == 0:
+        return 0.0
+    with np.errstate(over="ignore"):
+        return float(np.exp(np.log(difference) - 0.5 * logsumexp(2 * (truth - top))))
+
+
+def _require_sizes(sizes: Sequence[int], runs: int) -> None:
+    if not sizes or max(sizes) > runs:
+        raise InvalidInput(
+            "numbers of training runs",
+            value=list(sizes),
+            expected=f"some, none above {runs}, the number of runs given",
+            remedy="Give smaller sizes, or more runs.",
         )

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from strandline.numerics.precision import use_double
+from strandline.numerics.threads import use_double
 from strandline.surrogate.kernels import Kernel
 from strandline.testing import by_name, require_parts
 

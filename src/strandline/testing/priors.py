@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from strandline.numerics.precision import use_double
+from strandline.numerics.threads import use_double
 from strandline.priors import Prior
 from strandline.testing import by_name, require_parts
 

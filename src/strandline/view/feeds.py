@@ -12,8 +12,7 @@ import numpy as np
 from strandline.calibration.alternative import Present, present
 from strandline.calibration.so_far import posterior_so_far
 from strandline.errors import InvalidInput, InvalidStudy, NumericsError, TooFewRuns
-from strandline.numerics.one_thread import one_thread
-from strandline.numerics.precision import use_double
+from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import systematic_indices
 from strandline.questions.knowledge import field_knowledge
 from strandline.report.explore import DRAWS, by_name, rounded

@@ -21,8 +21,7 @@ from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Interface
 from strandline.models.offers import DrawsFields
 from strandline.models.protocol import ForwardModel, declared_conditions
-from strandline.numerics.one_thread import one_thread
-from strandline.numerics.precision import use_double
+from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import systematic_indices
 from strandline.posterior.pareto_smoothing import reliability_threshold
 from strandline.report.explore import (

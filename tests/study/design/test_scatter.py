@@ -9,7 +9,7 @@ from scipy.special import softmax
 
 import strandline as sl
 from strandline.design.active import Active, learn, scatter_of
-from strandline.design.active.scatter import Scatter
+from strandline.design.active.posterior_check import Scatter
 from strandline.posterior.weighted import Weighted
 from strandline.report.warnings import find_warnings
 

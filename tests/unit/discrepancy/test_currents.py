@@ -9,12 +9,16 @@ from scipy.optimize import minimize_scalar
 from tests.unit.discrepancy.curves import graph, level, line, ring
 from tests.unit.discrepancy.surfaces import divided, sheet, sphere
 
-from strandline.discrepancy import Currents
-from strandline.discrepancy.products import kernel_integrals, surface_integrals
-from strandline.discrepancy.products.kernel_integrals import gauss_order, natural_scale, refined_product
-from strandline.discrepancy.products.piece_sums import compiled_sum, plain_sum
-from strandline.discrepancy.products.pieces import Division, Pairs
-from strandline.discrepancy.products.surface_integrals import error_bound, triangle_order, triangle_rule
+from strandline.discrepancy import Currents, kernel_integrals
+from strandline.discrepancy.kernel_integrals import (
+    error_bound,
+    gauss_order,
+    natural_scale,
+    refined_product,
+    triangle_order,
+    triangle_rule,
+)
+from strandline.discrepancy.many_currents import Division, Pairs, compiled_sum, plain_sum
 from strandline.errors import InvalidInterface, NumericsError
 from strandline.interface import Interface, PointErrors, oriented_like
 
@@ -166,7 +170,7 @@ def test_order_keeps_its_bound_without_waste(tolerance):
 
 
 def test_rule_integrates_polynomials_up_to_its_degree_and_one_out_of_reach_is_refused():
-    highest = surface_integrals._HIGHEST
+    highest = kernel_integrals._HIGHEST
     assert triangle_order(6.0, error_bound(highest, 6.0)) == highest
     with pytest.raises(NumericsError, match="larger tolerance"):
         triangle_order(20.0, 1e-12)
@@ -181,7 +185,7 @@ def test_rule_integrates_polynomials_up_to_its_degree_and_one_out_of_reach_is_re
 def test_divided_triangles_cover_the_whole_once():
     """Each equal piece holds one point of the centre rule; indicator functions of the pieces count them."""
     for parts in (1, 2, 5):
-        shares, weights = surface_integrals._divided_rule(parts, 1)
+        shares, weights = kernel_integrals._divided_rule(parts, 1)
         assert weights == pytest.approx(np.full(parts**2, 1 / parts**2))
         assert len(np.unique(np.floor(parts * shares), axis=0)) == parts**2 or parts == 1
         assert shares.sum(axis=1) == pytest.approx(1.0)
@@ -192,7 +196,7 @@ def test_the_smallest_disc_has_the_radius_of_the_circumscribed_circle_or_half_th
     acute = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 1.0, 0.0]])
     obtuse = np.array([[0.0, 0.0, 0.0], [1.9, 0.0, 0.0], [0.95, 0.3, 0.0]])
     for scale in (1e-3, 1e3):
-        found = surface_integrals._enclosing_radii(scale * np.stack([acute, obtuse]))
+        found = kernel_integrals._enclosing_radii(scale * np.stack([acute, obtuse]))
         np.testing.assert_allclose(found, [0.625 * scale, 0.95 * scale], rtol=1e-12)
 
 

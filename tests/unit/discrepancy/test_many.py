@@ -12,14 +12,13 @@ from strandline.discrepancy import (
     MeasurementLines,
     NormalOffset,
     TrackedPoints,
+    many_currents,
+    many_distances,
     measurement_lines,
     squared_discrepancies,
 )
 from strandline.discrepancy.closest_point import DIRECTIONS, WEIGHTINGS
-from strandline.discrepancy.products import many_currents
-from strandline.discrepancy.products.many_currents import BLOCK, FEWEST
-from strandline.discrepancy.products.pieces import Pairs
-from strandline.discrepancy.search import blocks, many_distances
+from strandline.discrepancy.many_currents import BLOCK, FEWEST, Pairs
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface
 
@@ -147,7 +146,7 @@ def test_no_segment_is_left_out(measure, module, monkeypatch):
         np.testing.assert_allclose(measure.many(10 * points, template, far), 100 * expect, rtol=1e-10)
 
     def tenth(array):
-        middle, moved = blocks.motion(array)
+        middle, moved = many_distances.motion(array)
         return middle, 0.1 * moved
 
     monkeypatch.setattr(module, "motion", tenth)

@@ -24,7 +24,7 @@ from strandline.discrepancy import (
     unit_mistake,
     unit_of,
 )
-from strandline.discrepancy.registration import linear_sums
+from strandline.discrepancy.normal_offset import linear_sums
 from strandline.errors import InvalidInput, InvalidInterface
 from strandline.interface import Interface
 

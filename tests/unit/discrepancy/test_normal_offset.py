@@ -7,9 +7,14 @@ from tests.unit.discrepancy.curves import arch, level, line, one_by_one, runs
 from tests.unit.discrepancy.surfaces import sheet
 
 from strandline.discrepancy import normal_offset as module
-from strandline.discrepancy.normal_offset import NormalOffset, WhitenedOffset, signed_distances, weighted_sums
-from strandline.discrepancy.search.local_means import local_means
-from strandline.discrepancy.search.signed_sums import FEWEST, signed_sums
+from strandline.discrepancy.many_distances import FEWEST, signed_sums
+from strandline.discrepancy.normal_offset import (
+    NormalOffset,
+    WhitenedOffset,
+    local_means,
+    signed_distances,
+    weighted_sums,
+)
 from strandline.interface import Interface, PointErrors
 
 LINE = level(0.0)

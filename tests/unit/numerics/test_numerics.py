@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from strandline.errors import InvalidInput
-from strandline.numerics.exp2 import WHOLE, exp2_of_minus
-from strandline.numerics.precision import use_double
-from strandline.numerics.threads import double, side_by_side, threads
+from strandline.numerics.compiled import WHOLE, exp2_of_minus
+from strandline.numerics.threads import double, side_by_side, threads, use_double
 from strandline.surrogate.kernels import tiles
 
 

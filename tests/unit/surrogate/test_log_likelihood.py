@@ -8,7 +8,7 @@ import pytest
 from strandline.design import sobol
 from strandline.errors import InvalidInput, NumericsError, TooFewRuns
 from strandline.surrogate import convergence_study, fit_log_likelihood
-from strandline.surrogate.convergence import relative_error, relative_error_of_exponentials
+from strandline.surrogate.log_likelihood import relative_error, relative_error_of_exponentials
 
 LOW, HIGH = np.array([100.0, -0.8]), np.array([800.0, 0.5])
 

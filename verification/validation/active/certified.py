@@ -27,8 +27,7 @@ from strandline.discrepancy import TrackedPoints
 from strandline.errors import TooFewRuns
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
-from strandline.numerics.one_thread import one_thread
-from strandline.numerics.precision import use_double
+from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior.weighted import Weighted
 from strandline.runs import RunRecord
 

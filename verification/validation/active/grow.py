@@ -14,7 +14,7 @@ from strandline.design import sobol
 from strandline.design.active import Active, ActiveDesign, Knowledge, State, learn, posterior_state
 from strandline.errors import TooFewRuns
 from strandline.likelihood import OnHost
-from strandline.numerics.one_thread import one_thread
+from strandline.numerics.threads import one_thread
 from strandline.posterior.weighted import Weighted
 from strandline.runs import RunRecord
 from strandline.smc import SMCSettings, sample

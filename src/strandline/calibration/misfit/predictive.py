@@ -21,7 +21,7 @@ from strandline.discrepancy import (
     WhitenedOffset,
     squared_discrepancies,
 )
-from strandline.discrepancy.search.nearest import closest_points
+from strandline.discrepancy.nearest import closest_points
 from strandline.interface import GaussianNoise, Interface, steady_normals
 from strandline.likelihood import Compared, compared
 from strandline.likelihood.registered import Registered

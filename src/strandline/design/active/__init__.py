@@ -1,14 +1,11 @@
 """Active designs on a surrogate of the field: what is known, what to run next, and when to stop."""
 
 from strandline.design.active.active_design import ActiveDesign, Batch, Step
-from strandline.design.active.campaign import ActiveRuns
+from strandline.design.active.campaign import ActiveRuns, BatchReport, Certificate, FieldOutcome, VarianceEffect
 from strandline.design.active.checking import BatchCheck
 from strandline.design.active.choice import CRITERIA, Criterion
-from strandline.design.active.cost import SLOW_BATCH, seconds_of_a_batch
-from strandline.design.active.outcome import Certificate, FieldOutcome, VarianceEffect
-from strandline.design.active.reported import BatchReport
-from strandline.design.active.sampling import posterior_state
-from strandline.design.active.scatter import Scatter, scatter_of
+from strandline.design.active.posterior_check import Scatter, scatter_of
+from strandline.design.active.sampling import SLOW_BATCH, posterior_state, seconds_of_a_batch
 from strandline.design.active.settings import Active
 from strandline.design.active.state import Knowledge, State, learn, training_of
 

@@ -13,9 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.design.active.checking import BatchCheck, number_of_probes
-from strandline.design.active.choice import choose
+from strandline.design.active.choice import Losses, choose, price_of_a_hang
 from strandline.design.active.elsewhere import Surprise, points_around, points_elsewhere
-from strandline.design.active.failing import Losses, price_of_a_hang
 from strandline.design.active.posterior_check import PosteriorCheck
 from strandline.design.active.settings import LARGEST_BATCH, Active
 from strandline.design.active.state import Moved, Remembered, State

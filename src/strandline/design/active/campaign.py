@@ -1,31 +1,180 @@
-"""The batches of an active design, chosen as a campaign asks for them."""
+"""The batches of an active design, chosen as a campaign asks for them, with reports on them and the certificate."""
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from strandline.design.active.active_design import ActiveDesign, Batch
-from strandline.design.active.elsewhere import least_found
-from strandline.design.active.fidelities import Fidelities
-from strandline.design.active.outcome import Certificate
-from strandline.design.active.reported import BatchReport, report_batch
+from strandline.design.active.active_design import ActiveDesign, Batch, Step
+from strandline.design.active.elsewhere import SURE, least_found
+from strandline.design.active.fidelities import Fidelities, FidelityReport
+from strandline.design.active.posterior_check import NONE, Scatter
 from strandline.design.active.sampling import posterior_state
 from strandline.design.active.settings import Active
-from strandline.design.active.state import State, learn
+from strandline.design.active.state import Knowledge, State, learn
 from strandline.discrepancy import Discrepancy
 from strandline.errors import NoCommonPoints, TooFewRuns
 from strandline.likelihood.field import noise_length
 from strandline.likelihood.set_aside import Judge
 from strandline.models.fidelities import by_cheaper
-from strandline.numerics.one_thread import one_thread
+from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord
 from strandline.smc import StepInfo
+from strandline.text import with_sd
+from strandline.typeset import html_table
 
-__all__ = ["ActiveRuns"]
+
+@dataclass(frozen=True, eq=False)
+class VarianceEffect:
+    """Effect of the field's uncertainty on the posterior: expected likelihood compared with the plug-in one.
+
+    Args:
+        shift: Shift of the posterior means, in standard deviations, shape (dim,).
+        sd_ratio: Ratio of the posterior standard deviations, shape (dim,).
+        effective: Effective sample size of the weights between the two, as a share.
+    """
+
+    shift: Float[np.ndarray, " dim"]
+    sd_ratio: Float[np.ndarray, " dim"]
+    effective: float
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """Grounds for trusting the posterior of an active design.
+
+    Args:
+        converged: whether it stopped because its tolerances were met.
+        reasons: why it did not converge, in words.
+        steps: the posterior after each batch; the result is computed from the last one.
+        batches: inputs of each batch.
+        checked: the step with the last check, or None.
+        found: smallest share of the prior's mass such that 95 % of all compact regions with this share hold a run.
+        fidelities: What a cheaper model was used for; None if there was none.
+        scattered: whether the simulator's own scatter keeps it from converging.
+        overlooks: whether the runs were too few to find a region as small as `Active.unseen`.
+    """
+
+    converged: bool
+    reasons: tuple[str, ...]
+    steps: tuple[Step, ...]
+    batches: tuple[Batch, ...]
+    checked: Step | None
+    found: float = 1.0
+    fidelities: FidelityReport | None = None
+    scattered: bool = False
+    overlooks: bool = False
+
+    @property
+    def statement(self) -> str:
+        """What the runs have seen of the prior, in words."""
+        if self.found >= 1:
+            return "The runs are too few to say whether another region fits."
+        return (
+            f"With {SURE:.0%} probability, the runs would have found any other compact region that fits, if it holds "
+            f"{self.found:.0%} or more of the prior's mass. A smaller or a narrow one may have been missed."
+        )
+
+    def __repr__(self) -> str:
+        runs = self.steps[-1].runs if self.steps else 0
+        state = "converged" if self.converged else "not converged: " + "; ".join(self.reasons)
+        return f"<Certificate after {runs} runs: {state}>"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (str(step.runs), step.kind, "" if step.moved is None else f"{step.moved.shift:.2g}") for step in self.steps
+        ]
+        return html_table(("runs", "batch", "posterior moved by, sd"), rows, caption=repr(self)[1:-1])
+
+
+@dataclass(frozen=True, eq=False)
+class FieldOutcome:
+    """Results of a calibration by a surrogate of the field besides the posterior.
+
+    Args:
+        knowledge: Surrogate, likelihood and feasibility.
+        effect: Effect of the surrogate's variance on the posterior.
+        feasible: Posterior mean of the probability that a run succeeds, relative to the safest one.
+        certificate: Certificate of an active design; None for a fixed design.
+        compared: Means and standard deviations of the posterior from the log-likelihood surrogate of the same runs.
+        without_error: The same of the posterior of a model that does not err, if an error was allowed for.
+        scatter: The simulator's own scatter, and what it does to the log-likelihood.
+    """
+
+    knowledge: Knowledge
+    effect: VarianceEffect
+    feasible: float
+    certificate: Certificate | None = None
+    compared: Mapping[str, Float[np.ndarray, " dim"]] | None = None
+    without_error: Mapping[str, Float[np.ndarray, " dim"]] | None = None
+    scatter: Scatter = NONE
+
+
+Next = Literal["batch", "check", "trial", "done", "stop"]
+NEXT = {
+    "batch": "a batch",
+    "check": "check",
+    "trial": "the correction is tried again",
+    "done": "done, converged",
+    "stop": "stop, not converged",
+}
+FAR = 0.5
+"""Share of draws still effective below which a posterior has moved too far to say by how much."""
+SHOWN = 3
+"""Inputs whose mean and standard deviation a line has room for."""
+
+
+@dataclass(frozen=True)
+class BatchReport:
+    """The posterior after a batch, and what comes next.
+
+    Args:
+        number: number of the batch; the first design is 1.
+        posterior: mean and standard deviation of each calibrated input by its symbol, as text.
+        moved: how far the posterior has moved, in standard deviations: infinite if it is too far to say; None if there
+            is none to compare with.
+        next: what the design does next.
+        objection: what a check objected to, in words; empty if there was none.
+        dropped: why a cheaper model is not used any more, in words; empty if it is, or if this was told before.
+    """
+
+    number: int
+    posterior: tuple[str, ...]
+    moved: float | None
+    next: Next
+    objection: str = ""
+    dropped: str = ""
+
+    @property
+    def line(self) -> str:
+        """``batch 3: E 396 ± 31, moved 0.05 sd; next: check``."""
+        shown = ", ".join(self.posterior[:SHOWN]) + (", …" if len(self.posterior) > SHOWN else "")
+        far = self.moved is not None and math.isinf(self.moved)
+        moved = "" if self.moved is None else ", moved far" if far else f", moved {self.moved:.2f} sd"
+        objection = f"; check: {self.objection}" if self.objection else ""
+        dropped = f"; the cheaper model is no longer used: {self.dropped}" if self.dropped else ""
+        return f"batch {self.number}: {shown}{moved}{objection}{dropped}; next: {NEXT[self.next]}"
+
+
+def report_batch(design: ActiveDesign, space: ParameterSpace) -> BatchReport:
+    """Return the report on the last step of `design`, which has decided what comes next."""
+    step: Step = design.steps[-1]
+    after = not design.converged and not design.reasons
+    coming: Next = "done" if design.converged else "stop"
+    if after:
+        kind = design.batches[-1].kind
+        coming = kind if kind in ("check", "trial") else "batch"
+    posterior = tuple(
+        f"{space.parameters[i].shown} {with_sd(float(step.mean[i]), float(step.sd[i]))}" for i in space.calibrated
+    )
+    objection = "" if step.check is None or not step.check.reasons else step.check.reasons[0]
+    moved = None if step.moved is None else step.moved.shift if step.moved.effective >= FAR else math.inf
+    return BatchReport(len(design.steps), posterior, moved, coming, objection)
+
 
 Points = Float[np.ndarray, "run dim"]
 AFRESH = 1

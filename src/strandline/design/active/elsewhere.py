@@ -17,7 +17,7 @@ from scipy.stats import norm
 
 from strandline.design.active.state import State
 from strandline.design.space_filling import sobol
-from strandline.discrepancy.residuals import apart
+from strandline.discrepancy.comparison import apart
 from strandline.interface import Interface
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord

@@ -16,8 +16,7 @@ from strandline.calibration.in_notebook import observer_or_default
 from strandline.calibration.model_comparison import ModelComparison, averaged, require_odds
 from strandline.design.active import Knowledge
 from strandline.errors import InvalidInput, InvalidStudy
-from strandline.numerics.one_thread import one_thread
-from strandline.numerics.precision import use_double
+from strandline.numerics.threads import one_thread, use_double
 from strandline.parameters import ParameterSpace
 from strandline.planning.discrimination import Discrimination, expected_discrimination
 from strandline.posterior import Posterior

@@ -21,8 +21,7 @@ from strandline.calibration.in_notebook import observer_or_default
 from strandline.calibration.source import Source, posterior_source, prior_source
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Noise, PointErrors, UnknownErrors
-from strandline.numerics.one_thread import one_thread
-from strandline.numerics.precision import use_double
+from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import Posterior
 from strandline.questions.arguments import chosen_measure, require_seed
 from strandline.questions.coverage.replicate_file import ReplicateFile

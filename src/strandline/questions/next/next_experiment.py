@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 from strandline.calibration import Observer
 from strandline.calibration.in_notebook import observer_or_default
 from strandline.errors import InvalidInput, InvalidStudy
-from strandline.numerics.one_thread import one_thread
-from strandline.numerics.precision import use_double
+from strandline.numerics.threads import one_thread, use_double
 from strandline.planning.candidate import Candidate
 from strandline.questions.arguments import require_seed
 from strandline.questions.next.answers import Answers

@@ -11,8 +11,7 @@ from typing import Any
 from strandline.discrepancy import Discrepancy
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
-from strandline.numerics.one_thread import one_thread
-from strandline.numerics.precision import use_double
+from strandline.numerics.threads import one_thread, use_double
 from strandline.population import SpecimenPosterior, Start, Task, posterior_of, start
 from strandline.questions.arguments import chosen_measure, require_seed
 from strandline.questions.knowledge import field_knowledge

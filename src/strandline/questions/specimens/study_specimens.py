@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from strandline.calibration import Observer
 from strandline.calibration.in_notebook import observer_or_default
 from strandline.errors import InvalidInput, InvalidStudy, NumericsError
-from strandline.numerics.one_thread import one_thread
+from strandline.numerics.threads import one_thread
 from strandline.population import (
     FEWEST_SPECIMENS,
     Population,

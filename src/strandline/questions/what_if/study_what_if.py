@@ -15,8 +15,7 @@ from strandline.calibration.usual_alternatives import usual_alternatives
 from strandline.calibration.what_if import Answer, answered
 from strandline.design.active import Knowledge
 from strandline.errors import InvalidInput, InvalidStudy, TooFewRuns
-from strandline.numerics.one_thread import one_thread
-from strandline.numerics.precision import use_double
+from strandline.numerics.threads import one_thread, use_double
 from strandline.questions.arguments import require_seed
 from strandline.questions.knowledge import field_knowledge
 from strandline.questions.shown import figures_of, html_answer, input_label

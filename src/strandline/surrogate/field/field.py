@@ -12,12 +12,10 @@ from jaxtyping import Float
 
 from strandline.errors import InvalidInput, TooFewRuns
 from strandline.interface import Interface
-from strandline.numerics.one_thread import one_thread
+from strandline.numerics.threads import one_thread
 from strandline.surrogate.field.correspondence import Layout, common_layout, fields_of
 from strandline.surrogate.field.mode_process import ModeProcess
-from strandline.surrogate.field.modes import Modes
-from strandline.surrogate.field.warp_choice import Data, choose_warping, fewest_runs, fit_modes
-from strandline.surrogate.field.warping import Warping
+from strandline.surrogate.field.warping import Data, Modes, Warping, choose_warping, fewest_runs, fit_modes
 
 __all__ = ["FieldPrediction", "FieldSurrogate", "FieldTraining", "fewest_runs", "fit_field"]
 

@@ -19,8 +19,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from strandline.discrepancy.memo import Snapshot
-from strandline.discrepancy.search.nearest import closest_points, squared_distances
+from strandline.discrepancy.nearest import closest_points, squared_distances
+from strandline.discrepancy.protocol import Snapshot
 from strandline.interface import Interface
 from strandline.interface.triangles import shortest_altitudes, vector_areas
 

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from strandline.numerics.exp2 import WHOLE, assembled
+from strandline.numerics.compiled import WHOLE, assembled
 
 __all__ = ["decay"]
 

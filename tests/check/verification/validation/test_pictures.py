@@ -11,7 +11,7 @@ from verification.validation.rendered import PIXEL
 from strandline.discrepancy import signed_distances
 from strandline.interface import PointErrors
 from strandline.models.biofilm.outline import Outline
-from strandline.numerics.precision import use_double
+from strandline.numerics.threads import use_double
 
 TRUE = Outline(nodes=66).interface()
 

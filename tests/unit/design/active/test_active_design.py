@@ -11,9 +11,9 @@ from tests.unit.design.active.fakes import MEAN, SPACE, FakeLearner, even, hones
 
 import strandline as sl
 from strandline.design.active import Active, ActiveDesign
+from strandline.design.active.campaign import Certificate
 from strandline.design.active.checking import Tolerances, number_of_probes, objections
 from strandline.design.active.elsewhere import Surprise
-from strandline.design.active.outcome import Certificate
 from strandline.design.active.posterior_check import PosteriorCheck
 from strandline.design.active.state import Remembered, State
 from strandline.posterior import reweight

@@ -10,12 +10,11 @@ from tests.unit.design.active import fakes
 from tests.unit.design.active.fakes import MEAN, SPACE, FakeLearner, even, honest, kinds, record
 
 import strandline as sl
-from strandline.design.active import Active, ActiveDesign, ActiveRuns, Batch, cost, seconds_of_a_batch
+from strandline.design.active import Active, ActiveDesign, ActiveRuns, Batch, sampling, seconds_of_a_batch
 from strandline.design.active import campaign as module
 from strandline.design.active.active_design import Step
+from strandline.design.active.campaign import BatchReport, Certificate, report_batch
 from strandline.design.active.fidelities import Fidelities
-from strandline.design.active.outcome import Certificate
-from strandline.design.active.reported import BatchReport, report_batch
 from strandline.design.active.state import Moved
 from strandline.errors import InvalidInput, TooFewRuns
 from strandline.likelihood.set_aside import Judge
@@ -172,5 +171,5 @@ def test_other_work_on_the_machine_does_not_count(monkeypatch):
     for faster in [(10.0, 1.0), (1.0, 10.0)]:
         assert estimated("", faster=faster) == pytest.approx(1e-3 * EVALUATIONS)
     seconds = iter([5.0, 3.2, 4.0])
-    monkeypatch.setattr(cost, "_seconds", lambda *given: next(seconds))
+    monkeypatch.setattr(sampling, "_seconds", lambda *given: next(seconds))
     assert estimated("") == pytest.approx(0.1 * EVALUATIONS)

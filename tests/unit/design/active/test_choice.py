@@ -9,11 +9,18 @@ from tests.unit.design.active.fakes import MEAN, SPACE, Assumed, even, inputs_of
 
 import strandline as sl
 from strandline.design.active import CRITERIA, Active, ActiveDesign, State
-from strandline.design.active.choice import _accepted, choose
+from strandline.design.active.choice import (
+    MOST,
+    SAFE,
+    UNLIKELY,
+    Losses,
+    _accepted,
+    choose,
+    price_of_a_hang,
+    safe_candidates,
+)
 from strandline.design.active.elsewhere import points_elsewhere
-from strandline.design.active.failing import MOST, SAFE, UNLIKELY, Losses, price_of_a_hang, safe_candidates
-from strandline.surrogate.field.mode_process import ModeProcess
-from strandline.surrogate.field.restricted_evidence import Observed, condition_mode
+from strandline.surrogate.field.mode_process import ModeProcess, Observed, condition_mode
 
 RUNS = even(10)
 RNG = np.random.default_rng(1)

@@ -8,10 +8,8 @@ import pytest
 from tests.unit.discrepancy.curves import graph, line, ring
 from tests.unit.discrepancy.surfaces import sheet
 
-from strandline.discrepancy import Repeats, errors_from_repeats, errors_from_roughness
-from strandline.discrepancy.contours import repeats, roughness
-from strandline.discrepancy.contours.correlation import restored
-from strandline.discrepancy.contours.paths import smoothed, smoothing_weights
+from strandline.discrepancy import Repeats, errors_from_repeats, errors_from_roughness, repeats
+from strandline.discrepancy.contours import _removed, restored, smoothed, smoothing_weights
 from strandline.errors import InvalidInput, InvalidInterface
 from strandline.interface import Interface, PointErrors
 
@@ -188,10 +186,10 @@ def test_the_level_of_correlated_points_reads_low_by_less_than_it_is_said(monkey
 
 def test_what_smoothing_takes_from_white_noise_is_one_weight_of_it_up_to_twice_its_half_width():
     for half in (2, 4, 9):
-        removed = roughness._removed(half, 40)
+        removed = _removed(half, 40)
         assert removed[0] == pytest.approx(smoothing_weights(half)[half])
         assert removed[0] + 2 * removed[1:].sum() == pytest.approx(1.0)
-        assert (len(removed), len(roughness._removed(half, 5))) == (40, 5)
+        assert (len(removed), len(_removed(half, 5))) == (40, 5)
         np.testing.assert_array_equal(removed[2 * half + 1 :], 0.0)
 
 

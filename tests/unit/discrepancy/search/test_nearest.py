@@ -7,8 +7,9 @@ import pytest
 from tests.unit.discrepancy.curves import graph, line, ring
 from tests.unit.discrepancy.surfaces import sheet, sphere, turned
 
-from strandline.discrepancy.search import nearest
-from strandline.discrepancy.search.nearest import BLOCK, SMALL, Snapshot, brute_force, closest_points, squared_distances
+from strandline.discrepancy import nearest
+from strandline.discrepancy.nearest import BLOCK, SMALL, brute_force, closest_points, squared_distances
+from strandline.discrepancy.protocol import Snapshot
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface
 

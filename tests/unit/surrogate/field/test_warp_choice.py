@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from strandline.design.space_filling import sobol
-from strandline.surrogate.field import warp_choice
-from strandline.surrogate.field.warp_choice import Data, choose_warping, fewest_runs
-from strandline.surrogate.field.warping import WARPS, Warping, eligible
+from strandline.surrogate.field import warping as module
+from strandline.surrogate.field.warping import WARPS, Data, Warping, choose_warping, eligible, fewest_runs
 
 LOW, HIGH = np.array([100.0, 0.1]), np.array([800.0, 0.5])
 PLACES = np.linspace(0.0, 1.0, 15)
@@ -26,9 +25,9 @@ def names_of(number, *, power=-1.0):
 @pytest.fixture
 def chosen(monkeypatch):
     """Forget all choices; return a list of how many runs each new one is made with."""
-    counts, inner = [], warp_choice._chosen
-    monkeypatch.setattr(warp_choice, "_kept", type(warp_choice._kept)())
-    monkeypatch.setattr(warp_choice, "_chosen", lambda few, *rest: counts.append(len(few.x)) or inner(few, *rest))
+    counts, inner = [], module._chosen
+    monkeypatch.setattr(module, "_kept", type(module._kept)())
+    monkeypatch.setattr(module, "_chosen", lambda few, *rest: counts.append(len(few.x)) or inner(few, *rest))
     return counts
 
 
@@ -52,7 +51,7 @@ def test_the_fewest_runs_that_there_may_be_are_enough_to_choose(gradients):
         x = sobol(number, dim)
         slopes = np.zeros((number, 15, dim)) if gradients else None
         few = Data(x, np.outer(x[:, 0], PLACES), np.full(15, 1 / 15), slopes)
-        assert warp_choice._choosing_runs(few) == number
+        assert module._choosing_runs(few) == number
 
 
 def quantity(x):
@@ -86,11 +85,11 @@ def test_a_warp_is_monotone_and_only_wide_and_positive_inputs_are_warped():
 
 @pytest.mark.stand_in
 def test_fits_are_quick_only_where_they_are_compared(monkeypatch):
-    asked, fit = [], warp_choice.fit_mode
-    monkeypatch.setattr(warp_choice, "fit_mode", lambda one, quick: (asked.append(quick), fit(one, quick=quick))[1])
+    asked, fit = [], module.fit_mode
+    monkeypatch.setattr(module, "fit_mode", lambda one, quick: (asked.append(quick), fit(one, quick=quick))[1])
     z = np.random.default_rng(1).random((8, 1))
     data = SimpleNamespace(x=z, fields=np.sin(3 * z) * np.ones((8, 4)), weights=np.full(4, 0.25), gradients=None)
     warping = SimpleNamespace(standardise=lambda x: 2 * x - 1)
     for most, quick in ((None, False), (1, True)):
-        warp_choice.fit_modes(data, warping, 1e-3, most)
+        module.fit_modes(data, warping, 1e-3, most)
         assert asked.pop() is quick

@@ -14,14 +14,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import gammaincinv
 
-from strandline.discrepancy.contours.correlation import Correlated, autocovariance, restored
-from strandline.discrepancy.contours.paths import path_of, require_contours, smoothed
+from strandline.discrepancy.contours import Correlated, autocovariance, path_of, require_contours, restored, smoothed
+from strandline.discrepancy.nearest import closest_points
 from strandline.discrepancy.normal_offset import signed_distances
-from strandline.discrepancy.search.nearest import closest_points
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, PointErrors, normals_at, oriented_like
-
-__all__ = ["PARTS", "Repeats", "errors_from_repeats"]
 
 PARTS = ("shift_x", "shift_y", "rotation", "scale", "offset")
 """Errors that all points of a contour share: mm, mm, degrees, a share, mm."""

@@ -15,11 +15,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from strandline.numerics.compiled import WIDEST
-from strandline.numerics.exp2 import WHOLE, exp2_of_minus
+from strandline.numerics.compiled import WHOLE, WIDEST, exp2_of_minus
 from strandline.numerics.threads import double, side_by_side
-
-__all__ = ["Nodes", "Sizes", "kernel_sum"]
 
 BLOCK = 1 << 16
 """Pairs that NumPy processes at once; this bounds the memory."""

@@ -1,0 +1,110 @@
+"""Directions, sizes and distances of two interfaces, whatever the measure."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from strandline.discrepancy.nearest import squared_distances
+from strandline.discrepancy.protocol import CountsDistances, Discrepancy, independent_terms
+from strandline.interface import Interface, Oriented
+
+NEAREST = 5
+"""Number of runs that decide, those nearest to the observation: a distant run's direction means little."""
+SHARES = 33
+LARGEST = 1e100
+
+
+def oriented_like_runs(observed: Interface, runs: Sequence[Interface]) -> Oriented:
+    """Return `observed` in the direction of most of its nearest runs, and whether it had to be turned round.
+
+    Args:
+        observed: The observed interface.
+        runs: Simulated interfaces; a surface is ignored if the observation is a polyline, and so on, and an open run if
+            the observation is closed.
+    """
+    apart = [(_distance(observed, run), k) for k, run in enumerate(runs) if _alike(observed, run)]
+    votes = [observed.runs_against(runs[k]) for _, k in sorted(apart)[:NEAREST]]
+    against = 2 * sum(votes) > len(votes)
+    return Oriented(observed.reversed() if against else observed, against)
+
+
+def _alike(observed: Interface, run: Interface) -> bool:
+    """Return whether a run can be compared: it is of the same kind and the squares of its coordinates are finite."""
+    same = run.dim == observed.dim and (run.closed or not observed.closed)
+    return same and float(np.abs(run.points).max()) < LARGEST
+
+
+def _distance(observed: Interface, run: Interface) -> float:
+    """Return how far a run is from the observation, whatever its direction; used only for sorting."""
+    if observed.dim == 3 or run.closed:
+        return float(np.linalg.norm(observed.points.mean(axis=0) - run.points.mean(axis=0)))
+    mine, theirs = observed.resampled(SHARES).points, run.resampled(SHARES).points
+    return min(float(np.sum((mine - other) ** 2)) for other in (theirs, theirs[::-1]))
+
+
+LARGEST_RATIO = 10.0
+"""An observed interface this many times larger or smaller than the model's is taken to have another unit."""
+
+_FACTORS = {1: ("mm", "cm"), 3: ("µm", "mm"), 6: ("µm", "m")}
+"""Decimal logarithm of a factor → two units that differ by this factor."""
+
+
+def extent(interface: Interface) -> float:
+    """Return the largest side of the box around an interface, mm."""
+    return float(np.ptp(interface.points, axis=0).max())
+
+
+def extent_ratio(observed: Interface, simulated: Interface) -> float:
+    """Return the extent of the observed interface divided by that of the simulated one."""
+    return extent(observed) / extent(simulated)
+
+
+def unit_mistake(ratio: float) -> str:
+    """Return a clause, "perhaps …", on the unit that was probably mistaken; empty if the extents are similar.
+
+    Args:
+        ratio: The extent of the observed interface divided by that of the simulated one.
+    """
+    power = abs(math.log10(ratio))
+    if power < math.log10(LARGEST_RATIO) * (1 - 1e-9):
+        return ""
+    nearest = min(_FACTORS, key=lambda k: abs(k - power))
+    small, large = _FACTORS[nearest]
+    observed, simulated = (small, large) if ratio > 1 else (large, small)
+    return (
+        f"perhaps the observation is in {observed} and was read in {simulated}, or the model's output the other way "
+        f"round ({small} and {large} differ by a factor of {10**nearest:g})"
+    )
+
+
+def count_of_distances(measure: Discrepancy, simulated: Interface, observed: Interface) -> float | None:
+    """Return how many distances d² sums, so that √(d²/count) is their root mean square.
+
+    If the measure does not count its distances, its independent terms count. None if d² is not a sum of squared
+    distances: then σ_N is not a distance either.
+    """
+    if isinstance(measure, CountsDistances):
+        return float(measure.distances(simulated, observed))
+    count = independent_terms(measure, observed)
+    return None if count is None else float(count)
+
+
+def noise_units(square: float, variance: float, count: float | None) -> float:
+    """Return a residual in units of σ_N: the root mean square of its distances, or √d² if it is not a sum.
+
+    Args:
+        square: d², in the measure's unit.
+        variance: σ_N², in the same unit.
+        count: The number of distances, from `count_of_distances`.
+    """
+    return math.sqrt(square / (variance * (count or 1.0)))
+
+
+def apart(one: Interface, other: Interface) -> tuple[float, float]:
+    """Return the distance between two interfaces, mm: root mean square and largest.
+
+    It is measured from the nodes of each to the closest points of the other; the larger of the two directions counts.
+    """
+    squares = [squared_distances(a.points, b) for a, b in ((one, other), (other, one))]
+    return math.sqrt(max(float(s.mean()) for s in squares)), math.sqrt(max(float(np.max(s)) for s in squares))

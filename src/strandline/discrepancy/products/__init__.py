@@ -1,1 +1,0 @@
-"""Inner products of surface currents: integrals of the kernel over pairs of segments or triangles."""

@@ -1,1 +1,0 @@
-"""Nearest points of polylines and surfaces."""
