@@ -9,8 +9,8 @@ import pytest
 from tests.unit.surrogate.peers import EVERY, lengths_of, peers_correlation
 
 from strandline.errors import InvalidInput
-from strandline.surrogate.kernels import KERNELS, as_lengths, kernel_named, tiles
-from strandline.surrogate.kernels.decay import decay
+from strandline.surrogate import tiles
+from strandline.surrogate.kernels import KERNELS, as_lengths, decay, kernel_named
 
 OFFSETS = np.random.default_rng(0).normal(size=(40, 3))
 
