@@ -13,6 +13,10 @@ NEAREST = 5
 """Number of runs that decide, those nearest to the observation: a distant run's direction means little."""
 SHARES = 33
 LARGEST = 1e100
+LARGEST_RATIO = 10.0
+"""An observed interface this many times larger or smaller than the model's is taken to have another unit."""
+_FACTORS = {1: ("mm", "cm"), 3: ("µm", "mm"), 6: ("µm", "m")}
+"""Decimal logarithm of a factor → two units that differ by this factor."""
 
 
 def oriented_like_runs(observed: Interface, runs: Sequence[Interface]) -> Oriented:
@@ -41,13 +45,6 @@ def _distance(observed: Interface, run: Interface) -> float:
         return float(np.linalg.norm(observed.points.mean(axis=0) - run.points.mean(axis=0)))
     mine, theirs = observed.resampled(SHARES).points, run.resampled(SHARES).points
     return min(float(np.sum((mine - other) ** 2)) for other in (theirs, theirs[::-1]))
-
-
-LARGEST_RATIO = 10.0
-"""An observed interface this many times larger or smaller than the model's is taken to have another unit."""
-
-_FACTORS = {1: ("mm", "cm"), 3: ("µm", "mm"), 6: ("µm", "m")}
-"""Decimal logarithm of a factor → two units that differ by this factor."""
 
 
 def extent(interface: Interface) -> float:

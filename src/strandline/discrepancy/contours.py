@@ -25,6 +25,16 @@ MOST_REMOVED = 0.5
 """Share of the level that the removed part may have taken from the lags that are added up."""
 CLEARLY = 0.2
 """Correlation at the lag after these from which errors count as correlated over more than they span."""
+FEWEST_POINTS = 30
+LENGTHS = 20.0
+"""Length of the smoothed pieces in correlation lengths."""
+WIDEST = 8
+"""The outline has at least as many such pieces, unless it has few points."""
+ENOUGH = 17.0
+"""Length of the smoothed pieces in correlation lengths from which the correlation length can be trusted; in pieces that
+are too short, a sixteenth of their length is found whatever it is."""
+_FEWEST, _LEAST = 3, 4
+"""Points on either side of a smoothed one: fewest that may be asked for, and fewest by default."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +85,6 @@ def restored(covariance: Float[np.ndarray, " lag"], removed: Float[np.ndarray, "
         k += 1
         level = float(sums[k] / (1 - shares[k]))
     return Correlated(at(0), level, at(min(k + 1, len(covariance) - 1)) > CLEARLY * at(0))
-
-
-FEWEST_POINTS = 30
 
 
 def path_of(contour: Interface) -> Float[np.ndarray, "point 2"]:
@@ -141,17 +148,6 @@ def _require_alike(first: Interface, other: Interface, number: int) -> None:
             expected="contours of one state in one unit",
             remedy="Give all of them in the same unit; leave out what shows something else.",
         )
-
-
-LENGTHS = 20.0
-"""Length of the smoothed pieces in correlation lengths."""
-WIDEST = 8
-"""The outline has at least as many such pieces, unless it has few points."""
-ENOUGH = 17.0
-"""Length of the smoothed pieces in correlation lengths from which the correlation length can be trusted; in pieces that
-are too short, a sixteenth of their length is found whatever it is."""
-_FEWEST, _LEAST = 3, 4
-"""Points on either side of a smoothed one: fewest that may be asked for, and fewest by default."""
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,9 @@ BLOCK = 1 << 16
 """Pairs of pieces processed at once; this bounds the memory."""
 _FAR = 1e-12
 _RADII = np.geomspace(1.05, 1e4, 300)
+TRIANGLE = 2.5
+"""Radius of the largest triangle that one rule integrates over, in kernel widths; larger ones are divided."""
+_HIGHEST = 30
 
 
 def centre_product(a: Interface, b: Interface, width: float) -> float:
@@ -169,11 +172,6 @@ def _blocks(rows: int, columns: int) -> Iterator[slice]:
 def _chunks(pairs: _Pairs, order: int) -> Iterator[_Pairs]:
     size = max(1, BLOCK // order)
     return (_Pairs(pairs.row[k : k + size], pairs.column[k : k + size]) for k in range(0, len(pairs.row), size))
-
-
-TRIANGLE = 2.5
-"""Radius of the largest triangle that one rule integrates over, in kernel widths; larger ones are divided."""
-_HIGHEST = 30
 
 
 def refined_surface_product(a: Interface, b: Interface, width: float, *, tolerance: float) -> float:

@@ -20,6 +20,25 @@ from strandline.discrepancy.many_distances import similar
 from strandline.numerics.compiled import WHOLE, WIDEST, ample, exp2_of_minus
 from strandline.numerics.threads import double, side_by_side
 
+Orders = tuple[int, int]
+"""Number of Gauss points on a piece of one side and of the other."""
+_CHUNK = 1 << 15
+"""Numbers that NumPy processes at once."""
+_PIECES = 64
+"""The number of pieces is padded to a multiple of this."""
+_FARTHEST, _STEEPEST = 900.0, 200.0
+"""Limits of exponents, to avoid overflow; only pairs so far apart that they contribute nothing reach them."""
+FEWEST = 16
+"""Number of runs from which compiling pays off."""
+BLOCK = 256
+"""Runs processed together."""
+PROBES = 8
+"""Runs of a batch on which the orders of the Gauss rules are tried."""
+MARGIN = 0.1
+"""Share of the tolerance that the probes may use up."""
+_UNIT = math.sqrt(2 * math.log(2))
+"""Unit of length, in kernel widths."""
+
 
 def lengths(
     points: Float[np.ndarray, "point 2 *run"], cells: Int[np.ndarray, "cell 2"]
@@ -96,16 +115,7 @@ class Pairs:
         return cls(row, column, np.where(row < column, 2.0, 1.0))
 
 
-Orders = tuple[int, int]
-"""Number of Gauss points on a piece of one side and of the other."""
 PieceSum = Callable[[Pieces, Pieces, Pairs, Orders], Float[np.ndarray, " run"]]
-
-_CHUNK = 1 << 15
-"""Numbers that NumPy processes at once."""
-_PIECES = 64
-"""The number of pieces is padded to a multiple of this."""
-_FARTHEST, _STEEPEST = 900.0, 200.0
-"""Limits of exponents, to avoid overflow; only pairs so far apart that they contribute nothing reach them."""
 
 
 def plain_sum(a: Pieces, b: Pieces, pairs: Pairs, orders: Orders) -> Float[np.ndarray, " run"]:
@@ -211,18 +221,6 @@ def _powers(power: Any, square: Any, slope: Any, order: int) -> tuple[float, lis
 
 def _dot(a: Any, b: Any) -> Any:
     return a[0] * b[0] + a[1] * b[1]
-
-
-FEWEST = 16
-"""Number of runs from which compiling pays off."""
-BLOCK = 256
-"""Runs processed together."""
-PROBES = 8
-"""Runs of a batch on which the orders of the Gauss rules are tried."""
-MARGIN = 0.1
-"""Share of the tolerance that the probes may use up."""
-_UNIT = math.sqrt(2 * math.log(2))
-"""Unit of length, in kernel widths."""
 
 
 @dataclass(frozen=True)

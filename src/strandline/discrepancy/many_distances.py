@@ -19,6 +19,23 @@ from strandline.numerics.threads import double, side_by_side
 
 _LOOKED_AT = 16
 """Nodes compared to find out which runs are alike."""
+FEWEST = 16
+"""Number of runs from which compiling pays off."""
+BLOCK = 128
+"""Runs processed together: the data of one loop fit into a core's cache."""
+FEWEST_ROWS = 2048
+"""Least length of the arrays of rows of pairs; they are padded to few lengths, so that little is compiled."""
+ENOUGH = 64
+"""Ratio of pairs compared, in all runs, to pairs bounded, from which it pays to bound again for half the runs."""
+ABREAST = 4
+"""Segments compared with a point in one step of the loop."""
+_SLACK = 1e-9
+"""How much farther than the bound a segment may be, as a share of the extent: far more than rounding."""
+Frames = tuple[Any, ...]
+"""Frames of segments, see `frames`."""
+Points = Float[np.ndarray, "#run point 2"]
+Corners = Float[np.ndarray, "#run corner 2"]
+Values = Float[np.ndarray, "..."]  # (point or segment, run), or without the run axis if all runs share it
 
 
 def similar(points: Float[np.ndarray, "run point xyz"], size: int) -> list[Int[np.ndarray, " some"]]:
@@ -40,26 +57,6 @@ def motion(
     low, high = points.min(axis=0), points.max(axis=0)
     half = 0.5 * (high - low)
     return low + half, np.sqrt(np.einsum("pk,pk->p", half, half))
-
-
-FEWEST = 16
-"""Number of runs from which compiling pays off."""
-BLOCK = 128
-"""Runs processed together: the data of one loop fit into a core's cache."""
-FEWEST_ROWS = 2048
-"""Least length of the arrays of rows of pairs; they are padded to few lengths, so that little is compiled."""
-ENOUGH = 64
-"""Ratio of pairs compared, in all runs, to pairs bounded, from which it pays to bound again for half the runs."""
-ABREAST = 4
-"""Segments compared with a point in one step of the loop."""
-_SLACK = 1e-9
-"""How much farther than the bound a segment may be, as a share of the extent: far more than rounding."""
-
-Frames = tuple[Any, ...]
-"""Frames of segments, see `frames`."""
-Points = Float[np.ndarray, "#run point 2"]
-Corners = Float[np.ndarray, "#run corner 2"]
-Values = Float[np.ndarray, "..."]  # (point or segment, run), or without the run axis if all runs share it
 
 
 def sums_of_squares(

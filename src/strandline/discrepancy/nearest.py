@@ -40,6 +40,14 @@ _SLACK = 1e-9, 1e-14
 """How much farther than the bound a box may be: far more than rounding, as a share of the bound and of the extent."""
 
 Vectors = Float[np.ndarray, "xyz *#pair"]
+GROUP = 8
+"""Consecutive segments that are let through or held back together."""
+_POINTS = 1024
+"""Points in one compiled call."""
+_SINGLE_SLACK = 1e-5
+"""Bound on the errors of two distances, 30 · 2⁻²⁴ each, relative to the polyline's plus the point's extent."""
+_FARTHEST = 100.0
+"""Distance of a point from the polyline's middle, in its extents, from which single precision is useless."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,16 +342,6 @@ def _off_inside(p: Vectors, a: Vectors, b: Vectors, c: Vectors) -> Vectors:
 def _dot(a: Vectors, b: Vectors) -> Float[np.ndarray, "..."]:
     """Return dot products, summed in a fixed order so that a pair always gives the same result to the last bit."""
     return np.asarray(reduce(np.add, (x * y for x, y in zip(a, b, strict=True))))
-
-
-GROUP = 8
-"""Consecutive segments that are let through or held back together."""
-_POINTS = 1024
-"""Points in one compiled call."""
-_SINGLE_SLACK = 1e-5
-"""Bound on the errors of two distances, 30 · 2⁻²⁴ each, relative to the polyline's plus the point's extent."""
-_FARTHEST = 100.0
-"""Distance of a point from the polyline's middle, in its extents, from which single precision is useless."""
 
 
 def near_groups(

@@ -37,6 +37,16 @@ BESIDE = 2
 """Places on each side whose points help to find the course; near an end more on the other side."""
 MOST_GAPS = 0.02
 """Share of such gaps beyond which the points are not in order along a curve."""
+Rows = Mapping[str, Float[np.ndarray, "run point xyz"]]
+"""Points of simulated interfaces by condition, one interface a row, mm."""
+Sums = tuple[Float[np.ndarray, " run"], Float[np.ndarray, "run error"]]
+"""rᵀ D⁻¹ r and Bᵀ D⁻¹ r of each run."""
+ROUGH = 64
+"""Places along an observed polyline that estimate g, about."""
+BEYOND = 0.05
+"""Share of its length by which an open polyline goes on straight at each end."""
+PLACES = 200
+"""Places along an observed polyline whose distances stand for those of all its points, about."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,14 +129,6 @@ def _of_parts(
     return LocalMeans(places, normals, first, off)
 
 
-Rows = Mapping[str, Float[np.ndarray, "run point xyz"]]
-"""Points of simulated interfaces by condition, one interface a row, mm."""
-Sums = tuple[Float[np.ndarray, " run"], Float[np.ndarray, "run error"]]
-"""rᵀ D⁻¹ r and Bᵀ D⁻¹ r of each run."""
-ROUGH = 64
-"""Places along an observed polyline that estimate g, about."""
-
-
 def linear_sums(
     points: Rows,
     sums: Callable[[Rows, bool], Sums],
@@ -152,12 +154,6 @@ def linear_sums(
     squares, products = sums(followed(points, g), False)
     more = g @ gram
     return squares + 2 * (products * g).sum(axis=1) + (more * g).sum(axis=1), products + more
-
-
-BEYOND = 0.05
-"""Share of its length by which an open polyline goes on straight at each end."""
-PLACES = 200
-"""Places along an observed polyline whose distances stand for those of all its points, about."""
 
 
 @dataclass(frozen=True)

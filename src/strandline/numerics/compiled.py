@@ -7,6 +7,10 @@ from numpy.polynomial import Chebyshev, Polynomial
 
 WIDEST = {"xla_cpu_prefer_vector_width": 512}
 """Option of `jax.jit`: 512-bit registers if the processor has them; the compiler's default is 256 bits."""
+WHOLE = 1.5 * 2.0**52
+"""Adding it to a number leaves the nearest integer in the last bits."""
+_POWERS = Chebyshev.interpolate(np.exp2, 9, domain=[-0.5, 0.5]).convert(kind=Polynomial).coef
+"""Coefficients of 2**t on |t| ≤ 1/2, with a relative error of 2e-14."""
 
 
 def ample(length: int) -> int:
@@ -16,12 +20,6 @@ def ample(length: int) -> int:
     """
     step = 1 << max(length.bit_length() - 3, 0)
     return -(-max(length, 1) // step) * step
-
-
-WHOLE = 1.5 * 2.0**52
-"""Adding it to a number leaves the nearest integer in the last bits."""
-_POWERS = Chebyshev.interpolate(np.exp2, 9, domain=[-0.5, 0.5]).convert(kind=Polynomial).coef
-"""Coefficients of 2**t on |t| ≤ 1/2, with a relative error of 2e-14."""
 
 
 def exp2_of_minus(x: Any, whole: Any, *, bounded: bool) -> Any:

@@ -16,6 +16,12 @@ from strandline.surrogate.gaussian_process import GaussianProcess, condition, st
 from strandline.surrogate.hyperparameters import FittedHyperparameters, fit_hyperparameters, require_runs
 from strandline.surrogate.kernels import kernel_named
 
+NEAR_MODE_WINDOW = 10.0
+NEAR_MODE_COUNT = 10
+FOLDS = 10
+NUGGET_SHARE = 1e-5
+STUDY_SIZES = (100, 200, 500, 1000, 2000, 5000)
+
 
 @runtime_checkable
 class Predictor(Protocol):
@@ -61,11 +67,6 @@ def fit_named(name: str, *, what: str = "name of the surrogate") -> Fit:
             remedy="Check it with strandline.testing.surrogates.",
         )
     return found  # type: ignore[no-any-return]
-
-
-NEAR_MODE_WINDOW = 10.0
-NEAR_MODE_COUNT = 10
-FOLDS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,9 +145,6 @@ def _near_mode(y: Float[np.ndarray, " run"]) -> Bool[np.ndarray, " run"]:
 
 def _rms(values: Float[np.ndarray, " value"]) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-NUGGET_SHARE = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,9 +241,6 @@ def _require_one_each(x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " ot
             expected="one log-likelihood for each run",
             remedy="Pass the successful runs only, in the same order.",
         )
-
-
-STUDY_SIZES = (100, 200, 500, 1000, 2000, 5000)
 
 
 @dataclass(frozen=True, eq=False)

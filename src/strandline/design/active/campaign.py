@@ -27,6 +27,22 @@ from strandline.smc import StepInfo
 from strandline.text import with_sd
 from strandline.typeset import html_table
 
+Next = Literal["batch", "check", "trial", "done", "stop"]
+NEXT = {
+    "batch": "a batch",
+    "check": "check",
+    "trial": "the correction is tried again",
+    "done": "done, converged",
+    "stop": "stop, not converged",
+}
+FAR = 0.5
+"""Share of draws still effective below which a posterior has moved too far to say by how much."""
+SHOWN = 3
+"""Inputs whose mean and standard deviation a line has room for."""
+Points = Float[np.ndarray, "run dim"]
+AFRESH = 1
+"""Keeps the random numbers of a posterior that is sampled afresh apart from those of the one before."""
+
 
 @dataclass(frozen=True, eq=False)
 class VarianceEffect:
@@ -114,20 +130,6 @@ class FieldOutcome:
     scatter: Scatter = NONE
 
 
-Next = Literal["batch", "check", "trial", "done", "stop"]
-NEXT = {
-    "batch": "a batch",
-    "check": "check",
-    "trial": "the correction is tried again",
-    "done": "done, converged",
-    "stop": "stop, not converged",
-}
-FAR = 0.5
-"""Share of draws still effective below which a posterior has moved too far to say by how much."""
-SHOWN = 3
-"""Inputs whose mean and standard deviation a line has room for."""
-
-
 @dataclass(frozen=True)
 class BatchReport:
     """The posterior after a batch, and what comes next.
@@ -174,11 +176,6 @@ def report_batch(design: ActiveDesign, space: ParameterSpace) -> BatchReport:
     objection = "" if step.check is None or not step.check.reasons else step.check.reasons[0]
     moved = None if step.moved is None else step.moved.shift if step.moved.effective >= FAR else math.inf
     return BatchReport(len(design.steps), posterior, moved, coming, objection)
-
-
-Points = Float[np.ndarray, "run dim"]
-AFRESH = 1
-"""Keeps the random numbers of a posterior that is sampled afresh apart from those of the one before."""
 
 
 @dataclass

@@ -28,6 +28,16 @@ POOL = 2048
 """Points of the Sobol sequence from which runs are taken if hardly a particle is safe."""
 FEWEST = 30
 """Fewest safe particles to choose from."""
+CANDIDATES, TARGETS = 300, 200
+"""Particles of π_γ to choose runs from; particles at which runs are to help, half of them from the posterior."""
+EXPLORATION = 64
+"""Points of the Sobol sequence considered for an exploring run."""
+_LEADING = 6  # modes whose variances count
+Criterion = Callable[
+    [State, Float[np.ndarray, "candidate dim"], Float[np.ndarray, "other dim"], Float[np.ndarray, "target dim"]],
+    Callable[[bool], Float[np.ndarray, " dim"]],
+]
+"""(state, candidates, points to explore, targets) → a function that picks a point, given whether to explore."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,13 +138,6 @@ def safe_candidates(
     return np.unique(np.concatenate([safe, drawn, best]), axis=0)
 
 
-CANDIDATES, TARGETS = 300, 200
-"""Particles of π_γ to choose runs from; particles at which runs are to help, half of them from the posterior."""
-EXPLORATION = 64
-"""Points of the Sobol sequence considered for an exploring run."""
-_LEADING = 6  # modes whose variances count
-
-
 def choose(
     state: State,
     space: ParameterSpace,
@@ -206,13 +209,6 @@ def _new(points: Float[np.ndarray, "point dim"], state: State) -> Float[np.ndarr
 
 def _explores(run: int, share: float) -> bool:
     return int((run + 1) * share) > int(run * share)
-
-
-Criterion = Callable[
-    [State, Float[np.ndarray, "candidate dim"], Float[np.ndarray, "other dim"], Float[np.ndarray, "target dim"]],
-    Callable[[bool], Float[np.ndarray, " dim"]],
-]
-"""(state, candidates, points to explore, targets) → a function that picks a point, given whether to explore."""
 
 
 def expected_variance(

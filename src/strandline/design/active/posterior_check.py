@@ -55,6 +55,16 @@ MOST = 0.3
 MAD = 1.4826
 """Standard deviation of normal numbers over their median absolute deviation."""
 _SEED = 11
+MASS, NEAR = 0.95, 0.995
+"""Runs lie inside the posterior, or near it, if they are in its densest part that has this mass."""
+FEWEST_LEFT_OUT = 20
+"""Fewest earlier runs inside the posterior that can check it, each predicted from the others."""
+MOST_GIVEN_UP = 2
+"""Number of checks that are given up, at most, because more draws would hardly settle them."""
+SHOWING = 500
+"""Draws that show how far the posterior would move."""
+Points = Float[np.ndarray, "run dim"]
+New = Float[np.ndarray, "new dim"]
 
 
 @dataclass(frozen=True)
@@ -145,10 +155,6 @@ def typical_variance(log_ratios: Float[np.ndarray, " draw"]) -> float:
     return float((MAD * np.median(np.abs(finite - np.median(finite)))) ** 2) if len(finite) else 0.0
 
 
-MASS, NEAR = 0.95, 0.995
-"""Runs lie inside the posterior, or near it, if they are in its densest part that has this mass."""
-
-
 def left_out_ratios(
     state: State,
     records: Sequence[RunRecord],
@@ -185,17 +191,6 @@ def left_out_ratios(
     predicted = likelihood.left_out(np.flatnonzero(inside))
     log_expected = predicted.log_expected + knowledge.log_feasibility(x[inside])
     return x[inside], true - log_expected, predicted.variances
-
-
-FEWEST_LEFT_OUT = 20
-"""Fewest earlier runs inside the posterior that can check it, each predicted from the others."""
-MOST_GIVEN_UP = 2
-"""Number of checks that are given up, at most, because more draws would hardly settle them."""
-SHOWING = 500
-"""Draws that show how far the posterior would move."""
-
-Points = Float[np.ndarray, "run dim"]
-New = Float[np.ndarray, "new dim"]
 
 
 @dataclass(frozen=True, eq=False)

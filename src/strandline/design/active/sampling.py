@@ -38,6 +38,20 @@ TEMPERATURE = 0.5
 """γ of the sampled π_γ ∝ L^γ p; its particles are reweighted to the posterior, and runs are chosen from them."""
 STREAM = 4
 """Keeps the random numbers of the active design apart from all others of the same seed."""
+SLOW_BATCH = 30.0
+"""Seconds from which a batch counts as slow."""
+TEMPERING_STEPS = 20
+"""Tempering steps from the prior to a much narrower posterior: 21 for a drop with five inputs."""
+FROM_THE_PRIOR = 1 + TEMPERING_STEPS * SAMPLING.rejuvenation_steps + DRAWS
+"""Comparisons of each particle that is sampled from the prior."""
+NEARBY = 2 + SAMPLING.rejuvenation_steps
+"""Comparisons of each particle that a likelihood nearby has led to the posterior."""
+TRIED = 32, 1024
+"""Interfaces compared to measure the cost of one; the larger number if the smaller takes less than `QUICK`."""
+QUICK = 0.2
+REPEATS = 3
+"""The fastest comparison counts, because other work on the machine slows comparisons down."""
+Clocks = tuple[Callable[[], float], ...]
 
 
 def posterior_state(
@@ -116,23 +130,6 @@ def _state(knowledge: Knowledge, found: SMCResult) -> State:
         log_plug_in=exact,
         log_evidence_tempered=found.log_evidence,
     )
-
-
-SLOW_BATCH = 30.0
-"""Seconds from which a batch counts as slow."""
-TEMPERING_STEPS = 20
-"""Tempering steps from the prior to a much narrower posterior: 21 for a drop with five inputs."""
-FROM_THE_PRIOR = 1 + TEMPERING_STEPS * SAMPLING.rejuvenation_steps + DRAWS
-"""Comparisons of each particle that is sampled from the prior."""
-NEARBY = 2 + SAMPLING.rejuvenation_steps
-"""Comparisons of each particle that a likelihood nearby has led to the posterior."""
-TRIED = 32, 1024
-"""Interfaces compared to measure the cost of one; the larger number if the smaller takes less than `QUICK`."""
-QUICK = 0.2
-REPEATS = 3
-"""The fastest comparison counts, because other work on the machine slows comparisons down."""
-
-Clocks = tuple[Callable[[], float], ...]
 
 
 def seconds_of_a_batch(

@@ -27,6 +27,17 @@ TRIALS = 8
 """Trial shifts for each point of the mean; a parabola through the best three finds the shift between them."""
 
 Ring = Float[np.ndarray, "point 2"]
+FEWEST_POINTS = 33
+"""Smallest number of points of an interface taken at equal shares of its arclength."""
+FINER = 6
+"""Points of a closed outline for each of its nodes. Chords cut corners off: with 60 nodes and errors of 1 % of
+the radius, 3 points move the posterior by .1 standard deviations, 6 by .04."""
+ROUGHER = 2.0
+"""Nodes are paired otherwise if this reduces the error at left-out runs by more than this factor …"""
+SPACINGS = 0.1
+"""… and if this error is larger than this share of the distance between nodes."""
+RIDGE = 1e-6
+"""Variance of the noise of the process that predicts left-out runs, in variances of the field."""
 
 
 def turned_nodes(interface: Interface, mean: Interface) -> Int[np.ndarray, " point"]:
@@ -84,19 +95,6 @@ def _share(points: Ring, mean: Ring) -> float:
     before, at, after = found[best - 1], found[best], found[(best + 1) % len(found)]
     bend = before - 2 * at + after
     return float((best + (0.5 * (before - after) / bend if bend < 0 else 0.0)) / len(found) % 1.0)
-
-
-FEWEST_POINTS = 33
-"""Smallest number of points of an interface taken at equal shares of its arclength."""
-FINER = 6
-"""Points of a closed outline for each of its nodes. Chords cut corners off: with 60 nodes and errors of 1 % of
-the radius, 3 points move the posterior by .1 standard deviations, 6 by .04."""
-ROUGHER = 2.0
-"""Nodes are paired otherwise if this reduces the error at left-out runs by more than this factor …"""
-SPACINGS = 0.1
-"""… and if this error is larger than this share of the distance between nodes."""
-RIDGE = 1e-6
-"""Variance of the noise of the process that predicts left-out runs, in variances of the field."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,22 @@ from scipy.spatial.distance import cdist
 
 from strandline.errors import NumericsError
 
+LENGTHS = (0.2, 40.0)
+"""Bounds of the length scales, in standard deviations of the inputs over the box."""
+NUGGETS = (1e-10, 1e-2)
+"""Bounds of the noise variance, relative to that of the process."""
+TYPICAL_LENGTH, LENGTH_SPREAD = 3.0, 1.5
+"""Median and spread, in logarithms, of the prior of a length scale: it decides if too few runs do."""
+STARTS = (3.0, 1.0)
+SHORT_START, NOISY = 0.3, 1e-3
+"""A last start, made if the others ended with at least this nugget: they may have taken a fast response for scatter."""
+_STARTING_NUGGET = 1e-6
+_ITERATIONS = 40
+_LARGE = 120  # observations from which a single start is made
+_QUICK_ITERATIONS = 15
+_PRIOR_RUNS = 4.0  # weight of "the variances are right" against the residuals
+_WALL = 1e25
+
 
 def covariance(
     u: Float[np.ndarray, "run dim"], v: Float[np.ndarray, "other dim"], *, rows: bool, columns: bool
@@ -193,22 +209,6 @@ def _by_kernel(
     return out
 
 
-LENGTHS = (0.2, 40.0)
-"""Bounds of the length scales, in standard deviations of the inputs over the box."""
-NUGGETS = (1e-10, 1e-2)
-"""Bounds of the noise variance, relative to that of the process."""
-TYPICAL_LENGTH, LENGTH_SPREAD = 3.0, 1.5
-"""Median and spread, in logarithms, of the prior of a length scale: it decides if too few runs do."""
-STARTS = (3.0, 1.0)
-SHORT_START, NOISY = 0.3, 1e-3
-"""A last start, made if the others ended with at least this nugget: they may have taken a fast response for scatter."""
-_STARTING_NUGGET = 1e-6
-_ITERATIONS = 40
-_LARGE = 120  # observations from which a single start is made
-_QUICK_ITERATIONS = 15
-_PRIOR_RUNS = 4.0  # weight of "the variances are right" against the residuals
-
-
 @dataclass(frozen=True, eq=False)
 class LeftOut:
     """Each run predicted from all others: error of the value, and its variance by the process (run,)."""
@@ -330,9 +330,6 @@ def fit_mode(observed: Observed, *, quick: bool = False) -> ModeProcess:
     left_out = process.left_out()
     surprise = float(np.sum(left_out.errors**2 / np.maximum(left_out.variances, 1e-300)))
     return replace(process, widening=max(1.0, (surprise + _PRIOR_RUNS) / (len(observed.z) + _PRIOR_RUNS)))
-
-
-_WALL = 1e25
 
 
 def _objective(

@@ -21,6 +21,15 @@ MOST = 20
 STEP = 0.5
 """Derivatives enter the decomposition as a step of this many standard deviations of an input."""
 _NOTHING = 1e-14
+SMALLEST_RATIO = 2.0
+"""An input whose box spans a smaller ratio is left as it is: all warps are nearly linear there."""
+LEADING = 3
+"""Modes whose errors choose the warps."""
+ROWS, GROWTH = 160, 1.25
+"""Observations that choose the warps, at most; factor by which their runs grow from one choice to the next."""
+KEPT = 8
+"""Choices that are remembered."""
+_kept: OrderedDict[Hashable, tuple[str, ...]] = OrderedDict()  # the last choices, by all that they depend on
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,10 +100,6 @@ def decompose(
     return Modes(mean, roots, basis[:number], tail)
 
 
-SMALLEST_RATIO = 2.0
-"""An input whose box spans a smaller ratio is left as it is: all warps are nearly linear there."""
-
-
 @dataclass(frozen=True)
 class Warp:
     """A monotone map of one input, and its derivative."""
@@ -153,15 +158,6 @@ class Warping:
 def eligible(low: Float[np.ndarray, " dim"], high: Float[np.ndarray, " dim"]) -> Sequence[int]:
     """Return the inputs for which warps other than the identity can be tried: positive, with a wide enough ratio."""
     return [j for j in range(len(low)) if low[j] > 0 and high[j] >= SMALLEST_RATIO * low[j]]
-
-
-LEADING = 3
-"""Modes whose errors choose the warps."""
-ROWS, GROWTH = 160, 1.25
-"""Observations that choose the warps, at most; factor by which their runs grow from one choice to the next."""
-KEPT = 8
-"""Choices that are remembered."""
-_kept: OrderedDict[Hashable, tuple[str, ...]] = OrderedDict()  # the last choices, by all that they depend on
 
 
 def fewest_runs(dim: int, *, gradients: bool) -> int:
