@@ -45,7 +45,7 @@ _OF_BOTH = (
 )
 _OF_LEAST = "np.abs(step[:2]).max()", "(np.abs(step[:2]).min())"
 EXPLAINED: dict[tuple[str, str, str], str] = {
-    ("design/active/elsewhere.py", "0", "(1)"): "Another scrambling of the Sobol points; either will do.",
+    ("design/active/coverage_runs.py", "0", "(1)"): "Another scrambling of the Sobol points; either will do.",
     ("design/active/parabola.py", "np.maximum(values, 1e-12)", "(np.minimum(values, 1e-12))"): (
         "Scales the axes of the parabola, whose fit does not depend on it, unless inputs are exactly dependent."
     ),

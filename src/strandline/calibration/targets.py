@@ -16,7 +16,7 @@ from jaxtyping import Float
 from scipy.special import log_softmax, logsumexp
 
 from strandline.calibration.cut_posterior import LARGEST_DIM, cut_by_quadrature
-from strandline.design.active import Certificate, FieldOutcome, Knowledge, VarianceEffect, scatter_of
+from strandline.design.active import Certificate, FieldOutcome, Knowledge, VarianceEffect, simulator_noise
 from strandline.design.refinement import SAMPLING
 from strandline.likelihood import OnHost, evaluated, predicted
 from strandline.likelihood.mixture import Mixture
@@ -204,7 +204,7 @@ class FieldTarget:
         without = None
         if inferred is not None and inferred.without is not None:
             without = _moments_by(partial(self._by, inferred.without), self.space, seed)
-        scatter = scatter_of(self.knowledge, posterior.equally_weighted(seed, SCATTERED))
+        scatter = simulator_noise(self.knowledge, posterior.equally_weighted(seed, SCATTERED))
         found = FieldOutcome(self.knowledge, effect, feasible, self.certificate, compared, without, scatter)
         return Checks(field=found)
 

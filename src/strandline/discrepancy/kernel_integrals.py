@@ -121,14 +121,14 @@ class _Pieces:
 
 
 @dataclass(frozen=True, eq=False)
-class _Pairs:
+class _NearPairs:
     """Pieces `row` in the frame of the segments `column`: all of shape (pair,)."""
 
     row: Int[np.ndarray, " pair"]
     column: Int[np.ndarray, " pair"]
 
 
-def _near_pairs(pieces: _Pieces, b: Interface, rows: slice, reach: float) -> _Pairs:
+def _near_pairs(pieces: _Pieces, b: Interface, rows: slice, reach: float) -> _NearPairs:
     """Return the pairs (piece, segment) that come within `reach` of each other, perhaps a few more."""
     tangents = (b.ends - b.starts) / b.lengths[:, None]
     middle = pieces.starts[rows] + 0.5 * pieces.steps[rows]
@@ -138,10 +138,10 @@ def _near_pairs(pieces: _Pieces, b: Interface, rows: slice, reach: float) -> _Pa
     off = x * tangents[:, 1] - y * tangents[:, 0]
     near = beyond**2 + off**2 <= (reach + 0.5 * pieces.lengths[rows, None]) ** 2
     row, column = np.nonzero(near)
-    return _Pairs(row + rows.start, column)
+    return _NearPairs(row + rows.start, column)
 
 
-def _pair_integrals(pieces: _Pieces, b: Interface, pairs: _Pairs, width: float, order: int) -> float:
+def _pair_integrals(pieces: _Pieces, b: Interface, pairs: _NearPairs, width: float, order: int) -> float:
     """Return Σ over the pairs of n·m ∫∫ K; `along` and `across` are the nodes' coordinates in the segment's frame."""
     nodes, weights = _unit_gauss(order)
     scale = 1 / (math.sqrt(2) * width)
@@ -169,9 +169,9 @@ def _blocks(rows: int, columns: int) -> Iterator[slice]:
     return (slice(k, min(k + size, rows)) for k in range(0, rows, size))
 
 
-def _chunks(pairs: _Pairs, order: int) -> Iterator[_Pairs]:
+def _chunks(pairs: _NearPairs, order: int) -> Iterator[_NearPairs]:
     size = max(1, BLOCK // order)
-    return (_Pairs(pairs.row[k : k + size], pairs.column[k : k + size]) for k in range(0, len(pairs.row), size))
+    return (_NearPairs(pairs.row[k : k + size], pairs.column[k : k + size]) for k in range(0, len(pairs.row), size))
 
 
 def refined_surface_product(a: Interface, b: Interface, width: float, *, tolerance: float) -> float:

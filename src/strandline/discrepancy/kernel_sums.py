@@ -83,7 +83,7 @@ def kernel_sum(a: Nodes, b: Nodes, width: float, *, reach: float, sizes: Sizes =
 
 
 @dataclass(frozen=True, eq=False)
-class _Batch:
+class _TileBatch:
     """Tiles of one side, and which `partners` on the other side each needs: those from `begin` up to `end`."""
 
     tiles: Int[np.ndarray, "tile node"]
@@ -93,7 +93,7 @@ class _Batch:
     weights: Float[np.ndarray, " tile"]
 
 
-def _batches(a: Nodes, b: Nodes, reach: float, sizes: Sizes) -> Iterator[_Batch]:
+def _batches(a: Nodes, b: Nodes, reach: float, sizes: Sizes) -> Iterator[_TileBatch]:
     """Yield every pair within reach once, some that are farther apart, and blank nodes that fill the rows.
 
     In a sum of nodes with themselves, every pair of different tiles is yielded only once, with weight 2.
@@ -121,7 +121,7 @@ def _batches(a: Nodes, b: Nodes, reach: float, sizes: Sizes) -> Iterator[_Batch]
         rows = [_cut(row, _UNROLLED, blank=len(b)).ravel() for row in near]
         partners, end = np.concatenate(rows), np.cumsum([len(row) for row in rows])
         spare = 0, (2 if a is b else 1) * sizes.tiles - len(some)
-        yield _Batch(
+        yield _TileBatch(
             np.pad(tiles[some], (spare, (0, 0)), constant_values=len(a)),
             _filled_up(partners, blank=len(b)),
             np.pad(np.concatenate([[0], end[:-1]]), spare),
@@ -130,7 +130,7 @@ def _batches(a: Nodes, b: Nodes, reach: float, sizes: Sizes) -> Iterator[_Batch]
         )
 
 
-def _everyone(number: int, others: int, full_tile: int, *, itself: bool) -> Iterator[_Batch]:
+def _everyone(number: int, others: int, full_tile: int, *, itself: bool) -> Iterator[_TileBatch]:
     """Yield every pair of nodes, in their order, tile by tile."""
     step = full_tile // 8
     size = -(-number // (-(-number // full_tile) * step)) * step
@@ -144,7 +144,7 @@ def _everyone(number: int, others: int, full_tile: int, *, itself: bool) -> Iter
         tiles, weights = np.tile(tiles, (2, 1)), np.concatenate([weights, 2 * weights])
     filled = _filled_up(partners, blank=others)
     for k in range(len(tiles)):
-        yield _Batch(tiles[k : k + 1], filled, begin[k : k + 1], end[k : k + 1], weights[k : k + 1])
+        yield _TileBatch(tiles[k : k + 1], filled, begin[k : k + 1], end[k : k + 1], weights[k : k + 1])
 
 
 def _cut(order: Int[np.ndarray, " node"], size: int, *, blank: int) -> Int[np.ndarray, "tile {size}"]:
@@ -163,10 +163,10 @@ def _with_blank(nodes: Nodes) -> Nodes:
     return Nodes(np.pad(nodes.points, ((0, 1), (0, 0)), mode="edge"), np.pad(nodes.normals, ((0, 1), (0, 0))))
 
 
-def _in_blocks(a: Nodes, b: Nodes, width: float) -> Callable[[_Batch], float]:
+def _in_blocks(a: Nodes, b: Nodes, width: float) -> Callable[[_TileBatch], float]:
     """Return a function that sums a batch with NumPy."""
 
-    def sums(batch: _Batch) -> float:
+    def sums(batch: _TileBatch) -> float:
         rows = zip(batch.tiles, batch.begin, batch.end, batch.weights, strict=True)
         return math.fsum(
             weight * _blocked(a[tile], b[batch.partners[first:last]], width) for tile, first, last, weight in rows
@@ -185,7 +185,7 @@ def _blocked(a: Nodes, b: Nodes, width: float) -> float:
     return total
 
 
-def _compiled(a: Nodes, b: Nodes, width: float) -> Callable[[_Batch], float]:
+def _compiled(a: Nodes, b: Nodes, width: float) -> Callable[[_TileBatch], float]:
     """Return a function that sums a batch with the compiled loop."""
     middle, scale = 0.5 * (a.points.min(axis=0) + a.points.max(axis=0)), math.sqrt(0.5 / math.log(2)) / width
     x, y = ((one.points - middle) * scale for one in (a, b))
@@ -193,7 +193,7 @@ def _compiled(a: Nodes, b: Nodes, width: float) -> Callable[[_Batch], float]:
     others = np.hstack([y, b.normals, squares[:, None]])
     close = bool((x**2).sum(axis=1).max() + squares.max() <= _CLOSE)
 
-    def sums(batch: _Batch) -> float:
+    def sums(batch: _TileBatch) -> float:
         rows = (np.moveaxis(column[batch.tiles], 2, 1) for column in (x, a.normals))
         found = _tile_sums()(*rows, others[batch.partners], batch.begin, batch.end, batch.weights, WHOLE, close=close)
         return float(found)

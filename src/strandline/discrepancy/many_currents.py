@@ -95,7 +95,7 @@ class Division:
 
 
 @dataclass(frozen=True, eq=False)
-class Pairs:
+class PiecePairs:
     """Pairs of a piece `row` of one side and a piece `column` of the other; each counts `times`."""
 
     row: Int[np.ndarray, " pair"]
@@ -103,7 +103,7 @@ class Pairs:
     times: Float[np.ndarray, " pair"]
 
     @classmethod
-    def near(cls, a: Pieces, b: Pieces, reach: float) -> "Pairs":
+    def near(cls, a: Pieces, b: Pieces, reach: float) -> "PiecePairs":
         """Return the pairs whose boxes come within `reach` of each other; for a side with itself, each pair once."""
         (low_a, high_a), (low_b, high_b) = a.boxes(), b.boxes()
         gap = np.maximum(np.maximum(low_a[:, None] - high_b, low_b - high_a[:, None]), 0.0)
@@ -115,10 +115,10 @@ class Pairs:
         return cls(row, column, np.where(row < column, 2.0, 1.0))
 
 
-PieceSum = Callable[[Pieces, Pieces, Pairs, Orders], Float[np.ndarray, " run"]]
+PieceSum = Callable[[Pieces, Pieces, PiecePairs, Orders], Float[np.ndarray, " run"]]
 
 
-def plain_sum(a: Pieces, b: Pieces, pairs: Pairs, orders: Orders) -> Float[np.ndarray, " run"]:
+def plain_sum(a: Pieces, b: Pieces, pairs: PiecePairs, orders: Orders) -> Float[np.ndarray, " run"]:
     """Return ⟨a,b⟩ of each run, in squares of the unit; `b` may be the same for all runs."""
     (nodes, weights), (others, other_weights) = (np.polynomial.legendre.leggauss(order) for order in orders)
     total = np.zeros(a.middles.shape[2])
@@ -135,7 +135,7 @@ def plain_sum(a: Pieces, b: Pieces, pairs: Pairs, orders: Orders) -> Float[np.nd
     return total
 
 
-def compiled_sum(a: Pieces, b: Pieces, pairs: Pairs, orders: Orders) -> Float[np.ndarray, " run"]:
+def compiled_sum(a: Pieces, b: Pieces, pairs: PiecePairs, orders: Orders) -> Float[np.ndarray, " run"]:
     """Return the same, with JAX in double precision."""
     number = len(pairs.row)
     room = (1 << max(number - 1, 0).bit_length()) - number  # few lengths: each one is compiled for
@@ -224,7 +224,7 @@ def _dot(a: Any, b: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Rule:
+class CurrentsRule:
     """Accuracy to which a batch is integrated.
 
     Args:
@@ -245,7 +245,7 @@ def currents_of_many(
     *,
     width: float,
     square: float,
-    rule: Rule,
+    rule: CurrentsRule,
 ) -> Float[np.ndarray, " run"] | None:
     """Return d² = ⟨S,S⟩ - 2⟨S,T⟩ + ⟨T,T⟩ of each polyline S, mm²; None for few runs, or with JAX in single precision.
 
@@ -266,7 +266,7 @@ def currents_of_many(
     unit, middle = _UNIT * width, observed.mean(axis=0)
     (order,) = similar(points, len(points))
     shapes, seen = np.moveaxis((points[order] - middle) / unit, 0, 2), (observed - middle) / unit
-    batch = _Batch.of(shapes, cells, seen, observed_cells, Rule(rule.tolerance / unit**2, rule.share))
+    batch = _Batch.of(shapes, cells, seen, observed_cells, CurrentsRule(rule.tolerance / unit**2, rule.share))
     orders = batch.orders()
     blocks = np.array_split(np.arange(len(points)), -(-len(points) // BLOCK))
     found = np.empty(len(points))
@@ -292,7 +292,7 @@ class _Batch:
     target: Pieces
     longest: tuple[float, float]
     reach: float
-    rule: Rule
+    rule: CurrentsRule
 
     @classmethod
     def of(
@@ -301,7 +301,7 @@ class _Batch:
         cells: Int[np.ndarray, "cell 2"],
         observed: Float[np.ndarray, "other 2"],
         observed_cells: Int[np.ndarray, "other_cell 2"],
-        rule: Rule,
+        rule: CurrentsRule,
     ) -> "_Batch":
         """Divide the segments, in units of the width, and find the reach."""
         ours, theirs = lengths(points, cells), lengths(observed, observed_cells)
@@ -335,8 +335,8 @@ class _Batch:
 
     def _summed(self, rows: Int[np.ndarray, " some"], orders: Orders, summed: PieceSum) -> Float[np.ndarray, " some"]:
         own = self.own.pieces(np.ascontiguousarray(self.points[..., rows]))
-        square = summed(own, own, Pairs.near(own, own, self.reach), (orders[0], orders[0]))
-        cross = summed(own, self.target, Pairs.near(own, self.target, self.reach), orders)
+        square = summed(own, own, PiecePairs.near(own, own, self.reach), (orders[0], orders[0]))
+        cross = summed(own, self.target, PiecePairs.near(own, self.target, self.reach), orders)
         return np.asarray(square - 2 * cross)
 
 

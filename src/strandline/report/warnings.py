@@ -57,8 +57,8 @@ TENFOLD = np.log(10.0)
 """Logarithm of a ratio of standard deviations above which the number itself says nothing."""
 EFFECT = 0.25
 """Largest shift of a mean by the surrogate's variance, in standard deviations, without a warning."""
-TOUCHED = 0.05
-"""Posterior mass where runs are likely to fail, above which a warning reports it."""
+TOUCHED, HALF = 0.05, 0.5
+"""Posterior mass where runs are likely to fail, above which a warning reports it; from which more runs do not help."""
 
 
 def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> Iterator[str]:
@@ -377,8 +377,10 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
     """Yield one sentence per doubt."""
     certificate, surrogate = found.certificate, found.knowledge.surrogate
     if certificate is not None and not certificate.converged:
-        advice = "" if certificate.scattered else " Allow more runs: design.active.runs."
-        yield f"NOT CONVERGED: {'; '.join(certificate.reasons)}.{advice}"
+        advice = " Allow more runs: design.active.runs."
+        if 1.0 - found.feasible >= HALF:
+            advice = " More runs do not help: find out why they fail where the observation leads them."
+        yield f"NOT CONVERGED: {'; '.join(certificate.reasons)}.{'' if certificate.scattered else advice}"
     if certificate is not None and certificate.overlooks:
         yield (
             "There were too few runs to search for other regions that fit as thoroughly as design.active.unseen "

@@ -2,9 +2,9 @@
 
 from strandline.surrogate.gaussian_process import GaussianProcess, batched_mean, condition
 from strandline.surrogate.hyperparameters import (
-    Attempt,
-    Evidence,
+    EvidenceSearch,
     FittedHyperparameters,
+    LogEvidence,
     evidence,
     fit_hyperparameters,
 )
@@ -27,15 +27,15 @@ from strandline.surrogate.log_likelihood import (
 __all__ = [
     "KERNELS",
     "STUDY_SIZES",
-    "Attempt",
     "Convergence",
-    "Evidence",
+    "EvidenceSearch",
     "Fit",
     "FittedHyperparameters",
     "GaussianProcess",
     "HasHessian",
     "Kernel",
     "LengthScale",
+    "LogEvidence",
     "LogLikelihoodSurrogate",
     "Predictor",
     "Validation",

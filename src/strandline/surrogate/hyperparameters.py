@@ -20,9 +20,9 @@ from strandline.numerics.linear_algebra import factorise, invert, solve
 from strandline.surrogate.kernels import Kernel, LengthScale, as_length_scale, as_lengths
 
 __all__ = [
-    "Attempt",
-    "Evidence",
+    "EvidenceSearch",
     "FittedHyperparameters",
+    "LogEvidence",
     "Objective",
     "evidence",
     "fit_hyperparameters",
@@ -39,7 +39,7 @@ _TRIES = 4  # runs of the optimiser from one start, each from where the last sto
 
 
 @dataclass(frozen=True)
-class Evidence:
+class LogEvidence:
     """Log evidence and its derivatives with respect to (log σ0²/l³, log l), with a log l for each length."""
 
     value: float
@@ -47,7 +47,7 @@ class Evidence:
 
 
 @dataclass(frozen=True)
-class Attempt:
+class EvidenceSearch:
     """One start of the optimiser and how it ended.
 
     Args:
@@ -93,7 +93,7 @@ class FittedHyperparameters:
     at_bound: bool
     message: str
     verdict: str
-    attempts: tuple[Attempt, ...]
+    attempts: tuple[EvidenceSearch, ...]
 
 
 class Objective:
@@ -108,7 +108,7 @@ class Objective:
         self.K = np.zeros((len(y), len(y)), order="F")
         self.worst = math.inf
 
-    def evidence(self, log_ratio: float, log_lengths: Sequence[float]) -> Evidence:
+    def evidence(self, log_ratio: float, log_lengths: Sequence[float]) -> LogEvidence:
         """Return the evidence at (log σ0²/l³, log l)."""
         inverse, variance = self._covariance(log_ratio, log_lengths)
         alpha = solve(self.K, self.y)
@@ -117,7 +117,7 @@ class Objective:
         by_variance = self._by_log_variance(alpha)
         by_lengths = variance * self.pairs.by_log_lengths(alpha, self.K, inverse_lengths=inverse)
         by_lengths += 3 / self.lengths * by_variance
-        return Evidence(float(value), np.array([by_variance, *by_lengths]))
+        return LogEvidence(float(value), np.array([by_variance, *by_lengths]))
 
     def _by_log_variance(self, alpha: Float[np.ndarray, " run"]) -> float:
         """Return ∂/∂log σ0² = ½ (αᵀ σ0²C α - tr K⁻¹ σ0²C) with σ0²C = K - σ_n² I; `K` holds K⁻¹."""
@@ -169,7 +169,7 @@ def evidence(
     length_scale: LengthScale,
     signal_variance: float,
     nugget: float,
-) -> Evidence:
+) -> LogEvidence:
     """Return log p(y | X, l, σ0², σ_n²) and its gradient with respect to (log σ0²/l³, log l).
 
     Args:
@@ -261,7 +261,7 @@ def require_runs(x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " run"]) 
         )
 
 
-def _attempt(objective: Objective, start: float, bound: float) -> Attempt:
+def _attempt(objective: Objective, start: float, bound: float) -> EvidenceSearch:
     """Run the optimiser from one length scale, judge its stop, and continue from there if that is no maximum."""
     ratio = objective.starting_ratio(start)
     box = [(ratio - _WINDOW, ratio + _WINDOW)] + [(math.log(SHORTEST_LENGTH), math.log(bound))] * objective.lengths
@@ -273,7 +273,7 @@ def _attempt(objective: Objective, start: float, bound: float) -> Attempt:
         if accepted:
             break
     lengths = [min(math.exp(log_length), bound) for log_length in found.x[1:]]
-    return Attempt(
+    return EvidenceSearch(
         start=start,
         length_scale=as_length_scale(objective.kernel, np.array(lengths)),
         signal_variance=math.exp(found.x[0]) * math.prod(lengths) ** (3 / objective.lengths),
@@ -307,7 +307,7 @@ def _judge(objective: Objective, found: OptimizeResult, box: list[tuple[float, f
     return (f"accepted: {figures}", True) if gain < _FLAT else (f"not a maximum: {figures}", False)
 
 
-def _account(attempts: tuple[Attempt, ...]) -> str:
+def _account(attempts: tuple[EvidenceSearch, ...]) -> str:
     lines = [f"from l = {a.start:g} to {_shown(a.length_scale)}: {a.message} ({a.verdict})" for a in attempts]
     return "; ".join(lines) + ". Raise the nugget, clip extreme log-likelihoods or bound the length scale lower."
 

@@ -8,8 +8,8 @@ import pytest
 from scipy.special import softmax
 
 import strandline as sl
-from strandline.design.active import Active, learn, scatter_of
-from strandline.design.active.posterior_check import Scatter
+from strandline.design.active import Active, learn, simulator_noise
+from strandline.design.active.posterior_check import SimulatorNoise
 from strandline.posterior.weighted import Weighted
 from strandline.report.warnings import find_warnings
 
@@ -56,7 +56,7 @@ def test_planted_scatter_is_measured():
     model, x = Jittery(0.03, 1), sl.sobol(48, 2, scramble=1)
     records = [sl.RunRecord(str(i), SPACE.as_mapping(r), "ok", {"": model.interface(r)}) for i, r in enumerate(x)]
     draws = TRUTH + 0.05 * np.random.default_rng(2).standard_normal((16, 2))
-    found = scatter_of(learn(x, records, SPACE, (seen(1),), sl.TrackedPoints()), draws)
+    found = simulator_noise(learn(x, records, SPACE, (seen(1),), sl.TrackedPoints()), draws)
     size = np.mean(np.sqrt(np.mean(heights(x) ** 2, axis=1)))
     assert found.rms == pytest.approx(0.03 * size, rel=0.35)
     likelihood = sl.InterfaceLikelihood((seen(1),), sl.TrackedPoints())
@@ -65,13 +65,13 @@ def test_planted_scatter_is_measured():
 
 
 def test_when_it_is_the_reason():
-    scatter = Scatter(0.003, 0.006, 0.5)
+    scatter = SimulatorNoise(0.003, 0.006, 0.5)
     assert scatter.share == 0.5
     assert scatter.prevents(observed=0.6, **LIMITS)
     assert scatter.prevents(observed=None, **LIMITS)
     assert not scatter.prevents(observed=5.0, **LIMITS)  # a wrong surrogate scatters more
-    assert not Scatter(0.003, 0.006, 0.01).prevents(observed=0.01, **LIMITS)
-    assert Scatter(0.003, 0.006, 0.15).prevents(observed=0.15, **LIMITS)  # by the shift alone
+    assert not SimulatorNoise(0.003, 0.006, 0.01).prevents(observed=0.01, **LIMITS)
+    assert SimulatorNoise(0.003, 0.006, 0.15).prevents(observed=0.15, **LIMITS)  # by the shift alone
     assert all(words in scatter.reason for words in ("3 µm", "0.5 times the shift", "by 0.71", "average", "tolerance"))
 
 

@@ -167,6 +167,8 @@ def test_each_doubt_about_a_surrogate_of_the_field_is_told_alone(field: Finished
     ):
         (line,) = told(**changes)
         assert words in line
+    stopped, _ = told(certificate=Certificate(False, reasons, (), (), None), feasible=0.5)
+    assert "More runs do not help: find out why they fail" in stopped
     for fine in ({}, {"certificate": Certificate(True, reasons, (), (), None)}, {"feasible": 0.96}):
         assert told(**fine) == []
 

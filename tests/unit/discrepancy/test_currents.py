@@ -18,7 +18,7 @@ from strandline.discrepancy.kernel_integrals import (
     triangle_order,
     triangle_rule,
 )
-from strandline.discrepancy.many_currents import Division, Pairs, compiled_sum, plain_sum
+from strandline.discrepancy.many_currents import Division, PiecePairs, compiled_sum, plain_sum
 from strandline.errors import InvalidInterface, NumericsError
 from strandline.interface import Interface, PointErrors, oriented_like
 
@@ -263,7 +263,7 @@ def test_sums_in_numpy_are_the_compiled_ones():
     random = np.random.default_rng(1)
     points, cells = random.random((6, 2, 3)), np.array([[k, k + 1] for k in range(5)])
     pieces = Division.of(cells, np.linalg.norm(np.diff(points, axis=0), axis=1).max(axis=1), 0.5).pieces(points)
-    pairs = Pairs.near(pieces, pieces, 10.0)
+    pairs = PiecePairs.near(pieces, pieces, 10.0)
     plain = plain_sum(pieces, pieces, pairs, (3, 3))
     np.testing.assert_allclose(plain, compiled_sum(pieces, pieces, pairs, (3, 3)), rtol=1e-12)
 

@@ -18,7 +18,7 @@ from strandline.discrepancy import (
     squared_discrepancies,
 )
 from strandline.discrepancy.closest_point import DIRECTIONS, WEIGHTINGS
-from strandline.discrepancy.many_currents import BLOCK, FEWEST, Pairs
+from strandline.discrepancy.many_currents import BLOCK, FEWEST, PiecePairs
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface
 
@@ -49,12 +49,12 @@ def test_currents_know_no_unit():
 
 def test_rules_that_are_too_coarse_show(monkeypatch):
     points, template, seen = runs("open", 20)
-    measure, near = Currents(0.02), Pairs.near
+    measure, near = Currents(0.02), PiecePairs.near
     expected = one_by_one(replace(measure, tolerance=1e-10), points, template, seen)
     assert within(measure, measure.many(points, template, seen), expected, seen)
     for owner, name, planted in (
         (many_currents._Batch, "orders", lambda batch: (1, 1)),
-        (Pairs, "near", lambda a, b, reach: near(a, b, 0.5 * reach)),
+        (PiecePairs, "near", lambda a, b, reach: near(a, b, 0.5 * reach)),
     ):
         with monkeypatch.context() as patch:
             patch.setattr(owner, name, planted)
@@ -107,7 +107,7 @@ def test_a_measure_is_not_asked_for_no_interfaces():
 
 def test_few_runs_and_single_precision_are_left_to_the_way_run_by_run(monkeypatch):
     points, template, seen = runs("open", FEWEST)
-    given = {"width": 0.05, "square": 1.0, "rule": many_currents.Rule(1e-6, 1e-3)}
+    given = {"width": 0.05, "square": 1.0, "rule": many_currents.CurrentsRule(1e-6, 1e-3)}
 
     def done(some):
         return many_currents.currents_of_many(some, template.cells, seen.points, seen.cells, **given) is not None
@@ -124,7 +124,7 @@ def test_the_reach_is_that_of_the_longest_run():
 
     def reach(*heights):
         shapes = np.stack([graph(s, h * np.sin(20 * s)).points for h in heights], axis=2)
-        rule = many_currents.Rule(1e-8, 1e-3)
+        rule = many_currents.CurrentsRule(1e-8, 1e-3)
         return many_currents._Batch.of(shapes, flat.cells, flat.points, flat.cells, rule).reach
 
     assert reach(0.0, 0.5) == reach(0.5) > reach(0.0)

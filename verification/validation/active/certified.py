@@ -22,7 +22,7 @@ from verification.validation.tables import Table
 
 from strandline.design import sobol
 from strandline.design.active import Active, ActiveDesign, State, learn, posterior_state
-from strandline.design.active.elsewhere import least_found
+from strandline.design.active.coverage_runs import least_found
 from strandline.discrepancy import TrackedPoints
 from strandline.errors import TooFewRuns
 from strandline.interface import Interface, Observation

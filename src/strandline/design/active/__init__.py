@@ -4,7 +4,7 @@ from strandline.design.active.active_design import ActiveDesign, Batch, Step
 from strandline.design.active.campaign import ActiveRuns, BatchReport, Certificate, FieldOutcome, VarianceEffect
 from strandline.design.active.checking import BatchCheck
 from strandline.design.active.choice import CRITERIA, Criterion
-from strandline.design.active.posterior_check import Scatter, scatter_of
+from strandline.design.active.posterior_check import SimulatorNoise, simulator_noise
 from strandline.design.active.sampling import SLOW_BATCH, posterior_state, seconds_of_a_batch
 from strandline.design.active.settings import Active
 from strandline.design.active.state import Knowledge, State, learn, training_of
@@ -22,13 +22,13 @@ __all__ = [
     "Criterion",
     "FieldOutcome",
     "Knowledge",
-    "Scatter",
+    "SimulatorNoise",
     "State",
     "Step",
     "VarianceEffect",
     "learn",
     "posterior_state",
-    "scatter_of",
     "seconds_of_a_batch",
+    "simulator_noise",
     "training_of",
 ]

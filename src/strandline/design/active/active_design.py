@@ -14,10 +14,10 @@ from jaxtyping import Float
 
 from strandline.design.active.checking import BatchCheck, number_of_probes
 from strandline.design.active.choice import Losses, choose, price_of_a_hang
-from strandline.design.active.elsewhere import Surprise, points_around, points_elsewhere
+from strandline.design.active.coverage_runs import Surprise, points_around, points_elsewhere
 from strandline.design.active.posterior_check import PosteriorCheck
 from strandline.design.active.settings import LARGEST_BATCH, Active
-from strandline.design.active.state import Moved, Remembered, State
+from strandline.design.active.state import PosteriorMove, Remembered, State
 from strandline.design.space_filling import sobol
 from strandline.parameters import ParameterSpace
 from strandline.posterior import subset
@@ -70,7 +70,7 @@ class Step:
     mean: Float[np.ndarray, " dim"]
     sd: Float[np.ndarray, " dim"]
     error: float
-    moved: Moved | None
+    moved: PosteriorMove | None
     since: int | None
     check: BatchCheck | None
 
@@ -331,7 +331,7 @@ class ActiveDesign:
     def _calm(self, step: Step) -> bool:
         return step.moved is not None and self._quiet(step.moved)
 
-    def _quiet(self, moved: Moved) -> bool:
+    def _quiet(self, moved: PosteriorMove) -> bool:
         return max(moved.shift, moved.width) < self.active.change and moved.effective >= self.active.effective
 
     def _why_not(self) -> tuple[str, ...]:

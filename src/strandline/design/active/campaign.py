@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.design.active.active_design import ActiveDesign, Batch, Step
-from strandline.design.active.elsewhere import SURE, least_found
+from strandline.design.active.coverage_runs import SURE, least_found
 from strandline.design.active.fidelities import Fidelities, FidelityReport
-from strandline.design.active.posterior_check import NONE, Scatter
+from strandline.design.active.posterior_check import NONE, SimulatorNoise
 from strandline.design.active.sampling import posterior_state
 from strandline.design.active.settings import Active
 from strandline.design.active.state import Knowledge, State, learn
@@ -127,7 +127,7 @@ class FieldOutcome:
     certificate: Certificate | None = None
     compared: Mapping[str, Float[np.ndarray, " dim"]] | None = None
     without_error: Mapping[str, Float[np.ndarray, " dim"]] | None = None
-    scatter: Scatter = NONE
+    scatter: SimulatorNoise = NONE
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ __all__ = [
     "FEWEST_DRAWS",
     "POOL",
     "BatchCheck",
-    "LeftOut",
+    "LeftOutRuns",
     "Tolerances",
     "agree",
     "error_probability",
@@ -74,7 +74,7 @@ class Tolerances:
 
 
 @dataclass(frozen=True, eq=False)
-class LeftOut:
+class LeftOutRuns:
     """Earlier runs near a posterior, each predicted from all others.
 
     Args:
@@ -182,7 +182,7 @@ def verdict(
     probing: int,
     level: float,
     last: bool,
-    left_out: LeftOut | None = None,
+    left_out: LeftOutRuns | None = None,
     expected: Expected | None = None,
     scatter: float = 0.0,
     most: int | None = None,
@@ -258,7 +258,7 @@ def verdict(
 
 
 def agree(
-    left_out: LeftOut,
+    left_out: LeftOutRuns,
     posterior: Float[np.ndarray, "particle dim"],
     variances: Float[np.ndarray, " particle"],
     tolerances: Tolerances,

@@ -138,7 +138,7 @@ def _terms(y: Float[np.ndarray, "some dim"]) -> Float[np.ndarray, "some term"]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Fit:
+class _ParabolaFit:
     """Weighted least squares.
 
     Args:
@@ -156,7 +156,7 @@ class _Fit:
 
 def _fitted(
     A: Float[np.ndarray, "draw term"], log_ratios: Float[np.ndarray, " draw"], roots: Float[np.ndarray, " draw"]
-) -> _Fit:
+) -> _ParabolaFit:
     """Return the fit; its errors are those of the draws that count most, with half of the freedom, if they are larger.
 
     Args:
@@ -172,7 +172,7 @@ def _fitted(
     part = max(int(np.searchsorted(freedom, freedom[-1] / 2)) - 1, int(np.searchsorted(freedom, 1.0)))
     if roots.max() == roots.min() or squares[part] / freedom[part] <= squares[-1] / freedom[-1]:
         part = len(A) - 1
-    return _Fit(best, r, float(squares[part]), float(freedom[part]))
+    return _ParabolaFit(best, r, float(squares[part]), float(freedom[part]))
 
 
 def _bounds(drawn: Float[np.ndarray, "sample dim"], level: float) -> tuple[float, float]:

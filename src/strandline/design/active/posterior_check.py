@@ -17,7 +17,7 @@ from jaxtyping import Float
 from strandline.design.active.checking import (
     POOL,
     BatchCheck,
-    LeftOut,
+    LeftOutRuns,
     agree,
     error_probability,
     looks,
@@ -27,7 +27,7 @@ from strandline.design.active.checking import (
     verdict,
 )
 from strandline.design.active.choice import Losses
-from strandline.design.active.elsewhere import (
+from strandline.design.active.coverage_runs import (
     LEFT_OUT_NOISE,
     LEFT_OUT_SDS,
     Surprise,
@@ -68,7 +68,7 @@ New = Float[np.ndarray, "new dim"]
 
 
 @dataclass(frozen=True)
-class Scatter:
+class SimulatorNoise:
     """The simulator's own scatter and what it does to the log-likelihood of a run.
 
     Args:
@@ -126,11 +126,11 @@ class Scatter:
         return self.variance > 0 and self.variance >= MOST * observed
 
 
-NONE = Scatter(0.0, 1.0, 0.0)
+NONE = SimulatorNoise(0.0, 1.0, 0.0)
 """A simulator that does not scatter."""
 
 
-def scatter_of(knowledge: Knowledge, draws: Float[np.ndarray, "draw dim"]) -> Scatter:
+def simulator_noise(knowledge: Knowledge, draws: Float[np.ndarray, "draw dim"]) -> SimulatorNoise:
     """Return the scatter that the runs show, and its effect at draws of the posterior.
 
     Runs are imagined there whose modes scatter independently. The effect is larger in the tails: for a check, give its
@@ -140,13 +140,13 @@ def scatter_of(knowledge: Knowledge, draws: Float[np.ndarray, "draw dim"]) -> Sc
     rms = surrogate.scatter
     hidden = min(noise_length(seen, likelihood.discrepancy) for seen in likelihood.known_observations)
     if rms < NEGLIGIBLE * hidden:
-        return Scatter(rms, hidden, 0.0)
+        return SimulatorNoise(rms, hidden, 0.0)
     means = surrogate.mean(draws[:: max(len(draws) // PLACES, 1)][:PLACES])
     normal = np.random.default_rng(_SEED).standard_normal((REPEATS, means.shape[1]))
     runs = means[:, None] + normal * np.sqrt(surrogate.scatter_variances)
     with one_thread():
         values = likelihood.at(runs.reshape(-1, means.shape[1])).reshape(len(means), REPEATS)
-    return Scatter(rms, hidden, float(np.mean(np.var(values, axis=1, ddof=1))))
+    return SimulatorNoise(rms, hidden, float(np.mean(np.var(values, axis=1, ddof=1))))
 
 
 def typical_variance(log_ratios: Float[np.ndarray, " draw"]) -> float:
@@ -215,7 +215,7 @@ class Checked:
     probing: int
     ends: tuple[int, ...]
     elsewhere: Float[np.ndarray, "new dim"]
-    left_out: LeftOut | None = None
+    left_out: LeftOutRuns | None = None
     looks: int = 0
     patient: bool = True
 
@@ -248,7 +248,7 @@ class PosteriorCheck:
     ) -> None:
         self.active, self.space, self.batch, self.seed, self.whole = active, space, batch, seed, whole
         self.log_likelihood = log_likelihood
-        self.scatter: Scatter = NONE
+        self.scatter: SimulatorNoise = NONE
         self._checked: Checked | None = None
         self._given_up = 0
         self._observed: tuple[int, float | None] = (active.check, None)
@@ -308,7 +308,7 @@ class PosteriorCheck:
         probing = sum(i < checked.probing for i in here)
         ratios = true - checked.log_expected[here]
         draws, posterior = checked.draws[here], self._shown(checked.state)
-        self.scatter = scatter_of(checked.state.knowledge, draws)
+        self.scatter = simulator_noise(checked.state.knowledge, draws)
         observed = typical_variance(ratios)
         self._observed = len(ratios), observed
         variances = checked.state.knowledge.likelihood.variances
@@ -388,14 +388,14 @@ class PosteriorCheck:
         variances = state.knowledge.likelihood.variances(shown)
         return agree(self.near(state, records), shown, variances, self.active.tolerances)
 
-    def near(self, state: State, records: Sequence[RunRecord]) -> LeftOut:
+    def near(self, state: State, records: Sequence[RunRecord]) -> LeftOutRuns:
         """Return the runs near the posterior: a parabola reaches a little farther than the draws."""
-        return LeftOut(*left_out_ratios(state, records, self.log_likelihood, self.space.log_prior, mass=NEAR))
+        return LeftOutRuns(*left_out_ratios(state, records, self.log_likelihood, self.space.log_prior, mass=NEAR))
 
     def scatter_prevents(self, state: State) -> bool:
         """Return whether the simulator's own scatter keeps a posterior from passing; `scatter` then says how."""
         at = self._shown(state) if self._checked is None else self._checked.draws
-        self.scatter = scatter_of(state.knowledge, at)  # by all runs: few may mistake curvature for scatter
+        self.scatter = simulator_noise(state.knowledge, at)  # by all runs: few may mistake curvature for scatter
         draws, observed = self._observed
         limits = {"shift": self.active.tolerances.shift, "effective": self.active.effective}
         return self.scatter.prevents(draws=draws, observed=observed, **limits)

@@ -18,7 +18,7 @@ from strandline.runs import RunRecord
 from strandline.surrogate.feasibility import Feasibility, learn_feasibility
 from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
 
-__all__ = ["Knowledge", "Moved", "Remembered", "State", "learn", "training_of"]
+__all__ = ["Knowledge", "PosteriorMove", "Remembered", "State", "learn", "training_of"]
 
 Values = Float[np.ndarray, " point"]
 
@@ -175,7 +175,7 @@ class State:
 
 
 @dataclass(frozen=True)
-class Moved:
+class PosteriorMove:
     """How far a posterior is from an earlier one.
 
     Args:
@@ -210,7 +210,7 @@ class Remembered:
         """Return the part of `state` that is kept."""
         return cls(len(state.knowledge.x), state.positions, state.log_weights, state.log_plug_in)
 
-    def moved(self, knowledge: Knowledge) -> Moved:
+    def moved(self, knowledge: Knowledge) -> PosteriorMove:
         """Return how far the posterior that `knowledge` leads to is from this one.
 
         The same particles are reweighted by the ratio of the two likelihoods. Two separate samples would differ by
@@ -221,7 +221,7 @@ class Remembered:
         means = before @ self.positions, after @ self.positions
         sds = [np.sqrt(w @ (self.positions - m) ** 2) for w, m in zip((before, after), means, strict=True)]
         tiny = np.finfo(float).tiny
-        return Moved(
+        return PosteriorMove(
             shift=float(np.abs((means[1] - means[0]) / np.maximum(sds[0], tiny)).max()),
             width=float(np.abs(np.log(np.maximum(sds[1], tiny) / np.maximum(sds[0], tiny))).max()),
             effective=float(1.0 / (after @ np.exp(log_weights - self.log_weights))),

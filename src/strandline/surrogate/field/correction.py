@@ -12,9 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from strandline.discrepancy.contours import path_of
 from strandline.errors import NoCommonPoints
 from strandline.interface import Interface
-from strandline.surrogate.field.correspondence import Layout, common_layout, fields_of, registered
+from strandline.surrogate.field.correspondence import (
+    PointLayout,
+    by_condition,
+    common_layout,
+    fields_of,
+    kriged,
+    registered,
+)
 
 __all__ = ["FEWEST_PAIRS", "Correction", "fit_correction"]
 
@@ -43,10 +51,10 @@ class Correction:
         left_out: Error of the correction at each pair, learnt from the others, root mean square along the interface,
             mm (pair,).
         spread: Root mean square distance of the model's own interfaces at the pairs from their mean, mm.
-        same_nodes: Whether both models have the same nodes in all runs.
+        node_by_node: Whether the points are the nodes of both models in all runs.
     """
 
-    layouts: Mapping[str, Layout]
+    layouts: Mapping[str, PointLayout]
     middle: Float[np.ndarray, " value"]
     scale: float
     runs: Float[np.ndarray, "pair value"]
@@ -55,7 +63,7 @@ class Correction:
     weights: Float[np.ndarray, " value"]
     left_out: Float[np.ndarray, " pair"]
     spread: float
-    same_nodes: bool
+    node_by_node: bool
 
     @property
     def pairs(self) -> int:
@@ -73,10 +81,9 @@ class Correction:
         Raises:
             NoCommonPoints: An interface without common points with the others.
         """
-        points = {name: _brought(cheaper[name], layout) for name, layout in self.layouts.items()}
-        field = np.concatenate([one.ravel() for one in points.values()])
+        field = _field(cheaper, self.layouts)
         field = field + self.constant + self._slope((field - self.middle)[None])[0]
-        return {name: self.layouts[name].with_points(one) for name, one in self._split(field).items()}
+        return {name: self.layouts[name].with_points(one) for name, one in by_condition(field, self.layouts).items()}
 
     def corrected_slopes(self, slopes: Mapping[str, Float[np.ndarray, "point xyz"]]) -> dict[str, np.ndarray]:
         """Return the derivatives of the corrected interfaces in an input, from those of the cheaper ones, by condition.
@@ -84,12 +91,7 @@ class Correction:
         They only have common points if the nodes correspond.
         """
         field = np.concatenate([np.asarray(slopes[name], float).ravel() for name in self.layouts])
-        return self._split(field + self._slope(field[None])[0])
-
-    @property
-    def node_by_node(self) -> bool:
-        """Whether the points are the nodes of both models."""
-        return self.same_nodes
+        return by_condition(field + self._slope(field[None])[0], self.layouts)
 
     def distance(self, one: Interfaces, other: Interfaces) -> float:
         """Return the distance between interfaces with common points, root mean square along the interface, mm.
@@ -103,14 +105,6 @@ class Correction:
     def _slope(self, field: Float[np.ndarray, "some value"]) -> Float[np.ndarray, "some value"]:
         """Return the linear part of the correction of a change of the cheaper interface."""
         return np.asarray((field * self.weights / self.scale) @ self.runs.T @ self.factors)
-
-    def _split(self, field: Float[np.ndarray, " value"]) -> dict[str, np.ndarray]:
-        out, begin = {}, 0
-        for name, layout in self.layouts.items():
-            shape = layout.template.points.shape
-            out[name] = field[begin : begin + shape[0] * shape[1]].reshape(shape)
-            begin += shape[0] * shape[1]
-        return out
 
 
 def fit_correction(cheaper: Sequence[Interfaces], model: Sequence[Interfaces]) -> Correction:
@@ -129,16 +123,15 @@ def fit_correction(cheaper: Sequence[Interfaces], model: Sequence[Interfaces]) -
         )
     layouts = {name: _layout([run[name] for run in model], [run[name] for run in cheaper]) for name in names}
     above = fields_of(model, layouts)[0]
-    below = np.array(
-        [np.concatenate([_brought(run[name], layouts[name]).ravel() for name in names]) for run in cheaper]
-    )
+    below = np.array([_field(run, layouts) for run in cheaper])
     shares = [np.repeat(layout.weights, layout.template.dim) for layout in layouts.values()]
     weights = np.sqrt(np.concatenate(shares))
     middle, conditions = below.mean(axis=0), len(layouts)
     scale = max(float(np.sqrt(np.mean(_rms(below - middle, weights, 1) ** 2))), np.finfo(float).tiny)
     runs, lacks = (below - middle) * weights / scale, above - below
-    ridges = RIDGES if len(runs) >= FEW else TYPICAL
-    tried = [_conditioned(runs @ runs.T, lacks, ridge) for ridge in ridges]
+    kernel, ridges = runs @ runs.T, RIDGES if len(runs) >= FEW else TYPICAL
+    noise = max(float(np.trace(kernel)) / len(kernel), 1e-12) * np.eye(len(kernel))
+    tried = [kriged(kernel + ridge * noise, lacks) for ridge in ridges]
     errors = [_rms(left_out, weights, conditions) for _, _, left_out in tried]
     best = int(np.argmin([np.sum(one**2) for one in errors]))
     constant, factors, _ = tried[best]
@@ -147,7 +140,7 @@ def fit_correction(cheaper: Sequence[Interfaces], model: Sequence[Interfaces]) -
     return Correction(layouts, middle, scale, runs, constant, factors, weights, errors[best], spread, same)
 
 
-def _layout(model: Sequence[Interface], cheaper: Sequence[Interface]) -> Layout:
+def _layout(model: Sequence[Interface], cheaper: Sequence[Interface]) -> PointLayout:
     """Return the layout of the model's nodes if open polylines can be brought to them, else a common one.
 
     So corrected interfaces have the nodes that a measure may ask for.
@@ -157,39 +150,28 @@ def _layout(model: Sequence[Interface], cheaper: Sequence[Interface]) -> Layout:
     return own if own.way == "nodes" and lines else common_layout([*model, *cheaper])
 
 
-def _brought(interface: Interface, layout: Layout) -> Float[np.ndarray, "point xyz"]:
+def _brought(interface: Interface, layout: PointLayout) -> Float[np.ndarray, "point xyz"]:
     """Return the points of an interface in the layout; of other nodes, at the template's shares of the arclength."""
     template = layout.template
     if layout.way != "nodes" or interface.points.shape == template.points.shape or interface.dim != 2:
         return registered(interface, layout)[0]
     turned = interface.reversed() if interface.runs_against(template) else interface
     shares, places = _shares(template), _shares(turned)
-    chain = turned.points[np.append(turned.cells[:, 0], turned.cells[-1, 1])]
     own = np.append(template.cells[:, 0], template.cells[-1, 1])
     out = np.empty_like(template.points)
-    out[own] = np.stack([np.interp(shares, places, column) for column in chain.T], axis=1)
+    out[own] = np.stack([np.interp(shares, places, column) for column in path_of(turned).T], axis=1)
     return out
+
+
+def _field(run: Interfaces, layouts: Mapping[str, PointLayout]) -> Float[np.ndarray, " value"]:
+    """Return the points of a run of the cheaper model in the layouts, one after the other."""
+    return np.concatenate([_brought(run[name], layout).ravel() for name, layout in layouts.items()])
 
 
 def _shares(line: Interface) -> Float[np.ndarray, " node"]:
     """Return the share of the arclength at each node of an open polyline, along it."""
     length = np.append(0.0, np.cumsum(line.sizes))
     return np.asarray(length / length[-1])
-
-
-def _conditioned(
-    kernel: Float[np.ndarray, "pair pair"], lacks: Float[np.ndarray, "pair value"], ridge: float
-) -> tuple[Float[np.ndarray, " value"], Float[np.ndarray, "pair value"], Float[np.ndarray, "pair value"]]:
-    """Return the constant, the factors of the kernel, and the errors of left-out pairs (universal kriging).
-
-    The errors follow from the precision matrix: Rasmussen and Williams (2006), Section 5.4.2.
-    """
-    number, mean = len(kernel), max(float(np.trace(kernel)) / len(kernel), 1e-12)
-    inverse = np.linalg.inv(kernel + ridge * mean * np.eye(number))
-    ones = inverse.sum(axis=1)
-    constant = ones @ lacks / ones.sum()
-    precision = inverse - np.outer(ones, ones) / ones.sum()
-    return constant, inverse @ (lacks - constant), (precision @ lacks) / np.diagonal(precision)[:, None]
 
 
 def _rms(

@@ -17,6 +17,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
+from strandline.discrepancy.closest_point import node_weights
+from strandline.discrepancy.nearest import squared_distances
 from strandline.errors import NoCommonPoints
 from strandline.interface import Interface
 from strandline.surrogate.field.projection import Reference, common_reference
@@ -98,7 +100,7 @@ def _share(points: Ring, mean: Ring) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class PointLayout:
     """The meaning of the points of one condition's interface in all runs.
 
     Args:
@@ -127,9 +129,7 @@ class Layout:
     @property
     def weights(self) -> Float[np.ndarray, " point"]:
         """Share of the interface's length (area) that each point stands for; they sum to 1."""
-        interface = self.template
-        shares = np.repeat(interface.sizes / interface.dim, interface.dim)
-        size = np.bincount(interface.cells.ravel(), weights=shares, minlength=len(interface.points))
+        size = node_weights(self.template)
         return np.asarray(size / size.sum())
 
     def with_points(self, points: Float[np.ndarray, "point xyz"]) -> Interface:
@@ -137,7 +137,7 @@ class Layout:
         return Interface(points, self.template.cells)
 
 
-def common_layout(interfaces: Sequence[Interface], x: Float[np.ndarray, "run dim"] | None = None) -> Layout:
+def common_layout(interfaces: Sequence[Interface], x: Float[np.ndarray, "run dim"] | None = None) -> PointLayout:
     """Return the layout that all of these interfaces can be brought to.
 
     Args:
@@ -151,11 +151,11 @@ def common_layout(interfaces: Sequence[Interface], x: Float[np.ndarray, "run dim
     first = interfaces[0]
     if not all(one.points.shape == first.points.shape and np.array_equal(one.cells, first.cells) for one in interfaces):
         return _of_any_nodes(interfaces)
-    nodes = Layout(first, "nodes")
+    nodes = PointLayout(first, "nodes")
     return nodes if x is None else _smoothest(nodes, interfaces, x)
 
 
-def _of_any_nodes(interfaces: Sequence[Interface]) -> Layout:
+def _of_any_nodes(interfaces: Sequence[Interface]) -> PointLayout:
     """Return the layout of interfaces whose nodes do not correspond."""
     first = interfaces[0]
     if len({one.dim for one in interfaces}) > 1:
@@ -164,20 +164,20 @@ def _of_any_nodes(interfaces: Sequence[Interface]) -> Layout:
         reference = common_reference(interfaces)
         if isinstance(reference, str):
             raise _different(reference)
-        return Layout(reference.surface, "projection", reference)
+        return PointLayout(reference.surface, "projection", reference)
     if len({one.closed for one in interfaces}) > 1:
         raise _different("open polylines in some runs, closed ones in others")
     number = max(FEWEST_POINTS, max(len(one.points) for one in interfaces))
     if first.closed:
-        return Layout(mean_by_share(interfaces, FINER * number), "arclength")
-    return Layout(first.resampled(number), "arclength")
+        return PointLayout(mean_by_share(interfaces, FINER * number), "arclength")
+    return PointLayout(first.resampled(number), "arclength")
 
 
-def _smoothest(nodes: Layout, interfaces: Sequence[Interface], x: Float[np.ndarray, "run dim"]) -> Layout:
+def _smoothest(nodes: PointLayout, interfaces: Sequence[Interface], x: Float[np.ndarray, "run dim"]) -> PointLayout:
     """Return `nodes`, or a layout in which the points of the runs are a smoother function of the inputs."""
     errors = _left_out(nodes, interfaces, x)
     if nodes.template.dim == 2 and nodes.template.closed:
-        shifted = Layout(mean_by_nodes(interfaces), "shifted nodes")
+        shifted = PointLayout(mean_by_nodes(interfaces), "shifted nodes")
         orders = np.array([shifted.order(one) for one in interfaces])
         rows, counts = np.unique(orders, axis=0, return_counts=True)
         moved = (orders != rows[np.argmax(counts)]).any(axis=1)
@@ -196,26 +196,38 @@ def _smoothest(nodes: Layout, interfaces: Sequence[Interface], x: Float[np.ndarr
 
 
 def _left_out(
-    layout: Layout, interfaces: Sequence[Interface], x: Float[np.ndarray, "run dim"]
+    layout: PointLayout, interfaces: Sequence[Interface], x: Float[np.ndarray, "run dim"]
 ) -> Float[np.ndarray, " run"]:
     """Return the error of each run's points predicted from the other runs, root mean square along the interface, mm.
 
-    A Gaussian process with squared-exponential kernel as long as the box predicts them: Rasmussen and Williams (2006),
-    Section 5.4.2.
+    A Gaussian process with squared-exponential kernel as long as the box predicts them.
     """
     fields = np.array([registered(one, layout)[0].ravel() for one in interfaces])
     squares = np.sum((x[:, None] - x) ** 2, axis=2)
-    inverse = np.linalg.inv(np.exp(-0.5 * squares) + RIDGE * np.eye(len(x)))
-    errors = inverse @ (fields - fields.mean(axis=0)) / np.diagonal(inverse)[:, None]
+    errors = kriged(np.exp(-0.5 * squares) + RIDGE * np.eye(len(x)), fields - fields.mean(axis=0))[2]
     weights = np.repeat(layout.weights, layout.template.dim)
     return np.asarray(np.sqrt(np.sum(errors**2 * weights, axis=1)))
+
+
+def kriged(
+    covariance: Float[np.ndarray, "run run"], values: Float[np.ndarray, "run value"]
+) -> tuple[Float[np.ndarray, " value"], Float[np.ndarray, "run value"], Float[np.ndarray, "run value"]]:
+    """Return the constant, the factors of the covariance, and the errors of left-out runs (universal kriging).
+
+    The errors follow from the precision matrix: Rasmussen and Williams (2006), Section 5.4.2.
+    """
+    inverse = np.linalg.inv(covariance)
+    ones = inverse.sum(axis=1)
+    constant = ones @ values / ones.sum()
+    precision = inverse - np.outer(ones, ones) / ones.sum()
+    return constant, inverse @ (values - constant), (precision @ values) / np.diagonal(precision)[:, None]
 
 
 def _rms(values: Float[np.ndarray, " some"]) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def registered(interface: Interface, layout: Layout) -> tuple[Float[np.ndarray, "point xyz"], float]:
+def registered(interface: Interface, layout: PointLayout) -> tuple[Float[np.ndarray, "point xyz"], float]:
     """Return the points of `interface` in the layout, and the root mean square error that this causes, mm.
 
     The error is the distance of the interface's own nodes from the polyline or the triangles through the points.
@@ -241,11 +253,11 @@ def registered(interface: Interface, layout: Layout) -> tuple[Float[np.ndarray, 
     else:
         turned = interface.reversed() if interface.runs_against(layout.template) else interface
         taken = turned.resampled(len(layout.template.points))
-    return taken.points, float(np.sqrt(np.mean(_squares(interface.points, taken))))
+    return taken.points, float(np.sqrt(np.mean(squared_distances(interface.points, taken))))
 
 
 def fields_of(
-    runs: Sequence[Mapping[str, Interface]], layouts: Mapping[str, Layout]
+    runs: Sequence[Mapping[str, Interface]], layouts: Mapping[str, PointLayout]
 ) -> tuple[Float[np.ndarray, "run value"], float]:
     """Return the coordinates of the points of all conditions, one row per run, and the worst registration error, mm."""
     rows, worst = [], 0.0
@@ -259,12 +271,16 @@ def fields_of(
     return np.array(rows), worst
 
 
-def _squares(points: Float[np.ndarray, "point 2"], target: Interface) -> Float[np.ndarray, " point"]:
-    """Return the squared distance of each point from the segments of `target`, mm²."""
-    a, d = target.starts, target.ends - target.starts
-    offset = points[:, None, :] - a
-    share = np.clip(np.sum(offset * d, axis=2) / np.sum(d * d, axis=1), 0.0, 1.0)
-    return np.asarray(np.min(np.sum((offset - share[..., None] * d) ** 2, axis=2), axis=1))
+def by_condition(
+    fields: Float[np.ndarray, "*some value"], layouts: Mapping[str, PointLayout]
+) -> dict[str, Float[np.ndarray, "*some _ xyz"]]:
+    """Return the points of each condition from rows of `fields_of`."""
+    out, begin = {}, 0
+    for name, layout in layouts.items():
+        shape = layout.template.points.shape
+        out[name] = fields[..., begin : begin + shape[0] * shape[1]].reshape(*fields.shape[:-1], *shape)
+        begin += shape[0] * shape[1]
+    return out
 
 
 def _different(found: str) -> NoCommonPoints:

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from strandline.errors import InvalidInput, TooFewRuns
 from strandline.interface import Interface
 from strandline.numerics.threads import one_thread
-from strandline.surrogate.field.correspondence import Layout, common_layout, fields_of
+from strandline.surrogate.field.correspondence import PointLayout, by_condition, common_layout, fields_of
 from strandline.surrogate.field.mode_process import ModeProcess
 from strandline.surrogate.field.warping import Data, Modes, Warping, choose_warping, fewest_runs, fit_modes
 
@@ -64,7 +64,7 @@ class FieldSurrogate:
         gradients: Whether it was trained with sensitivities too.
     """
 
-    layouts: Mapping[str, Layout]
+    layouts: Mapping[str, PointLayout]
     warping: Warping
     modes: Modes
     processes: tuple[ModeProcess, ...]
@@ -73,7 +73,7 @@ class FieldSurrogate:
 
     @property
     def ways(self) -> tuple[str, ...]:
-        """How the interfaces of the conditions share their points, as `Layout` names it."""
+        """How the interfaces of the conditions share their points, as `PointLayout` names it."""
         return tuple(sorted({layout.way for layout in self.layouts.values()}))
 
     @property
@@ -89,8 +89,7 @@ class FieldSurrogate:
     def predict(self, x: Float[np.ndarray, "point dim"]) -> FieldPrediction:
         """Return the predicted coefficients with their variances."""
         z = self.warping.standardise(x)
-        variance = np.stack([process.variance(z) for process in self.processes], axis=1)
-        return FieldPrediction(np.stack([process.mean(z) for process in self.processes], axis=1), variance)
+        return FieldPrediction(self.mean(x), np.stack([process.variance(z) for process in self.processes], axis=1))
 
     def points(
         self, coefficients: Float[np.ndarray, "draw mode"], tail: Float[np.ndarray, "draw rest"] | None = None
@@ -108,12 +107,7 @@ class FieldSurrogate:
 
     def by_condition(self, fields: Float[np.ndarray, "draw value"]) -> dict[str, Float[np.ndarray, "draw point xyz"]]:
         """Return fields as the points of the interfaces by condition, mm."""
-        out, begin = {}, 0
-        for name, layout in self.layouts.items():
-            shape = layout.template.points.shape
-            out[name] = fields[:, begin : begin + shape[0] * shape[1]].reshape(-1, *shape)
-            begin += shape[0] * shape[1]
-        return out
+        return by_condition(fields, self.layouts)
 
     def interfaces(self, x: Float[np.ndarray, " dim"]) -> dict[str, Interface]:
         """Return the predicted interface of each condition at one point."""
@@ -190,7 +184,9 @@ def fit_field(training: FieldTraining, *, tolerance: float = TOLERANCE) -> Field
     return FieldSurrogate(layouts, warping, modes, processes, error, gradients is not None)
 
 
-def _gradients(training: FieldTraining, layouts: Mapping[str, Layout]) -> Float[np.ndarray, "run value dim"] | None:
+def _gradients(
+    training: FieldTraining, layouts: Mapping[str, PointLayout]
+) -> Float[np.ndarray, "run value dim"] | None:
     """Return the derivatives of the fields with respect to the physical inputs."""
     if training.gradients is None:
         return None

@@ -84,7 +84,7 @@ def trend(
 
 
 @dataclass(frozen=True, eq=False)
-class Observed:
+class ModeData:
     """Data on one function: values, and gradients if available.
 
     Args:
@@ -138,7 +138,7 @@ class Conditioned:
         return np.asarray(inverse - self.solved_trend @ np.linalg.solve(self.normal, self.solved_trend.T))
 
 
-def condition_mode(observed: Observed, lengths: Float[np.ndarray, " dim"], nugget: float) -> Conditioned:
+def condition_mode(observed: ModeData, lengths: Float[np.ndarray, " dim"], nugget: float) -> Conditioned:
     """Return the factors at given length scales (standardised inputs) and relative nugget τ.
 
     Raises:
@@ -163,7 +163,7 @@ def condition_mode(observed: Observed, lengths: Float[np.ndarray, " dim"], nugge
 
 
 def restricted_evidence(
-    observed: Observed, log_lengths: Float[np.ndarray, " dim"], log_nugget: float
+    observed: ModeData, log_lengths: Float[np.ndarray, " dim"], log_nugget: float
 ) -> tuple[float, Float[np.ndarray, " coordinate"]]:
     """Return the log evidence, up to a constant, and its gradient with respect to log lengths and log nugget.
 
@@ -190,7 +190,7 @@ def restricted_evidence(
 
 
 def _by_kernel(
-    observed: Observed, W: Float[np.ndarray, "row row"], lengths: Float[np.ndarray, " dim"], nugget: float
+    observed: ModeData, W: Float[np.ndarray, "row row"], lengths: Float[np.ndarray, " dim"], nugget: float
 ) -> Float[np.ndarray, " coordinate"]:
     """Return Σ W_ab ∂(K + τ I)_ab by each log length and by log τ, with derivatives by the scaled coordinates."""
     (n, dim), derivatives = observed.z.shape, observed.gradients is not None
@@ -210,7 +210,7 @@ def _by_kernel(
 
 
 @dataclass(frozen=True, eq=False)
-class LeftOut:
+class LeftOutErrors:
     """Each run predicted from all others: error of the value, and its variance by the process (run,)."""
 
     errors: Float[np.ndarray, " run"]
@@ -229,7 +229,7 @@ class ModeProcess:
         widening: Factor of all variances, at least 1, by which the errors of left-out runs exceed what they should be.
     """
 
-    observed: Observed
+    observed: ModeData
     lengths: Float[np.ndarray, " dim"]
     nugget: float
     factors: Conditioned
@@ -274,7 +274,7 @@ class ModeProcess:
         """Variance of the process before any run."""
         return self.factors.variance * self.widening
 
-    def left_out(self) -> LeftOut:
+    def left_out(self) -> LeftOutErrors:
         """Return the errors of leave-one-run-out prediction; its gradient is left out with its value.
 
         Closed form with the precision matrix: Rasmussen and Williams (2006), Section 5.4.2, in blocks.
@@ -283,7 +283,7 @@ class ModeProcess:
         rows = np.arange(len(P)).reshape(-1, n).T
         blocks = np.linalg.inv(P[rows[:, :, None], rows[:, None, :]])
         errors = np.einsum("nk,nk->n", blocks[:, 0], self.factors.alpha[rows])
-        return LeftOut(errors, self.scale * blocks[:, 0, 0])
+        return LeftOutErrors(errors, self.scale * blocks[:, 0, 0])
 
     def _rows(self, z: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "point row"]:
         gradients = self.observed.gradients is not None
@@ -303,7 +303,7 @@ class ModeProcess:
         return half, np.asarray(solve_triangular(root, unexplained.T, lower=True, check_finite=False))
 
 
-def fit_mode(observed: Observed, *, quick: bool = False) -> ModeProcess:
+def fit_mode(observed: ModeData, *, quick: bool = False) -> ModeProcess:
     """Return the process whose length scales and nugget maximise the restricted evidence and their weak prior.
 
     With `quick`, there are one start and few iterations, for comparisons.
@@ -333,7 +333,7 @@ def fit_mode(observed: Observed, *, quick: bool = False) -> ModeProcess:
 
 
 def _objective(
-    at: Float[np.ndarray, " coordinate"], observed: Observed
+    at: Float[np.ndarray, " coordinate"], observed: ModeData
 ) -> tuple[float, Float[np.ndarray, " coordinate"]]:
     """Return minus the log evidence and minus the log prior of the lengths; a wall if there is no evidence."""
     dim = len(at) - 1

@@ -7,7 +7,7 @@ import numpy as np
 
 from strandline.errors import NoCommonPoints
 from strandline.interface import Interface
-from strandline.surrogate.field.correspondence import Layout, common_layout, registered
+from strandline.surrogate.field.correspondence import PointLayout, common_layout, registered
 from strandline.surrogate.field.projection import Reference
 
 __all__ = ["flipped", "odd_ones", "stopped_early"]
@@ -72,15 +72,15 @@ def _misfits(interfaces: Mapping[int, Interface], hidden: float) -> dict[int, st
     return min((_left_out(interfaces, layout, hidden) for layout in layouts), key=len)
 
 
-def _layouts(interfaces: Sequence[Interface]) -> list[Layout]:
+def _layouts(interfaces: Sequence[Interface]) -> list[PointLayout]:
     first = interfaces[0]
     same = all(one.points.shape == first.points.shape and np.array_equal(one.cells, first.cells) for one in interfaces)
     if same or first.dim == 2:
         return [common_layout(interfaces)]
-    return [Layout(one, "projection", Reference(one)) for one in interfaces[:CANDIDATES]]
+    return [PointLayout(one, "projection", Reference(one)) for one in interfaces[:CANDIDATES]]
 
 
-def _left_out(interfaces: Mapping[int, Interface], layout: Layout, hidden: float) -> dict[int, str]:
+def _left_out(interfaces: Mapping[int, Interface], layout: PointLayout, hidden: float) -> dict[int, str]:
     out = {}
     for i, interface in interfaces.items():
         try:

@@ -14,7 +14,7 @@ from hashlib import sha256
 import numpy as np
 from jaxtyping import Float
 
-from strandline.surrogate.field.mode_process import ModeProcess, Observed, fit_mode
+from strandline.surrogate.field.mode_process import ModeData, ModeProcess, fit_mode
 
 MOST = 20
 """Largest number of modes with their own process."""
@@ -204,7 +204,7 @@ def fit_modes(
     slopes = None if derivatives is None else modes.by_input(derivatives)
     linear = slopes is not None or len(z) >= 2 * (z.shape[1] + 1)
     number = values.shape[1] if most is None else min(most, values.shape[1])
-    observed = [Observed(z, values[:, m], None if slopes is None else slopes[:, m], linear) for m in range(number)]
+    observed = [ModeData(z, values[:, m], None if slopes is None else slopes[:, m], linear) for m in range(number)]
     return modes, tuple(fit_mode(one, quick=most is not None) for one in observed)
 
 

@@ -13,7 +13,7 @@ import strandline as sl
 from strandline.design.active import Active, ActiveDesign
 from strandline.design.active.campaign import Certificate
 from strandline.design.active.checking import Tolerances, number_of_probes, objections
-from strandline.design.active.elsewhere import Surprise
+from strandline.design.active.coverage_runs import Surprise
 from strandline.design.active.posterior_check import PosteriorCheck
 from strandline.design.active.state import Remembered, State
 from strandline.posterior import reweight

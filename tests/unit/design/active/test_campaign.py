@@ -15,7 +15,7 @@ from strandline.design.active import campaign as module
 from strandline.design.active.active_design import Step
 from strandline.design.active.campaign import BatchReport, Certificate, report_batch
 from strandline.design.active.fidelities import Fidelities
-from strandline.design.active.state import Moved
+from strandline.design.active.state import PosteriorMove
 from strandline.errors import InvalidInput, TooFewRuns
 from strandline.likelihood.set_aside import Judge
 from strandline.models.fidelities import by_cheaper
@@ -127,7 +127,7 @@ def test_a_certificate_says_what_may_have_been_missed():
 def test_the_line_after_each_batch():
     E = sl.Parameter("E", sl.Uniform(0.0, 800.0), "Pa")
     space = sl.ParameterSpace((E, sl.Parameter("nu", sl.Uniform(-1, 0.5), symbol="ν")))
-    little, far = Moved(0.049, 0.01, 0.99), Moved(9.0, 0.01, 0.01)
+    little, far = PosteriorMove(0.049, 0.01, 0.99), PosteriorMove(9.0, 0.01, 0.01)
     for kinds_of, steps, moved, converged, line in [
         ("initial posterior posterior check", 3, little, False, "moved 0.05 sd; next: check"),
         ("initial posterior", 1, far, False, "moved far; next: a batch"),

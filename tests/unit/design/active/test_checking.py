@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from strandline.design.active import checking, parabola
-from strandline.design.active.checking import BatchCheck, LeftOut, Tolerances, number_of_probes, probes, verdict
+from strandline.design.active.checking import BatchCheck, LeftOutRuns, Tolerances, number_of_probes, probes, verdict
 from strandline.design.active.parabola import Expected, fewest, smooth_effect
 
 TOLERANCES = Tolerances(shift=0.1, width=0.15, k_hat=0.5, effective=0.8)
@@ -34,7 +34,7 @@ def checked(error, seed, *, dim=2, noise=0.02, most=25, earlier=0, blind=False, 
     number = probing or number_of_probes(dim, earlier)
     before = np.random.default_rng([seed, 1]).standard_normal((earlier, dim))
     unlike = 2 * noise * sizes(before) * np.random.default_rng([seed, 2]).standard_normal(earlier)
-    left_out = LeftOut(before, (0.0 if blind else error(before)) + unlike, (2 * noise * expected(before)) ** 2)
+    left_out = LeftOutRuns(before, (0.0 if blind else error(before)) + unlike, (2 * noise * expected(before)) ** 2)
     draws = np.concatenate([pool[picked(pool, number)], equal])
     ratios = error(draws) + noise * sizes(draws) * random.standard_normal(len(draws))
     variances, typical = (noise * expected(draws)) ** 2, (noise * expected(posterior)) ** 2
@@ -157,7 +157,12 @@ def test_the_first_look_takes_half_of_the_error_probability():
 def test_earlier_runs_that_are_far_off_do_not_object():
     draws, posterior, errors = drawn(3, 14, 2)
     before, _, unlike = drawn(4, 8, 2)
-    options = {"probing": 6, "level": 0.005, "last": False, "left_out": LeftOut(before, 3.0 * unlike, np.full(8, 9.0))}
+    options = {
+        "probing": 6,
+        "level": 0.005,
+        "last": False,
+        "left_out": LeftOutRuns(before, 3.0 * unlike, np.full(8, 9.0)),
+    }
     one = verdict(draws, 0.01 * errors, posterior, TOLERANCES, **options)
     assert (one.passed, one.left_out) == (True, 0)
 
@@ -258,7 +263,7 @@ def test_looks_at_earlier_runs_and_at_draws_share_the_error_probability(monkeypa
     levels, effect = [], checking.smooth_effect
     monkeypatch.setattr(checking, "smooth_effect", lambda *a, **more: (levels.append(a[3]), effect(*a, **more))[1])
     draws, posterior, errors = drawn(1, 14, 2)
-    before = LeftOut(*(one[:10] for one in (posterior, 3.0 * np.sin(9 * posterior[:, 0]), np.ones(500))))
+    before = LeftOutRuns(*(one[:10] for one in (posterior, 3.0 * np.sin(9 * posterior[:, 0]), np.ones(500))))
     for given, level in ((None, 0.01), (before, 0.005)):
         levels.clear()
         verdict(draws, 0.01 * errors, posterior, TOLERANCES, probing=6, level=0.01, last=False, left_out=given)

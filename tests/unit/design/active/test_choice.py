@@ -19,8 +19,8 @@ from strandline.design.active.choice import (
     price_of_a_hang,
     safe_candidates,
 )
-from strandline.design.active.elsewhere import points_elsewhere
-from strandline.surrogate.field.mode_process import ModeProcess, Observed, condition_mode
+from strandline.design.active.coverage_runs import points_elsewhere
+from strandline.surrogate.field.mode_process import ModeData, ModeProcess, condition_mode
 
 RUNS = even(10)
 RNG = np.random.default_rng(1)
@@ -35,7 +35,7 @@ def state():
 def with_run(process, z):
     """Return the process with a value at z too; what it is makes no difference to the variance at a given scale."""
     seen = process.observed
-    more = Observed(np.append(seen.z, z[None], axis=0), np.append(seen.values, 0.0), None, seen.linear)
+    more = ModeData(np.append(seen.z, z[None], axis=0), np.append(seen.values, 0.0), None, seen.linear)
     found = ModeProcess(more, process.lengths, process.nugget, condition_mode(more, process.lengths, process.nugget))
     return replace(found, widening=process.scale / found.factors.variance)
 

@@ -17,7 +17,7 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct
 from strandline.design import sobol
 from strandline.errors import NumericsError
 from strandline.surrogate.field import mode_process
-from strandline.surrogate.field.mode_process import ModeProcess, Observed, condition_mode, fit_mode, restricted_evidence
+from strandline.surrogate.field.mode_process import ModeData, ModeProcess, condition_mode, fit_mode, restricted_evidence
 from strandline.surrogate.field.warping import decompose
 
 S = np.linspace(0.0, 1.0, 40)
@@ -73,12 +73,12 @@ def slopes(z):
 def observed(gradients, linear, runs=12):
     z = np.sqrt(12.0) * (sobol(runs, 2) - 0.5)
     values = np.sin(1.1 * z[:, 0]) * np.exp(0.3 * z[:, 1]) + 0.4 * z[:, 1]
-    return Observed(z, values, slopes(z) if gradients else None, linear)
+    return ModeData(z, values, slopes(z) if gradients else None, linear)
 
 
 def without(one, run):
     keep = np.arange(len(one.z)) != run
-    return Observed(one.z[keep], one.values[keep], None if one.gradients is None else one.gradients[keep], one.linear)
+    return ModeData(one.z[keep], one.values[keep], None if one.gradients is None else one.gradients[keep], one.linear)
 
 
 def conditioned(one, nugget):
@@ -148,7 +148,7 @@ def test_a_fast_response_is_not_taken_for_scatter(monkeypatch):
     """Runs all over the box and many at one place; planted: without the last start, all is called noise."""
     spread, cluster = sobol(60, 2, scramble=1) - 0.5, 0.04 * (sobol(70, 2, scramble=3) - 0.5) - 0.05
     z, search = np.sqrt(12.0) * np.concatenate([spread, cluster]), mode_process.minimize
-    one = Observed(z, np.sin(9 * z.sum(axis=1)), None, True)
+    one = ModeData(z, np.sin(9 * z.sum(axis=1)), None, True)
     assert fit_mode(one).nugget < 1e-8
 
     def from_afar(function, start, **options):
@@ -211,7 +211,7 @@ def test_the_evidence_is_the_density_of_contrasts_and_the_gradient_is_its(gradie
 
 def test_what_has_no_evidence_is_refused():
     flat = replace(observed(False, False), values=np.zeros(12))
-    repeated = Observed(np.zeros((4, 2)), np.arange(4.0), None, False)
+    repeated = ModeData(np.zeros((4, 2)), np.arange(4.0), None, False)
     for one, log_nugget, words in ((flat, -6.0, "without variation"), (repeated, -50.0, "not positive definite")):
         with pytest.raises(NumericsError, match=words):
             restricted_evidence(one, np.zeros(2), log_nugget)
