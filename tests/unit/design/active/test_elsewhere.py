@@ -11,7 +11,7 @@ from tests.unit.design.active.fakes import MEAN, NOISE, SPACE, even, interface, 
 
 import strandline as sl
 from strandline.design.active import Active
-from strandline.design.active import elsewhere as module
+from strandline.design.active import coverage_runs as module
 from strandline.design.active import posterior_check as check_module
 from strandline.design.active.choice import Losses
 from strandline.design.active.coverage_runs import least_found, left_out_surprise, points_elsewhere, surprises
