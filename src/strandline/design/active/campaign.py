@@ -14,10 +14,9 @@ from strandline.design.active.fidelities import Fidelities, FidelityReport
 from strandline.design.active.posterior_check import NONE, SimulatorNoise
 from strandline.design.active.sampling import posterior_state
 from strandline.design.active.settings import Active
-from strandline.design.active.state import Knowledge, State, learn
+from strandline.design.active.state import Knowledge, State, hidden_shift, learn
 from strandline.discrepancy import Discrepancy
 from strandline.errors import NoCommonPoints, TooFewRuns
-from strandline.likelihood.field import noise_length
 from strandline.likelihood.set_aside import Judge
 from strandline.models.fidelities import by_cheaper
 from strandline.numerics.threads import one_thread
@@ -246,8 +245,7 @@ class ActiveRuns:
 
     def _hidden(self, state: State | None) -> float:
         """Return the shift of an interface that the noise hides, mm."""
-        seen = self.judge.observations if state is None else state.knowledge.likelihood.known_observations
-        return min(noise_length(one, self.discrepancy) for one in seen)
+        return hidden_shift(self.judge.observations, self.discrepancy) if state is None else state.knowledge.hidden
 
     def _true(self, record: RunRecord) -> float:
         """Return the log-likelihood of a run, with the noise as it is known so far."""

@@ -8,8 +8,10 @@ never settle it, the importance weights of all draws but the probes do.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
 from typing import Literal
 
 import numpy as np
@@ -141,13 +143,24 @@ def probes(draws: Float[np.ndarray, "draw dim"], number: int) -> Int[np.ndarray,
     The first one is the nearest to the mean. Distances are in standard deviations.
     """
     z = (draws - draws.mean(axis=0)) / np.maximum(draws.std(axis=0), np.finfo(float).tiny)
-    order = [int(np.argmin((z**2).sum(axis=1)))]
-    nearest = cdist(z, z[order])[:, 0]
-    while len(order) < min(number, len(draws)):
-        nearest[order] = -1.0
-        order.append(int(np.argmax(nearest)))
-        nearest = np.minimum(nearest, cdist(z, z[order[-1:]])[:, 0])
-    return np.array(order)
+    first = int(np.argmin((z**2).sum(axis=1)))
+    nearest = cdist(z, z[first : first + 1])[:, 0]
+    nearest[first] = -1.0
+    return np.array([first, *islice(farthest_first(z, nearest), max(number - 1, 0))])
+
+
+def farthest_first(points: Float[np.ndarray, "point dim"], nearest: Float[np.ndarray, " point"]) -> Iterator[int]:
+    """Yield the indices of points, each the farthest from those before and from others.
+
+    Args:
+        points: The points.
+        nearest: Distance of each to the nearest of the others; below 0 for a point that is not wanted.
+    """
+    while nearest.max(initial=-1.0) >= 0:
+        farthest = int(np.argmax(nearest))
+        yield farthest
+        nearest = np.minimum(nearest, cdist(points, points[farthest : farthest + 1])[:, 0])
+        nearest[farthest] = -1.0
 
 
 def looks(fewest: int, most: int, batch: int) -> tuple[int, ...]:
@@ -207,12 +220,10 @@ def verdict(
         most: Number of draws after which the check would end: it is given up if so many would hardly settle it; None:
             it never is.
     """
-    left_out = None if left_out is None or not len(left_out.x) else left_out
-    good = ~np.isnan(log_ratios)
-    number, kept, ratios = len(draws), draws[good], log_ratios[good]
+    dim, number, good = draws.shape[1], len(draws), ~np.isnan(log_ratios)
+    kept, ratios, failed = draws[good], log_ratios[good], int((~good).sum())
     expected = Expected.equal(number, len(posterior)) if expected is None else expected
-    here = Expected(expected.draws[good], expected.posterior)
-    failed = number - len(kept)
+    here, effect_of = expected.draws[good], partial(smooth_effect, posterior=posterior, scatter=scatter)
     found = reweight(kept, ratios) if len(kept) >= FEWEST_DRAWS else None
 
     def ended(reasons: tuple[str, ...], weights: Reweighting | None = found) -> BatchCheck:
@@ -221,30 +232,29 @@ def verdict(
     if failed > max(1.0, MOST_FAILED * number) and (last or failed > MOST_EARLY):
         return ended((f"{failed} of the check's {number} runs failed, more than {MOST_FAILED:.0%}",))
     excluded = not np.isfinite(ratios).all()
-    level /= 1 if left_out is None else 2
     so_far: list[tuple[Effect, int]] = []
-    if left_out is not None and not excluded and len(kept) > 2 * draws.shape[1]:
-        x, both, variances = left_out.joined(kept, ratios, here.draws)
-        if len(x) >= fewest(x.shape[1]):
-            wide = Expected(variances, expected.posterior)
-            effect = smooth_effect(x, both, posterior, level, scatter=scatter, expected=wide)
+    if left_out is not None and len(left_out.x):
+        level /= 2
+        x, both, variances = left_out.joined(kept, ratios, here)
+        if not excluded and len(kept) > 2 * dim and len(x) >= fewest(dim):
+            effect = effect_of(x, both, level=level, expected=Expected(variances, expected.posterior))
             if _within(effect, tolerances):
                 return replace(ended((), reweight(x, both)), left_out=len(left_out.x))
             so_far.append((effect, len(x)))
-    if found is None or len(kept) < fewest(draws.shape[1]):
+    if found is None or len(kept) < fewest(dim):
         if last:
             return ended((f"only {len(kept)} of {number} runs of the check succeeded",))
     elif excluded:
         return ended(objections(found, tolerances) or ("the true model excludes draws of the posterior",))
     else:
-        effect = smooth_effect(kept, ratios, posterior, level, scatter=scatter, expected=here)
+        effect = effect_of(kept, ratios, level=level, expected=Expected(here, expected.posterior))
         if _within(effect, tolerances):
             return ended(())
-        if surely := _beyond(smooth_effect(kept, ratios, posterior, level, scatter=scatter), tolerances):
+        if surely := _beyond(effect_of(kept, ratios, level=level), tolerances):
             return ended(surely)
         so_far.append((effect, len(kept)))
     if not last:
-        if most is None or _may_settle(so_far, most - number, draws.shape[1], tolerances):
+        if most is None or _may_settle(so_far, most - number, dim, tolerances):
             return "open"
         reason = f"{number} draws leave the check open, and {most} would hardly settle it"
         return replace(ended((reason,)), early=False, given_up=True)
@@ -252,8 +262,7 @@ def verdict(
     equal = good & (np.arange(number) >= probing)
     if equal.sum() < FEWEST_WHOLE:
         return ended((*objections(found, tolerances), f"{number} runs at draws of the posterior do not settle it"))
-    whole = reweight(draws[equal], log_ratios[equal])
-    likely = smooth_effect(kept, ratios, posterior, LIKELY, scatter=scatter)
+    whole, likely = reweight(draws[equal], log_ratios[equal]), effect_of(kept, ratios, level=LIKELY)
     return ended(objections(whole, tolerances) or _beyond(likely, tolerances), whole)
 
 

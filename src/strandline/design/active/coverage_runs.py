@@ -8,6 +8,7 @@ holds one with 95 % probability. A region is a ball in the prior's quantiles, wi
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -15,6 +16,7 @@ from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
 from scipy.stats import norm
 
+from strandline.design.active.checking import farthest_first
 from strandline.design.active.state import State
 from strandline.design.space_filling import sobol
 from strandline.discrepancy.comparison import apart
@@ -98,10 +100,10 @@ def points_elsewhere(
             return np.empty((0, space.dim))
     to_pool, nearest = cdist(pool, known).min(axis=1), cdist(middles, known).min(axis=1)
     chosen: list[int] = []
-    while len(chosen) < most and (nearest <= radius).mean() < SURE and to_pool.max() > 0:
-        farthest = int(np.argmax(to_pool))
+    for farthest in farthest_first(pool, np.where(to_pool > 0, to_pool, -1.0)):
+        if len(chosen) >= most or (nearest <= radius).mean() >= SURE:
+            break
         chosen.append(farthest)
-        to_pool = np.minimum(to_pool, cdist(pool, pool[farthest : farthest + 1])[:, 0])
         nearest = np.minimum(nearest, cdist(middles, pool[farthest : farthest + 1])[:, 0])
     return space.prior_quantiles(pool[chosen]) if chosen else np.empty((0, space.dim))
 
@@ -124,12 +126,8 @@ def points_around(
     ball = radius * cube[(cube**2).sum(axis=1) <= 1][: POOL // 4] if space.dim <= FEW else radius * cube[: POOL // 4]
     pool = np.concatenate([one + ball for one in space.prior_shares(odd)])
     pool = pool[((pool > 0) & (pool < 1)).all(axis=1)]
-    chosen: list[int] = []
     nearest = cdist(pool, space.prior_shares(x)).min(axis=1)
-    while len(chosen) < min(number, len(pool)):
-        chosen.append(int(np.argmax(nearest)))
-        nearest = np.minimum(nearest, cdist(pool, pool[chosen[-1:]])[:, 0])
-    return space.prior_quantiles(pool[chosen])
+    return space.prior_quantiles(pool[[*islice(farthest_first(pool, nearest), number)]])
 
 
 def _balls(dim: int) -> tuple[Float[np.ndarray, "ball dim"], Float[np.ndarray, "share ball"]]:

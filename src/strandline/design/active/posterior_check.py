@@ -38,7 +38,6 @@ from strandline.design.active.coverage_runs import (
 from strandline.design.active.parabola import WHOLE, Expected
 from strandline.design.active.settings import Active
 from strandline.design.active.state import Knowledge, State
-from strandline.likelihood import noise_length
 from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.posterior import reweight, subset
@@ -136,9 +135,8 @@ def simulator_noise(knowledge: Knowledge, draws: Float[np.ndarray, "draw dim"]) 
     Runs are imagined there whose modes scatter independently. The effect is larger in the tails: for a check, give its
     own draws.
     """
-    surrogate, likelihood = knowledge.surrogate, knowledge.likelihood
+    surrogate, likelihood, hidden = knowledge.surrogate, knowledge.likelihood, knowledge.hidden
     rms = surrogate.scatter
-    hidden = min(noise_length(seen, likelihood.discrepancy) for seen in likelihood.known_observations)
     if rms < NEGLIGIBLE * hidden:
         return SimulatorNoise(rms, hidden, 0.0)
     means = surrogate.mean(draws[:: max(len(draws) // PLACES, 1)][:PLACES])
@@ -347,7 +345,7 @@ class PosteriorCheck:
         made = [records[k] for k in good]
         true = np.array([self.log_likelihood(record) for record in made])
         limits = {"limits": (LEFT_OUT_SDS, LEFT_OUT_NOISE)} if strictly else {}
-        return surprises(state, x[good], made, true, self.active.unseen, _hidden(state), **limits)
+        return surprises(state, x[good], made, true, self.active.unseen, state.knowledge.hidden, **limits)
 
     def left_out(self, state: State, looked_around: set[bytes], chosen: set[bytes]) -> tuple[Surprise, ...]:
         """Return the run that the others predict much worse than they should, once for each run.
@@ -359,7 +357,7 @@ class PosteriorCheck:
         """
         if self.active.unseen >= 1:
             return ()
-        found = left_out_surprise(state, _hidden(state), looked_around, chosen)
+        found = left_out_surprise(state, state.knowledge.hidden, looked_around, chosen)
         return () if found is None else (found,)
 
     def without_runs(self, state: State, records: Sequence[RunRecord]) -> BatchCheck:
@@ -402,9 +400,3 @@ class PosteriorCheck:
 
     def _shown(self, state: State) -> Float[np.ndarray, "draw dim"]:
         return np.asarray(state.positions[subset(np.exp(state.log_weights), SHOWING, self.seed + 2)])
-
-
-def _hidden(state: State) -> float:
-    """Return the shift of an observed interface that the noise hides, mm: the smallest of all conditions."""
-    likelihood = state.knowledge.likelihood
-    return min(noise_length(seen, likelihood.discrepancy) for seen in likelihood.known_observations)

@@ -49,6 +49,11 @@ class Knowledge:
         """The surrogate of the field."""
         return self.likelihood.surrogate
 
+    @property
+    def hidden(self) -> float:
+        """Shift of an observed interface that the noise hides, mm: the smallest of all conditions."""
+        return hidden_shift(self.likelihood.known_observations, self.likelihood.discrepancy)
+
     def log_feasibility(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
         """Return the log probability of success relative to the safest run, so random failures change nothing."""
         z = self.surrogate.warping.standardise(x)
@@ -101,6 +106,11 @@ class Knowledge:
         return np.asarray(self.likelihood.expected(x, plug_in=plain) + feasible)
 
 
+def hidden_shift(observations: Sequence[Observation], discrepancy: Discrepancy) -> float:
+    """Return the shift of an observed interface that the noise hides, mm: the smallest of all conditions."""
+    return min(noise_length(seen, discrepancy) for seen in observations)
+
+
 def learn(
     x: Float[np.ndarray, "run dim"],
     records: Sequence[RunRecord],
@@ -116,12 +126,12 @@ def learn(
             farther away than the noise hides.
     """
     ok = np.array([record.ok for record in records], bool)
-    hidden = min(noise_length(seen, discrepancy) for seen in observations)
+    hidden = hidden_shift(observations, discrepancy)
     training = training_of(x, records, space, [seen.condition for seen in observations])
     surrogate = fit_field(training, tolerance=TOLERATED_REMAINDER * hidden)
     likelihood = FieldLikelihood(surrogate, observations, discrepancy)
     if likelihood.inferred is not None:
-        guess, hidden = hidden, min(noise_length(seen, discrepancy) for seen in likelihood.known_observations)
+        guess, hidden = hidden, hidden_shift(likelihood.known_observations, discrepancy)
         if hidden < guess:
             surrogate = fit_field(training, tolerance=TOLERATED_REMAINDER * hidden)
             likelihood = FieldLikelihood(surrogate, observations, discrepancy)
