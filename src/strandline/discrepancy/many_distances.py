@@ -6,7 +6,7 @@ together, compiled and in double precision. The closest segment is never left ou
 segments, except for rounding.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any
@@ -78,24 +78,34 @@ def sums_of_squares(
     runs = max(len(points), len(corners))
     if runs < FEWEST or not double():
         return None
-    moving, out = points if len(points) > 1 else corners, np.empty(runs)
-    centre = moving[0].mean(axis=0)
+    out, centre = np.empty(runs), (points if len(points) > 1 else corners)[0].mean(axis=0)
 
-    def block(task: tuple[_Pairs, Int[np.ndarray, " some"]]) -> Float[np.ndarray, " some"]:
+    def block(task: tuple[_SegmentPairs, Int[np.ndarray, " some"]]) -> Float[np.ndarray, " some"]:
         pairs, rows = task
         some = _rows(points, rows) - centre, _rows(corners, rows) - centre, _rows(weights, rows)
         return _of_block(pairs, *some, cells)[: len(rows)]
 
-    (order,) = similar(moving, runs)
+    _fill(out, block, points, corners, cells)
+    return out
+
+
+def _fill(
+    out: Float[np.ndarray, "run *sum"],
+    block: Callable[[tuple["_SegmentPairs", Int[np.ndarray, " some"]]], Float[np.ndarray, "some *sum"]],
+    points: Points,
+    corners: Corners,
+    cells: Int[np.ndarray, "cell 2"],
+) -> None:
+    """Write what `block` returns for blocks of similar runs, side by side, into the rows of these runs."""
+    (order,) = similar(points if len(points) > 1 else corners, len(out))
     todo = [*tasks(points, corners, cells, order)]
     for (_, rows), sums in zip(todo, side_by_side(block, todo), strict=True):
         out[rows] = sums
-    return out
 
 
 def tasks(
     points: Points, corners: Corners, cells: Int[np.ndarray, "cell 2"], rows: Int[np.ndarray, " some"]
-) -> Iterator[tuple["_Pairs", Int[np.ndarray, " some"]]]:
+) -> Iterator[tuple["_SegmentPairs", Int[np.ndarray, " some"]]]:
     """Yield blocks of runs with their pairs; runs that share few enough pairs share the search for them."""
     some = [array if len(array) == 1 else array[rows] for array in (points, corners)]
     near = _near(some[0], some[1], cells)
@@ -103,7 +113,7 @@ def tasks(
         for half in np.array_split(rows, 2):
             yield from tasks(points, corners, cells, half)
         return
-    pairs = _Pairs.of(near)
+    pairs = _SegmentPairs.of(near)
     for first in range(0, len(rows), BLOCK):
         yield pairs, rows[first : first + BLOCK]
 
@@ -122,7 +132,7 @@ def padded(rows: Int[np.ndarray, " some"]) -> Int[np.ndarray, " more"]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Pairs:
+class _SegmentPairs:
     """Segments to compare with each point, `ABREAST` per row; rows of one point are consecutive.
 
     Args:
@@ -138,7 +148,7 @@ class _Pairs:
     number: int
 
     @classmethod
-    def of(cls, near: Bool[np.ndarray, "point cell"]) -> "_Pairs":
+    def of(cls, near: Bool[np.ndarray, "point cell"]) -> "_SegmentPairs":
         """Return the pairs that `near` marks; each point has at least one."""
         point, cell = np.nonzero(near)
         counts = np.bincount(point, minlength=len(near))
@@ -158,7 +168,7 @@ class _Pairs:
 
 
 def _of_block(
-    pairs: _Pairs,
+    pairs: _SegmentPairs,
     points: Points,
     corners: Corners,
     weights: Float[np.ndarray, "#run point"],
@@ -297,7 +307,7 @@ def signed_sums(
     shared = points - centre
     both = np.column_stack([weights, features])
 
-    def block(task: tuple[Any, Int[np.ndarray, " some"]]) -> Float[np.ndarray, "some sum"]:
+    def block(task: tuple[_SegmentPairs, Int[np.ndarray, " some"]]) -> Float[np.ndarray, "some sum"]:
         """Return the sums of some runs, padded to a number of runs that is compiled already."""
         pairs, rows = task
         some = corners[padded(rows)] - centre
@@ -305,11 +315,8 @@ def signed_sums(
         arguments = pairs.segments, pairs.points, pairs.last, pairs.number
         return np.asarray(_loop()(shared[:, 0], shared[:, 1], both, x, y, cells, *arguments)).T[: len(rows)]
 
-    (order,) = similar(corners, runs)
-    todo = [*tasks(points[None], corners, cells, order)]
     out = np.empty((runs, both.shape[1]))
-    for (_, rows), sums in zip(todo, side_by_side(block, todo), strict=True):
-        out[rows] = sums
+    _fill(out, block, points[None], corners, cells)
     return out[:, 0], out[:, 1:]
 
 

@@ -1,38 +1,20 @@
 """A conditioned Gaussian process: prediction and exact derivatives in physical coordinates."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
-from scipy.stats import qmc
 
 from strandline.errors import InvalidInput
 from strandline.numerics.linear_algebra import factorise, solve
 from strandline.surrogate.kernels import Kernel, LengthScale, as_length_scale, as_lengths
 
-__all__ = [
-    "SINGLE_PRECISION_LIMIT",
-    "GaussianProcess",
-    "Precision",
-    "batched_mean",
-    "condition",
-    "single_precision_error",
-    "standardisation",
-]
-
-Precision = Literal["float64", "float32", "auto"]
-SINGLE_PRECISION_LIMIT = 0.02
-"""Largest error of a log-likelihood that single precision may make."""
-
 _PAIRS_PER_BLOCK = 2**20
 _UNROLL = 8
-_SINGLE_ROUNDING = 6e-7  # ten times half a unit in the last place: the largest errors seen are eight times that
-_BOX_POINTS = 12  # log2
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +170,7 @@ def condition(
 
 
 def batched_mean(
-    gp: GaussianProcess, *, fused: bool | None = None, precision: Precision = "float64"
+    gp: GaussianProcess, *, fused: bool | None = None
 ) -> Callable[[Float[jax.Array, "particle dim"]], Float[jax.Array, " particle"]]:
     """Return the posterior mean as a jittable JAX function of physical points (particle, dim).
 
@@ -198,18 +180,9 @@ def batched_mean(
         gp: The conditioned process.
         fused: Whether to reduce over a (particle, run) array in one kernel, which suits an accelerator; False scans
             over the training points, which suits a CPU. None (the default) chooses by JAX's default back end.
-        precision: Precision of the sum over the training points; arguments and result have that of the points.
-            ``float32`` takes a half to a quarter of the time, and is refused if `single_precision_error` is above
-            `SINGLE_PRECISION_LIMIT`; ``auto`` uses it if it is allowed.
-
-    Raises:
-        InvalidInput: The error of single precision would matter.
     """
-    unit = gp.scale * gp.length_scale
-    of_sum = np.dtype(_allowed(gp, precision))
-    train = (gp.x_train / gp.length_scale).astype(of_sum)
-    weight = (gp.signal_variance * gp.alpha).astype(of_sum)
-    correlation = gp.kernel.of_columns
+    unit, weight = gp.scale * gp.length_scale, gp.signal_variance * gp.alpha
+    train, correlation = gp.x_train / gp.length_scale, gp.kernel.of_columns
     in_one = jax.default_backend() != "cpu" if fused is None else fused
 
     def offsets(points: jax.Array, centre: jax.Array) -> list[jax.Array]:
@@ -218,11 +191,10 @@ def batched_mean(
 
     def mean(x: Float[jax.Array, "particle dim"]) -> Float[jax.Array, " particle"]:
         """Return the mean at physical inputs."""
-        standard = ((x - gp.shift) / unit).T
-        points = standard.astype(of_sum) if of_sum == np.float32 else standard
+        points = ((x - gp.shift) / unit).T
         if in_one:
             offset = offsets(points[:, :, None], jnp.asarray(train.T)[:, None, :])
-            return gp.target_mean + jnp.sum(correlation(offset) * weight, axis=1).astype(standard.dtype)
+            return gp.target_mean + jnp.sum(correlation(offset) * weight, axis=1)
 
         def add(total: jax.Array, run: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
             centre, w = run
@@ -230,37 +202,6 @@ def batched_mean(
 
         start = jnp.zeros(len(x), points.dtype)
         total, _ = jax.lax.scan(add, start, (jnp.asarray(train), jnp.asarray(weight)), unroll=_UNROLL)
-        return gp.target_mean + total.astype(standard.dtype)
+        return gp.target_mean + total
 
     return mean
-
-
-def single_precision_error(gp: GaussianProcess) -> float:
-    """Return roughly the largest error of the mean summed in single precision, in units of the target.
-
-    That is 6e-7 · σ0² · max Σ_i |α_i| c(x, x_i) over the training points and 4096 Sobol points of the box around them.
-    The root mean square of the error is about a tenth of it. At large length scales α alternates in sign, which makes
-    the error large even if the mean is not.
-    """
-    low, high = gp.x_train.min(axis=0), gp.x_train.max(axis=0)
-    among = low + (high - low) * qmc.Sobol(gp.dim, scramble=False).random_base2(_BOX_POINTS)
-    points = gp.shift + gp.scale * np.concatenate([gp.x_train, among])
-    sizes = replace(gp, alpha=np.abs(gp.alpha), target_mean=0.0).mean(points)
-    return float(_SINGLE_ROUNDING * sizes.max())
-
-
-def _allowed(gp: GaussianProcess, precision: Precision) -> Precision:
-    """Return the precision of the sum."""
-    if precision == "float64":
-        return precision
-    error = single_precision_error(gp)
-    if error <= SINGLE_PRECISION_LIMIT:
-        return "float32"
-    if precision == "auto":
-        return "float64"
-    raise InvalidInput(
-        "error of the mean in single precision",
-        value=float(f"{error:.2g}"),
-        expected=f"at most {SINGLE_PRECISION_LIMIT}, in units of the target",
-        remedy='Use precision="float64", or "auto".',
-    )

@@ -9,8 +9,7 @@ import pytest
 from tests.unit.surrogate.peers import EVERY, VARIANCE, conditioned, peer, runs
 
 from strandline.errors import InvalidInput, NumericsError
-from strandline.surrogate import KERNELS, batched_mean, condition, gaussian_process, validate
-from strandline.surrogate.gaussian_process import single_precision_error
+from strandline.surrogate import KERNELS, batched_mean, condition, validate
 
 MATERN = KERNELS["matern32"]
 
@@ -62,30 +61,6 @@ def test_duplicate_runs_need_a_nugget_and_other_dimensions_are_refused():
         condition(*twice, nugget=0.0, **options)
     with pytest.raises(InvalidInput, match="3 columns"):
         gp.mean(np.zeros((4, 2)))
-
-
-@pytest.mark.parametrize(("name", "fused"), [("matern32", True), ("matern32_product", False)])
-def test_single_precision_is_as_exact_as_it_says(name, fused):
-    x, y = runs(200, 2)
-    gp = condition(x, y, kernel=KERNELS[name], length_scale=0.7, signal_variance=2.0, nugget=1e-3)
-    points = runs(1000, 2, seed=7)[0]
-    single, chosen = (jax.jit(batched_mean(gp, fused=fused, precision=one))(points) for one in ("float32", "auto"))
-    assert single.dtype == np.float64
-    assert 1e-9 < np.abs(single - gp.mean(points)).max() < single_precision_error(gp) < 0.02
-    np.testing.assert_array_equal(chosen, single)
-
-
-def test_single_precision_is_refused_where_it_would_be_wrong(monkeypatch):
-    x, y = runs(200, 2)
-    gp = condition(x, 10 * y, kernel=MATERN, length_scale=50.0, signal_variance=3e7, nugget=1e-4)
-    points, said = runs(500, 2, seed=7)[0], single_precision_error(gp)
-    with pytest.raises(InvalidInput, match=rf"single precision: got {float(f'{said:.2g}')}; expected at most 0\.02"):
-        batched_mean(gp, precision="float32")
-    found = jax.jit(batched_mean(gp, precision="auto"))(points)
-    np.testing.assert_allclose(found, gp.mean(points), rtol=1e-6, atol=1e-5)
-    monkeypatch.setattr(gaussian_process, "_allowed", lambda gp, precision: precision)
-    error = np.abs(jax.jit(batched_mean(gp, precision="float32"))(points) - gp.mean(points)).max()
-    assert 0.02 < error < said
 
 
 def test_residuals_equal_those_of_refitting_without_each_run():

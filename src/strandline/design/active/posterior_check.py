@@ -203,7 +203,7 @@ class Checked:
         ends: Numbers of draws at which the verdict is sought, from the next one on.
         elsewhere: Inputs of runs where nobody has looked yet.
         left_out: Earlier runs near the posterior, each predicted from all others.
-        looks: Number of times that the verdict is sought; by default as many as `ends`.
+        looks: Number of times that the verdict is sought in all.
         patient: Whether more draws are run even if they would hardly settle it.
     """
 
@@ -213,13 +213,9 @@ class Checked:
     probing: int
     ends: tuple[int, ...]
     elsewhere: Float[np.ndarray, "new dim"]
-    left_out: LeftOutRuns | None = None
-    looks: int = 0
-    patient: bool = True
-
-    def __post_init__(self) -> None:
-        if not self.looks:
-            object.__setattr__(self, "looks", len(self.ends))
+    left_out: LeftOutRuns
+    looks: int
+    patient: bool
 
 
 class PosteriorCheck:
@@ -277,7 +273,7 @@ class PosteriorCheck:
         draws, log_expected = state.positions[chosen], state.log_expected[chosen]
         few = self.space.dim <= self.whole  # above, products are lacking: all draws may settle what it does not
         patient = not few or self._given_up >= MOST_GIVEN_UP or left < 2 * len(chosen)
-        self._checked = Checked(state, draws, log_expected, probing, ends, elsewhere, earlier, patient=patient)
+        self._checked = Checked(state, draws, log_expected, probing, ends, elsewhere, earlier, len(ends), patient)
         return np.concatenate([draws[: ends[0]], elsewhere])
 
     def more(self) -> New:
