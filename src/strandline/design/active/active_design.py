@@ -75,6 +75,38 @@ class Step:
     check: BatchCheck | None
 
 
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """Where a design stands after a batch.
+
+    Args:
+        x: Inputs of all runs.
+        records: Their records.
+        kind: Kind of the batch.
+        check: Verdict on the posterior, if there is one.
+        doubted: Whether only doubts speak against the posterior.
+        stable: Whether it stands still.
+        left: Number of runs that are left.
+    """
+
+    x: Float[np.ndarray, "run dim"]
+    records: Sequence[RunRecord]
+    kind: Kind
+    check: BatchCheck | None
+    doubted: bool
+    stable: bool
+    left: int
+
+    @property
+    def settled(self) -> bool:
+        """Whether the posterior stands still, or stood still before these runs."""
+        return self.stable or self.kind in ("given", "elsewhere", "trial")
+
+
+Decision = Batch | None | Literal["not now"]
+"""The next batch, None to stop, or that another phase decides."""
+
+
 class ActiveDesign:
     """Decides what to run next, given the runs so far.
 
@@ -137,21 +169,39 @@ class ActiveDesign:
 
     def next(self, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]) -> Batch | None:
         """Return the next batch, given all runs that have ended; None to stop."""
-        kind = self.batches[-1].kind
         self._price = price_of_a_hang(records)
-        check: BatchCheck | None = None
-        doubted = False
-        if kind == "elsewhere":
-            here, before = self.batches[-1].points, self.state
-            self._odd = self.check.surprises(here, x, records, before)
-            if self._around_odd and self.check.surprises(here, x, records, before, strictly=True):
-                self._passed = None
-        if kind == "check":
-            found, self._odd = self.check.verdict(x, records)
-            if not isinstance(found, BatchCheck):
-                return self._noted(self.check.more(), "check")
-            check = found
+        found = self._verdict(x, records)
+        if found == "open":
+            return self._noted(self.check.more(), "check")
         self.state = self.learn(x, records)
+        check, doubted = self._judged(found, records)
+        self.steps.append(self._step(check))
+        kind, stable = self.batches[-1].kind, self._stable(records)
+        now = Situation(x, records, kind, check, doubted, stable, self._left)
+        for phase in PHASES:
+            decision = phase(self, now)
+            if not isinstance(decision, str):
+                return decision
+        return self._learn_more(now)
+
+    def _verdict(
+        self, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]
+    ) -> BatchCheck | Literal["open"] | None:
+        """Return what a check says of the posterior that it was made of; note what no posterior expected."""
+        batch = self.batches[-1]
+        if batch.kind == "elsewhere":
+            self._odd = self.check.surprises(batch.points, x, records, self.state)
+            if self._around_odd and self.check.surprises(batch.points, x, records, self.state, strictly=True):
+                self._passed = None
+        if batch.kind != "check":
+            return None
+        found, self._odd = self.check.verdict(x, records)
+        return found
+
+    def _judged(self, check: BatchCheck | None, records: Sequence[RunRecord]) -> tuple[BatchCheck | None, bool]:
+        """Return the check that the new posterior has passed or not, and whether only doubts speak against it."""
+        assert self.state is not None
+        kind = self.batches[-1].kind
         if kind == "trial" or (kind == "elsewhere" and not self._odd):
             check = self._still_passed()
         if check is not None and check.passed:
@@ -163,39 +213,66 @@ class ActiveDesign:
         if kind == "given":
             check = self.check.without_runs(self.state, records)
         if check is not None and check.passed and (why := self.doubts(self.state)):
-            doubted, self._passed = True, (Remembered.of(self.state), check)
-            check = replace(check, passed=False, reasons=why)
-        self.steps.append(self._step(check))
-        stable, left = self._stable(records), self._left
-        settled = stable or kind in ("given", "elsewhere", "trial")
-        if check is not None and check.passed and settled:
-            unseen = self._not_looked_at(x, left) if left > 0 and kind != "given" else x[:0]
-            if len(unseen):
-                self._passed, self._around_odd = (Remembered.of(self.state), check), False
-                return self._noted(unseen, "elsewhere")
-            self.converged, self.reasons = True, ()
-            return None
-        if kind == "given":
-            check = None
-        if left <= 0:
-            self.reasons = self._why_not()
-            return None
-        if doubted and settled and kind != "given" and left >= TRIAL and self.another_trial():
-            draws = subset(np.exp(self.state.log_weights), TRIAL, self.seed + 7919 * len(x))
-            return self._noted(self.state.positions[draws], "trial")
-        if self._odd:
-            odd, number = np.array([one.x for one in self._odd]), max(self.batch, 2 * self.space.dim)
-            self._looked_around |= {one.x.tobytes() for one in self._odd}
-            around = points_around(odd, x, self.space, self.active.unseen, min(number, left))
-            around = self._losses().bearable(around)
-            self._around_odd = True
-            if len(around):
-                return self._noted(around, "elsewhere")
-        room = left - self.active.kept_for_check(self.space.dim)
-        ready = (stable and check is None and room >= 0) or room < 1
-        if ready and self._can_be_checked(records, left) and (self._confirmed() or room < 1):
-            return self._noted(self.check.begin(self.state, x, records, left, self._losses()), "check")
-        return self._noted(self._chosen(min(self._together, room if room > 0 else left), len(x)), "posterior")
+            self._passed = Remembered.of(self.state), check
+            return replace(check, passed=False, reasons=why), True
+        return check, False
+
+    def _finish(self, now: Situation) -> Decision:
+        """Stop at a posterior that has passed its check, unless there are places where nobody has looked."""
+        assert self.state is not None
+        if now.check is None or not now.check.passed or not now.settled:
+            return "not now"
+        unseen = self._not_looked_at(now.x, now.left) if now.left > 0 and now.kind != "given" else now.x[:0]
+        if len(unseen):
+            self._passed, self._around_odd = (Remembered.of(self.state), now.check), False
+            return self._noted(unseen, "elsewhere")
+        self.converged, self.reasons = True, ()
+        return None
+
+    def _give_up(self, now: Situation) -> Decision:
+        """Stop once all runs are made."""
+        if now.left > 0:
+            return "not now"
+        self.reasons = self._why_not()
+        return None
+
+    def _try_again(self, now: Situation) -> Decision:
+        """Run the model at further draws of a posterior against which only doubts speak."""
+        assert self.state is not None
+        ready = now.doubted and now.settled and now.kind != "given" and now.left >= TRIAL
+        if not (ready and self.another_trial()):
+            return "not now"
+        draws = subset(np.exp(self.state.log_weights), TRIAL, self.seed + 7919 * len(now.x))
+        return self._noted(self.state.positions[draws], "trial")
+
+    def _look_around(self, now: Situation) -> Decision:
+        """Run the model around runs that no posterior expected."""
+        if not self._odd:
+            return "not now"
+        odd, number = np.array([one.x for one in self._odd]), max(self.batch, 2 * self.space.dim)
+        self._looked_around |= {one.x.tobytes() for one in self._odd}
+        around = points_around(odd, now.x, self.space, self.active.unseen, min(number, now.left))
+        around = self._losses().bearable(around)
+        self._around_odd = True
+        return self._noted(around, "elsewhere") if len(around) else "not now"
+
+    def _check(self, now: Situation) -> Decision:
+        """Run the model at draws of a posterior that stands still, or of any if no more runs may be chosen."""
+        assert self.state is not None
+        room = self._room(now)
+        ready = (now.stable and (now.check is None or now.kind == "given") and room >= 0) or room < 1
+        if not (ready and self._can_be_checked(now.records, now.left) and (self._confirmed() or room < 1)):
+            return "not now"
+        return self._noted(self.check.begin(self.state, now.x, now.records, now.left, self._losses()), "check")
+
+    def _learn_more(self, now: Situation) -> Batch:
+        """Run the model where the posterior lies."""
+        room = self._room(now)
+        return self._noted(self._chosen(min(self._together, room if room > 0 else now.left), len(now.x)), "posterior")
+
+    def _room(self, now: Situation) -> int:
+        """Return the number of runs that are left besides those of a check."""
+        return now.left - self.active.kept_for_check(self.space.dim)
 
     def overlooks(self, x: Float[np.ndarray, "run dim"]) -> bool:
         """Return whether these runs are too few to find a region as small as asked, other than where runs fail.
@@ -353,3 +430,13 @@ class ActiveDesign:
         reasons += [words for one in self._odd[:1] if (words := one.words(self.space)) not in reasons]
         self.scattered = self.check.scatter_prevents(self.state)
         return (*reasons, self.check.scatter.reason) if self.scattered else tuple(reasons)
+
+
+PHASES: tuple[Callable[[ActiveDesign, Situation], Decision], ...] = (
+    ActiveDesign._finish,
+    ActiveDesign._give_up,
+    ActiveDesign._try_again,
+    ActiveDesign._look_around,
+    ActiveDesign._check,
+)
+"""What a design may do after a batch besides learning more where the posterior lies: the first one ready decides."""
