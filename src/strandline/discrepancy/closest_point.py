@@ -12,8 +12,6 @@ from strandline.discrepancy.protocol import require_alike
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, PointErrors, spacings, steady_lengths
 
-__all__ = ["DIRECTIONS", "WEIGHTINGS", "ClosestPoint", "node_weights"]
-
 DIRECTIONS = ("to_observed", "to_simulated", "symmetric")
 WEIGHTINGS = ("sum", "length")
 

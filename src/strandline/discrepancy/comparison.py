@@ -58,11 +58,7 @@ def extent_ratio(observed: Interface, simulated: Interface) -> float:
 
 
 def unit_mistake(ratio: float) -> str:
-    """Return a clause, "perhaps …", on the unit that was probably mistaken; empty if the extents are similar.
-
-    Args:
-        ratio: The extent of the observed interface divided by that of the simulated one.
-    """
+    """Return a clause, "perhaps …", on the unit that was probably mistaken; empty if the extents are similar."""
     power = abs(math.log10(ratio))
     if power < math.log10(LARGEST_RATIO) * (1 - 1e-9):
         return ""
@@ -90,10 +86,7 @@ def count_of_distances(measure: Discrepancy, simulated: Interface, observed: Int
 def noise_units(square: float, variance: float, count: float | None) -> float:
     """Return a residual in units of σ_N: the root mean square of its distances, or √d² if it is not a sum.
 
-    Args:
-        square: d², in the measure's unit.
-        variance: σ_N², in the same unit.
-        count: The number of distances, from `count_of_distances`.
+    `count` is that of `count_of_distances`.
     """
     return math.sqrt(square / (variance * (count or 1.0)))
 

@@ -19,8 +19,6 @@ from strandline.discrepancy.protocol import Snapshot, require_alike, require_sam
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, PointErrors, spacings
 
-__all__ = ["QUADRATURES", "Currents"]
-
 QUADRATURES = ("refined", "centre")
 _FINEST = 1e-14
 _THINNEST, _WIDEST = 1e-9, 1e9

@@ -5,7 +5,6 @@ mm⁴ for surfaces. Eqs. (10)-(11) of the study; σ is its σ_W.
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -60,21 +59,19 @@ def refined_product(a: Interface, b: Interface, width: float, *, tolerance: floa
     longer than `PANEL` widths, of the order at which their error bound (`gauss_order`) falls below `tolerance`.
     Pairs too far apart to matter at this tolerance are left out.
 
-    Args:
-        a: polyline of the outer integral.
-        b: polyline of the inner integral.
-        width: kernel width σ, mm.
-        tolerance: error relative to `natural_scale(a)`, if `b` does not pass near one point many times.
+    The error is relative to `natural_scale(a)`, if `b` does not pass near one point many times.
     """
     pieces = _Pieces.of(a, PANEL * width)
     longest = float(pieces.lengths.max())
     order = gauss_order(math.ceil(8 * longest / width) / 8, tolerance)
     length = float(b.lengths.sum())
     reach = width * math.sqrt(2 * math.log(max(length / min(length, width), 1.0) / tolerance))
+    rows, size = max(1, BLOCK // len(b.cells)), max(1, BLOCK // order)
+    near = (_near_pairs(pieces, b, slice(k, k + rows), reach) for k in range(0, len(pieces.starts), rows))
     return math.fsum(
-        _pair_integrals(pieces, b, pairs, width, order)
-        for rows in _blocks(len(pieces.starts), len(b.cells))
-        for pairs in _chunks(_near_pairs(pieces, b, rows, reach), order)
+        _pair_integrals(pieces, b, row[k : k + size], column[k : k + size], width, order)
+        for row, column in near
+        for k in range(0, len(row), size)
     )
 
 
@@ -120,16 +117,10 @@ class _Pieces:
         return np.asarray(np.hypot(self.steps[:, 0], self.steps[:, 1]))
 
 
-@dataclass(frozen=True, eq=False)
-class _NearPairs:
-    """Pieces `row` in the frame of the segments `column`: all of shape (pair,)."""
-
-    row: Int[np.ndarray, " pair"]
-    column: Int[np.ndarray, " pair"]
-
-
-def _near_pairs(pieces: _Pieces, b: Interface, rows: slice, reach: float) -> _NearPairs:
-    """Return the pairs (piece, segment) that come within `reach` of each other, perhaps a few more."""
+def _near_pairs(
+    pieces: _Pieces, b: Interface, rows: slice, reach: float
+) -> tuple[Int[np.ndarray, " pair"], Int[np.ndarray, " pair"]]:
+    """Return the pieces and segments that come within `reach` of each other, perhaps a few more."""
     tangents = (b.ends - b.starts) / b.lengths[:, None]
     middle = pieces.starts[rows] + 0.5 * pieces.steps[rows]
     x, y = (middle[:, k, None] - b.starts[:, k] for k in (0, 1))
@@ -138,17 +129,24 @@ def _near_pairs(pieces: _Pieces, b: Interface, rows: slice, reach: float) -> _Ne
     off = x * tangents[:, 1] - y * tangents[:, 0]
     near = beyond**2 + off**2 <= (reach + 0.5 * pieces.lengths[rows, None]) ** 2
     row, column = np.nonzero(near)
-    return _NearPairs(row + rows.start, column)
+    return row + rows.start, column
 
 
-def _pair_integrals(pieces: _Pieces, b: Interface, pairs: _NearPairs, width: float, order: int) -> float:
+def _pair_integrals(
+    pieces: _Pieces,
+    b: Interface,
+    row: Int[np.ndarray, " pair"],
+    column: Int[np.ndarray, " pair"],
+    width: float,
+    order: int,
+) -> float:
     """Return Σ over the pairs of n·m ∫∫ K; `along` and `across` are the nodes' coordinates in the segment's frame."""
     nodes, weights = _unit_gauss(order)
     scale = 1 / (math.sqrt(2) * width)
-    lengths = b.lengths[pairs.column]
-    t = (b.ends - b.starts)[pairs.column] / lengths[:, None]
-    start = (pieces.starts[pairs.row] - b.starts[pairs.column]) * scale
-    step = pieces.steps[pairs.row] * scale
+    lengths = b.lengths[column]
+    t = (b.ends - b.starts)[column] / lengths[:, None]
+    start = (pieces.starts[row] - b.starts[column]) * scale
+    step = pieces.steps[row] * scale
     cosine = step[:, 0] * t[:, 0] + step[:, 1] * t[:, 1]
     sine = step[:, 1] * t[:, 0] - step[:, 0] * t[:, 1]
     along = (start[:, 0] * t[:, 0] + start[:, 1] * t[:, 1])[:, None] + cosine[:, None] * nodes
@@ -164,28 +162,14 @@ def _unit_gauss(order: int) -> tuple[Float[np.ndarray, " node"], Float[np.ndarra
     return 0.5 * (nodes + 1), 0.5 * weights
 
 
-def _blocks(rows: int, columns: int) -> Iterator[slice]:
-    size = max(1, BLOCK // columns)
-    return (slice(k, min(k + size, rows)) for k in range(0, rows, size))
-
-
-def _chunks(pairs: _NearPairs, order: int) -> Iterator[_NearPairs]:
-    size = max(1, BLOCK // order)
-    return (_NearPairs(pairs.row[k : k + size], pairs.column[k : k + size]) for k in range(0, len(pairs.row), size))
-
-
 def refined_surface_product(a: Interface, b: Interface, width: float, *, tolerance: float) -> float:
     """Return ⟨a,b⟩ of the surfaces themselves, mm⁴, whatever their triangulation.
 
     Gauss rules on triangles no larger than `TRIANGLE` widths integrate both, each of the order at which its error
     bound (`error_bound`) falls below the tolerance. Pairs too far apart to matter at this tolerance are left out.
 
-    Args:
-        a: one surface.
-        b: the other surface.
-        width: kernel width σ, mm.
-        tolerance: error relative to area · min(area, 2πσ²) of `a`, the ⟨a,a⟩ of a plane much larger (or smaller) than
-            the width, if `b` does not pass near one point many times.
+    The error is relative to area · min(area, 2πσ²) of `a`, the ⟨a,a⟩ of a plane much larger (or smaller) than the
+    width, if `b` does not pass near one point many times.
 
     Raises:
         NumericsError: no rule reaches the tolerance.

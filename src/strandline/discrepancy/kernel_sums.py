@@ -67,12 +67,7 @@ USUAL = Sizes()
 def kernel_sum(a: Nodes, b: Nodes, width: float, *, reach: float, sizes: Sizes = USUAL) -> float:
     """Return Σ_i Σ_j exp(-|x_i - y_j|²/2σ²) n_i·m_j over the nodes (x, n) of `a` and (y, m) of `b`.
 
-    Args:
-        a: Nodes of one interface.
-        b: Nodes of the other interface.
-        width: Kernel width σ, mm.
-        reach: Distance beyond which pairs may be left out, mm.
-        sizes: Numbers of nodes that are taken at once.
+    Pairs farther apart than `reach`, mm, may be left out; the kernel has the width σ, mm.
 
     JAX sums many pairs if its float64 is switched on, else NumPy: slower, with the same result to rounding.
     """

@@ -252,14 +252,7 @@ def currents_of_many(
     The Gauss rules have the lowest orders at which the error of some runs, as different as the batch contains, is at
     most a tenth of the tolerance. The orders never exceed those of the error bound.
 
-    Args:
-        points: Points of the simulated polylines (run, point, 2), mm.
-        cells: Segments of the simulated polylines, two point numbers each.
-        observed: Points of the observed polyline T, mm.
-        observed_cells: Segments of the observed polyline.
-        width: Kernel width σ_W, mm.
-        square: ⟨T,T⟩, mm².
-        rule: Error allowed.
+    Lengths are in mm; `square` is ⟨T,T⟩, mm².
     """
     if len(points) < FEWEST or not double():
         return None

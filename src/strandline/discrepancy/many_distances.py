@@ -68,12 +68,6 @@ def sums_of_squares(
     """Return Σ w δ² over the points of each run, δ the distance to the closest point of that run's polyline; mm².
 
     An array with one row is the same in all runs. Return None for few runs, or if JAX is in single precision.
-
-    Args:
-        points: Points whose distances are computed (run, point, 2), mm.
-        corners: Corners of the polylines (run, corner, 2), mm.
-        cells: Numbers of the two corners of each segment.
-        weights: Weights w of the points.
     """
     runs = max(len(points), len(corners))
     if runs < FEWEST or not double():
@@ -292,13 +286,6 @@ def signed_sums(
 
     r is positive on the side of the normals (`Interface.normals`). Returns None for few runs, or with JAX in single
     precision.
-
-    Args:
-        points: Points, the same in all runs, mm.
-        corners: Corners of the polylines, mm.
-        cells: Numbers of the two corners of each segment.
-        weights: Weights w.
-        features: Factors f.
     """
     runs = len(corners)
     if runs < FEWEST or not double():

@@ -14,8 +14,6 @@ from strandline.discrepancy.protocol import Snapshot, require_polylines
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, PointErrors, normals_at, steady_lengths
 
-__all__ = ["LineReadings", "MeasurementLines"]
-
 REACH = 0.25
 """Default reach of a measurement line, as a share of the length of the observed interface."""
 

@@ -79,10 +79,7 @@ def closest_points(points: Float[np.ndarray, "point xyz"], target: Interface, *,
 
     The search trees are kept for the most recently searched interfaces.
 
-    Args:
-        points: Points, mm.
-        target: The interface.
-        once: Whether this interface will not be searched again, as a prediction that is looked at once.
+    With `once`, the interface will not be searched again, as a prediction that is looked at once.
 
     Raises:
         InvalidInterface: points with another number of coordinates than `target`.

@@ -292,14 +292,8 @@ def weighted_sums(
 
     Means of neighbouring points stand for many points of a polyline.
 
-    Args:
-        seen: Observed points, mm.
-        points: Nodes of the simulated interfaces, mm.
-        template: A simulated interface, for its cells.
-        weights: Weights w.
-        features: Factors f.
-        rough: Whether very few places along a polyline stand for all points.
-        longer: Whether the interfaces are longer by `extended` already.
+    With `rough`, very few places along a polyline stand for all points; with `longer`, the interfaces are `extended`
+    already.
     """
     points = points if longer else extended(points, template)
     if template.dim == 2 and len(points) >= FEWEST:

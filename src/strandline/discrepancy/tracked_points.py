@@ -9,8 +9,6 @@ from jaxtyping import Float
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface, PointErrors
 
-__all__ = ["TrackedPoints"]
-
 
 @dataclass(frozen=True)
 class TrackedPoints:

@@ -7,8 +7,6 @@ from scipy.spatial.distance import cdist
 
 from strandline.errors import NumericsError
 
-__all__ = ["distances", "factorise", "invert", "solve"]
-
 Matrix = Float[np.ndarray, "run run"]
 
 

@@ -14,8 +14,6 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 from scipy.special import expit, log_expit, logit
 
-__all__ = ["Feasibility", "learn_feasibility"]
-
 LENGTHS = (0.5, 1.0, 2.0, 4.0)
 """Length scales tried, in standard deviations of the inputs."""
 SPREADS = (0.3, 2.0, 6.0)
@@ -63,10 +61,7 @@ def learn_feasibility(
 ) -> Feasibility:
     """Return the classifier of highest evidence.
 
-    Args:
-        z: standardised inputs of all runs.
-        ok: whether each run succeeded.
-        largest: number of runs that are learnt from, at most: the last ones.
+    At most the `largest` last runs are learnt from.
     """
     z, ok = z[-largest:], ok[-largest:]
     if ok.all():

@@ -19,16 +19,6 @@ from strandline.errors import InvalidInput, NumericsError, TooFewRuns
 from strandline.numerics.linear_algebra import factorise, invert, solve
 from strandline.surrogate.kernels import Kernel, LengthScale, as_length_scale, as_lengths
 
-__all__ = [
-    "EvidenceSearch",
-    "FittedHyperparameters",
-    "LogEvidence",
-    "Objective",
-    "evidence",
-    "fit_hyperparameters",
-    "require_runs",
-]
-
 SHORTEST_LENGTH = 0.01
 STARTING_LENGTHS = (0.5, 3.0)
 _WINDOW = 40.0  # half-width of the box of log σ0²/l³ around its first guess
@@ -171,14 +161,6 @@ def evidence(
     nugget: float,
 ) -> LogEvidence:
     """Return log p(y | X, l, σ0², σ_n²) and its gradient with respect to (log σ0²/l³, log l).
-
-    Args:
-        x_std: standardised inputs.
-        y_centred: centred targets.
-        kernel: the correlation function.
-        length_scale: l, in standard deviations of the inputs.
-        signal_variance: σ0².
-        nugget: σ_n².
 
     Raises:
         NumericsError: the covariance is not positive definite.

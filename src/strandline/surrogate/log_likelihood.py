@@ -206,11 +206,6 @@ def fit_of_the_user(
 ) -> LogLikelihoodSurrogate:
     """Return a surrogate learnt by the user's function, validated by leaving out a tenth of the runs at a time.
 
-    Args:
-        x: physical inputs of the successful runs.
-        log_likelihood: their log-likelihoods.
-        fit: The user's function.
-
     Raises:
         TooFewRuns: fewer than dim + 2 runs.
         InvalidInput: values that are not finite, or the function returns something that is not a surrogate.

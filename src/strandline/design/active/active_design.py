@@ -23,8 +23,6 @@ from strandline.parameters import ParameterSpace
 from strandline.posterior import subset
 from strandline.runs import RunRecord
 
-__all__ = ["Active", "ActiveDesign", "Batch", "BatchCheck", "Step"]
-
 Kind = Literal["initial", "given", "posterior", "check", "trial", "elsewhere"]
 FEW_INPUTS, HARDLY = 3, 0.3
 """Number of inputs above which runs are chosen among draws of the posterior itself once it hardly moves: no mean by so
@@ -275,11 +273,7 @@ class ActiveDesign:
         return now.left - self.active.kept_for_check(self.space.dim)
 
     def overlooks(self, x: Float[np.ndarray, "run dim"]) -> bool:
-        """Return whether these runs are too few to find a region as small as asked, other than where runs fail.
-
-        Args:
-            x: Inputs of the runs, whether they succeeded or failed.
-        """
+        """Return whether these runs are too few to find a region as small as asked, other than where runs fail."""
         return len(self._not_looked_at(x, 1)) > 0
 
     def _not_looked_at(self, x: Float[np.ndarray, "run dim"], most: int) -> Float[np.ndarray, "new dim"]:

@@ -22,21 +22,6 @@ from scipy.stats import t
 from strandline.design.active.parabola import FREEDOM, Effect, Expected, fewest, smooth_effect
 from strandline.posterior import NEARLY_EQUAL, Reweighting, largest_usual_k_hat, reweight
 
-__all__ = [
-    "FEWEST_DRAWS",
-    "POOL",
-    "BatchCheck",
-    "LeftOutRuns",
-    "Tolerances",
-    "agree",
-    "error_probability",
-    "looks",
-    "number_of_probes",
-    "objections",
-    "probes",
-    "verdict",
-]
-
 FEWEST_DRAWS = 8
 """Fewest draws that can settle anything without earlier runs."""
 FEWEST_BESIDES = 2
@@ -152,9 +137,7 @@ def probes(draws: Float[np.ndarray, "draw dim"], number: int) -> Int[np.ndarray,
 def farthest_first(points: Float[np.ndarray, "point dim"], nearest: Float[np.ndarray, " point"]) -> Iterator[int]:
     """Yield the indices of points, each the farthest from those before and from others.
 
-    Args:
-        points: The points.
-        nearest: Distance of each to the nearest of the others; below 0 for a point that is not wanted.
+    `nearest` is the distance of each to the nearest of the others; below 0 for a point that is not wanted.
     """
     while nearest.max(initial=-1.0) >= 0:
         farthest = int(np.argmax(nearest))
@@ -175,12 +158,7 @@ def looks(fewest: int, most: int, batch: int) -> tuple[int, ...]:
 
 
 def error_probability(look: int, looks: int) -> float:
-    """Return the probability that the verdict of one look may be wrong. The first look has half of the total.
-
-    Args:
-        look: Number of the look, from 0.
-        looks: Number of times that the verdict is sought.
-    """
+    """Return the probability that the verdict of one look may be wrong. The first look has half of the total."""
     if looks == 1:
         return ERROR_PROBABILITY
     return ERROR_PROBABILITY * (FIRST if look == 0 else (1 - FIRST) / (looks - 1))
@@ -276,11 +254,7 @@ def agree(
 
     They say nothing where no run has been: draws of the posterior must confirm it.
 
-    Args:
-        left_out: The runs.
-        posterior: Many draws of equal weight.
-        variances: Variances of the log ratios that the surrogate expects there.
-        tolerances: What is tolerated.
+    `variances` are those of the log ratios that the surrogate expects at the draws of the posterior.
     """
     if len(left_out.x) < fewest(posterior.shape[1]):
         return False

@@ -118,15 +118,7 @@ def price_of_a_hang(records: Sequence[RunRecord]) -> float:
 def safe_candidates(
     losses: Losses, state: State, particles: Float[np.ndarray, "particle dim"], space: ParameterSpace, seed: int
 ) -> Float[np.ndarray, "candidate dim"]:
-    """Return the safe particles; if these are few, points of the box that are safe too, the likeliest by π_γ.
-
-    Args:
-        losses: The runs lost so far.
-        state: The posterior so far.
-        particles: Particles of π_γ.
-        space: The inputs with their priors.
-        seed: Seed of the draws.
-    """
+    """Return the safe particles; if these are few, points of the box that are safe too, the likeliest by π_γ."""
     safe = particles[losses.chance(particles) >= SAFE]
     if len(safe) >= FEWEST:
         return safe

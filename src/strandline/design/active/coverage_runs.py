@@ -24,18 +24,6 @@ from strandline.interface import Interface
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord
 
-__all__ = [
-    "LEFT_OUT_NOISE",
-    "LEFT_OUT_SDS",
-    "SURE",
-    "Surprise",
-    "least_found",
-    "left_out_surprise",
-    "points_around",
-    "points_elsewhere",
-    "surprises",
-]
-
 SURE = 0.95
 """Probability with which a region is found."""
 MIDDLES, POOL = 512, 2048
@@ -57,9 +45,7 @@ STANDARD_DEVIATIONS, NOISE_LENGTHS = 5.0, 5.0
 def least_found(x: Float[np.ndarray, "run dim"], space: ParameterSpace) -> float:
     """Return the smallest share of the prior's mass such that a region of it holds a run with 95 % probability.
 
-    Args:
-        x: Inputs of all runs, whether they succeeded or failed.
-        space: The inputs with their priors.
+    Runs count whether they succeeded or failed.
     """
     middles, radii = _balls(space.dim)
     nearest = cdist(middles, space.prior_shares(x)).min(axis=1)
@@ -80,13 +66,8 @@ def points_elsewhere(
 
     Each is the point that is farthest from all runs, in the prior's quantiles.
 
-    Args:
-        x: Inputs of all runs.
-        space: The inputs with their priors.
-        share: Share of the prior's mass.
-        most: Largest number of points.
-        likely: Function that tells where runs may succeed; None: everywhere. No point lies elsewhere, and regions
-            whose middle does need not be found.
+    With `likely`, which tells where runs may succeed, no point lies where they fail, nor need a region be found whose
+    middle does.
     """
     if share >= 1:
         return np.empty((0, space.dim))
@@ -113,12 +94,7 @@ def points_around(
 ) -> Float[np.ndarray, "new dim"]:
     """Return inputs near runs that the surrogate did not expect, each as far as possible from all runs.
 
-    Args:
-        odd: Inputs of these runs.
-        x: Inputs of all runs.
-        space: The inputs with their priors.
-        share: Share of the prior's mass of the ball around each in which the points lie.
-        number: Number of points.
+    They lie in a ball with this share of the prior's mass around each.
     """
     row = min(int(np.searchsorted(SHARES, share)), len(SHARES) - 1)
     radius = float(np.median(_balls(space.dim)[1][row]))

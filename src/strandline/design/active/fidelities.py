@@ -18,8 +18,6 @@ from strandline.models.fidelities import CHEAPER, FIRST_PAIRS, is_cheaper
 from strandline.runs import RunRecord
 from strandline.surrogate.field.correction import FEWEST_PAIRS, Correction, fit_correction
 
-__all__ = ["TRIED", "Fidelities", "FidelityReport", "as_by_model"]
-
 TRIED, AGAIN = 3, 1
 """Draws of a posterior at which the correction is confirmed, and of one that follows such a posterior."""
 MISLEADING = 0.5
@@ -208,8 +206,7 @@ class Fidelities:
 
         An error of the correction of half of what is tolerated needs no further pairs.
 
-        Args:
-            error: Error of the predicted interface where the posterior lies, mm.
+        `error` is that of the predicted interface where the posterior lies, mm.
         """
         wrong = 0.0 if self.correction is None else self.correction.error
         return wrong > 0.5 * self.tolerated and self.cost * wrong**2 > error**2
@@ -279,10 +276,7 @@ class Fidelities:
 def as_by_model(records: Sequence[RunRecord], names: Sequence[str], *, dropped: bool = False) -> tuple[RunRecord, ...]:
     """Return one record for each of the inputs, as if by the model; unchanged if no cheaper model was used.
 
-    Args:
-        records: Runs of both models.
-        names: Names of the unknown inputs.
-        dropped: Whether runs of the cheaper model are left aside.
+    With `dropped`, runs of the cheaper model are left aside.
     """
     if not any(is_cheaper(record.inputs) for record in records):
         return tuple(records)

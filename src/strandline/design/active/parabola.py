@@ -14,8 +14,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import chi2
 
-__all__ = ["FREEDOM", "WHOLE", "Effect", "Expected", "fewest", "smooth_effect"]
-
 SAMPLES = 400
 """Sets of coefficients drawn."""
 FREEDOM = 3
@@ -159,10 +157,7 @@ def _fitted(
 ) -> _ParabolaFit:
     """Return the fit; its errors are those of the draws that count most, with half of the freedom, if they are larger.
 
-    Args:
-        A: Terms of the parabola.
-        log_ratios: What it is fitted to.
-        roots: Square roots of the draws' weights.
+    `roots` are the square roots of the draws' weights.
     """
     q, r = np.linalg.qr(roots[:, None] * A)
     best = np.linalg.solve(r, q.T @ (roots * log_ratios))

@@ -168,12 +168,7 @@ def left_out_ratios(
     The prediction is that of the surrogate without the run, so the ratios are those of a worse surrogate than the
     one in use. They show how much the weights of a check would differ, not where the posterior would move.
 
-    Args:
-        state: The posterior given all runs.
-        records: Records of all runs, in the order of `state.knowledge.x`.
-        log_likelihood: Function that returns the log-likelihood of a successful record, by the true model.
-        log_prior: Function that returns the log prior density of points, shape (point,).
-        mass: Mass of the densest part of the posterior whose runs count.
+    Runs inside the posterior's densest part of this `mass` count. Records are in the order of `state.knowledge.x`.
     """
     knowledge, likelihood = state.knowledge, state.knowledge.likelihood
     x = knowledge.x[knowledge.ok]
@@ -248,15 +243,7 @@ class PosteriorCheck:
         self._observed: tuple[int, float | None] = (active.check, None)
 
     def begin(self, state: State, x: Points, records: Sequence[RunRecord], left: int, losses: Losses) -> New:
-        """Return the first draws of a check, and where nobody has looked yet.
-
-        Args:
-            state: The posterior.
-            x: Inputs of all runs.
-            records: Their records.
-            left: Number of runs that are left.
-            losses: Runs lost where they were known to fail.
-        """
+        """Return the first draws of a check, and where nobody has looked yet; `left` is the number of runs left."""
         earlier = self.near(state, records)
         weights, probing = np.exp(state.log_weights), min(number_of_probes(self.space.dim, len(earlier.x)), left)
         pool = np.unique(subset(weights, POOL, self.seed + 1))
@@ -286,12 +273,7 @@ class PosteriorCheck:
     def verdict(
         self, x: Points, records: Sequence[RunRecord]
     ) -> tuple[BatchCheck | Literal["open"], tuple[Surprise, ...]]:
-        """Return the verdict of a check's runs on the posterior that they were drawn from, and what it did not expect.
-
-        Args:
-            x: Inputs of all runs.
-            records: Their records.
-        """
+        """Return the verdict of a check's runs on the posterior they were drawn from, and what it did not expect."""
         checked = self._checked
         assert checked is not None
         by_input = {row.tobytes(): record for row, record in zip(x, records, strict=True)}
@@ -325,14 +307,9 @@ class PosteriorCheck:
     def surprises(
         self, points: New, x: Points, records: Sequence[RunRecord], state: State | None, *, strictly: bool = False
     ) -> tuple[Surprise, ...]:
-        """Return which runs at these points `state` did not expect, see `elsewhere.surprises`.
+        """Return which runs at these points `state` did not expect, see `coverage_runs.surprises`.
 
-        Args:
-            points: Inputs of the runs.
-            x: Inputs of all runs.
-            records: Their records.
-            state: The posterior before the runs; None: it expects everything.
-            strictly: Whether errors count that would be odd for a run that the others predict.
+        Without a state everything is expected. With `strictly`, errors count as for runs that the others predict.
         """
         wanted = {row.tobytes() for row in points}
         good = [k for k, row in enumerate(x) if row.tobytes() in wanted and records[k].ok]
@@ -346,10 +323,7 @@ class PosteriorCheck:
     def left_out(self, state: State, looked_around: set[bytes], chosen: set[bytes]) -> tuple[Surprise, ...]:
         """Return the run that the others predict much worse than they should, once for each run.
 
-        Args:
-            state: The posterior.
-            looked_around: Inputs of runs around which others were made already, as bytes.
-            chosen: Inputs of runs that were chosen on a posterior, as bytes.
+        Runs do not count around which others were made already, nor those `chosen` on a posterior: inputs as bytes.
         """
         if self.active.unseen >= 1:
             return ()

@@ -142,12 +142,7 @@ def seconds_of_a_batch(
 ) -> float:
     """Return the seconds that comparing interfaces takes in the choice of one batch, estimated by a trial.
 
-    Args:
-        observations: one for each observed condition.
-        discrepancy: the measure that defines the posterior.
-        simulated: an interface of each condition, as the simulator returns it.
-        dim: number of inputs.
-        clocks: functions that return seconds; the one counts by which a comparison takes least.
+    Of several clocks, the one counts by which a comparison takes least.
     """
     total = 0.0
     for seen in observations:

@@ -6,8 +6,6 @@ from strandline.design.active.checking import FEWEST_DRAWS, Tolerances, number_o
 from strandline.design.active.choice import criterion_named
 from strandline.errors import InvalidInput
 
-__all__ = ["FEWEST_CHECKED", "LARGEST_BATCH", "Active"]
-
 FEWEST_CHECKED = 20
 """Smallest number of draws of a whole check."""
 LARGEST_BATCH = 16
@@ -66,30 +64,27 @@ class Active:
     patience: float = 3.0
 
     def __post_init__(self) -> None:
-        _require(self.check >= FEWEST_CHECKED, "check", self.check, f"at least {FEWEST_CHECKED} draws")
-        _require(self.initial is None or self.initial >= 3, "initial", self.initial, "at least 3 runs")
-        _require(self.batch is None or self.batch >= 1, "batch", self.batch, "at least 1 run")
-        _require(0 <= self.explore <= 0.5, "explore", self.explore, "a share from 0 to 0.5")
+        first = self.initial or 3
+        left, least = max(self.runs - first, 1), first + FEWEST_DRAWS
         criterion_named(self.criterion)
-        _require(0 < self.effective < 1, "effective", self.effective, "a share between 0 and 1")
-        _require(0.02 <= self.unseen <= 1, "unseen", self.unseen, "a share from 0.02 to 1")
-        for name in ("change", "shift", "width", "k_hat"):
-            _require(getattr(self, name) > 0, name, getattr(self, name), "a number above 0")
-        _require(self.patience >= 1, "patience", self.patience, "at least 1")
-        left = self.runs - (self.initial or 3)
-        _require(
-            self.batch is None or self.batch <= max(left, 1),
-            "batch",
-            self.batch,
-            f"at most {max(left, 1)}, the runs that are left of {self.runs} after the first {self.initial or 3}",
-        )
-        least = (self.initial or 3) + FEWEST_DRAWS
-        _require(
-            self.runs >= least,
-            "runs",
-            self.runs,
-            f"at least {least}: {self.initial or 3} first ones and a check of {FEWEST_DRAWS}",
-        )
+        for name, right, expected in (
+            ("check", self.check >= FEWEST_CHECKED, f"at least {FEWEST_CHECKED} draws"),
+            ("initial", self.initial is None or self.initial >= 3, "at least 3 runs"),
+            ("batch", self.batch is None or self.batch >= 1, "at least 1 run"),
+            ("explore", 0 <= self.explore <= 0.5, "a share from 0 to 0.5"),
+            ("effective", 0 < self.effective < 1, "a share between 0 and 1"),
+            ("unseen", 0.02 <= self.unseen <= 1, "a share from 0.02 to 1"),
+            *((name, getattr(self, name) > 0, "a number above 0") for name in ("change", "shift", "width", "k_hat")),
+            ("patience", self.patience >= 1, "at least 1"),
+            (
+                "batch",
+                self.batch is None or self.batch <= left,
+                f"at most {left}, the runs that are left of {self.runs} after the first {first}",
+            ),
+            ("runs", self.runs >= least, f"at least {least}: {first} first ones and a check of {FEWEST_DRAWS}"),
+        ):
+            if not right:
+                raise InvalidInput(name, value=getattr(self, name), expected=expected, remedy="Change it.")
 
     def kept_for_check(self, dim: int) -> int:
         """Return the number of runs kept for a check: half of those after the first ones if these are few."""
@@ -100,8 +95,3 @@ class Active:
     def tolerances(self) -> Tolerances:
         """What a check tolerates."""
         return Tolerances(self.shift, self.width, self.k_hat, self.effective)
-
-
-def _require(right: bool, name: str, value: object, expected: str) -> None:
-    if not right:
-        raise InvalidInput(name, value=value, expected=expected, remedy="Change it.")

@@ -18,8 +18,6 @@ from strandline.runs import RunRecord
 from strandline.surrogate.feasibility import Feasibility, learn_feasibility
 from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
 
-__all__ = ["Knowledge", "PosteriorMove", "Remembered", "State", "learn", "training_of"]
-
 Values = Float[np.ndarray, " point"]
 
 TOLERATED_REMAINDER = 0.08
@@ -76,9 +74,7 @@ class Knowledge:
     def gain(self, x: Float[np.ndarray, "point dim"], plug_in: Float[np.ndarray, " point"]) -> Values:
         """Return log E[L] - log L in closed form: what the surrogate's uncertainty adds to `plug_in` or `roughly`.
 
-        Args:
-            x: The points.
-            plug_in: What one of these returns for them.
+        `plug_in` is what one of these returns.
         """
         return self.likelihood.gain(x, plug_in)
 
@@ -97,9 +93,7 @@ class Knowledge:
     ) -> Float[np.ndarray, " point"]:
         """Return log E[L] over the fields possible for the surrogate plus the log probability of an interface.
 
-        Args:
-            x: The points.
-            plug_in: `plug_in` of them, if they are draws of the posterior, or of a tempered one.
+        `plug_in` is that of the points, if they are draws of the posterior, or of a tempered one.
         """
         feasible = self.log_feasibility(x)
         plain = None if plug_in is None else plug_in - feasible
@@ -241,14 +235,7 @@ class Remembered:
 def training_of(
     x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord], space: ParameterSpace, conditions: Sequence[str]
 ) -> FieldTraining:
-    """Return what the surrogate of the interface of some conditions is trained with: all runs that succeeded.
-
-    Args:
-        x: Inputs of all runs, shape (run, dim).
-        records: Their records.
-        space: The unknown inputs.
-        conditions: Names of the conditions.
-    """
+    """Return what the surrogate of the interface of some conditions is trained with: all runs that succeeded."""
     ok = np.array([record.ok for record in records], bool)
     good = [record for record in records if record.ok]
     interfaces = [{name: record.interfaces[name] for name in conditions} for record in good]

@@ -24,8 +24,6 @@ from strandline.surrogate.field.correspondence import (
     registered,
 )
 
-__all__ = ["FEWEST_PAIRS", "Correction", "fit_correction"]
-
 FEWEST_PAIRS = 3
 """Fewest runs of both models."""
 RIDGES = (1e-3, 1e-2, 1e-1)

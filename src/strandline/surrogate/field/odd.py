@@ -10,8 +10,6 @@ from strandline.interface import Interface
 from strandline.surrogate.field.correspondence import PointLayout, common_layout, registered
 from strandline.surrogate.field.projection import Reference
 
-__all__ = ["flipped", "odd_ones", "stopped_early"]
-
 CANDIDATES = 3
 """Number of surfaces tried as the reference of the projections."""
 SHARES = 33
@@ -44,9 +42,7 @@ def flipped(interface: Interface, other: Interface) -> bool:
 def odd_ones(runs: Sequence[Mapping[str, Interface]], hidden: float) -> dict[int, str]:
     """Return the numbers of the runs that have no common points with most others, each with the reason.
 
-    Args:
-        runs: Interfaces by condition.
-        hidden: Largest root mean square distance, mm, between an interface and its common points.
+    An interface may be `hidden` mm away from its common points, root mean square.
     """
     kinds = [tuple(_kind(one) for one in run.values()) for run in runs]
     ((usual, _),) = Counter(kinds).most_common(1)
@@ -98,8 +94,7 @@ def stopped_early(runs: Sequence[Mapping[str, Interface]]) -> dict[int, str]:
 
     A simulator that stops early leaves fewer points at the same spacing, or repeats its last value.
 
-    Args:
-        runs: Interfaces by condition; only open polylines are looked at.
+    Only open polylines are looked at.
     """
     found: dict[int, str] = {}
     for name in runs[0] if runs else ():

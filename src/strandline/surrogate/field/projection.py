@@ -24,8 +24,6 @@ from strandline.discrepancy.protocol import Snapshot
 from strandline.interface import Interface
 from strandline.interface.triangles import shortest_altitudes, vector_areas
 
-__all__ = ["Projection", "Reference", "common_reference"]
-
 CANDIDATES = 8
 """Number of runs, counted from the first, whose surface may be the reference."""
 FAR = 3.0
