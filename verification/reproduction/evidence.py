@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from verification.reproduction.convergence import STUDY_SIZES, Convergence, convergence_study
 from verification.reproduction.field_table import FieldTable, TableErrors, tabulate, withheld
 from verification.reproduction.grid_posterior import GridPosterior, Reading
 from verification.reproduction.larger_designs import LARGER, LargerDesign, larger_designs
@@ -22,7 +23,6 @@ from strandline.likelihood import InterfaceLikelihood
 from strandline.models.protocol import fingerprint
 from strandline.runs import Executor, Ledger, run_campaign, run_key
 from strandline.studies import Outcome, PosteriorCheck, Study, check_posterior, load_study, run_study
-from strandline.surrogate import STUDY_SIZES, Convergence, convergence_study
 
 __all__ = ["RULES", "STUDIES", "Cost", "Evidence", "Plan", "Truths", "gather", "require_studies"]
 

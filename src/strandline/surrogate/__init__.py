@@ -10,14 +10,11 @@ from strandline.surrogate.hyperparameters import (
 )
 from strandline.surrogate.kernels import KERNELS, Kernel, LengthScale
 from strandline.surrogate.log_likelihood import (
-    STUDY_SIZES,
-    Convergence,
     Fit,
     HasHessian,
     LogLikelihoodSurrogate,
     Predictor,
     Validation,
-    convergence_study,
     fit_log_likelihood,
     fit_named,
     fit_of_the_user,
@@ -26,8 +23,6 @@ from strandline.surrogate.log_likelihood import (
 
 __all__ = [
     "KERNELS",
-    "STUDY_SIZES",
-    "Convergence",
     "EvidenceSearch",
     "Fit",
     "FittedHyperparameters",
@@ -41,7 +36,6 @@ __all__ = [
     "Validation",
     "batched_mean",
     "condition",
-    "convergence_study",
     "evidence",
     "fit_hyperparameters",
     "fit_log_likelihood",

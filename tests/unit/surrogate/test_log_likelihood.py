@@ -1,14 +1,11 @@
-"""The surrogate of a log-likelihood on ridges like those of calibrations, and its errors against the number of runs."""
-
-import math
+"""The surrogate of a log-likelihood on ridges like those of calibrations."""
 
 import numpy as np
 import pytest
 
 from strandline.design import sobol
 from strandline.errors import InvalidInput, NumericsError, TooFewRuns
-from strandline.surrogate import convergence_study, fit_log_likelihood
-from strandline.surrogate.log_likelihood import relative_error, relative_error_of_exponentials
+from strandline.surrogate import fit_log_likelihood
 
 LOW, HIGH = np.array([100.0, -0.8]), np.array([800.0, 0.5])
 
@@ -53,40 +50,3 @@ def test_any_noise_level_is_fitted_and_unusable_data_is_refused():
     ):
         with pytest.raises(error, match=words):
             fit_log_likelihood(few, values, kernel=kernel)
-
-
-U = sobol(250, 2)
-
-
-def quadratic(u):
-    return -20 * (u[:, 0] - 0.4) ** 2 - 15 * (u[:, 1] - u[:, 0] ** 2) ** 2
-
-
-def study(train=210, test=40, **options):
-    few, new = U[:train], U[210 : 210 + test]
-    return convergence_study(few, quadratic(few), new, quadratic(new), **options)
-
-
-def test_errors_fall_with_the_number_of_runs_of_which_only_the_first_are_used():
-    """By default the sizes are those of a study, as far as there are runs."""
-    found = study(sizes=[25, 100])
-    assert found.sizes.tolist() == [25, 100]
-    for errors in (found.log_likelihood, found.likelihood):
-        assert errors[1] < 0.4 * errors[0]
-    few, many = (study(train, sizes=[50]) for train in (50, 210))
-    assert few.log_likelihood[0] == many.log_likelihood[0]
-    assert study().sizes.tolist() == [100, 200]
-    for sizes, test, words in (([211], 9, "210"), ([], 9, "210"), ([50], 0, "test points")):
-        with pytest.raises(InvalidInput, match=words):
-            study(test=test, sizes=sizes)
-
-
-def test_relative_errors_by_hand():
-    """Of likelihoods also beyond the range of numbers."""
-    truth = np.array([3.0, 4.0])
-    assert relative_error(np.array([3.0, 4.5]), truth) == pytest.approx(0.1)
-    for shift in (-2000.0, 0.0, 2000.0):
-        found = relative_error_of_exponentials(np.log([3.0, 4.5]) + shift, np.log(truth) + shift)
-        assert found == pytest.approx(0.1)
-    assert relative_error_of_exponentials(truth - 1e4, truth) == pytest.approx(1.0)
-    assert relative_error_of_exponentials(truth + 1e4, truth) == math.inf
