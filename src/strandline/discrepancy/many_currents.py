@@ -139,9 +139,9 @@ def compiled_sum(a: Pieces, b: Pieces, pairs: PiecePairs, orders: Orders) -> Flo
     """Return the same, with JAX in double precision."""
     number = len(pairs.row)
     room = (1 << max(number - 1, 0).bit_length()) - number  # few lengths: each one is compiled for
-    rows = (np.pad(some, (0, room)) for some in (pairs.row, pairs.column, pairs.times))
-    pieces = (_padded(some) for some in (a.middles, a.halves, b.middles, b.halves))
-    return np.asarray(_loop()(*pieces, *rows, number, WHOLE, orders=orders))
+    rows = tuple(np.pad(some, (0, room)) for some in (pairs.row, pairs.column, pairs.times))
+    ours, theirs = (tuple(_padded(some) for some in (side.middles, side.halves)) for side in (a, b))
+    return np.asarray(_loop()(ours, theirs, rows, number, WHOLE, orders=orders))
 
 
 def _padded(pieces: Float[np.ndarray, "piece 2 *run"]) -> Float[np.ndarray, "more 2 *run"]:
@@ -157,20 +157,9 @@ def _loop() -> Any:
     import jax.numpy as jnp
 
     @partial(jax.jit, compiler_options=WIDEST, static_argnames="orders")
-    def loop(
-        middles: Any,
-        halves: Any,
-        others: Any,
-        other_halves: Any,
-        row: Any,
-        column: Any,
-        times: Any,
-        number: Any,
-        whole: Any,
-        *,
-        orders: Orders,
-    ) -> Any:
+    def loop(ours: Any, theirs: Any, rows: Any, number: Any, whole: Any, *, orders: Orders) -> Any:
         """Sum the contributions of the pairs in turn."""
+        (middles, halves), (others, other_halves), (row, column, times) = ours, theirs, rows
 
         def add(k: Any, total: Any) -> Any:
             i, j = row[k], column[k]

@@ -33,6 +33,8 @@ _SLACK = 1e-9
 """How much farther than the bound a segment may be, as a share of the extent: far more than rounding."""
 Frames = tuple[Any, ...]
 """Frames of segments, see `frames`."""
+Rows = tuple[Any, Any, Any, Any]
+"""Segments, points, ends and number of rows, see `_SegmentPairs`."""
 Points = Float[np.ndarray, "#run point 2"]
 Corners = Float[np.ndarray, "#run corner 2"]
 Values = Float[np.ndarray, "..."]  # (point or segment, run), or without the run axis if all runs share it
@@ -76,8 +78,9 @@ def sums_of_squares(
 
     def block(task: tuple[_SegmentPairs, Int[np.ndarray, " some"]]) -> Float[np.ndarray, " some"]:
         pairs, rows = task
-        some = _rows(points, rows) - centre, _rows(corners, rows) - centre, _rows(weights, rows)
-        return _of_block(pairs, *some, cells)[: len(rows)]
+        (x, y), ends = (_runs_last(_padded(array, rows) - centre) for array in (points, corners))
+        (of_points,), size = _runs_last(_padded(weights, rows)[..., None]), len(padded(rows))
+        return np.asarray(_sums()(x, y, of_points, *ends, cells, pairs.rows, runs=size))[: len(rows)]
 
     _fill(out, block, points, corners, cells)
     return out
@@ -112,11 +115,16 @@ def tasks(
         yield pairs, rows[first : first + BLOCK]
 
 
-def _rows(array: Float[np.ndarray, "..."], rows: Int[np.ndarray, " some"]) -> Float[np.ndarray, "..."]:
+def _padded(array: Float[np.ndarray, "..."], rows: Int[np.ndarray, " some"]) -> Float[np.ndarray, "..."]:
     """Return these runs, padded with the last one to one of a few lengths; all of the array if all runs share it."""
-    if len(array) == 1:
-        return array
-    return np.asarray(array[padded(rows)])
+    return array if len(array) == 1 else np.asarray(array[padded(rows)])
+
+
+def _runs_last(values: Float[np.ndarray, "#run point column"]) -> list[Values]:
+    """Return the columns with the runs on the last axis; without that axis if all runs share them."""
+    if len(values) == 1:
+        return list(values[0].T)
+    return [np.ascontiguousarray(column.T) for column in np.moveaxis(values, -1, 0)]
 
 
 def padded(rows: Int[np.ndarray, " some"]) -> Int[np.ndarray, " more"]:
@@ -141,6 +149,11 @@ class _SegmentPairs:
     last: Bool[np.ndarray, " row"]
     number: int
 
+    @property
+    def rows(self) -> Rows:
+        """All of these for the compiled loops."""
+        return self.segments, self.points, self.last, self.number
+
     @classmethod
     def of(cls, near: Bool[np.ndarray, "point cell"]) -> "_SegmentPairs":
         """Return the pairs that `near` marks; each point has at least one."""
@@ -159,26 +172,6 @@ class _SegmentPairs:
         for array, values in zip(filled, (segments, owner, last), strict=True):
             array[:total] = values
         return cls(*filled, total)
-
-
-def _of_block(
-    pairs: _SegmentPairs,
-    points: Points,
-    corners: Corners,
-    weights: Float[np.ndarray, "#run point"],
-    cells: Int[np.ndarray, "cell 2"],
-) -> Float[np.ndarray, " run"]:
-    """Return the sums of the runs of one block."""
-    x, y = _runs_last(points[..., 0]), _runs_last(points[..., 1])
-    ends = _runs_last(corners[..., 0]), _runs_last(corners[..., 1])
-    runs = max(len(points), len(corners))
-    rows = (pairs.segments, pairs.points, pairs.last, pairs.number)
-    return np.asarray(_sums()(x, y, _runs_last(weights), *ends, cells, *rows, runs=runs))
-
-
-def _runs_last(values: Float[np.ndarray, "#run point"]) -> Values:
-    """Return values with the runs on the last axis; without that axis if all runs share them."""
-    return values[0] if len(values) == 1 else np.ascontiguousarray(values.T)
 
 
 def _near(points: Points, corners: Corners, cells: Int[np.ndarray, "cell 2"]) -> Bool[np.ndarray, "point cell"]:
@@ -243,22 +236,9 @@ def _sums() -> Any:
     import jax.numpy as jnp
 
     @partial(jax.jit, compiler_options=WIDEST, static_argnames="runs")
-    def sums(
-        x: Any,
-        y: Any,
-        weights: Any,
-        across: Any,
-        up: Any,
-        cells: Any,
-        segments: Any,
-        owners: Any,
-        last: Any,
-        number: Any,
-        *,
-        runs: int,
-    ) -> Any:
+    def sums(x: Any, y: Any, weights: Any, across: Any, up: Any, cells: Any, rows: Rows, *, runs: int) -> Any:
         """Return the weighted sum of the squared distances of each run, shape (run,), mm²."""
-        polyline = frames(across, up, cells)
+        polyline, (segments, owners, last, number) = frames(across, up, cells), rows
 
         def row(i: Any, state: Any) -> Any:
             """Compare a point with one row of segments; add its least squared distance after its last row."""
@@ -299,8 +279,7 @@ def signed_sums(
         pairs, rows = task
         some = corners[padded(rows)] - centre
         x, y = (np.ascontiguousarray(some[..., axis].T) for axis in (0, 1))
-        arguments = pairs.segments, pairs.points, pairs.last, pairs.number
-        return np.asarray(_loop()(shared[:, 0], shared[:, 1], both, x, y, cells, *arguments)).T[: len(rows)]
+        return np.asarray(_loop()(shared[:, 0], shared[:, 1], both, x, y, cells, pairs.rows)).T[: len(rows)]
 
     out = np.empty((runs, both.shape[1]))
     _fill(out, block, points[None], corners, cells)
@@ -314,20 +293,9 @@ def _loop() -> Any:
     import jax.numpy as jnp
 
     @partial(jax.jit, compiler_options=WIDEST)
-    def loop(
-        x: Any,
-        y: Any,
-        factors: Any,
-        across: Any,
-        up: Any,
-        cells: Any,
-        segments: Any,
-        owners: Any,
-        last: Any,
-        number: Any,
-    ) -> Any:
+    def loop(x: Any, y: Any, factors: Any, across: Any, up: Any, cells: Any, rows: Rows) -> Any:
         """Return the sums, shape (sum, run)."""
-        polyline: Frames = frames(across, up, cells)
+        polyline, (segments, owners, last, number) = frames(across, up, cells), rows
         runs = across.shape[1]
 
         def row(i: Any, state: Any) -> Any:
