@@ -123,7 +123,8 @@ def cross_validate(
 def _validation(
     residuals: Float[np.ndarray, " run"], standardised: Float[np.ndarray, " run"], y: Float[np.ndarray, " run"]
 ) -> Validation:
-    near = _near_mode(y)
+    tenth_best = np.sort(y)[-min(NEAR_MODE_COUNT, len(y))]
+    near = np.asarray(y >= min(tenth_best, y.max() - NEAR_MODE_WINDOW))
     return Validation(
         residuals=residuals,
         standardised_residuals=standardised,
@@ -134,11 +135,6 @@ def _validation(
         standardised_rms=_rms(standardised),
         standardised_rms_near_mode=_rms(standardised[near]),
     )
-
-
-def _near_mode(y: Float[np.ndarray, " run"]) -> Bool[np.ndarray, " run"]:
-    tenth_best = np.sort(y)[-min(NEAR_MODE_COUNT, len(y))]
-    return np.asarray(y >= min(tenth_best, y.max() - NEAR_MODE_WINDOW))
 
 
 def _rms(values: Float[np.ndarray, " value"]) -> float:

@@ -168,7 +168,7 @@ def choose(
     picking = criterion_named(criterion)(state, pools[False], pools[True], targets)
     picked: list[Float[np.ndarray, " dim"]] = []
     for k in range(number):
-        exploring = _explores(first + k, explore)
+        exploring = int((first + k + 1) * explore) > int((first + k) * explore)
         picked.append(_accepted(picking(exploring), pools, picked, criterion))
     return np.array(picked)
 
@@ -197,10 +197,6 @@ def _new(points: Float[np.ndarray, "point dim"], state: State) -> Float[np.ndarr
     """Return the points that have not been run."""
     known = {row.tobytes() for row in state.knowledge.x}
     return points[[row.tobytes() not in known for row in points]]
-
-
-def _explores(run: int, share: float) -> bool:
-    return int((run + 1) * share) > int(run * share)
 
 
 def expected_variance(

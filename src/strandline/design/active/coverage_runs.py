@@ -191,12 +191,8 @@ def left_out_surprise(
     beyond[errors / math.sqrt(len(surrogate.layouts)) < LEFT_OUT_NOISE * noise] = 0.0
     beyond[[row.tobytes() in before or row.tobytes() in known for row in x]] = 0.0
     worst = int(np.argmax(beyond))
-    return Surprise(x[worst], False, float(beyond[worst])) if beyond[worst] > _largest_usual(len(x)) else None
-
-
-def _largest_usual(number: int) -> float:
-    """Return how many sds the worst of so many runs may be off: of normal errors, two would be farther on average."""
-    return max(LEFT_OUT_SDS, float(norm.isf(1.0 / number)))
+    usual = max(LEFT_OUT_SDS, float(norm.isf(1.0 / len(x))))  # one of so many normal errors is larger on average
+    return Surprise(x[worst], False, float(beyond[worst])) if beyond[worst] > usual else None
 
 
 def _distance(predicted: Mapping[str, Interface], found: Mapping[str, Interface]) -> float:

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from scipy.special import log_softmax, logsumexp
 
 from strandline.design.active.state import Knowledge, State
+from strandline.design.refinement import SAMPLING
 from strandline.discrepancy import Discrepancy, squared_discrepancies
 from strandline.discrepancy.normal_offset import WhitenedOffset
 from strandline.interface import Interface, Observation
@@ -26,8 +27,6 @@ from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.smc import SMCResult, SMCSettings, StepInfo, carried_over, sample
 
-SAMPLING = SMCSettings(rejuvenation_steps=10, zeta=0.5)
-"""Settings of the sampler after each batch."""
 ROUGHLY = SMCSettings(rejuvenation_steps=6, zeta=0.5)
 """Settings of the sampler where such a likelihood leads near the posterior; moves by the exact one follow."""
 PARTICLES = {1: 2000, 2: 2000, 3: 2000}
@@ -149,12 +148,11 @@ def seconds_of_a_batch(
         template = simulated[seen.condition]
         measure, width = compared(seen, discrepancy, len(template.points)).measure, noise_length(seen, discrepancy)
         each = _seconds_of_one(seen, measure, template, width, clocks)
-        total += each * (NEARBY if _has_nearby(measure, seen, len(template.points)) else FROM_THE_PRIOR)
+        nearby = seen.interface.dim == 2 and (
+            isinstance(measure, WhitenedOffset) or follows_offsets(measure, seen, len(template.points))
+        )
+        total += each * (NEARBY if nearby else FROM_THE_PRIOR)
     return total * PARTICLES.get(dim, MANY_INPUTS_PARTICLES)
-
-
-def _has_nearby(measure: Discrepancy, seen: Observation, nodes: int) -> bool:
-    return seen.interface.dim == 2 and (isinstance(measure, WhitenedOffset) or follows_offsets(measure, seen, nodes))
 
 
 def _seconds_of_one(

@@ -57,19 +57,8 @@ def resampled_like(interface: Interface, mean: Interface) -> Interface:
     return turned.resampled(number, start=_share(turned.resampled(number).points, mean.points))
 
 
-def mean_by_nodes(interfaces: Sequence[Interface]) -> Interface:
-    """Return the mean of closed polylines of the same number of nodes, each turned and shifted by whole nodes."""
-    return _mean(interfaces, lambda one, mean: one.points[turned_nodes(one, mean)])
-
-
-def mean_by_share(interfaces: Sequence[Interface], number: int) -> Interface:
-    """Return the mean of closed polylines, each taken at `number` equally spaced points and shifted by any share."""
-    first = [one.resampled(number) for one in interfaces]
-    return _mean(first, lambda one, mean: resampled_like(one, mean).points)
-
-
 def _mean(interfaces: Sequence[Interface], brought: Callable[[Interface, Interface], Ring]) -> Interface:
-    """Return the mean of the outlines brought to it, beginning with the first one."""
+    """Return the mean of closed polylines brought to it, beginning with the first one."""
     mean = Interface.polyline(interfaces[0].points[interfaces[0].cells[:, 0]], closed=True)
     for _ in range(SWEEPS):
         points = np.mean([brought(one, mean) for one in interfaces], axis=0)
@@ -169,7 +158,8 @@ def _of_any_nodes(interfaces: Sequence[Interface]) -> PointLayout:
         raise _different("open polylines in some runs, closed ones in others")
     number = max(FEWEST_POINTS, max(len(one.points) for one in interfaces))
     if first.closed:
-        return PointLayout(mean_by_share(interfaces, FINER * number), "arclength")
+        finer = [one.resampled(FINER * number) for one in interfaces]
+        return PointLayout(_mean(finer, lambda one, mean: resampled_like(one, mean).points), "arclength")
     return PointLayout(first.resampled(number), "arclength")
 
 
@@ -177,7 +167,8 @@ def _smoothest(nodes: PointLayout, interfaces: Sequence[Interface], x: Float[np.
     """Return `nodes`, or a layout in which the points of the runs are a smoother function of the inputs."""
     errors = _left_out(nodes, interfaces, x)
     if nodes.template.dim == 2 and nodes.template.closed:
-        shifted = PointLayout(mean_by_nodes(interfaces), "shifted nodes")
+        mean = _mean(interfaces, lambda one, mean: one.points[turned_nodes(one, mean)])
+        shifted = PointLayout(mean, "shifted nodes")
         orders = np.array([shifted.order(one) for one in interfaces])
         rows, counts = np.unique(orders, axis=0, return_counts=True)
         moved = (orders != rows[np.argmax(counts)]).any(axis=1)
