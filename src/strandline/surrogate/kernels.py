@@ -157,8 +157,19 @@ def exp(x: Array) -> Array:
     return decay(x) if isinstance(x, jax.Array) else np.exp(x)
 
 
+class _Named:
+    """A kernel of `KERNELS` is pickled by its name, because its functions have none."""
+
+    name: str
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        if KERNELS.get(self.name) is self:
+            return kernel_named, (self.name,)
+        return super().__reduce_ex__(protocol)
+
+
 @dataclass(frozen=True)
-class Isotropic:
+class Isotropic(_Named):
     """A twice differentiable correlation of the distance; functions of s on NumPy and JAX arrays of any shape.
 
     Args:
@@ -222,7 +233,7 @@ def _norm(offset: Float[np.ndarray, "*shape dim"]) -> Float[np.ndarray, "*shape"
 
 
 @dataclass(frozen=True)
-class Product:
+class Product(_Named):
     """A product of one-dimensional correlations; functions of t ≥ 0 on NumPy and JAX arrays of any shape.
 
     Args:

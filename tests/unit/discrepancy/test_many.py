@@ -145,8 +145,10 @@ def test_no_segment_is_left_out(measure, module, monkeypatch):
         far = Interface(10 * seen.points, seen.cells)
         np.testing.assert_allclose(measure.many(10 * points, template, far), 100 * expect, rtol=1e-10)
 
+    motion = many_distances.motion
+
     def tenth(array):
-        middle, moved = many_distances.motion(array)
+        middle, moved = motion(array)
         return middle, 0.1 * moved
 
     monkeypatch.setattr(module, "motion", tenth)

@@ -1,5 +1,6 @@
 """Every kernel against scikit-learn and what a correlation must be; the tiles of their matrices."""
 
+import pickle
 from itertools import product
 
 import jax
@@ -31,10 +32,11 @@ def test_the_correlation_is_another_implementations_and_positive_definite(names)
 
 
 @EVERY
-def test_the_jax_form_equals_the_plain_one(names):
+def test_the_jax_form_equals_the_plain_one_and_a_copy_is_the_kernel_itself(names):
     at = np.concatenate([OFFSETS, np.zeros((1, 3))])
     for kernel in (KERNELS[name] for name in names):
         np.testing.assert_allclose(kernel.of_columns(list(jnp.asarray(at.T))), kernel.value(at), rtol=1e-13)
+        assert pickle.loads(pickle.dumps(kernel)) is kernel
 
 
 def test_lengths_are_one_number_or_one_for_each_input():

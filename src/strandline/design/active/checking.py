@@ -10,9 +10,8 @@ never settle it, the importance weights of all draws but the probes do.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import islice
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -201,8 +200,12 @@ def verdict(
     dim, number, good = draws.shape[1], len(draws), ~np.isnan(log_ratios)
     kept, ratios, failed = draws[good], log_ratios[good], int((~good).sum())
     expected = Expected.equal(number, len(posterior)) if expected is None else expected
-    here, effect_of = expected.draws[good], partial(smooth_effect, posterior=posterior, scatter=scatter)
-    found = reweight(kept, ratios) if len(kept) >= FEWEST_DRAWS else None
+    here, found = expected.draws[good], reweight(kept, ratios) if len(kept) >= FEWEST_DRAWS else None
+
+    def effect_of(
+        x: Float[np.ndarray, "some dim"], values: Float[np.ndarray, " some"], level: float, **more: Any
+    ) -> Effect:
+        return smooth_effect(x, values, posterior, level, scatter=scatter, **more)
 
     def ended(reasons: tuple[str, ...], weights: Reweighting | None = found) -> BatchCheck:
         return BatchCheck(number, failed, weights, not reasons, reasons, early=not last)
@@ -215,7 +218,7 @@ def verdict(
         level /= 2
         x, both, variances = left_out.joined(kept, ratios, here)
         if not excluded and len(kept) > 2 * dim and len(x) >= fewest(dim):
-            effect = effect_of(x, both, level=level, expected=Expected(variances, expected.posterior))
+            effect = effect_of(x, both, level, expected=Expected(variances, expected.posterior))
             if _within(effect, tolerances):
                 return replace(ended((), reweight(x, both)), left_out=len(left_out.x))
             so_far.append((effect, len(x)))
@@ -225,10 +228,10 @@ def verdict(
     elif excluded:
         return ended(objections(found, tolerances) or ("the true model excludes draws of the posterior",))
     else:
-        effect = effect_of(kept, ratios, level=level, expected=Expected(here, expected.posterior))
+        effect = effect_of(kept, ratios, level, expected=Expected(here, expected.posterior))
         if _within(effect, tolerances):
             return ended(())
-        if surely := _beyond(effect_of(kept, ratios, level=level), tolerances):
+        if surely := _beyond(effect_of(kept, ratios, level), tolerances):
             return ended(surely)
         so_far.append((effect, len(kept)))
     if not last:
@@ -240,7 +243,7 @@ def verdict(
     equal = good & (np.arange(number) >= probing)
     if equal.sum() < FEWEST_WHOLE:
         return ended((*objections(found, tolerances), f"{number} runs at draws of the posterior do not settle it"))
-    whole, likely = reweight(draws[equal], log_ratios[equal]), effect_of(kept, ratios, level=LIKELY)
+    whole, likely = reweight(draws[equal], log_ratios[equal]), effect_of(kept, ratios, LIKELY)
     return ended(objections(whole, tolerances) or _beyond(likely, tolerances), whole)
 
 
