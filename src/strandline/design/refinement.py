@@ -97,13 +97,9 @@ class Round:
 
     Args:
         n_train: Number of runs that trained this surrogate.
-        runs: Number of further runs made.
-        failed: Number of these runs that failed.
         error_rms: Root mean square of predicted minus true log-likelihood over the successful runs; None if there
             are none.
         error_rms_posterior: The same over the runs drawn from the posterior itself, not from the tempered one.
-        mean: Posterior mean from this surrogate, shape (dim,).
-        sd: Posterior standard deviation from this surrogate, shape (dim,).
     """
 
     n_train: int

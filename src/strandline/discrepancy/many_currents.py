@@ -261,9 +261,6 @@ class _Batch:
     """Polylines S of many runs, sorted by similarity, and the observed one, T.
 
     Args:
-        points: Points of the simulated polylines.
-        own: Division of their segments.
-        target: Pieces of the observed polyline.
         longest: Longest piece of S and of T, in kernel widths.
         reach: Distance beyond which all pairs together contribute at most a tenth of the tolerance.
         rule: Error allowed, in squares of the unit.

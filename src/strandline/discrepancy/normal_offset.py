@@ -54,7 +54,6 @@ class LocalMeans:
     """Places that stand for some neighbouring points each.
 
     Args:
-        places: The places, shape (place, 2), mm.
         normals: Normals of the course at the places, to the left of its direction, shape (place, 2).
         first: Index of the first point of each place.
         off: Distance of each point from its course, along the normal, mm; its mean over the points of a place is 0.

@@ -94,7 +94,6 @@ class _Frame:
     """The smoothed outline that all contours are compared with, and the places along it.
 
     Args:
-        outline: The outline.
         places: Arc lengths of the places, at equal steps, mm.
         step: Their distance, mm.
         middle: Centre of rotation and scale, mm.

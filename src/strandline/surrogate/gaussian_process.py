@@ -30,7 +30,6 @@ class GaussianProcess:
         target_mean: Mean of the targets, added to every prediction.
         alpha: (K + σ_n² I)⁻¹ (y - target_mean).
         cholesky: Lower Cholesky factor of K + σ_n² I.
-        kernel: The correlation function.
         length_scale: Length scale l, in standard deviations of the inputs; one for each input if the kernel has
             several.
         signal_variance: Signal variance σ0², in squared units of the target.

@@ -42,9 +42,6 @@ class EvidenceSearch:
 
     Args:
         start: length scale at the start, the same for every input.
-        length_scale: length scale at the end.
-        signal_variance: signal variance at the end.
-        log_evidence: log evidence at the end.
         evaluations: evaluations of the evidence by the optimiser.
         message: the optimiser's own message on its last stop.
         verdict: ``converged``, or what the check of another stop found.
@@ -67,13 +64,11 @@ class FittedHyperparameters:
 
     Args:
         length_scale: l, in standard deviations of the inputs; one for each input if the kernel has several.
-        signal_variance: σ0².
         nugget: σ_n², as given.
         log_evidence: log p(y | l, σ0², σ_n²).
         at_bound: whether a length lies at its upper bound: the usual end on a log-likelihood.
         message: the optimiser's own message on the best attempt.
         verdict: what the check of the best attempt found.
-        attempts: every start and its end.
     """
 
     length_scale: LengthScale

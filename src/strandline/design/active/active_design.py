@@ -52,9 +52,6 @@ class Step:
     Args:
         runs: Number of runs made so far.
         ok: Number of these runs that succeeded.
-        kind: Kind of the batch.
-        mean: Posterior mean, shape (dim,).
-        sd: Posterior standard deviation, shape (dim,).
         error: Error of the predicted interface, mm: root mean square along it, median over the posterior.
         moved: Distance from the last step that had fewer runs by at least the number of inputs, or half of it if runs
             yield derivatives; None if there is none since the last check.
@@ -78,13 +75,9 @@ class Situation:
     """Where a design stands after a batch.
 
     Args:
-        x: Inputs of all runs.
-        records: Their records.
-        kind: Kind of the batch.
         check: Verdict on the posterior, if there is one.
         doubted: Whether only doubts speak against the posterior.
         stable: Whether it stands still.
-        left: Number of runs that are left.
     """
 
     x: Float[np.ndarray, "run dim"]
@@ -109,13 +102,10 @@ class ActiveDesign:
     """Decides what to run next, given the runs so far.
 
     Args:
-        active: Settings of the design.
-        space: The inputs.
         batch: Number of runs chosen together.
         learn: Function that returns the posterior, given inputs and their records.
         log_likelihood: Function that returns the log-likelihood of a successful record, by the true model.
         afresh: Function that samples a posterior again, from the prior, before it is checked.
-        seed: Seed of all random numbers.
         scramble: Seed that scrambles the Sobol sequence of the first runs, None for the plain sequence.
         doubts: Function that returns what else speaks against a posterior that its check has passed, in words.
         another_trial: Function that tells whether runs at further draws of this posterior could remove these doubts.

@@ -138,7 +138,6 @@ class BatchReport:
         posterior: mean and standard deviation of each calibrated input by its symbol, as text.
         moved: how far the posterior has moved, in standard deviations: infinite if it is too far to say; None if there
             is none to compare with.
-        next: what the design does next.
         objection: what a check objected to, in words; empty if there was none.
         dropped: why a cheaper model is not used any more, in words; empty if it is, or if this was told before.
     """
@@ -182,11 +181,7 @@ class ActiveRuns:
     """Choose the batches of a campaign for `run_batches`, and keep a record of them.
 
     Args:
-        active: Settings of the design.
-        space: The unknown inputs.
-        discrepancy: The measure.
         batch: Number of runs chosen together.
-        seed: Seed of all random numbers.
         scramble: Seed that scrambles the Sobol sequence of the first runs, None for the plain sequence.
         judge: Decides which runs can be used.
         aside: Function that returns a context in which each batch is chosen.

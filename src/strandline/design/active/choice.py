@@ -45,7 +45,6 @@ class Losses:
     """Runs lost where runs are known to fail, and how many more may be.
 
     Args:
-        knowledge: What the runs so far have taught.
         runs: Number of runs that were allowed.
         first: Inputs of the first runs, as bytes; these were placed before anything was known.
         price: Time that a lost run takes, in those of a good one, at least 1: a hang costs as much as many runs.

@@ -117,7 +117,6 @@ class Surprise:
     """A run away from the posterior that the surrogate did not expect.
 
     Args:
-        x: Its inputs.
         fits: Whether it fits the observation so well that its region may hold a share of the posterior.
         errors: Distance of the predicted interface, in predicted standard deviations.
     """

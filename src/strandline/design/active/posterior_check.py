@@ -191,13 +191,11 @@ class Checked:
     """What a check runs.
 
     Args:
-        state: The posterior that is checked.
         draws: Its draws, in the order in which they are run; the first ones are probes.
         log_expected: Their expected log-likelihood.
         probing: Number of probes.
         ends: Numbers of draws at which the verdict is sought, from the next one on.
         elsewhere: Inputs of runs where nobody has looked yet.
-        left_out: Earlier runs near the posterior, each predicted from all others.
         looks: Number of times that the verdict is sought in all.
         patient: Whether more draws are run even if they would hardly settle it.
     """
@@ -217,11 +215,8 @@ class PosteriorCheck:
     """Asks for runs that check a posterior, and judges it by them.
 
     Args:
-        active: Settings of the design.
-        space: The inputs.
         batch: Number of runs made at a time.
         log_likelihood: Function that returns the log-likelihood of a successful record, by the true model.
-        seed: Seed of all random numbers.
         whole: Largest number of inputs whose parabola settles whether more draws would help.
     """
 

@@ -29,8 +29,6 @@ class Knowledge:
     """Surrogate and classifier learnt from some runs.
 
     Args:
-        x: Inputs of all runs, shape (run, dim).
-        ok: Whether each run succeeded, shape (run,).
         likelihood: Log-likelihood through the surrogate of the field.
         feasibility: Classifier of the probability that a run succeeds.
         highest: Largest log probability of success at any of the runs; the classifier is taken relative to it.
@@ -148,8 +146,6 @@ class State:
     """The posterior after some runs, as particles of π_γ with three sets of weights.
 
     Args:
-        knowledge: Knowledge from the runs, from which the posterior follows.
-        positions: Particles, shape (particle, dim).
         log_weights: Normalised log weights of the posterior with the expected likelihood, shape (particle,).
         log_weights_tempered: Normalised log weights of π_γ, shape (particle,).
         log_weights_plug_in: Log weights of the posterior as if the predicted interfaces were exact, shape (particle,).
@@ -199,7 +195,6 @@ class Remembered:
 
     Args:
         runs: Number of runs that the posterior was computed from.
-        positions: Particles, shape (particle, dim).
         log_weights: Normalised log weights of the posterior, shape (particle,).
         log_plug_in: log L of the predicted interfaces at the particles, shape (particle,).
     """

@@ -54,10 +54,6 @@ class FieldSurrogate:
     """The interface of every condition as a function of the inputs.
 
     Args:
-        layouts: Layouts of the points by condition.
-        warping: Warping of the inputs.
-        modes: Modes of the field.
-        processes: Processes, one for each mode.
         registration_error: Largest root mean square error of fitting a run's interface to the layout, mm.
         gradients: Whether it was trained with sensitivities too.
     """

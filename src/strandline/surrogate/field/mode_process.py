@@ -222,10 +222,8 @@ class ModeProcess:
     """The process of one coefficient; inputs of all methods are standardised.
 
     Args:
-        observed: Data that it was conditioned on.
         lengths: Length scales, in standard deviations of the inputs.
         nugget: Noise variance relative to that of the process.
-        factors: Factors of its covariance.
         widening: Factor of all variances, at least 1, by which the errors of left-out runs exceed what they should be.
     """
 

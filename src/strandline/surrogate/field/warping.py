@@ -170,7 +170,6 @@ class Data:
     """What the modes are fitted to.
 
     Args:
-        x: Physical inputs, shape (run, dim).
         fields: Values of the field (run, value), mm.
         weights: Weights of the values in the mean square, shape (value,).
         gradients: Derivatives of the fields with respect to the physical inputs (run, value, dim), mm per unit of the
