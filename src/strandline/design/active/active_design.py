@@ -273,7 +273,7 @@ class ActiveDesign:
     def _can_be_checked(self, records: Sequence[RunRecord], left: int) -> bool:
         """Return whether the runs left are enough for a check that could pass, and would not be lost to failures."""
         assert self.state is not None
-        needed = number_of_probes(self.space.dim, len(self.check.near(self.state, records).x))
+        needed = number_of_probes(self.space.dim, len(self.check.near(self.state, records)))
         return left >= needed and self._losses().bears_check(self.state, needed)
 
     def _chosen(self, number: int, made: int) -> Float[np.ndarray, "run dim"]:

@@ -11,14 +11,14 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.distance import cdist
 from scipy.stats import t
 
-from strandline.design.active.parabola import FREEDOM, Effect, Expected, fewest, smooth_effect
+from strandline.design.active.parabola import FREEDOM, Effect, LogRatios, fewest, smooth_effect
 from strandline.posterior import NEARLY_EQUAL, Reweighting, largest_usual_k_hat, reweight
 
 FEWEST_DRAWS = 8
@@ -57,34 +57,6 @@ class Tolerances:
     width: float
     k_hat: float
     effective: float
-
-
-@dataclass(frozen=True, eq=False)
-class LeftOutRuns:
-    """Earlier runs near a posterior, each predicted from all others.
-
-    Args:
-        x: Their inputs, shape (run, dim).
-        log_ratios: Logarithm of true over predicted likelihood at each, up to the constant of the draws, shape (run,).
-        variances: Their variances as the surrogate expects them, shape (run,).
-    """
-
-    x: Float[np.ndarray, "run dim"]
-    log_ratios: Float[np.ndarray, " run"]
-    variances: Float[np.ndarray, " run"]
-
-    def joined(
-        self,
-        draws: Float[np.ndarray, "draw dim"],
-        log_ratios: Float[np.ndarray, " draw"],
-        variances: Float[np.ndarray, " draw"],
-    ) -> tuple[Float[np.ndarray, "all dim"], Float[np.ndarray, " all"], Float[np.ndarray, " all"]]:
-        """Return inputs, log ratios and variances of these runs and of draws, one after the other."""
-        return (
-            np.concatenate([self.x, draws]),
-            np.concatenate([self.log_ratios, log_ratios]),
-            np.concatenate([self.variances, variances]),
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,74 +136,68 @@ def error_probability(look: int, looks: int) -> float:
 
 
 def verdict(
-    draws: Float[np.ndarray, "draw dim"],
-    log_ratios: Float[np.ndarray, " draw"],
+    draws: LogRatios,
     posterior: Float[np.ndarray, "particle dim"],
     tolerances: Tolerances,
     *,
     probing: int,
     level: float,
     last: bool,
-    left_out: LeftOutRuns | None = None,
-    expected: Expected | None = None,
+    left_out: LogRatios | None = None,
+    typical: float = 0.0,
     scatter: float = 0.0,
     most: int | None = None,
 ) -> BatchCheck | Literal["open"]:
     """Return the verdict of the draws so far, or that more are needed.
 
+    Draws count by their expected variances for the bounds that confirm a posterior, but equally for those that object:
+    the surrogate may expect errors in a tail that it has missed.
+
     Args:
-        draws: The draws: the probes, then draws of equal weight.
-        log_ratios: Logarithm of true over expected likelihood at each, up to a constant; NaN if its run failed.
+        draws: The probes, then draws of equal weight.
         posterior: Many draws of equal weight.
         tolerances: What is tolerated.
         probing: Number of probes.
         level: Probability that this verdict is wrong if it is not the last one, see `error_probability`.
         last: Whether no more draws will come.
-        left_out: Earlier runs near the posterior. They can confirm it, but not object: they are predicted with fewer
-            runs than the posterior has.
-        expected: Variances of the log ratios that the surrogate expects; None: all are the same. Draws count by them
-            for the bounds that confirm a posterior, but equally for those that object: it may expect errors in a tail
-            that it has missed.
+        left_out: Earlier runs near the posterior, each predicted from all others. They can confirm it, but not object:
+            they are predicted with fewer runs than the posterior has.
+        typical: Mean variance of the log ratios that the surrogate expects over the posterior.
         scatter: Variance of the log ratios by the simulator's own scatter, which the bounds allow for. The importance
             weights of all draws do not: they are certain of shifts only if they are nearly equal.
         most: Number of draws after which the check would end: it is given up if so many would hardly settle it; None:
             it never is.
     """
-    dim, number, good = draws.shape[1], len(draws), ~np.isnan(log_ratios)
-    kept, ratios, failed = draws[good], log_ratios[good], int((~good).sum())
-    expected = Expected.equal(number, len(posterior)) if expected is None else expected
-    here, found = expected.draws[good], reweight(kept, ratios) if len(kept) >= FEWEST_DRAWS else None
-
-    def effect_of(
-        x: Float[np.ndarray, "some dim"], values: Float[np.ndarray, " some"], level: float, **more: Any
-    ) -> Effect:
-        return smooth_effect(x, values, posterior, level, scatter=scatter, **more)
+    good, number, dim = ~np.isnan(draws.values), len(draws), draws.x.shape[1]
+    kept, failed = draws[good], int((~good).sum())
+    found = reweight(kept.x, kept.values) if len(kept) >= FEWEST_DRAWS else None
 
     def ended(reasons: tuple[str, ...], weights: Reweighting | None = found) -> BatchCheck:
         return BatchCheck(number, failed, weights, not reasons, reasons, early=not last)
 
     if failed > max(1.0, MOST_FAILED * number) and (last or failed > MOST_EARLY):
         return ended((f"{failed} of the check's {number} runs failed, more than {MOST_FAILED:.0%}",))
-    excluded = not np.isfinite(ratios).all()
+    excluded = not np.isfinite(kept.values).all()
+    alike = replace(kept, variances=np.zeros(len(kept)))
     so_far: list[tuple[Effect, int]] = []
-    if left_out is not None and len(left_out.x):
+    if left_out is not None and len(left_out):
         level /= 2
-        x, both, variances = left_out.joined(kept, ratios, here)
-        if not excluded and len(kept) > 2 * dim and len(x) >= fewest(dim):
-            effect = effect_of(x, both, level, expected=Expected(variances, expected.posterior))
+        both = left_out.joined(kept)
+        if not excluded and len(kept) > 2 * dim and len(both) >= fewest(dim):
+            effect = smooth_effect(both, posterior, level, scatter=scatter, typical=typical)
             if _within(effect, tolerances):
-                return replace(ended((), reweight(x, both)), left_out=len(left_out.x))
-            so_far.append((effect, len(x)))
+                return replace(ended((), reweight(both.x, both.values)), left_out=len(left_out))
+            so_far.append((effect, len(both)))
     if found is None or len(kept) < fewest(dim):
         if last:
             return ended((f"only {len(kept)} of {number} runs of the check succeeded",))
     elif excluded:
         return ended(objections(found, tolerances) or ("the true model excludes draws of the posterior",))
     else:
-        effect = effect_of(kept, ratios, level, expected=Expected(here, expected.posterior))
+        effect = smooth_effect(kept, posterior, level, scatter=scatter, typical=typical)
         if _within(effect, tolerances):
             return ended(())
-        if surely := _beyond(effect_of(kept, ratios, level), tolerances):
+        if surely := _beyond(smooth_effect(alike, posterior, level, scatter=scatter), tolerances):
             return ended(surely)
         so_far.append((effect, len(kept)))
     if not last:
@@ -240,30 +206,23 @@ def verdict(
         reason = f"{number} draws leave the check open, and {most} would hardly settle it"
         return replace(ended((reason,)), early=False, given_up=True)
     assert found is not None  # fewer draws have ended it
-    equal = good & (np.arange(number) >= probing)
-    if equal.sum() < FEWEST_WHOLE:
+    equal = draws[good & (np.arange(number) >= probing)]
+    if len(equal) < FEWEST_WHOLE:
         return ended((*objections(found, tolerances), f"{number} runs at draws of the posterior do not settle it"))
-    whole, likely = reweight(draws[equal], log_ratios[equal]), effect_of(kept, ratios, LIKELY)
+    whole, likely = reweight(equal.x, equal.values), smooth_effect(alike, posterior, LIKELY, scatter=scatter)
     return ended(objections(whole, tolerances) or _beyond(likely, tolerances), whole)
 
 
 def agree(
-    left_out: LeftOutRuns,
-    posterior: Float[np.ndarray, "particle dim"],
-    variances: Float[np.ndarray, " particle"],
-    tolerances: Tolerances,
+    left_out: LogRatios, posterior: Float[np.ndarray, "particle dim"], typical: float, tolerances: Tolerances
 ) -> bool:
     """Return whether earlier runs alone, if there are enough of them, show that a posterior is within the tolerances.
 
     They say nothing where no run has been: draws of the posterior must confirm it.
-
-    `variances` are those of the log ratios that the surrogate expects at the draws of the posterior.
     """
-    if len(left_out.x) < fewest(posterior.shape[1]):
+    if len(left_out) < fewest(posterior.shape[1]):
         return False
-    expected = Expected(left_out.variances, variances)
-    effect = smooth_effect(left_out.x, left_out.log_ratios, posterior, ERROR_PROBABILITY, expected=expected)
-    return _within(effect, tolerances)
+    return _within(smooth_effect(left_out, posterior, ERROR_PROBABILITY, typical=typical), tolerances)
 
 
 def _within(effect: Effect, tolerances: Tolerances) -> bool:

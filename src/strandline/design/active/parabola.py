@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.stats import chi2
 
 SAMPLES = 400
@@ -26,21 +26,29 @@ _SEED = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Expected:
-    """Variances of δ that the surrogate expects; a common factor hardly matters.
+class LogRatios:
+    """Logarithms δ of true over expected likelihood at some inputs.
 
     Args:
-        draws: Those at the draws, shape (draw,).
-        posterior: Those at the many draws of the posterior, shape (particle,).
+        x: The inputs.
+        values: Values of δ, up to a constant; NaN if a run failed.
+        variances: Variances of δ that the surrogate expects; a common factor hardly matters.
     """
 
-    draws: Float[np.ndarray, " draw"]
-    posterior: Float[np.ndarray, " particle"]
+    x: Float[np.ndarray, "run dim"]
+    values: Float[np.ndarray, " run"]
+    variances: Float[np.ndarray, " run"]
 
-    @classmethod
-    def equal(cls, draws: int, posterior: int) -> "Expected":
-        """Return variances that are all the same."""
-        return cls(np.zeros(draws), np.zeros(posterior))
+    def __getitem__(self, some: Bool[np.ndarray, " run"]) -> "LogRatios":
+        return LogRatios(self.x[some], self.values[some], self.variances[some])
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    def joined(self, other: "LogRatios") -> "LogRatios":
+        """Return these and others."""
+        parts = ((self.x, other.x), (self.values, other.values), (self.variances, other.variances))
+        return LogRatios(*(np.concatenate(part) for part in parts))
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,24 +76,22 @@ def fewest(dim: int) -> int:
 
 
 def smooth_effect(
-    draws: Float[np.ndarray, "draw dim"],
-    log_ratios: Float[np.ndarray, " draw"],
+    draws: LogRatios,
     posterior: Float[np.ndarray, "particle dim"],
     level: float,
     *,
     scatter: float = 0.0,
-    expected: Expected | None = None,
+    typical: float = 0.0,
 ) -> Effect:
     """Return the effect of a smooth error.
 
     Args:
-        draws: Draws, at least `fewest` of them, not necessarily of equal weight.
-        log_ratios: Values of δ at the draws, all finite.
+        draws: Draws, at least `fewest` of them, not necessarily of equal weight; all values are finite.
         posterior: Many draws of equal weight.
         level: Probability that each bound is exceeded.
         scatter: Variance of δ by the simulator's own scatter, which is no error of the posterior. It widens the bounds
             of shifts and widths, as all scatter does, but is taken out of those of the effective share.
-        expected: Variances of δ that the surrogate expects; None: all are the same.
+        typical: Mean variance of δ that the surrogate expects over the posterior.
 
     Errors about the parabola have the expected variances times a scale. This is that of all draws, or of those that
     count most if it is larger: many of the expected variances may be far too large.
@@ -97,12 +103,11 @@ def smooth_effect(
     mean, sd = posterior.mean(axis=0), posterior.std(axis=0)
     values, vectors = np.linalg.eigh(np.atleast_2d(np.cov(((posterior - mean) / sd).T)))
     principal = vectors / np.sqrt(np.maximum(values, 1e-12))
-    z, many = (draws - mean) / sd, (posterior - mean) / sd
+    z, many, log_ratios = (draws.x - mean) / sd, (posterior - mean) / sd, draws.values
     tried = [principal] if len(mean) <= WHOLE else [principal, np.eye(len(mean))]
     level /= len(tried)  # either may be the one that fits better
-    expected = Expected.equal(len(draws), len(posterior)) if expected is None else expected
     others = scatter + ROUGH**2
-    roots, typical = 1 / np.sqrt(expected.draws + others), float(expected.posterior.mean()) + others
+    roots, typical = 1 / np.sqrt(draws.variances + others), typical + others
     fits = [(_fitted(_terms(z @ axes), log_ratios, roots), axes) for axes in tried]
     fit, axes = min(fits, key=lambda one: one[0].squares / one[0].freedom)
     B, best = _terms(many @ axes), fit.best

@@ -17,7 +17,6 @@ from jaxtyping import Float
 from strandline.design.active.checking import (
     POOL,
     BatchCheck,
-    LeftOutRuns,
     agree,
     error_probability,
     looks,
@@ -35,7 +34,7 @@ from strandline.design.active.coverage_runs import (
     points_elsewhere,
     surprises,
 )
-from strandline.design.active.parabola import WHOLE, Expected
+from strandline.design.active.parabola import WHOLE, LogRatios
 from strandline.design.active.settings import Active
 from strandline.design.active.state import Knowledge, State
 from strandline.numerics.threads import one_thread
@@ -160,10 +159,8 @@ def left_out_ratios(
     log_prior: Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, " point"]],
     *,
     mass: float = MASS,
-) -> tuple[Float[np.ndarray, "run dim"], Float[np.ndarray, " run"], Float[np.ndarray, " run"]]:
-    """Return the inputs of the runs inside the posterior, log(true/predicted likelihood) of each, and its variance.
-
-    The variance is the one that the surrogate without the run expects.
+) -> LogRatios:
+    """Return log(true/predicted likelihood) of the runs inside the posterior, each predicted from all others.
 
     The prediction is that of the surrogate without the run, so the ratios are those of a worse surrogate than the
     one in use. They show how much the weights of a check would differ, not where the posterior would move.
@@ -178,12 +175,12 @@ def left_out_ratios(
     lowest = density[order[within]].min() if within.any() else density.max()
     inside = knowledge.expected(x) + np.asarray(log_prior(x)) >= lowest
     if not inside.any():
-        return x[inside], np.empty(0), np.empty(0)
+        return LogRatios(x[inside], np.empty(0), np.empty(0))
     good = [record for record in records if record.ok]
     true = np.array([log_likelihood(good[i]) for i in np.flatnonzero(inside)])
     predicted = likelihood.left_out(np.flatnonzero(inside))
     log_expected = predicted.log_expected + knowledge.log_feasibility(x[inside])
-    return x[inside], true - log_expected, predicted.variances
+    return LogRatios(x[inside], true - log_expected, predicted.variances)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +203,7 @@ class Checked:
     probing: int
     ends: tuple[int, ...]
     elsewhere: Float[np.ndarray, "new dim"]
-    left_out: LeftOutRuns
+    left_out: LogRatios
     looks: int
     patient: bool
 
@@ -240,7 +237,7 @@ class PosteriorCheck:
     def begin(self, state: State, x: Points, records: Sequence[RunRecord], left: int, losses: Losses) -> New:
         """Return the first draws of a check, and where nobody has looked yet; `left` is the number of runs left."""
         earlier = self.near(state, records)
-        weights, probing = np.exp(state.log_weights), min(number_of_probes(self.space.dim, len(earlier.x)), left)
+        weights, probing = np.exp(state.log_weights), min(number_of_probes(self.space.dim, len(earlier)), left)
         pool = np.unique(subset(weights, POOL, self.seed + 1))
         first = pool[probes(state.positions[pool], probing)]
         probing = len(first)  # a posterior may have collapsed to fewer particles
@@ -285,14 +282,15 @@ class PosteriorCheck:
         variances = checked.state.knowledge.likelihood.variances
         given: dict[str, Any] = {
             "left_out": checked.left_out,
-            "expected": Expected(variances(draws), variances(posterior)),
+            "typical": float(variances(posterior).mean()),
             "scatter": self.scatter.variance,
         }
         level = error_probability(checked.looks - len(checked.ends), checked.looks)
         counts: dict[str, Any] = {"probing": probing, "level": level, "last": last}
         if not checked.patient and not self.scatter.explains(observed):
             given["most"] = len(checked.draws)
-        found = verdict(draws, ratios, posterior, self.active.tolerances, **counts, **given)
+        compared = LogRatios(draws, ratios, variances(draws))
+        found = verdict(compared, posterior, self.active.tolerances, **counts, **given)
         self._given_up += isinstance(found, BatchCheck) and found.given_up
         if not isinstance(found, BatchCheck) or not found.passed:
             return found, ()
@@ -327,13 +325,13 @@ class PosteriorCheck:
 
     def without_runs(self, state: State, records: Sequence[RunRecord]) -> BatchCheck:
         """Return the verdict of an earlier analysis's runs, each against its prediction from all others."""
-        x, ratios, _ = left_out_ratios(state, records, self.log_likelihood, self.space.log_prior)
-        if len(x) < FEWEST_LEFT_OUT:
-            reason = f"only {len(x)} of the available runs lie inside the posterior"
-            return BatchCheck(len(x), 0, None, False, (reason,))
-        found = reweight(x, ratios)
+        inside = left_out_ratios(state, records, self.log_likelihood, self.space.log_prior)
+        if len(inside) < FEWEST_LEFT_OUT:
+            reason = f"only {len(inside)} of the available runs lie inside the posterior"
+            return BatchCheck(len(inside), 0, None, False, (reason,))
+        found = reweight(inside.x, inside.values)
         reasons = (*objections(found, self.active.tolerances), *self._unsure(state))
-        return BatchCheck(len(x), 0, found, not reasons, reasons)
+        return BatchCheck(len(inside), 0, found, not reasons, reasons)
 
     def _unsure(self, state: State) -> tuple[str, ...]:
         """Return a reason if the surrogate's own variance weighs too much: left-out runs only test where runs are."""
@@ -348,12 +346,12 @@ class PosteriorCheck:
     def agrees(self, state: State, records: Sequence[RunRecord]) -> bool:
         """Return whether runs near the posterior, each predicted from all others, show that it is right."""
         shown = self._shown(state)
-        variances = state.knowledge.likelihood.variances(shown)
-        return agree(self.near(state, records), shown, variances, self.active.tolerances)
+        typical = float(state.knowledge.likelihood.variances(shown).mean())
+        return agree(self.near(state, records), shown, typical, self.active.tolerances)
 
-    def near(self, state: State, records: Sequence[RunRecord]) -> LeftOutRuns:
+    def near(self, state: State, records: Sequence[RunRecord]) -> LogRatios:
         """Return the runs near the posterior: a parabola reaches a little farther than the draws."""
-        return LeftOutRuns(*left_out_ratios(state, records, self.log_likelihood, self.space.log_prior, mass=NEAR))
+        return left_out_ratios(state, records, self.log_likelihood, self.space.log_prior, mass=NEAR)
 
     def scatter_prevents(self, state: State) -> bool:
         """Return whether the simulator's own scatter keeps a posterior from passing; `scatter` then says how."""

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 import strandline as sl
-from strandline.design.active.checking import LeftOutRuns
+from strandline.design.active.parabola import LogRatios
 from strandline.design.active.posterior_check import PosteriorCheck
 from strandline.design.active.state import Knowledge, State
 from strandline.errors import TooFewRuns
@@ -126,7 +126,7 @@ class Trusting(PosteriorCheck):
         return found
 
     def near(self, state, records):
-        return LeftOutRuns(np.empty((0, 2)), np.empty(0), np.empty(0))
+        return LogRatios(np.empty((0, 2)), np.empty(0), np.empty(0))
 
 
 def honest(one):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from strandline.design.active import checking, parabola
-from strandline.design.active.checking import BatchCheck, LeftOutRuns, Tolerances, number_of_probes, probes, verdict
-from strandline.design.active.parabola import Expected, fewest, smooth_effect
+from strandline.design.active.checking import BatchCheck, Tolerances, number_of_probes, probes, verdict
+from strandline.design.active.parabola import LogRatios, fewest, smooth_effect
 
 TOLERANCES = Tolerances(shift=0.1, width=0.15, k_hat=0.5, effective=0.8)
 
@@ -34,20 +34,25 @@ def checked(error, seed, *, dim=2, noise=0.02, most=25, earlier=0, blind=False, 
     number = probing or number_of_probes(dim, earlier)
     before = np.random.default_rng([seed, 1]).standard_normal((earlier, dim))
     unlike = 2 * noise * sizes(before) * np.random.default_rng([seed, 2]).standard_normal(earlier)
-    left_out = LeftOutRuns(before, (0.0 if blind else error(before)) + unlike, (2 * noise * expected(before)) ** 2)
+    left_out = LogRatios(before, (0.0 if blind else error(before)) + unlike, (2 * noise * expected(before)) ** 2)
     draws = np.concatenate([pool[picked(pool, number)], equal])
     ratios = error(draws) + noise * sizes(draws) * random.standard_normal(len(draws))
     variances, typical = (noise * expected(draws)) ** 2, (noise * expected(posterior)) ** 2
     ends = checking.looks(number, len(draws), 2)
     for look, end in enumerate(ends):
         last, level = end == ends[-1], checking.error_probability(look, len(ends))
-        given = {"left_out": left_out, "expected": Expected(variances[:end], typical), "scatter": scatter}
+        given = {"left_out": left_out, "typical": float(typical.mean()), "scatter": scatter}
         options = {"probing": number, "level": level, "last": last, **given}
-        found = verdict(draws[:end], ratios[:end], posterior, TOLERANCES, **options)
+        found = verdict(LogRatios(draws[:end], ratios[:end], variances[:end]), posterior, TOLERANCES, **options)
         if isinstance(found, BatchCheck):
             assert (found.draws, found.early, found.passed) == (end, not last, not found.reasons)
             return found
     raise AssertionError("the last look is never open")
+
+
+def alike(draws, values):
+    """Return log ratios that are expected to vary alike."""
+    return LogRatios(draws, values, np.zeros(len(draws)))
 
 
 def share_passed(error, *, replicates=20, **options):
@@ -105,9 +110,11 @@ def test_a_tail_is_missed_if_expected_errors_count_for_objections_too(monkeypatc
     assert share_passed(WRONG["missed tail"], **options) <= 0.1
     effect = checking.smooth_effect
 
-    def always(*given, **options):
-        sizes = Expected(*((0.1 * uneven(z)) ** 2 for z in (given[0], given[2])))
-        return effect(*given, **{"expected": sizes} | options)
+    def always(given, posterior, level, **options):
+        if "typical" not in options:
+            given = replace(given, variances=(0.1 * uneven(given.x)) ** 2)
+            options["typical"] = float(((0.1 * uneven(posterior)) ** 2).mean())
+        return effect(given, posterior, level, **options)
 
     monkeypatch.setattr(checking, "smooth_effect", always)
     assert share_passed(WRONG["missed tail"], replicates=15, **options) > 0.3
@@ -115,11 +122,13 @@ def test_a_tail_is_missed_if_expected_errors_count_for_objections_too(monkeypatc
 
 def test_bounds_hold_if_half_of_the_expected_errors_are_far_too_large(monkeypatch):
     """The planted bug: the scale of the errors is that of all draws, most of which say that it is small."""
-    expected = Expected(np.where(np.arange(16) % 2 == 0, 0.25, 100.0), np.ones(500))
+    expected = np.where(np.arange(16) % 2 == 0, 0.25, 100.0)
 
     def wrong():
         sets = (drawn(seed, 16) for seed in range(100))
-        effects = [smooth_effect(z, 0.5 * errors, many, 0.05, expected=expected) for z, many, errors in sets]
+        effects = [
+            smooth_effect(LogRatios(z, 0.5 * errors, expected), many, 0.05, typical=1.0) for z, many, errors in sets
+        ]
         return np.mean([one.shift_bounds[0] > 0 for one in effects])
 
     assert wrong() <= 0.17  # 5 % on each side if the expected errors were right
@@ -139,7 +148,7 @@ def test_a_check_is_given_up_if_all_its_draws_would_hardly_settle_it():
 
     def found(noise, most):
         options = {"probing": 9, "level": 0.01, "last": False, "most": most}
-        return verdict(draws, noise * normal, posterior, TOLERANCES, **options)
+        return verdict(alike(draws, noise * normal), posterior, TOLERANCES, **options)
 
     assert [found(0.4, most) for most in (None, 10_000)] == ["open", "open"]
     given_up = found(0.4, 34)
@@ -161,9 +170,9 @@ def test_earlier_runs_that_are_far_off_do_not_object():
         "probing": 6,
         "level": 0.005,
         "last": False,
-        "left_out": LeftOutRuns(before, 3.0 * unlike, np.full(8, 9.0)),
+        "left_out": LogRatios(before, 3.0 * unlike, np.full(8, 9.0)),
     }
-    one = verdict(draws, 0.01 * errors, posterior, TOLERANCES, **options)
+    one = verdict(alike(draws, 0.01 * errors), posterior, TOLERANCES, **options)
     assert (one.passed, one.left_out) == (True, 0)
 
 
@@ -186,8 +195,8 @@ def test_bounds_hold_and_estimates_alone_would_not():
     off, even = [], []
     for seed in range(100):
         draws, posterior, errors = drawn(seed, 12)
-        off.append(smooth_effect(draws, 0.2 * draws[:, 0] + 0.5 * errors, posterior, 0.05))
-        even.append(smooth_effect(draws, 0.5 * errors, posterior, 0.05).effective_bounds)
+        off.append(smooth_effect(alike(draws, 0.2 * draws[:, 0] + 0.5 * errors), posterior, 0.05))
+        even.append(smooth_effect(alike(draws, 0.5 * errors), posterior, 0.05).effective_bounds)
     assert np.mean([one.shift_bounds[1] <= 0.1 for one in off]) <= 0.05
     assert np.mean([one.shift <= 0.1 for one in off]) > 0.1
     low, high = np.array(even).T
@@ -204,11 +213,11 @@ def test_noise_in_many_inputs_is_not_taken_for_a_shift(monkeypatch):
     def above():
         """Return how often the lower bound is above the tolerance."""
         sets = (drawn(seed, 18, 7) for seed in range(40))
-        effects = [smooth_effect(draws, 0.3 * errors, posterior, 0.01) for draws, posterior, errors in sets]
+        effects = [smooth_effect(alike(draws, 0.3 * errors), posterior, 0.01) for draws, posterior, errors in sets]
         return np.mean([one.shift_bounds[0] > 0.1 for one in effects])
 
     draws, posterior, errors = drawn(1, 24, 7)
-    assert smooth_effect(draws, 0.6 * draws[:, 2] + 0.1 * errors, posterior, 0.01).shift_bounds[0] > 0.2
+    assert smooth_effect(alike(draws, 0.6 * draws[:, 2] + 0.1 * errors), posterior, 0.01).shift_bounds[0] > 0.2
     assert above() <= 0.05
     monkeypatch.setattr(parabola, "_bounds", lambda drawn, level: (np.quantile(np.abs(drawn).max(1), level), np.inf))
     assert above() >= 0.2
@@ -226,7 +235,7 @@ def test_failed_runs_and_draws_that_the_true_model_excludes_end_a_check():
     options = {"probing": 9, "level": 0.01, "last": False}
     for lost, count, number, passed in ((np.nan, 4, 20, False), (np.nan, 4, 60, True), (-np.inf, 1, 20, False)):
         draws, posterior, _ = drawn(1, number, 2)
-        made = verdict(draws, np.where(np.arange(number) < count, lost, 0.0), posterior, TOLERANCES, **options)
+        made = verdict(alike(draws, np.where(np.arange(number) < count, lost, 0.0)), posterior, TOLERANCES, **options)
         assert (made.passed, made.failed) == (passed, count if np.isnan(lost) else 0)
         if made.failed and not passed:
             assert made.reasons == ("4 of the check's 20 runs failed, more than 10%",)
@@ -240,7 +249,7 @@ def test_the_effect_of_a_quadratic_error_is_the_exact_one(dim):
     """
     b, f, units = -0.1, 0.8, np.logspace(3, -3, dim)
     draws, posterior, _ = drawn(dim, fewest(dim) + 3, dim, 20_000)
-    found = smooth_effect(draws * units, b * draws[:, 0] + width(f)(draws), posterior * units, 0.05)
+    found = smooth_effect(alike(draws * units, b * draws[:, 0] + width(f)(draws)), posterior * units, 0.05)
     tolerance = 0.03 if dim <= 3 else 0.12  # without products the axes are not quite those of the inputs
     assert found.width == pytest.approx(-np.log(f), abs=tolerance)
     assert found.shift == pytest.approx(abs(b) * f**2, abs=tolerance)
@@ -249,7 +258,9 @@ def test_the_effect_of_a_quadratic_error_is_the_exact_one(dim):
 
 def test_known_scatter_is_taken_out_of_the_effective_share_alone():
     draws, posterior, errors = drawn(3, 60, 2)
-    plain, known, all_of_it = (smooth_effect(draws, 0.5 * errors, posterior, 0.05, scatter=s) for s in (0.0, 0.25, 9.0))
+    plain, known, all_of_it = (
+        smooth_effect(alike(draws, 0.5 * errors), posterior, 0.05, scatter=s) for s in (0.0, 0.25, 9.0)
+    )
     assert [*known.shift_bounds, *known.width_bounds] == pytest.approx([*plain.shift_bounds, *plain.width_bounds])
     assert plain.effective_bounds[0] < 0.75
     assert known.effective_bounds[0] == pytest.approx(plain.effective_bounds[0] * np.exp(0.25), rel=1e-6)
@@ -261,12 +272,13 @@ def test_known_scatter_is_taken_out_of_the_effective_share_alone():
 
 def test_looks_at_earlier_runs_and_at_draws_share_the_error_probability(monkeypatch):
     levels, effect = [], checking.smooth_effect
-    monkeypatch.setattr(checking, "smooth_effect", lambda *a, **more: (levels.append(a[3]), effect(*a, **more))[1])
+    monkeypatch.setattr(checking, "smooth_effect", lambda *a, **more: (levels.append(a[2]), effect(*a, **more))[1])
     draws, posterior, errors = drawn(1, 14, 2)
-    before = LeftOutRuns(*(one[:10] for one in (posterior, 3.0 * np.sin(9 * posterior[:, 0]), np.ones(500))))
+    before = LogRatios(*(one[:10] for one in (posterior, 3.0 * np.sin(9 * posterior[:, 0]), np.ones(500))))
     for given, level in ((None, 0.01), (before, 0.005)):
         levels.clear()
-        verdict(draws, 0.01 * errors, posterior, TOLERANCES, probing=6, level=0.01, last=False, left_out=given)
+        options = {"probing": 6, "level": 0.01, "last": False, "left_out": given}
+        verdict(alike(draws, 0.01 * errors), posterior, TOLERANCES, **options)
         assert set(levels) == {level}
 
 

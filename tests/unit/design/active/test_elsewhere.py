@@ -145,12 +145,13 @@ def test_runs_inside_are_those_of_the_expected_likelihood_and_ratios_are_of_the_
     runs = np.concatenate([X, [[0.2, 0.1], [0.4, 0.0]]])
     one, records = fakes.state_of(known(runs)), [record(row) for row in runs]
     one = replace(one, knowledge=replace(one.knowledge, doubt=1.8), log_expected=one.log_expected + 1.8)
-    x, ratios, variances = left_out_ratios(one, records, lambda run: 0.0, SPACE.log_prior)
+    found = left_out_ratios(one, records, lambda run: 0.0, SPACE.log_prior)
+    x, ratios, variances = found.x, found.values, found.variances
     within = ((runs - MEAN) ** 2).sum(axis=1) < 2 * 0.2**2 * -np.log(0.05)  # 95 % of a normal posterior
     assert within.sum() >= 2
     np.testing.assert_array_equal(x, runs[within])
     assert len(ratios) == len(variances) == within.sum()
-    _, lower, _ = left_out_ratios(one, records, lambda run: -0.3, SPACE.log_prior)
+    lower = left_out_ratios(one, records, lambda run: -0.3, SPACE.log_prior).values
     np.testing.assert_allclose(lower, ratios - 0.3)
 
 
@@ -162,5 +163,6 @@ def test_a_posterior_without_any_run_inside_has_no_ratios():
     positions = arches.TRUTH + 1e-5 * np.random.default_rng(0).standard_normal((50, 2))
     equal = np.full(50, -np.log(50.0))
     one = State(likely, positions, equal, equal, equal, np.zeros(50), np.zeros(50))
-    x, ratios, variances = left_out_ratios(one, records, lambda run: 0.0, arches.SPACE.log_prior)
+    found = left_out_ratios(one, records, lambda run: 0.0, arches.SPACE.log_prior)
+    x, ratios, variances = found.x, found.values, found.variances
     assert (x.shape, len(ratios), len(variances)) == ((0, 2), 0, 0)
