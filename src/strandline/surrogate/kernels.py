@@ -163,7 +163,8 @@ class _Named:
     name: str
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        if KERNELS.get(self.name) is self:
+        known: object = KERNELS.get(self.name)
+        if known is self:
             return kernel_named, (self.name,)
         return super().__reduce_ex__(protocol)
 
