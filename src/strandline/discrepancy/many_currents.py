@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from strandline.discrepancy.kernel_integrals import PANEL, gauss_order
-from strandline.discrepancy.many_distances import similar
+from strandline.discrepancy.many_distances import FEWEST, similar
 from strandline.numerics.compiled import WHOLE, WIDEST, ample, exp2_of_minus
 from strandline.numerics.threads import double, side_by_side
 
@@ -28,8 +28,6 @@ _PIECES = 64
 """The number of pieces is padded to a multiple of this."""
 _FARTHEST, _STEEPEST = 900.0, 200.0
 """Limits of exponents, to avoid overflow; only pairs so far apart that they contribute nothing reach them."""
-FEWEST = 16
-"""Number of runs from which compiling pays off."""
 BLOCK = 256
 """Runs processed together."""
 PROBES = 8

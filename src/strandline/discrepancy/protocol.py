@@ -21,7 +21,6 @@ class Discrepancy(Protocol):
 
     def __call__(self, simulated: Interface, observed: Interface) -> float:
         """Return d²."""
-        ...
 
 
 @runtime_checkable
@@ -30,7 +29,6 @@ class HasTerms(Protocol):
 
     def terms(self, observed: Interface) -> int | None:
         """Return the number of residuals; None if d² is not such a sum."""
-        ...
 
 
 @runtime_checkable
@@ -39,7 +37,6 @@ class CountsDistances(Protocol):
 
     def distances(self, simulated: Interface, observed: Interface) -> float:
         """Return the number of distances."""
-        ...
 
 
 @runtime_checkable
@@ -50,7 +47,6 @@ class ComparesMany(Protocol):
         self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
     ) -> Float[np.ndarray, " run"] | None:
         """Return d² of the interfaces with these points and the cells of `template`; None to be called one by one."""
-        ...
 
 
 @runtime_checkable
@@ -59,7 +55,6 @@ class KnowsPointErrors(Protocol):
 
     def noise_variance(self, errors: PointErrors, observed: Interface) -> float | None:
         """Return σ_N² for the local errors, in the unit of d²; None where no closed form holds."""
-        ...
 
 
 @runtime_checkable
@@ -68,7 +63,6 @@ class AdaptsToErrors(Protocol):
 
     def adapted(self, errors: PointErrors | None) -> Discrepancy:
         """Return the measure with these options set, but for those that the user set; None if nothing is stated."""
-        ...
 
 
 @runtime_checkable
@@ -77,7 +71,6 @@ class Whitens(Protocol):
 
     def whitened(self, errors: PointErrors) -> Discrepancy:
         """Return the measure d² = rᵀ C⁻¹ r, C the covariance of the residuals r."""
-        ...
 
 
 @runtime_checkable
@@ -86,7 +79,6 @@ class HasTolerance(Protocol):
 
     def tolerating(self, variance: float, observed: Interface) -> Discrepancy:
         """Return the measure with a tolerance that changes log L by less than a hundredth if σ_N² is `variance`."""
-        ...
 
 
 @runtime_checkable
@@ -103,7 +95,6 @@ class FollowsOffsets(Protocol):
             observed: The observed polyline.
             nodes: Number of nodes of the simulated interfaces.
         """
-        ...
 
 
 def unit_of(discrepancy: Discrepancy, observed: Interface | None = None) -> str:

@@ -217,7 +217,10 @@ def _moved_back(contour: Interface, part: Float[np.ndarray, " part"], middle: Fl
 def _local(offsets: Float[np.ndarray, "contour place"], frame: _Frame) -> Correlated:
     """Return the local errors of the points of a contour, from offsets without mean and common errors."""
     closed = frame.outline.closed
-    covariance = _of_one(len(offsets)) * autocovariance(offsets, closed=closed)
+    of_one = len(offsets) / (
+        len(offsets) - 1
+    )  # variance of a contour's errors over that of their difference from the mean
+    covariance = of_one * autocovariance(offsets, closed=closed)
     if not math.sqrt(covariance[0]) > 1e-9 * frame.step:
         raise InvalidInput(
             "contours of one state",
@@ -227,11 +230,6 @@ def _local(offsets: Float[np.ndarray, "contour place"], frame: _Frame) -> Correl
         )
     removed = frame.basis.shape[1] * autocovariance(np.ascontiguousarray(frame.basis.T), closed=closed)
     return restored(covariance, removed)
-
-
-def _of_one(contours: int) -> float:
-    """Return the variance of one contour's errors over that of their differences from the mean of all."""
-    return contours / (contours - 1)
 
 
 def _errors(local: Correlated, parts: Float[np.ndarray, "contour part"], frame: _Frame) -> PointErrors:

@@ -33,6 +33,11 @@ from strandline.numerics.linear_algebra import distances
 from strandline.registry import lookup
 from strandline.surrogate.tiles import TiledPairs, differences
 
+Lengths = Float[np.ndarray, " length"]
+Offsets = Float[np.ndarray, "point run dim"]
+Values = Float[np.ndarray, " run"]
+Matrix = Float[np.ndarray, "run run"]
+
 Array = Any  # a NumPy or a JAX array of any shape
 LengthScale = float | Float[np.ndarray, " dim"]
 """One length for all inputs, or one for each input, in standard deviations of the inputs."""
@@ -49,24 +54,22 @@ class Pairs(Protocol):
 
     def fill(
         self,
-        out: Float[np.ndarray, "run run"],
+        out: Matrix,
         *,
-        inverse_lengths: Float[np.ndarray, " length"],
+        inverse_lengths: Lengths,
         variance: float,
         diagonal: float,
     ) -> None:
         """Write variance · c + diagonal · I into the lower triangle of `out`."""
-        ...
 
     def by_log_lengths(
         self,
-        alpha: Float[np.ndarray, " run"],
-        precision: Float[np.ndarray, "run run"],
+        alpha: Values,
+        precision: Matrix,
         *,
-        inverse_lengths: Float[np.ndarray, " length"],
-    ) -> Float[np.ndarray, " length"]:
+        inverse_lengths: Lengths,
+    ) -> Lengths:
         """Return Σ_i>j (α_i α_j - P_ij) ∂c_ij / ∂log l for each length."""
-        ...
 
 
 @runtime_checkable
@@ -76,39 +79,28 @@ class Kernel(Protocol):
     @property
     def name(self) -> str:
         """Its name, for messages and results."""
-        ...
 
     @property
     def per_input(self) -> bool:
         """Whether each input has its own length."""
-        ...
 
     def value(self, offset: Float[np.ndarray, "*shape dim"]) -> Float[np.ndarray, "*shape"]:
         """Return c."""
-        ...
 
-    def weighted_gradient(
-        self, offset: Float[np.ndarray, "point run dim"], weight: Float[np.ndarray, " run"]
-    ) -> Float[np.ndarray, "point dim"]:
+    def weighted_gradient(self, offset: Offsets, weight: Values) -> Float[np.ndarray, "point dim"]:
         """Return Σ_run weight ∇c, the gradient with respect to the offset."""
-        ...
 
-    def weighted_hessian(
-        self, offset: Float[np.ndarray, "point run dim"], weight: Float[np.ndarray, " run"]
-    ) -> Float[np.ndarray, "point dim dim"]:
+    def weighted_hessian(self, offset: Offsets, weight: Values) -> Float[np.ndarray, "point dim dim"]:
         """Return Σ_run weight ∇∇c, the Hessian with respect to the offset; exact at training points too."""
-        ...
 
     def of_columns(self, offset: Sequence[Array]) -> Array:
         """Return c of offsets given as one JAX array per input, all of one shape."""
-        ...
 
-    def pairs(self, x: Float[np.ndarray, "run dim"], *, unit: Float[np.ndarray, " length"]) -> Pairs:
+    def pairs(self, x: Float[np.ndarray, "run dim"], *, unit: Lengths) -> Pairs:
         """Return the pairs of x / unit."""
-        ...
 
 
-def as_lengths(kernel: Kernel, length_scale: LengthScale, dim: int) -> Float[np.ndarray, " length"]:
+def as_lengths(kernel: Kernel, length_scale: LengthScale, dim: int) -> Lengths:
     """Return the lengths that `kernel` has in `dim` dimensions; one number stands for all of them.
 
     Raises:
@@ -125,7 +117,7 @@ def as_lengths(kernel: Kernel, length_scale: LengthScale, dim: int) -> Float[np.
     return np.array(np.broadcast_to(given, count))
 
 
-def as_length_scale(kernel: Kernel, lengths: Float[np.ndarray, " length"]) -> LengthScale:
+def as_length_scale(kernel: Kernel, lengths: Lengths) -> LengthScale:
     """Return lengths as a user sees them: a number, or one for each input."""
     return lengths if kernel.per_input else float(lengths[0])
 
@@ -191,15 +183,11 @@ class Isotropic(_Named):
         """Return c."""
         return np.asarray(self.correlation(_norm(offset)))
 
-    def weighted_gradient(
-        self, offset: Float[np.ndarray, "point run dim"], weight: Float[np.ndarray, " run"]
-    ) -> Float[np.ndarray, "point dim"]:
+    def weighted_gradient(self, offset: Offsets, weight: Values) -> Float[np.ndarray, "point dim"]:
         """Return Σ_run weight ∇c."""
         return np.asarray(np.einsum("bn,bnd->bd", self.slope(_norm(offset)) * weight, offset))
 
-    def weighted_hessian(
-        self, offset: Float[np.ndarray, "point run dim"], weight: Float[np.ndarray, " run"]
-    ) -> Float[np.ndarray, "point dim dim"]:
+    def weighted_hessian(self, offset: Offsets, weight: Values) -> Float[np.ndarray, "point dim dim"]:
         """Return Σ_run weight ∇∇c."""
         s = _norm(offset)
         direction = offset / np.where(s > 0, s, 1.0)[..., None]
@@ -212,7 +200,7 @@ class Isotropic(_Named):
         """Return c of offsets given as one JAX array per input."""
         return self.correlation(jnp.sqrt(sum(column**2 for column in offset)))
 
-    def pairs(self, x: Float[np.ndarray, "run dim"], *, unit: Float[np.ndarray, " length"]) -> TiledPairs:
+    def pairs(self, x: Float[np.ndarray, "run dim"], *, unit: Lengths) -> TiledPairs:
         """Return the distances of all pairs of x / unit; with several lengths its columns, as distances change."""
         if not self.per_input:
             apart = distances(x) / unit
@@ -256,15 +244,11 @@ class Product(_Named):
         """Return c."""
         return self._correlation(self.rate * np.abs(offset), axis=-1)
 
-    def weighted_gradient(
-        self, offset: Float[np.ndarray, "point run dim"], weight: Float[np.ndarray, " run"]
-    ) -> Float[np.ndarray, "point dim"]:
+    def weighted_gradient(self, offset: Offsets, weight: Values) -> Float[np.ndarray, "point dim"]:
         """Return Σ_run weight ∇c."""
         return np.asarray(np.einsum("bn,bnd->bd", self.value(offset) * weight, self._relative_slope(offset)))
 
-    def weighted_hessian(
-        self, offset: Float[np.ndarray, "point run dim"], weight: Float[np.ndarray, " run"]
-    ) -> Float[np.ndarray, "point dim dim"]:
+    def weighted_hessian(self, offset: Offsets, weight: Values) -> Float[np.ndarray, "point dim dim"]:
         """Return Σ_run weight ∇∇c."""
         c, slope = self.value(offset) * weight, self._relative_slope(offset)
         bend = self.rate**2 * self.curvature(self.rate * np.abs(offset))
@@ -277,7 +261,7 @@ class Product(_Named):
         distance = [jnp.abs(column) for column in offset]
         return math.prod(self.polynomial(self.rate * u) for u in distance) * jnp.exp(-self.rate * sum(distance))
 
-    def pairs(self, x: Float[np.ndarray, "run dim"], *, unit: Float[np.ndarray, " length"]) -> TiledPairs:
+    def pairs(self, x: Float[np.ndarray, "run dim"], *, unit: Lengths) -> TiledPairs:
         """Return the columns of x / unit: a matrix of distances for each input would not fit in memory."""
         columns = np.ascontiguousarray((x / unit).T)
         return TiledPairs(

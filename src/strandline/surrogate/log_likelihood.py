@@ -15,6 +15,9 @@ from strandline.surrogate.gaussian_process import GaussianProcess, condition, st
 from strandline.surrogate.hyperparameters import FittedHyperparameters, fit_hyperparameters, require_runs
 from strandline.surrogate.kernels import kernel_named
 
+Inputs = Float[np.ndarray, "run dim"]
+Values = Float[np.ndarray, " run"]
+
 NEAR_MODE_WINDOW = 10.0
 NEAR_MODE_COUNT = 10
 FOLDS = 10
@@ -30,11 +33,9 @@ class Predictor(Protocol):
 
     def mean(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
         """Return the predicted values."""
-        ...
 
     def variance(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
         """Return the variances of the predicted values, not negative."""
-        ...
 
 
 @runtime_checkable
@@ -43,10 +44,9 @@ class HasHessian(Protocol):
 
     def hessian(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "point dim dim"]:
         """Return the Hessian of the mean."""
-        ...
 
 
-Fit = Callable[[Float[np.ndarray, "run dim"], Float[np.ndarray, " run"]], Predictor]
+Fit = Callable[[Inputs, Values], Predictor]
 """A function that learns from inputs (run, dim) and values (run,)."""
 
 
@@ -87,8 +87,8 @@ class Validation:
         standardised_rms_near_mode: the same near the mode.
     """
 
-    residuals: Float[np.ndarray, " run"]
-    standardised_residuals: Float[np.ndarray, " run"]
+    residuals: Values
+    standardised_residuals: Values
     near_mode: Bool[np.ndarray, " run"]
     loo_rms: float
     loo_rms_near_mode: float
@@ -97,7 +97,7 @@ class Validation:
     standardised_rms_near_mode: float
 
 
-def validate(gp: GaussianProcess, y: Float[np.ndarray, " run"]) -> Validation:
+def validate(gp: GaussianProcess, y: Values) -> Validation:
     """Return the leave-one-out residuals r_i = α_i / (K⁻¹)_ii of `gp`, whose training targets were `y`."""
     inverse = gp.cholesky.copy(order="F")
     invert(inverse)
@@ -106,9 +106,9 @@ def validate(gp: GaussianProcess, y: Float[np.ndarray, " run"]) -> Validation:
 
 
 def cross_validate(
-    fit: Callable[[Float[np.ndarray, "run dim"], Float[np.ndarray, " run"]], Predictor],
-    x: Float[np.ndarray, "run dim"],
-    y: Float[np.ndarray, " run"],
+    fit: Callable[[Inputs, Values], Predictor],
+    x: Inputs,
+    y: Values,
 ) -> Validation:
     """Return the residuals of every tenth run, learnt from the others, for all ten tenths."""
     residuals, variances = np.empty(len(y)), np.empty(len(y))
@@ -120,9 +120,7 @@ def cross_validate(
     return _validation(residuals, residuals / np.sqrt(np.maximum(variances, np.finfo(float).tiny)), y)
 
 
-def _validation(
-    residuals: Float[np.ndarray, " run"], standardised: Float[np.ndarray, " run"], y: Float[np.ndarray, " run"]
-) -> Validation:
+def _validation(residuals: Values, standardised: Values, y: Values) -> Validation:
     tenth_best = np.sort(y)[-min(NEAR_MODE_COUNT, len(y))]
     near = np.asarray(y >= min(tenth_best, y.max() - NEAR_MODE_WINDOW))
     return Validation(
@@ -162,7 +160,7 @@ class LogLikelihoodSurrogate:
 
 
 def fit_log_likelihood(
-    x: Float[np.ndarray, "run dim"], log_likelihood: Float[np.ndarray, " target"], *, kernel: str = "matern32"
+    x: Inputs, log_likelihood: Float[np.ndarray, " target"], *, kernel: str = "matern32"
 ) -> LogLikelihoodSurrogate:
     """Fit the surrogate of Willmann et al. (2022): nugget σ_n² = 1e-5 (max 𝓛 - min 𝓛).
 
@@ -195,9 +193,7 @@ def fit_log_likelihood(
     return LogLikelihoodSurrogate(process, validate(process, log_likelihood), fit)
 
 
-def fit_of_the_user(
-    x: Float[np.ndarray, "run dim"], log_likelihood: Float[np.ndarray, " target"], fit: Fit
-) -> LogLikelihoodSurrogate:
+def fit_of_the_user(x: Inputs, log_likelihood: Float[np.ndarray, " target"], fit: Fit) -> LogLikelihoodSurrogate:
     """Return a surrogate learnt by the user's function, validated by leaving out a tenth of the runs at a time.
 
     Raises:
@@ -210,7 +206,7 @@ def fit_of_the_user(
     return LogLikelihoodSurrogate(learn(x, log_likelihood), cross_validate(learn, x, log_likelihood), None)
 
 
-def _learnt(fit: Fit, x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " run"]) -> Predictor:
+def _learnt(fit: Fit, x: Inputs, y: Values) -> Predictor:
     found = fit(x, y)
     if not isinstance(found, Predictor):
         raise InvalidInput(
@@ -222,7 +218,7 @@ def _learnt(fit: Fit, x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " ru
     return found
 
 
-def _require_one_each(x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " other"]) -> None:
+def _require_one_each(x: Inputs, y: Float[np.ndarray, " other"]) -> None:
     if len(x) != len(y):
         raise InvalidInput(
             "training data of the surrogate",

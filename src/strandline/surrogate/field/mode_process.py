@@ -21,6 +21,11 @@ from scipy.spatial.distance import cdist
 
 from strandline.errors import NumericsError
 
+Points = Float[np.ndarray, "point dim"]
+Inputs = Float[np.ndarray, "run dim"]
+Lengths = Float[np.ndarray, " dim"]
+Coordinates = Float[np.ndarray, " coordinate"]
+
 LENGTHS = (0.2, 40.0)
 """Bounds of the length scales, in standard deviations of the inputs over the box."""
 NUGGETS = (1e-10, 1e-2)
@@ -39,7 +44,7 @@ _WALL = 1e25
 
 
 def covariance(
-    u: Float[np.ndarray, "run dim"], v: Float[np.ndarray, "other dim"], *, rows: bool, columns: bool
+    u: Inputs, v: Float[np.ndarray, "other dim"], *, rows: bool, columns: bool
 ) -> Float[np.ndarray, "row column"]:
     """Return the covariance of unit variance between observations at `u` and at `v`.
 
@@ -69,9 +74,7 @@ def covariance(
     return K
 
 
-def trend(
-    z: Float[np.ndarray, "run dim"], lengths: Float[np.ndarray, " dim"], *, linear: bool, derivatives: bool
-) -> Float[np.ndarray, "row term"]:
+def trend(z: Inputs, lengths: Lengths, *, linear: bool, derivatives: bool) -> Float[np.ndarray, "row term"]:
     """Return the terms of the mean, 1 and, if `linear`, the inputs, and if asked their derivatives by z/lengths."""
     n, dim = z.shape
     F = np.zeros((n * (1 + dim * derivatives), 1 + dim * linear))
@@ -94,12 +97,12 @@ class ModeData:
         linear: Whether the mean is linear in the inputs or constant.
     """
 
-    z: Float[np.ndarray, "run dim"]
+    z: Inputs
     values: Float[np.ndarray, " run"]
-    gradients: Float[np.ndarray, "run dim"] | None
+    gradients: Inputs | None
     linear: bool
 
-    def scaled(self, lengths: Float[np.ndarray, " dim"]) -> Float[np.ndarray, " row"]:
+    def scaled(self, lengths: Lengths) -> Float[np.ndarray, " row"]:
         """Return values, and derivatives with respect to the inputs in length scales, in one column."""
         if self.gradients is None:
             return self.values
@@ -138,7 +141,7 @@ class Conditioned:
         return np.asarray(inverse - self.solved_trend @ np.linalg.solve(self.normal, self.solved_trend.T))
 
 
-def condition_mode(observed: ModeData, lengths: Float[np.ndarray, " dim"], nugget: float) -> Conditioned:
+def condition_mode(observed: ModeData, lengths: Lengths, nugget: float) -> Conditioned:
     """Return the factors at given length scales (standardised inputs) and relative nugget τ.
 
     Raises:
@@ -162,9 +165,7 @@ def condition_mode(observed: ModeData, lengths: Float[np.ndarray, " dim"], nugge
     return Conditioned(L, F, solved, normal, b, residual, alpha, float(white @ white) / freedom)
 
 
-def restricted_evidence(
-    observed: ModeData, log_lengths: Float[np.ndarray, " dim"], log_nugget: float
-) -> tuple[float, Float[np.ndarray, " coordinate"]]:
+def restricted_evidence(observed: ModeData, log_lengths: Lengths, log_nugget: float) -> tuple[float, Coordinates]:
     """Return the log evidence, up to a constant, and its gradient with respect to log lengths and log nugget.
 
     Raises:
@@ -189,9 +190,7 @@ def restricted_evidence(
     return float(value), slope
 
 
-def _by_kernel(
-    observed: ModeData, W: Float[np.ndarray, "row row"], lengths: Float[np.ndarray, " dim"], nugget: float
-) -> Float[np.ndarray, " coordinate"]:
+def _by_kernel(observed: ModeData, W: Float[np.ndarray, "row row"], lengths: Lengths, nugget: float) -> Coordinates:
     """Return Σ W_ab ∂(K + τ I)_ab by each log length and by log τ, with derivatives by the scaled coordinates."""
     (n, dim), derivatives = observed.z.shape, observed.gradients is not None
     u = observed.z / lengths
@@ -228,12 +227,12 @@ class ModeProcess:
     """
 
     observed: ModeData
-    lengths: Float[np.ndarray, " dim"]
+    lengths: Lengths
     nugget: float
     factors: Conditioned
     widening: float = 1.0
 
-    def mean(self, z: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+    def mean(self, z: Points) -> Float[np.ndarray, " point"]:
         """Return the posterior mean.
 
         The derivatives' part is k (u - v)·β, so matrix products do everything but the exponential.
@@ -253,15 +252,13 @@ class ModeProcess:
             found = np.einsum("pr,pr->p", k, weights)
         return np.asarray(found + self._trend(z) @ self.factors.coefficients)
 
-    def variance(self, z: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+    def variance(self, z: Points) -> Float[np.ndarray, " point"]:
         """Return the posterior variance of the coefficient, including the uncertainty of its mean function."""
         half, of_mean = self._reduced(z)
         explained = np.einsum("rp,rp->p", half, half) - np.einsum("tp,tp->p", of_mean, of_mean)
         return np.asarray(self.scale * np.maximum(1.0 - explained, 0.0))
 
-    def covariance(
-        self, z: Float[np.ndarray, "point dim"], other: Float[np.ndarray, "other dim"]
-    ) -> Float[np.ndarray, "point other"]:
+    def covariance(self, z: Points, other: Float[np.ndarray, "other dim"]) -> Float[np.ndarray, "point other"]:
         """Return the posterior covariance of the coefficient at two sets of inputs."""
         (a, a_mean), (b, b_mean) = self._reduced(z), self._reduced(other)
         prior = covariance(z / self.lengths, other / self.lengths, rows=False, columns=False)
@@ -283,16 +280,14 @@ class ModeProcess:
         errors = np.einsum("nk,nk->n", blocks[:, 0], self.factors.alpha[rows])
         return LeftOutErrors(errors, self.scale * blocks[:, 0, 0])
 
-    def _rows(self, z: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "point row"]:
+    def _rows(self, z: Points) -> Float[np.ndarray, "point row"]:
         gradients = self.observed.gradients is not None
         return covariance(z / self.lengths, self.observed.z / self.lengths, rows=False, columns=gradients)
 
-    def _trend(self, z: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "point term"]:
+    def _trend(self, z: Points) -> Float[np.ndarray, "point term"]:
         return trend(z, self.lengths, linear=self.observed.linear, derivatives=False)
 
-    def _reduced(
-        self, z: Float[np.ndarray, "point dim"]
-    ) -> tuple[Float[np.ndarray, "row point"], Float[np.ndarray, "term point"]]:
+    def _reduced(self, z: Points) -> tuple[Float[np.ndarray, "row point"], Float[np.ndarray, "term point"]]:
         """Return roots of the variance at z that the runs explain and of the part that the unknown mean adds."""
         rows = self._rows(z)
         half = solve_triangular(self.factors.cholesky, rows.T, lower=True, check_finite=False)
@@ -330,9 +325,7 @@ def fit_mode(observed: ModeData, *, quick: bool = False) -> ModeProcess:
     return replace(process, widening=max(1.0, (surprise + _PRIOR_RUNS) / (len(observed.z) + _PRIOR_RUNS)))
 
 
-def _objective(
-    at: Float[np.ndarray, " coordinate"], observed: ModeData
-) -> tuple[float, Float[np.ndarray, " coordinate"]]:
+def _objective(at: Coordinates, observed: ModeData) -> tuple[float, Coordinates]:
     """Return minus the log evidence and minus the log prior of the lengths; a wall if there is no evidence."""
     dim = len(at) - 1
     try:
