@@ -21,6 +21,7 @@ from strandline.discrepancy import (
 from strandline.errors import InvalidInput, NumericsError
 from strandline.interface import Observation
 from strandline.likelihood import InterfaceLikelihood, compared, noise_length, sd_of_distances
+from strandline.report.html import number
 from strandline.runs import RunRecord
 
 TO_MICROMETRES = 1e3
@@ -129,14 +130,14 @@ class Nearest:
         reason = "The model, the box or the noise is wrong."
         if max(self.extent_ratio, 1 / self.extent_ratio) >= TELLING:
             mistake = unit_mistake(self.extent_ratio)
-            reason = f"The observed interface has {self.extent_ratio:.3g} times the extent of the run's" + (
+            reason = f"The observed interface has {number(self.extent_ratio, 3)} times the extent of the run's" + (
                 f": {mistake}." if mistake else "."
             )
         elif self.offset > self.extent:
             reason = f"Their centres lie {_length(self.offset)} apart: do both have the same origin and axes?"
         return (
-            f"NOTHING IN THE BOX COMES NEAR the observation{of}: the best run ({where}) is {self.residual:.3g} noise "
-            f"units and {_length(self.distance)} away. {reason}"
+            f"NOTHING IN THE BOX COMES NEAR the observation{of}: the best run ({where}) is "
+            f"{number(self.residual, 3)} noise units and {_length(self.distance)} away. {reason}"
         )
 
 
@@ -228,7 +229,7 @@ def _varying(runs: list[RunRecord]) -> int:
 
 
 def _length(mm: float) -> str:
-    return f"{mm:.3g} mm" if mm >= 1 else f"{1e3 * mm:.3g} µm"
+    return f"{number(mm, 3)} mm" if mm >= 1 else f"{number(1e3 * mm, 3)} µm"
 
 
 def as_json(found: list[Nearest]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from strandline.report.html import number
 from strandline.text import listed, with_sd
 from strandline.typeset import unit_text
 
@@ -60,7 +61,7 @@ def _sentences(s: Mapping[str, Any]) -> Iterator[str]:
     )
     yield f"The priors were {listed([_prior(item) for item in s['inputs'].values()])}."
     if s["fixed"]:
-        known = [f"{name} = {value:.6g}" for name, value in s["fixed"].items()]
+        known = [f"{name} = {number(value, 6)}" for name, value in s["fixed"].items()]
         yield f"{listed(known)} {'was' if len(known) == 1 else 'were'} known."
     yield _likelihood(s["likelihood"])
     yield _runs(s)
@@ -99,16 +100,17 @@ def _likelihood(found: Mapping[str, Any]) -> str:
     if inferred is not None and not inferred.get("stated"):
         errors = "errors of the observed points that were inferred from the residuals"
     elif sd is not None:
-        along = f", correlated over {TO_UM * length:.3g} µm along the interface" if length else ""
-        errors = f"errors of the observed points of {TO_UM * sd:.3g} µm{along}"
+        along = f", correlated over {number(TO_UM * length, 3)} µm along the interface" if length else ""
+        errors = f"errors of the observed points of {number(TO_UM * sd, 3)} µm{along}"
     else:
         unit = unit_text(found["unit"] or "")
-        errors = f"Gaussian noise of variance {found['noise_variance']:.4g}{f' {unit}' if unit else ''}"
+        errors = f"Gaussian noise of variance {number(found['noise_variance'], 4)}{f' {unit}' if unit else ''}"
     allowed = _model_error(found)
     model = ""
     if allowed:
         chance = found["inferred_noise"]["model_error"]["probability"]
-        model = f", and a model error of probability {chance:.2g} and median amplitude {allowed:.3g} µm, both inferred"
+        size = f"probability {number(chance, 2)} and median amplitude {number(allowed, 3)} µm"
+        model = f", and a model error of {size}, both inferred"
     return f"{compared}, with {errors}{model}.{_of_the_whole(found)}"
 
 
@@ -121,10 +123,10 @@ def _model_error(found: Mapping[str, Any]) -> float | None:
 def _of_the_whole(found: Mapping[str, Any]) -> str:
     """Return a sentence about the errors that all points share."""
     sizes = {
-        "position": f"{TO_UM * (found.get('shift_sd') or 0.0):.3g} µm",
-        "rotation": f"{found.get('rotation_sd') or 0.0:.3g}°",
-        "scale": f"{100 * (found.get('scale_sd') or 0.0):.3g} %",
-        "a common offset along the normals": f"{TO_UM * (found.get('offset_sd') or 0.0):.3g} µm",
+        "position": f"{number(TO_UM * (found.get('shift_sd') or 0.0), 3)} µm",
+        "rotation": f"{number(found.get('rotation_sd') or 0.0, 3)}°",
+        "scale": f"{number(100 * (found.get('scale_sd') or 0.0), 3)} %",
+        "a common offset along the normals": f"{number(TO_UM * (found.get('offset_sd') or 0.0), 3)} µm",
     }
     stated = [f"{size} in {name}" for name, size in sizes.items() if not size.startswith(("0 ", "0°"))]
     return (
@@ -151,7 +153,7 @@ def _surrogate(s: Mapping[str, Any]) -> str:
         error = found["predicted_error_um"]["median"]
         return (
             f"A Gaussian-process surrogate of the interface ({found['modes']} modes, {found['n_train']} runs) took the "
-            f"place of the model; its error where the posterior lies is {error:.2g} µm."
+            f"place of the model; its error where the posterior lies is {number(error, 2)} µm."
         )
     first = next(iter(s["measures"].values()))
     return f"A Gaussian-process surrogate of the log-likelihood ({first['n_train']} runs) took the place of the model."
@@ -162,7 +164,7 @@ def _checks(s: Mapping[str, Any]) -> Iterator[str]:
     if quadrature is not None and quadrature["converged"]:
         yield (
             "Means by quadrature of the same surrogate differ by at most "
-            f"{quadrature['max_mean_error_sd']:.2g} standard deviations."
+            f"{number(quadrature['max_mean_error_sd'], 2)} standard deviations."
         )
     if certificate is not None:
         check = certificate.get("check")
@@ -176,6 +178,6 @@ def _checks(s: Mapping[str, Any]) -> Iterator[str]:
         does = "does not explain" if misfit["flagged"] else "explains"
         known = [misfit[name] for name in ("p", "region_p", "smooth_p", "predictive_p") if misfit.get(name) is not None]
         least = (min(known) if misfit["flagged"] else misfit["p"]) if known else None
-        p = "" if least is None else f" (p = {least:.2g})"
+        p = "" if least is None else f" (p = {number(least, 2)})"
         allowed = " and the model error" if _model_error(s["likelihood"]) else ""
         yield f"The model {does} the observation within the noise{allowed}{p}."

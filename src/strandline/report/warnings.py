@@ -16,7 +16,7 @@ from strandline.likelihood.set_aside import says_whether_runs_succeed
 from strandline.parameters import Parameter
 from strandline.posterior import Posterior, Reading, prior_conflicts
 from strandline.posterior.quadrature import QuadratureResult, mixture
-from strandline.report.html import small_share
+from strandline.report.html import number, small_share
 from strandline.runs.ledger_schema import EXCLUDED
 from strandline.surrogate.feasibility import learn_feasibility
 from strandline.surrogate.field.odd import stopped_early
@@ -112,7 +112,7 @@ def reason_to_doubt(calibration: Calibration, check: Mapping[str, Any] | None = 
     if calibration.field is None and calibration.surrogate.validation.loo_rms_near_mode > LOO_LIMIT:
         error = calibration.surrogate.validation.loo_rms_near_mode
         how = calibration.surrogate.left_out
-        return f"its shape is in doubt, {how} error near the mode {error:.2g} in log-likelihood"
+        return f"its shape is in doubt, {how} error near the mode {number(error, 2)} in log-likelihood"
     return None
 
 
@@ -120,7 +120,7 @@ def _impossible(calibration: Calibration) -> Iterator[str]:
     highest = float(calibration.posterior.log_likelihood.max())
     if highest > ABOVE_ZERO:
         yield (
-            f"DO NOT TRUST THIS POSTERIOR: the surrogate predicts log-likelihoods up to {highest:.3g}, "
+            f"DO NOT TRUST THIS POSTERIOR: the surrogate predicts log-likelihoods up to {number(highest, 3)}, "
             "although none above 0 is possible. There are too few runs for such small noise: make many more, or state "
             "a larger noise."
         )
@@ -139,7 +139,7 @@ def _fit(calibration: Calibration) -> Iterator[str]:
         return
     chance = inferred.posterior.probability_of_model_error
     if chance > ERRS:
-        surely = f" with probability {chance:.2g}" if chance < NEARLY_SURE else ", almost surely"
+        surely = f" with probability {number(chance, 2)}" if chance < NEARLY_SURE else ", almost surely"
         yield (
             f"The model has an error{surely}. The posterior allows for it, but nothing is known of the error at other "
             "loads."
@@ -161,8 +161,8 @@ def noise_at_an_end(medians: Mapping[str, float], stated: UnknownErrors) -> Iter
         for end, value in zip(("lower", "upper"), given if isinstance(given, tuple) else (), strict=False):
             if abs(medians[name] / value - 1) < AT_THE_END:
                 yield (
-                    f"The inferred {words} of the noise lies at the {end} end of its range, {1e3 * value:.3g} µm: "
-                    "widen the range, or look for an error of the model."
+                    f"The inferred {words} of the noise lies at the {end} end of its range, "
+                    f"{number(1e3 * value, 3)} µm: widen the range, or look for an error of the model."
                 )
 
 
@@ -178,7 +178,7 @@ def _runs(calibration: Calibration) -> Iterator[str]:
     if hung and min(hung) > PATIENCE * longest:
         yield (
             f"Runs ended at their time limit ({len(hung)}, {sum(hung):.0f} s together), but no good run took longer "
-            f"than {longest:.2g} s: `timeout: {math.ceil(PATIENCE / 2 * longest)}` would save most of that."
+            f"than {number(longest, 2)} s: `timeout: {math.ceil(PATIENCE / 2 * longest)}` would save most of that."
         )
 
 
@@ -216,9 +216,9 @@ def _in_steps(calibration: Calibration) -> Iterator[str]:
         noise = sd_of_distances(seen, measure, good[0].interfaces[found.condition]) or noise_length(seen, measure)
         if found.step > STEPS * noise:
             yield (
-                f"The runs' {found.axis} comes in STEPS of {found.step:.3g} mm, {found.step / noise:.2g} times the "
-                "noise. No smooth surrogate follows them, so that the posterior may lie elsewhere and its width be "
-                "wrong: let the simulator print more digits."
+                f"The runs' {found.axis} comes in STEPS of {number(found.step, 3)} mm, "
+                f"{number(found.step / noise, 2)} times the noise. No smooth surrogate follows them, so that the "
+                "posterior may lie elsewhere and its width be wrong: let the simulator print more digits."
             )
 
 
@@ -266,7 +266,7 @@ def _surrogate(calibration: Calibration) -> Iterator[str]:
         remedy = "More runs will lower it, and so will the refined quadrature of the measure."
     if validation.loo_rms_near_mode > LOO_LIMIT:
         yield (
-            f"The surrogate's {how} error near the mode is {validation.loo_rms_near_mode:.2g} in "
+            f"The surrogate's {how} error near the mode is {number(validation.loo_rms_near_mode, 2)} in "
             f"log-likelihood (over {validation.near_mode_count} runs; above {LOO_LIMIT:g} the posterior's shape is in "
             f"doubt). {remedy}"
         )
@@ -310,9 +310,9 @@ def _cut(calibration: Calibration) -> Iterator[str]:
     error = float(np.sqrt(np.mean(validation.residuals[above] ** 2)))
     if error > max(LOO_LIMIT, validation.loo_rms_near_mode):
         yield (
-            f"The cut reading uses log-likelihoods down to {lowest:.3g}. Over the {int(above.sum())} runs above that, "
-            f"the surrogate's {calibration.surrogate.left_out} error is {error:.2g}, so that the cut reading is less "
-            "certain than the joint one."
+            f"The cut reading uses log-likelihoods down to {number(lowest, 3)}. Over the {int(above.sum())} runs above "
+            f"that, the surrogate's {calibration.surrogate.left_out} error is {number(error, 2)}, so that the cut "
+            "reading is less certain than the joint one."
         )
     if calibration.cut_quadrature is None:
         return
@@ -390,8 +390,8 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
     if max(shift, ratio) > EFFECT:
         by = f"by up to {np.expm1(ratio):.0%}" if ratio < TENFOLD else "more than tenfold"
         yield (
-            f"The surrogate's uncertainty about the interface moves means by up to {shift:.3g} standard deviations "
-            f"and changes standard deviations {by}. More runs will lower it."
+            f"The surrogate's uncertainty about the interface moves means by up to {number(shift, 3)} standard "
+            f"deviations and changes standard deviations {by}. More runs will lower it."
         )
     yield from likely_to_fail(1.0 - found.feasible)
     checked = None if certificate is None or certificate.checked is None else certificate.checked.check
@@ -404,7 +404,7 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
         yield (
             "The runs' interfaces do not share their nodes and were brought to common points by "
             f"{' and '.join(way for way in surrogate.ways if way != 'nodes')}, which moves them by up to "
-            f"{1e3 * surrogate.registration_error:.2g} µm."
+            f"{number(1e3 * surrogate.registration_error, 2)} µm."
         )
 
 
@@ -429,6 +429,7 @@ def _unsure_cut(calibration: Calibration, found: FieldOutcome) -> Iterator[str]:
     if unsure.any():
         yield (
             f"The cut reading is a guess for {int(unsure.sum())} of its {len(cut.values)} values of the nuisance "
-            f"inputs: runs are rare there, and the interface is uncertain by up to {1e3 * of_value.max():.2g} µm where "
-            f"the local noise hides {1e3 * hidden:.2g} µm. The joint reading does not depend on them."
+            "inputs: runs are rare there, and the interface is uncertain by up to "
+            f"{number(1e3 * of_value.max(), 2)} µm where the local noise hides {number(1e3 * hidden, 2)} µm. The joint "
+            "reading does not depend on them."
         )

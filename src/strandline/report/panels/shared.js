@@ -28,8 +28,7 @@ export function tell(name) {
 
 export function figure(value, digits = 4) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
-  const size = Math.abs(value);
-  if (size !== 0 && (size < 1e-4 || size >= 1e6)) return value.toExponential(digits - 1);
+  if (Math.abs(value) >= 1e6) return value.toExponential(digits - 1);
   return String(Number(value.toPrecision(digits)));
 }
 
