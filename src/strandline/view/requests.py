@@ -5,6 +5,7 @@ machine. A page whose domain points to this address (DNS rebinding) is recognise
 the token.
 """
 
+import asyncio
 import hmac
 import ipaddress
 import json
@@ -231,8 +232,8 @@ class _Events(_Guarded):
                 self.write(f"data: {state}\n\n" if new != rings else ": alive\n\n")
                 rings = new
                 await self.flush()
-        except StreamClosedError:
-            return
+        except (StreamClosedError, asyncio.CancelledError):
+            return  # cancelled when the server stops: Tornado would complain that it cannot send an error any more
         finally:
             session.streams -= 1
 

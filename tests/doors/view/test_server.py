@@ -1,5 +1,6 @@
 """The server of the page: whom it answers, what it refuses, and how it notices what changes."""
 
+import asyncio
 import json
 import socket
 import time
@@ -13,6 +14,7 @@ import pytest
 import strandline as sl
 from strandline.testing.studies import write_study
 from strandline.view import NotebookPage, Server, serving, show
+from strandline.view.session import Session
 
 
 def until(what: Callable[[], Any]) -> Any:
@@ -89,6 +91,22 @@ def test_a_notebook_shows_the_page(unrun: Server) -> None:
     finally:
         shown.close()
     assert "closed" in repr(shown)
+
+
+@pytest.mark.smoke
+def test_a_stream_that_is_still_open_when_the_server_stops_ends_in_silence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def never(session: Session, rings: int) -> int:
+        await asyncio.Event().wait()
+        return rings
+
+    monkeypatch.setattr(Session, "heard", never)
+    study = sl.load_study(write_study(tmp_path / "beam"))
+    with serving(study) as server, httpx.stream("GET", f"{server.url}events", timeout=60) as stream:
+        assert next(told(stream))["problem"] == ""
+        server.stop()
+    assert caplog.messages == []
 
 
 @pytest.fixture
