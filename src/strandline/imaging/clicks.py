@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.errors import InvalidInput
-from strandline.imaging.checked import content_of, keys_of, named, number, unfit
 from strandline.imaging.first_path import as_points, require_inside, require_path, require_polygon
+from strandline.readers.checked import content_of, keys_of, named, number, unfit
 from strandline.registry import suggestion
 
 Point = tuple[float, float]

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from strandline.imaging.checked import unfit
 from strandline.imaging.course import SmoothPath
 from strandline.imaging.first_path import require_finite, require_inside, require_simple
 from strandline.imaging.located import Located
 from strandline.imaging.strip import GreyValues
+from strandline.readers.checked import unfit
 
 LEAST_SD = 0.01
 """Smallest standard deviation of a point, px: no picture shows an edge more closely."""

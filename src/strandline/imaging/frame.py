@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.imaging.checked import keys_of, number, numbers, unfit, word
 from strandline.imaging.registration import Registration
+from strandline.readers.checked import keys_of, number, numbers, unfit, word
 
 SIGN_X = {"right": 1.0, "left": -1.0}
 SIGN_Y = {"up": -1.0, "down": 1.0}

@@ -14,12 +14,12 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from strandline.discrepancy.repeats import Repeats, errors_from_repeats
-from strandline.imaging.checked import named
 from strandline.imaging.edge import Edge
 from strandline.imaging.edge_checks import require_edge
 from strandline.imaging.picture import Picture
 from strandline.imaging.strip import grey_values
 from strandline.interface import Interface, PointErrors
+from strandline.readers.checked import named
 
 MOST = 30
 """Most frames in which the edge is found."""

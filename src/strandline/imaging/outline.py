@@ -17,7 +17,7 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
 
 from strandline.errors import InvalidInput
-from strandline.imaging.checked import unfit
+from strandline.readers.checked import unfit
 
 NODES = 400
 """Nodes of the outline."""

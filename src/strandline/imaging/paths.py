@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from strandline.imaging.checked import content_of, named, unfit
 from strandline.imaging.first_path import FirstPath, require_inside, require_path
 from strandline.readers.chains import require_in_order
+from strandline.readers.checked import content_of, named, unfit
 from strandline.readers.tables import outlines
 from strandline.text import decimal
 

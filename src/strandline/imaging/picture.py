@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from strandline.imaging.checked import unfit
 from strandline.imaging.reading import PixelSize
+from strandline.readers.checked import unfit
 from strandline.readers.contents import refused
 
 MOST_PIXELS = 400_000_000

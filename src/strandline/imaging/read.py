@@ -13,13 +13,13 @@ import numpy as np
 from jaxtyping import Shaped
 
 from strandline.errors import InvalidInput
-from strandline.imaging.checked import unfit
 from strandline.imaging.files.plain import read_by_pillow, read_hdf5, read_npy
 from strandline.imaging.files.thorlabs import read_oct
 from strandline.imaging.files.tiff import read_tiff
 from strandline.imaging.linear import intensity
 from strandline.imaging.picture import Picture, PictureFile, Stack, require_pixels
 from strandline.imaging.reading import PictureReading, PixelSize, agreed
+from strandline.readers.checked import unfit
 from strandline.readers.contents import refused
 from strandline.registry import imported, suggestion
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from strandline.imaging.checked import keys_of, number, unfit, word
+from strandline.readers.checked import keys_of, number, unfit, word
 from strandline.readers.contents import refused
 from strandline.readers.options import TO_MM
 from strandline.registry import imported

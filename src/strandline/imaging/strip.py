@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import map_coordinates
 
-from strandline.imaging.checked import unfit
 from strandline.imaging.course import SmoothPath
+from strandline.readers.checked import unfit
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,14 +1,12 @@
 """How to read a file: the options of `observation` and of a command's `result`."""
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import PurePosixPath
 from typing import Any
 
-from strandline.errors import InvalidInput
+from strandline.readers.checked import is_finite, keys_of, numbers, unfit, word
 from strandline.registry import imported
 
 TO_MM = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "m": 1e3}
@@ -82,18 +80,12 @@ class Reading:
     @classmethod
     def from_options(cls, options: object, place: str) -> "Reading":
         """Return the reading that a study file asks for at `place`."""
-        if not isinstance(options, Mapping):
-            raise _unfit(place, options, "keys with values, e.g. {file: interface.csv, unit: mm}")
         known = [f.name for f in dataclasses.fields(cls)]
-        for name in options:
-            if name not in known:
-                close = get_close_matches(str(name), known, n=1)
-                hint = f"Did you mean {close[0]}?" if close else f"Remove {name}."
-                raise _unfit(f"{place}: unknown option", name, f"one of {', '.join(known)}", hint)
+        given = keys_of(options, known, place, "{file: interface.csv, unit: mm}")
+        values = {name: _frozen(value) for name, value in given.items() if value is not None}
         for name in ("file", "unit"):
-            if options.get(name) is None:
-                raise _unfit(f"{place}.{name}", None, "this option", f"Add `{name}: …` to {place}.")
-        values = {name: _frozen(value) for name, value in options.items() if value is not None}
+            if name not in values:
+                raise unfit(f"{place}.{name}", None, "this option", f"Add `{name}: …` to {place}.")
         reading = _checked_types(values, place)
         reading.require_sound(place)
         return reading
@@ -125,16 +117,14 @@ class Reading:
 
     def require_sound(self, place: str) -> None:
         """Refuse options that do not fit the format."""
-        if self.unit not in TO_MM:
-            raise _unfit(f"{place}.unit", self.unit, f"one of {', '.join(TO_MM)}")
-        if self.plane not in PLANES:
-            raise _unfit(f"{place}.plane", self.plane, f"one of {', '.join(PLANES)}")
+        word(self.unit, TO_MM, f"{place}.unit")
+        word(self.plane, PLANES, f"{place}.plane")
         if self.reader is not None and not callable(imported(self.reader, f"{place}.reader")):
-            raise _unfit(f"{place}.reader", self.reader, "a function (path, reading, name) -> Contents")
+            raise unfit(f"{place}.reader", self.reader, "a function (path, reading, name) -> Contents")
         if self.decimal == "," == self.delimiter:
-            raise _unfit(f"{place}.delimiter", ",", "another one than the decimal comma, e.g. ;")
+            raise unfit(f"{place}.delimiter", ",", "another one than the decimal comma, e.g. ;")
         if self.near is not None and self.keep is not None:
-            raise _unfit(place, "near and keep", "one of the two")
+            raise unfit(place, "near and keep", "one of the two")
         allowed = OF_TABLES if self.is_table else OF_MESHES
         if self.is_table and self.suffix not in ONE_TIME:
             allowed = allowed | {"plane", "time"}
@@ -144,11 +134,11 @@ class Reading:
             allowed = OF_TABLES | OF_MESHES | {"time"}
         for name in self.given:
             if name not in allowed:
-                raise _unfit(
+                raise unfit(
                     f"{place}.{name}", self.given[name], f"no such option for a {self.suffix or 'nameless'} file"
                 )
         if self.field is not None and self.reader is None and isinstance(self.field, str) == self.is_table:
-            raise _unfit(
+            raise unfit(
                 f"{place}.field",
                 self.field,
                 "two columns, e.g. [ux, uy]" if self.is_table else "the name of point data",
@@ -159,30 +149,31 @@ def _checked_types(values: dict[str, Any], place: str) -> Reading:
     """Return the reading after a check of the type of each option."""
     for name in ("file", "unit", "delimiter", "plane", "reader"):
         if not isinstance(values.get(name, ""), str):
-            raise _unfit(f"{place}.{name}", values[name], "a text")
+            raise unfit(f"{place}.{name}", values[name], "a text")
     for name, words in (("sort", ("x", "y")), ("keep", ("longest",)), ("decimal", (".", ","))):
         if name in values and values[name] not in words:
-            raise _unfit(f"{place}.{name}", values[name], " or ".join(words))
+            raise unfit(f"{place}.{name}", values[name], " or ".join(words))
     if not isinstance(values.get("closed", True), bool):
-        raise _unfit(f"{place}.closed", values["closed"], "true or false")
+        raise unfit(f"{place}.closed", values["closed"], "true or false")
     if "sd" in values and not _is_column(values["sd"]):
-        raise _unfit(f"{place}.sd", values["sd"], "a column, by name or by number from 1")
+        raise unfit(f"{place}.sd", values["sd"], "a column, by name or by number from 1")
     if "delimiter" in values and len(values["delimiter"]) != 1:
-        raise _unfit(f"{place}.delimiter", values["delimiter"], "one character")
+        raise unfit(f"{place}.delimiter", values["delimiter"], "one character")
     _check_columns(values, "columns", place)
     if not isinstance(values.get("field", ""), str):
         _check_columns(values, "field", place)
     for name in ("near", "start"):
         if name in values:
-            values[name] = _numbers(values[name], f"{place}.{name}", (2, 3))
+            size = 3 if isinstance(values[name], tuple) and len(values[name]) == 3 else 2
+            values[name] = numbers(values[name], size, f"{place}.{name}", "2 or 3 numbers")
     for name in ("cells", "points"):
         found = values.get(name, {"": 0})
         if not (isinstance(found, Mapping) and len(found) == 1 and all(_is_value(v) for v in found.values())):
-            raise _unfit(f"{place}.{name}", found, "the name of data with a number, e.g. {region: 3}")
+            raise unfit(f"{place}.{name}", found, "the name of data with a number, e.g. {region: 3}")
     if not (isinstance(values.get("block", 0), int | str) and not isinstance(values.get("block"), bool)):
-        raise _unfit(f"{place}.block", values["block"], "a number from 0, or a kind of cells such as line")
+        raise unfit(f"{place}.block", values["block"], "a number from 0, or a kind of cells such as line")
     if not (type(values.get("count", 2)) is int and values.get("count", 2) >= 2):
-        raise _unfit(f"{place}.count", values["count"], "a number of points, at least 2")
+        raise unfit(f"{place}.count", values["count"], "a number of points, at least 2")
     if "select" in values:
         values["select"] = _box(values["select"], f"{place}.select")
     if "hide" in values:
@@ -197,7 +188,7 @@ def _check_columns(values: Mapping[str, Any], name: str, place: str) -> None:
     found = values.get(name, (1, 2))
     fits = isinstance(found, tuple) and len(found) == 2 and found[0] != found[1]
     if not fits or not all(map(_is_column, found)):
-        raise _unfit(f"{place}.{name}", found, "two columns, by name or by number from 1, e.g. [x, y] or [1, 2]")
+        raise unfit(f"{place}.{name}", found, "two columns, by name or by number from 1, e.g. [x, y] or [1, 2]")
 
 
 def _is_column(found: object) -> bool:
@@ -209,33 +200,23 @@ def _check_time(found: object, place: str) -> None:
         return
     if isinstance(found, Mapping) and len(found) == 1:
         (name, value) = next(iter(found.items()))
-        if (name == "index" and type(value) is int and value >= 0) or (name == "value" and _is_number(value)):
+        if (name == "index" and type(value) is int and value >= 0) or (name == "value" and is_finite(value)):
             return
-    raise _unfit(place, found, "last, {index: 0} or {value: 0.5}")
+    raise unfit(place, found, "last, {index: 0} or {value: 0.5}")
 
 
 def _box(found: object, place: str) -> dict[str, tuple[float, float]]:
     if not (isinstance(found, Mapping) and found and set(found) <= set("xyz")):
-        raise _unfit(place, found, "intervals of x, y or z, e.g. {x: [0, 1]}")
-    box = {name: _numbers(interval, f"{place}.{name}", (2,)) for name, interval in found.items()}
+        raise unfit(place, found, "intervals of x, y or z, e.g. {x: [0, 1]}")
+    box = {name: numbers(interval, 2, f"{place}.{name}", "2 numbers") for name, interval in found.items()}
     for name, (low, high) in box.items():
         if not low <= high:
-            raise _unfit(f"{place}.{name}", [low, high], "[low, high]")
+            raise unfit(f"{place}.{name}", [low, high], "[low, high]")
     return {name: (low, high) for name, (low, high) in box.items()}
 
 
-def _numbers(found: object, place: str, lengths: tuple[int, ...]) -> tuple[float, ...]:
-    if not (isinstance(found, tuple) and len(found) in lengths and all(_is_number(v) for v in found)):
-        raise _unfit(place, found, f"{' or '.join(map(str, lengths))} numbers")
-    return tuple(float(v) for v in found)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
 def _is_value(value: object) -> bool:
-    return _is_number(value) or (isinstance(value, tuple) and bool(value) and all(_is_number(v) for v in value))
+    return is_finite(value) or (isinstance(value, tuple) and bool(value) and all(is_finite(v) for v in value))
 
 
 def _frozen(value: object) -> Any:
@@ -243,7 +224,3 @@ def _frozen(value: object) -> Any:
     if isinstance(value, list | tuple):
         return tuple(_frozen(item) for item in value)
     return {k: _frozen(v) for k, v in value.items()} if isinstance(value, Mapping) else value
-
-
-def _unfit(what: str, value: object, expected: str, remedy: str = "") -> InvalidInput:
-    return InvalidInput(what, value=value, expected=expected, remedy=remedy or f"Correct {what.partition(':')[0]}.")

@@ -13,9 +13,9 @@ from xml.etree import ElementTree
 import numpy as np
 from jaxtyping import Shaped
 
-from strandline.imaging.checked import unfit
 from strandline.imaging.picture import PictureFile, require_pixels
 from strandline.imaging.reading import PictureReading, PixelSize
+from strandline.readers.checked import unfit
 from strandline.readers.contents import refused
 
 MIN_IS_WHITE, MIN_IS_BLACK, RGB = 0, 1, 2

@@ -10,8 +10,8 @@ from scipy.ndimage import gaussian_filter
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from strandline.imaging.checked import unfit
 from strandline.imaging.surfaces.mesh import Mesh
+from strandline.readers.checked import unfit
 
 _BINS = 256
 _EVERY = 1 << 20

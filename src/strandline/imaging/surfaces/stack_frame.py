@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from strandline.imaging.checked import keys_of, number, numbers, unfit, word
 from strandline.imaging.frame import frame_options
 from strandline.imaging.reading import UNITS
 from strandline.imaging.surfaces.mesh import Mesh
 from strandline.interface import Interface
+from strandline.readers.checked import keys_of, number, numbers, unfit, word
 
 SIGNS: dict[str, dict[str, float]] = {
     "x": {"right": 1.0, "left": -1.0},

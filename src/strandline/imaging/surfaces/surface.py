@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from strandline.imaging.checked import unfit
 from strandline.imaging.picture import Stack
 from strandline.imaging.surfaces.levels import Field, field_of, largest_part, level_surface, two_levels
 from strandline.imaging.surfaces.mesh import Mesh, thinned
@@ -26,6 +25,7 @@ from strandline.imaging.surfaces.surface_errors import (
     surface_errors,
 )
 from strandline.interface.triangles import vector_areas
+from strandline.readers.checked import unfit
 
 PASSES = 3
 FEWEST, FEWEST_LEFT = 100, 10

@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from strandline.imaging.checked import unfit
 from strandline.imaging.surfaces.levels import Field
 from strandline.imaging.surfaces.mesh import Mesh
 from strandline.imaging.surfaces.profiles import PLATEAU, Profiles, frames, sampled
+from strandline.readers.checked import unfit
 
 BIAS = 0.1
 """Standard deviation of a common offset where the surface is flat, in sides of a voxel."""

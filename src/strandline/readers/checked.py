@@ -1,4 +1,4 @@
-"""Checks of what a study gives for a picture, options and files; a mistake is one line."""
+"""Checks of what a study gives, options and files; a mistake is one line."""
 
 import math
 import sys
