@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.imaging.first_path import FirstPath, require_inside, require_path
-from strandline.readers.chains import require_in_order
+from strandline.readers.cells import require_in_order
 from strandline.readers.checked import content_of, named, unfit
 from strandline.readers.tables import outlines
 from strandline.text import decimal

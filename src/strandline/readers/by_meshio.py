@@ -24,6 +24,8 @@ MEDIT = re.compile(rb"(Dimension|Vertices|Edges|Triangles|Quadrilaterals|Tetrahe
 """Sections of a Medit file that are read."""
 READS_AT_END = 100
 """Attempts to read past the end after which a PLY file counts as cut off; its reader would go on forever."""
+CELLS = {"VERTICES": 2, "LINES": POLYLINE, "POLYGONS": POLYGON, "TRIANGLE_STRIPS": STRIP}
+TYPES = {"float": "f4", "double": "f8", "unsigned_char": "u1", "int": "i4", "vtkidtype": "i4", "vtktypeint64": "i8"}
 
 
 def read_by_meshio(path: Path, how: Reading, name: str) -> Contents:
@@ -124,10 +126,6 @@ def converted(mesh: Any) -> Contents:
         tuple(blocks),
         {name: np.asarray(v) for name, v in mesh.point_data.items()},
     )
-
-
-CELLS = {"VERTICES": 2, "LINES": POLYLINE, "POLYGONS": POLYGON, "TRIANGLE_STRIPS": STRIP}
-TYPES = {"float": "f4", "double": "f8", "unsigned_char": "u1", "int": "i4", "vtkidtype": "i4", "vtktypeint64": "i8"}
 
 
 def read_legacy(path: Path, how: Reading, name: str) -> Contents:

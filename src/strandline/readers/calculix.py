@@ -23,6 +23,7 @@ KINDS |= {"8": "triangle6", "9": "quad", "10": "quad8", "11": "line", "12": "lin
 """Numbers of kinds of elements → their names."""
 MIDDLES = [*range(12), *range(16, 20), *range(12, 16)]
 """A hexahedron with 20 nodes lists the middles of its upright edges before those above."""
+STEP = re.compile(r"^\*Step *=.*\n\*Time *=(.*)\n\*Data *=(.*)\n([^*]*)", re.MULTILINE)
 
 
 def read_dat(path: Path, how: Reading, name: str) -> Contents:
@@ -96,9 +97,6 @@ def _blocks(lines: list[str], order: dict[int, int]) -> tuple[Block, ...]:
     if "hexahedron20" in blocks:
         blocks["hexahedron20"] = blocks["hexahedron20"][:, MIDDLES]
     return tuple(Block(kind, elements) for kind, elements in blocks.items())
-
-
-STEP = re.compile(r"^\*Step *=.*\n\*Time *=(.*)\n\*Data *=(.*)\n([^*]*)", re.MULTILINE)
 
 
 def read_febio(path: Path, how: Reading, name: str) -> Contents:

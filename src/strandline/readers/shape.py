@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from strandline.interface import Interface
 from strandline.interface.triangles import signed_volume, vector_areas
 from strandline.readers import cells
-from strandline.readers.chains import Chain, chains, chosen_chain, require_clear_ends, require_in_order
+from strandline.readers.cells import Chain, chains, chosen_chain, require_clear_ends, require_in_order
 from strandline.readers.contents import Block, Contents, refused
 from strandline.readers.options import Reading
 from strandline.readers.tables import SD

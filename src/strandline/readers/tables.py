@@ -46,6 +46,9 @@ MOST_COORDINATES = 3
 """Most rows that may be coordinates instead of points."""
 SHORTEST_PIECE = 3
 """Fewest points of each piece that a column of whole numbers tells apart."""
+CLOSED = {"polygon": True, "linestrip": False, "line": False}
+CLOSED |= {"Polygon": True, "MultiPolygon": True, "LineString": False, "MultiLineString": False}
+"""Shapes of labelme and geometries of GeoJSON → whether they are closed."""
 
 
 @dataclass(frozen=True)
@@ -408,9 +411,6 @@ def _quoted(title: str) -> str:
     return title if re.fullmatch(r"[^\W\d][\w-]*", title) else f'"{title}"'
 
 
-CLOSED = {"polygon": True, "linestrip": False, "line": False}
-CLOSED |= {"Polygon": True, "MultiPolygon": True, "LineString": False, "MultiLineString": False}
-"""Shapes of labelme and geometries of GeoJSON → whether they are closed."""
 DrawnLine = tuple[Float[np.ndarray, "point 2"], bool]
 
 

@@ -22,6 +22,34 @@ from strandline.readers.options import Reading
 ALWAYS_BYTES = 64 * 10**6
 PER_BYTE = 20
 """Meshes and their data shrink by a factor of 2 to 10."""
+UNPACKERS: dict[str, Callable[[], Any]] = {
+    "vtkZLibDataCompressor": zlib.decompressobj,
+    "vtkLZMADataCompressor": partial(lzma.LZMADecompressor, memlimit=4 * ALWAYS_BYTES),
+}
+"""Names of compressors in VTK's files → functions that make what unpacks their data."""
+KINDS = {
+    3: "line",
+    5: "triangle",
+    8: "pixel",
+    9: "quad",
+    10: "tetra",
+    11: "voxel",
+    12: "hexahedron",
+    13: "wedge",
+    14: "pyramid",
+    21: "line3",
+    22: "triangle6",
+    23: "quad8",
+    24: "tetra10",
+    25: "hexahedron20",
+    28: "quad9",
+}
+"""VTK's numbers of cell types → their names."""
+OF_ORDER = {(68, 2): "line", (68, 3): "line3", (69, 3): "triangle", (69, 6): "triangle6", (70, 4): "quad"}
+OF_ORDER |= {(70, 9): "quad9", (71, 4): "tetra", (71, 10): "tetra10"}
+"""Lagrange cells by VTK's number and number of nodes."""
+POLYLINE, STRIP, POLYGON = 4, 6, 7
+POINT_LIKE = (0, 1, 2)
 
 
 class Allowance:
@@ -55,13 +83,6 @@ class Allowance:
         if not unpacker.eof:
             raise ValueError("its compressed data are cut off")
         return found
-
-
-UNPACKERS: dict[str, Callable[[], Any]] = {
-    "vtkZLibDataCompressor": zlib.decompressobj,
-    "vtkLZMADataCompressor": partial(lzma.LZMADecompressor, memlimit=4 * ALWAYS_BYTES),
-}
-"""Names of compressors in VTK's files → functions that make what unpacks their data."""
 
 
 @dataclass(frozen=True)
@@ -188,31 +209,6 @@ def _decoded(stream: bytes, encoding: Encoding, *, raw: bool) -> bytes:
         return b"".join(encoding.allowance.unpacked(encoding.unpacker(), part) for part in parts)
     except (zlib.error, lzma.LZMAError) as error:
         raise ValueError(f"its compressed data are damaged ({error})") from None
-
-
-KINDS = {
-    3: "line",
-    5: "triangle",
-    8: "pixel",
-    9: "quad",
-    10: "tetra",
-    11: "voxel",
-    12: "hexahedron",
-    13: "wedge",
-    14: "pyramid",
-    21: "line3",
-    22: "triangle6",
-    23: "quad8",
-    24: "tetra10",
-    25: "hexahedron20",
-    28: "quad9",
-}
-"""VTK's numbers of cell types → their names."""
-OF_ORDER = {(68, 2): "line", (68, 3): "line3", (69, 3): "triangle", (69, 6): "triangle6", (70, 4): "quad"}
-OF_ORDER |= {(70, 9): "quad9", (71, 4): "tetra", (71, 10): "tetra10"}
-"""Lagrange cells by VTK's number and number of nodes."""
-POLYLINE, STRIP, POLYGON = 4, 6, 7
-POINT_LIKE = (0, 1, 2)
 
 
 def read_vtk_xml(path: Path, how: Reading, name: str) -> Contents:

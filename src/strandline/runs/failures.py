@@ -34,6 +34,13 @@ COMMON_KINDS = (
     "no_common_points",
 )
 """Kinds of failure of any model, in addition to those that the model itself defines."""
+UNREACHED = "connection"
+"""Failure kind of a run that did not reach its server."""
+IN_A_ROW = 3
+"""Runs in a row that do not reach the server before the campaign asks whether it answers."""
+PAUSE_SECONDS = 5.0
+PAUSES = 120
+"""How often the campaign waits for a server that has made one of its runs: ten minutes, since a restart takes some."""
 
 
 @dataclass(frozen=True)
@@ -180,15 +187,6 @@ def require_kinds(again: Iterable[str], known: Iterable[str]) -> None:
                 expected=f"one of {', '.join(present)}" if present else "a failed run; there is none",
                 remedy="`strandline status` lists the kinds and how many there are.",
             )
-
-
-UNREACHED = "connection"
-"""Failure kind of a run that did not reach its server."""
-IN_A_ROW = 3
-"""Runs in a row that do not reach the server before the campaign asks whether it answers."""
-PAUSE_SECONDS = 5.0
-PAUSES = 120
-"""How often the campaign waits for a server that has made one of its runs: ten minutes, since a restart takes some."""
 
 
 class Outages:

@@ -26,6 +26,8 @@ OUTCOME_COLUMNS = (
 MARKS = ",".join("?" * (OUTCOME_COLUMNS.count(",") + 3))
 ARRAY_COLUMNS = "role, condition, input, shape, data"
 ARRAY_MARKS = ",".join("?" * (ARRAY_COLUMNS.count(",") + 2))
+MOST = 5
+"""Maximum number of damaged runs to name."""
 
 
 def inputs_text(inputs: Mapping[str, float]) -> str:
@@ -121,10 +123,6 @@ def _checksum(key: str, inputs: str, values: tuple[Any, ...], arrays: Sequence[t
         part = value if isinstance(value, bytes) else repr(value).encode()
         digest.update(f"{len(part)}:".encode() + part)
     return digest.hexdigest()
-
-
-MOST = 5
-"""Maximum number of damaged runs to name."""
 
 
 def unsound(path: Path) -> Iterator[str]:

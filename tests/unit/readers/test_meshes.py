@@ -9,7 +9,7 @@ from tests.unit.readers.reads import read, refused
 
 from strandline.errors import InvalidInput
 from strandline.readers import READERS, Unreadable
-from strandline.readers.chains import Chain, _directed
+from strandline.readers.cells import Chain, _directed
 from strandline.readers.vtk_xml import _parts
 
 NX, NY = 4, 2

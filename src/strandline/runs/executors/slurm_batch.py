@@ -35,6 +35,10 @@ from strandline.runs.record import RunRecord, RunRequest
 
 HEADER = b"strandline run 1 "
 PLAIN = ("key", "inputs", "state", "diagnostics", "seconds", "failure_kind", "message", "log")
+BATCH = "batch.json"
+VERSION = 1
+ANSWER_SECONDS = 120.0
+DEFAULT_LARGEST_ARRAY = 1001
 
 
 def write_run(path: Path, record: RunRecord) -> None:
@@ -97,10 +101,6 @@ def _damaged(path: Path, how: str) -> InvalidInput:
     return InvalidInput(
         f"the result of a run in {path}", value=how, expected="what was written", remedy="The run is made again."
     )
-
-
-BATCH = "batch.json"
-VERSION = 1
 
 
 @dataclass(frozen=True)
@@ -216,10 +216,6 @@ def known_batches(parent: Path) -> Iterable[ArrayBatch]:
         with suppress(FileNotFoundError):
             batches.append(ArrayBatch.read(path.parent))
     yield from sorted(batches, key=lambda batch: batch.created)
-
-
-ANSWER_SECONDS = 120.0
-DEFAULT_LARGEST_ARRAY = 1001
 
 
 class SlurmUnreachable(InvalidInput):
