@@ -85,15 +85,6 @@ class GaussianProcess:
 
     def _blocks(self, x: Float[np.ndarray, "point dim"]) -> Iterator[tuple[slice, Float[np.ndarray, "block run dim"]]]:
         """Yield rows of x with their offsets from the training points, in length scales."""
-        self._require_dim(x)
-        points = (x - self.shift) / (self.scale * self.length_scale)
-        train = self.x_train / self.length_scale
-        size = max(1, _PAIRS_PER_BLOCK // len(train))
-        for start in range(0, len(x), size):
-            rows = slice(start, min(start + size, len(x)))
-            yield rows, points[rows, None, :] - train
-
-    def _require_dim(self, x: Float[np.ndarray, "point d"]) -> None:
         if x.shape[1] != self.dim:
             raise InvalidInput(
                 "points for the Gaussian process",
@@ -101,6 +92,12 @@ class GaussianProcess:
                 expected=f"{self.dim} columns, as in the training runs",
                 remedy="Pass physical points, one row each, inputs in the order of the training.",
             )
+        points = (x - self.shift) / (self.scale * self.length_scale)
+        train = self.x_train / self.length_scale
+        size = max(1, _PAIRS_PER_BLOCK // len(train))
+        for start in range(0, len(x), size):
+            rows = slice(start, min(start + size, len(x)))
+            yield rows, points[rows, None, :] - train
 
 
 def standardisation(

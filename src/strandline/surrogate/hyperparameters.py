@@ -208,14 +208,21 @@ def fit_hyperparameters(
     )
 
 
-def require_runs(x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " run"]) -> None:
+def require_runs(x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " target"]) -> None:
     """Refuse training data that no surrogate can be fitted to.
 
     Raises:
         TooFewRuns: fewer than dim + 2 runs.
-        InvalidInput: a value that is not finite.
+        InvalidInput: a value that is not finite, or other numbers of inputs and of targets.
         NumericsError: constant targets.
     """
+    if len(x) != len(y):
+        raise InvalidInput(
+            "training data of the surrogate",
+            value=f"{len(x)} inputs and {len(y)} log-likelihoods",
+            expected="one log-likelihood for each run",
+            remedy="Pass the successful runs only, in the same order.",
+        )
     if len(y) < x.shape[1] + 2:
         raise TooFewRuns(
             "training of the surrogate",

@@ -175,7 +175,6 @@ def fit_log_likelihood(
         InvalidInput: values that are not finite, an input that does not vary, or an unknown kernel.
         NumericsError: constant log-likelihoods, or hyperparameters that could not be found.
     """
-    _require_one_each(x, log_likelihood)
     require_runs(x, log_likelihood)
     correlation = kernel_named(kernel)
     shift, scale = standardisation(x)
@@ -200,7 +199,6 @@ def fit_of_the_user(x: Inputs, log_likelihood: Float[np.ndarray, " target"], fit
         TooFewRuns: fewer than dim + 2 runs.
         InvalidInput: values that are not finite, or the function returns something that is not a surrogate.
     """
-    _require_one_each(x, log_likelihood)
     require_runs(x, log_likelihood)
     learn = partial(_learnt, fit)
     return LogLikelihoodSurrogate(learn(x, log_likelihood), cross_validate(learn, x, log_likelihood), None)
@@ -216,13 +214,3 @@ def _learnt(fit: Fit, x: Inputs, y: Values) -> Predictor:
             remedy="Check it with strandline.testing.surrogates.",
         )
     return found
-
-
-def _require_one_each(x: Inputs, y: Float[np.ndarray, " other"]) -> None:
-    if len(x) != len(y):
-        raise InvalidInput(
-            "training data of the surrogate",
-            value=f"{len(x)} inputs and {len(y)} log-likelihoods",
-            expected="one log-likelihood for each run",
-            remedy="Pass the successful runs only, in the same order.",
-        )
