@@ -167,7 +167,10 @@ MISTAKES = [
     ({"path": [[1, 1], [2, 2], [2, 2], [3, 1]]}, "points 2 and 3 coincide"),
     ({"path": [[1, 1], [9, 2], [4, 8], [1, 1]], "closed": True}, "points 4 and 1 coincide"),
     ({"path": [[1, 1], [2, 2], [99.6, 3]]}, r"point 3 is outside the picture: .*-0.5 to 99.5 and y from -0.5 to 79.5"),
+    ({"path": [[1, 1], [2, 10**400], [3, 3]]}, "the path: point 2 is not finite"),
     ({"scale": {**BAR, "to": [1, 1]}}, "scale bar of no length"),
+    ({"scale": {**BAR, "length_mm": 10**400}}, "length of the scale bar"),
+    ({"scale": {"from": [1, 1], "length_mm": 1}}, "scale bar: to is missing"),
     ({"exclude": [SQUARE, SQUARE[:2]]}, "exclude: region 2 has too few points: got 2"),
 ]
 
