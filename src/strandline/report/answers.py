@@ -8,7 +8,7 @@ import numpy as np
 from strandline.posterior.uniformity import Band
 from strandline.report import plots
 from strandline.report.figure_files import Captioned
-from strandline.report.plots.comparison import input_label
+from strandline.report.plots.comparison import axis_label
 from strandline.typeset import figure_text
 
 MOST_CANDIDATES = 20
@@ -123,7 +123,7 @@ def draw_specimens(content: Mapping[str, Any]) -> Iterator[Captioned]:
     """Yield the intervals of each input of specimens.json, and its density in the population."""
     specimens, population = content["specimens"], content["population"]
     for name, item in content["inputs"].items() if specimens else ():
-        label, caption = input_label(item), ALONE if population is None else OF_SPECIMENS
+        label, caption = axis_label(item), ALONE if population is None else OF_SPECIMENS
         axes = plots.plot_caterpillar(specimens, name, label)
         yield Captioned(f"specimens_intervals_{name}", "specimens", caption.format(item["label"]), axes)
         if population is not None:
@@ -141,5 +141,5 @@ def draw_what_if(content: Mapping[str, Any]) -> Iterator[Captioned]:
         for one in content["alternatives"]
         if one["by"] is not None
     ]
-    figure = plots.plot_alternatives({input_label(item): item for item in inputs.values()}, alternatives)
+    figure = plots.plot_alternatives({axis_label(item): item for item in inputs.values()}, alternatives)
     yield Captioned("what_if", "what_if", ALTERNATIVES.format(**content["limits"]), figure)

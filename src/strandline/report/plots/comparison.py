@@ -128,11 +128,11 @@ def plot_model_marginals(one: Mapping[str, Any], *, ax: Axes | None = None) -> A
             ax.stairs(density, edges, color=colour, linewidth=1.4, label=name.replace("$", r"\$"))
         ax.stairs(histogram["averaged"], edges, color=style.BLACK, linewidth=1.6, linestyle="--", label="averaged")
         around = MARGIN * (edges[-1] - edges[0])  # a step at an end would seem to be cut off
-        ax.set(xlabel=input_label(one), ylabel="density", xlim=(edges[0] - around, edges[-1] + around), ylim=(0, None))
+        ax.set(xlabel=axis_label(one), ylabel="density", xlim=(edges[0] - around, edges[-1] + around), ylim=(0, None))
     return ax
 
 
-def input_label(item: Mapping[str, Any]) -> str:
+def axis_label(item: Mapping[str, Any]) -> str:
     """Return the label of an input with its unit, for Matplotlib."""
     unit = unit_text(item["unit"])
     return f"{figure_text(item['label'])} [{unit}]" if unit else figure_text(item["label"])

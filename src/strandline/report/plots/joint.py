@@ -19,7 +19,7 @@ from strandline.posterior import (
     systematic_indices,
 )
 from strandline.report.plots import style
-from strandline.report.plots.marginals import draw_marginal, shown_interval
+from strandline.report.plots.marginals import axis_limits, draw_marginal
 from strandline.report.plots.style import (
     axes_or_new,
     figure_of,
@@ -71,7 +71,7 @@ def plot_joint(
         _draw_gaussian(main, posterior, names, percentiles)
         note = _draw_laplace(main, posterior, names, laplace, percentiles)
         _draw_points(main, posterior, names, mode, truth)
-        across, up = (shown_interval(posterior, name) for name in names)
+        across, up = (axis_limits(posterior, name) for name in names)
         draw_marginal(top, x, values[:, 0], posterior.weights, shown=across, bins=bins)
         draw_marginal(right, y, values[:, 1], posterior.weights, shown=up, bins=bins, upright=True)
         figure.colorbar(main.collections[0], ax=right, label="probability of a hexagon", location="right", shrink=0.9)
@@ -102,7 +102,7 @@ def plot_hexagons(
         ax: Axes to draw in.
     """
     x, y = (posterior.space[name] for name in names)
-    across, up = (shown_interval(posterior, name) for name in names)
+    across, up = (axis_limits(posterior, name) for name in names)
     values = posterior.columns(names)
     with styled():
         ax = axes_or_new(ax, (style.SINGLE, 2.8))
@@ -244,7 +244,7 @@ def plot_particles(
     order = np.argsort(posterior.weights)
     weights, points = posterior.weights[order], posterior.columns(names)[order]
     x, y = posterior.space[names[0]], posterior.space[names[1]]
-    across, up = (shown_interval(posterior, name) for name in names)
+    across, up = (axis_limits(posterior, name) for name in names)
     with styled():
         ax = axes_or_new(ax, (style.SINGLE, 2.8))
         area = largest * weights / weights.max()

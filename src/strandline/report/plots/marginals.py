@@ -53,7 +53,7 @@ def plot_marginal(
     parameter = posterior.space[name]
     with styled():
         ax = axes_or_new(ax, (style.SINGLE, 2.6))
-        shown = parameter.interval if whole_box else shown_interval(posterior, name)
+        shown = parameter.interval if whole_box else axis_limits(posterior, name)
         draw_marginal(ax, parameter, posterior.columns([name])[:, 0], posterior.weights, shown=shown, bins=bins)
         if overlay is not None:
             ax.plot(overlay.x, overlay.density, color=style.PURPLE, linestyle="-.", linewidth=1.6, label=overlay.label)
@@ -127,7 +127,7 @@ def _line(ax: Axes, x: Float[np.ndarray, " point"], y: Float[np.ndarray, " point
     ax.plot(*((y, x) if upright else (x, y)), **look)  # type: ignore[arg-type]
 
 
-def shown_interval(posterior: Posterior, name: str) -> tuple[float, float]:
+def axis_limits(posterior: Posterior, name: str) -> tuple[float, float]:
     """Return the part of the design box that holds nearly all mass, with a margin; the box if that is most of it.
 
     A posterior that data have narrowed to a few per cent of the box would be a speck on axes that show the whole box.

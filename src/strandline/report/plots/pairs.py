@@ -14,7 +14,7 @@ from strandline.errors import InvalidInput, NumericsError
 from strandline.posterior import KernelDensity, Posterior
 from strandline.report.plots import style
 from strandline.report.plots.joint import plot_hexagons, plot_particles, thinned
-from strandline.report.plots.marginals import draw_marginal, plot_marginal, plot_marginals, shown_interval
+from strandline.report.plots.marginals import axis_limits, draw_marginal, plot_marginal, plot_marginals
 from strandline.report.plots.style import figure_or_new, labelled, legend_under, mark, styled
 
 MASSES = (0.68, 0.95)
@@ -87,7 +87,7 @@ def plot_pairs(
 
     def panel(ax: Axes, across: str, up: str) -> None:
         if across == up:
-            shown, values = shown_interval(posterior, across), posterior.columns([across])[:, 0]
+            shown, values = axis_limits(posterior, across), posterior.columns([across])[:, 0]
             draw_marginal(ax, posterior.space[across], values, posterior.weights, shown=shown, bins=bins)
             ax.set(yticks=[], xlim=shown)
         else:
@@ -130,7 +130,7 @@ def _triangle(
 def _density(ax: Axes, posterior: Posterior, name: str, *, prior: bool, truth: Mapping[str, float] | None) -> None:
     """Draw the density of one input."""
     parameter, values = posterior.space[name], posterior.columns([name])
-    shown = shown_interval(posterior, name)
+    shown = axis_limits(posterior, name)
     grid = np.linspace(*shown, 301)
     try:
         estimate = KernelDensity.fit(values, posterior.weights, bounds=[parameter.interval])
@@ -152,7 +152,7 @@ def _regions(
     ax: Axes, posterior: Posterior, pair: tuple[str, str], levels: Sequence[float], truth: Mapping[str, float] | None
 ) -> None:
     """Draw the smallest regions of two inputs that hold these probabilities."""
-    across, up = (shown_interval(posterior, name) for name in pair)
+    across, up = (axis_limits(posterior, name) for name in pair)
     draws, weights = thinned(posterior.columns(pair), posterior.weights, PARTICLES)
     bounds = [posterior.space[name].interval for name in pair]
     try:

@@ -12,7 +12,7 @@ from strandline.parameters import Parameter, ParameterSpace
 from strandline.posterior import GaussianApproximation, Posterior, histogram, laplace
 from strandline.priors import LogNormal, ScaledBeta, Uniform
 from strandline.report import plots
-from strandline.report.plots.marginals import shown_interval
+from strandline.report.plots.marginals import axis_limits
 from strandline.report.plots.pairs import PosteriorPlots
 from strandline.report.plots.parallel import DENSITY, _order
 
@@ -127,7 +127,7 @@ def test_particles_have_area_and_colour_by_weight():
 def test_the_view_is_of_the_posterior_without_light_stragglers_and_ends_at_the_box(ends, shown):
     draws = np.concatenate([np.linspace(*ends, 500), np.linspace(100.0, 800.0, 50)])
     posterior = posterior_of(draws[:, None], E, weights=np.repeat([1.0, 1e-6], [500, 50]))
-    assert shown_interval(posterior, "E") == pytest.approx(shown, abs=1.0)
+    assert axis_limits(posterior, "E") == pytest.approx(shown, abs=1.0)
 
 
 DRAWS = np.random.default_rng(3).multivariate_normal([400.0, 0.1], [[400.0, 1.2], [1.2, 0.01]], 4000)
