@@ -140,23 +140,18 @@ def plot_profile(
     values: Float[np.ndarray, " x"],
     *,
     sd: Float[np.ndarray, " x"] | None = None,
-    failed: Float[np.ndarray, " run"] | None = None,
     truth: float | None = None,
-    label: str = "log-likelihood",
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw a scalar over a single input, with a band of two standard deviations and the failed runs at its foot."""
+    """Draw a log-likelihood over a single input, with a band of two standard deviations."""
     with styled():
         ax = axes_or_new(ax)
         ax.plot(x_values, values, color=style.BLACK)
         if sd is not None:
             ax.fill_between(x_values, values - 2 * sd, values + 2 * sd, color=style.GREY, alpha=0.4, label="± 2 sd")
-        if failed is not None and len(failed):
-            foot = np.full(len(failed), ax.get_ylim()[0])
-            ax.plot(failed, foot, "x", color=style.GREY, label="failed run", clip_on=False)
         if truth is not None:
             ax.axvline(truth, color=style.RED, linestyle=":", label="ground truth")
-        ax.set(xlabel=x.figure_label(), ylabel=label, xlim=x.interval)
+        ax.set(xlabel=x.figure_label(), ylabel="log-likelihood", xlim=x.interval)
         if ax.get_legend_handles_labels()[0]:
             ax.legend()
     return ax

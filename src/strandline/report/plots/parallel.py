@@ -18,34 +18,25 @@ from strandline.report.plots import style
 from strandline.report.plots.style import axes_or_new, below, figure_of, styled
 
 DENSITY = "log posterior density"
-"""Name of the density axis, also in `names`."""
+"""Name of the density axis."""
 LOWEST = 0.02
 """Quantile of the log density, by weight, at which its axis begins; lower particles are drawn at its lower end."""
 TICKS = 5
 
 
-def plot_parallel(
-    posterior: Posterior,
-    names: Sequence[str] | None = None,
-    *,
-    truth: Mapping[str, float] | None = None,
-    ax: Axes | None = None,
-) -> Axes:
+def plot_parallel(posterior: Posterior, *, truth: Mapping[str, float] | None = None, ax: Axes | None = None) -> Axes:
     """Draw each particle as a line over parallel axes, coloured by its extended log posterior density.
 
     Lines of low density are drawn first and those of high density on top of them. Particles without weight are left
-    out; the density, not the weight, colours the others. The axes of the inputs span their boxes.
+    out; the density, not the weight, colours the others. The axes of the inputs span their boxes: the calibrated
+    inputs, the density, and the nuisance inputs last, as in the study.
 
     Args:
         posterior: The weighted draws.
-        names: Inputs, from left to right; `DENSITY` is among them or else comes last. By default: the calibrated
-            inputs, the density, and the nuisance inputs last, as in the study.
         truth: The ground truth by name, drawn as a point on each axis.
         ax: Axes to draw in.
     """
-    space, density = posterior.space, posterior.log_density
-    order = _order(posterior) if names is None else tuple(names)
-    order = order if DENSITY in order else (*order, DENSITY)
+    space, density, order = posterior.space, posterior.log_density, _order(posterior)
     low = float(np.quantile(density, LOWEST, weights=posterior.weights, method="inverted_cdf"))
     high = float(density.max())
     limits = (low, high) if low < high else (low - 1.0, high)
