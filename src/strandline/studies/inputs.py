@@ -13,8 +13,8 @@ from strandline.models.protocol import ForwardModel, ModelInput, declared_inputs
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import PRIORS, Prior
 from strandline.registry import suggestion
-from strandline.studies.chosen import construct, open_entry, refused_at, require_parts
 from strandline.studies.keys.study_file import Input, Quantity, StudyFile
+from strandline.studies.parse import made, open_entry, refused_at, require_parts
 
 MASS_CUT_ACCEPTED = 0.5
 """Largest share of an unbounded prior's mass that may lie outside the box."""
@@ -131,7 +131,7 @@ def build_prior(given: Mapping[str, list[float]], at: str) -> Prior:
         )
     place = f"{at}.{kind}"
     options = dict(zip(wanted, numbers, strict=True))
-    prior: Prior = construct(prior_class, options, place)
+    prior: Prior = made(prior_class, options, place)
     if ":" in kind:
         require_prior(prior, place)
     return prior

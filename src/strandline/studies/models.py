@@ -20,10 +20,10 @@ from strandline.models.python import PythonModel
 from strandline.readers.options import TO_MM
 from strandline.runs import RunRecord
 from strandline.runs.overview import Overview
-from strandline.studies.chosen import construct, open_entry, require_parts
 from strandline.studies.folder import SUMMARY
 from strandline.studies.keys import StudyFile
 from strandline.studies.observed import read_points
+from strandline.studies.parse import made, open_entry, require_parts
 from strandline.studies.pictures.undeformed import Undeformed, undeformed_in, without_picture
 
 
@@ -50,13 +50,13 @@ def build_model(
         )
     factory = open_entry(MODELS, name, "model", "a forward model")
     if wants_folder(factory):
-        model: ForwardModel = construct(factory, options, f"model.{name}", folder=folder)
+        model: ForwardModel = made(factory, options, f"model.{name}", folder=folder)
     else:
         options = {key: _with_points(key, value, folder) for key, value in (options or {}).items()}
         undeformed = undeformed or undeformed_in(choice, folder)
         if undeformed is not None:
             options["outline"] = {**without_picture(options["outline"]), **undeformed.options}
-        model = construct(factory, options, f"model.{name}")
+        model = made(factory, options, f"model.{name}")
     return _sensitive(model) if sensitivities else model
 
 
@@ -94,7 +94,7 @@ def build_discrepancies(
                 "discrepancy", value=name, expected="each measure once", remedy=f"Remove the second {name}."
             )
         kind = open_entry(DISCREPANCIES, name, "discrepancy", "a discrepancy")
-        measure = construct(kind, options, f"discrepancy.{name}")
+        measure = made(kind, options, f"discrepancy.{name}")
         require_parts(measure, ("__call__",), f"discrepancy.{name}")
         result[name] = measure
     return result

@@ -11,9 +11,9 @@ from strandline.discrepancy import Discrepancy, NormalOffset
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import GaussianNoise, Interface, Noise, PointErrors, UnknownErrors
 from strandline.readers.options import TO_MM
-from strandline.studies.chosen import refused_at
 from strandline.studies.keys.observation import COLUMN, IMAGE, ConditionNoise, Unknown
 from strandline.studies.observed import Found
+from strandline.studies.parse import refused_at
 
 Stated = float | str | tuple[float, float] | None
 

@@ -15,8 +15,8 @@ from strandline.interface import Interface, PointErrors
 from strandline.models.offers import undeformed_interface
 from strandline.models.protocol import ForwardModel, declared_conditions
 from strandline.readers import Reading, read_interface, read_point_sds
-from strandline.studies.chosen import refused_at
 from strandline.studies.keys.observation import ConditionFile, ObservationFile
+from strandline.studies.parse import refused_at
 from strandline.studies.pictures.photographed import Photographed, photographed
 from strandline.studies.pictures.scanned import Scanned, scanned
 

@@ -1,18 +1,24 @@
 """study.yaml → `StudyFile`, with one clear line for any mistake in it."""
 
-from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
+import dataclasses
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from strandline.errors import InvalidStudy
+from strandline.errors import InvalidInput, InvalidStudy
+from strandline.registry import lookup, suggestion
 from strandline.studies.folder import STUDY
-from strandline.studies.keys import SCHEMA_VERSION, StudyFile, annotation_of, keys_within
+from strandline.studies.keys import SCHEMA_VERSION, StudyFile
 from strandline.studies.keys.observation import KNOWN, ONE, RANGE, SEVERAL, UNKNOWN, ConditionFile
+from strandline.studies.keys.schema import PLAIN, Options, annotation_of, keys_within, stated
 from strandline.studies.yaml_text import load_yaml
 
+T = TypeVar("T")
 WORDS = {
     "missing": "this key",
     "dict_type": "keys with values, e.g. {key: value}",
@@ -33,7 +39,7 @@ WORDS = {
     "too_short": "at least one entry",
 }
 """What was expected, in plain words, by pydantic's name of the mistake; pydantic's own words otherwise."""
-INTERNAL = {ONE, SEVERAL, KNOWN, UNKNOWN, RANGE, "[key]", "float", "str", "Quantity", "dict"}
+INTERNAL = {ONE, SEVERAL, KNOWN, UNKNOWN, RANGE, "[key]", "float", "int", "str", "Quantity", "dict"}
 """pydantic's own names in locations that are not keys of the file."""
 
 
@@ -62,10 +68,7 @@ def parsed(text: str) -> StudyFile:
             expected=f"version: {SCHEMA_VERSION}",
             remedy=f"Put `version: {SCHEMA_VERSION}` on its first line, or use a matching strandline.",
         )
-    try:
-        return StudyFile.model_validate(content)
-    except ValidationError as error:
-        raise first_problem(error) from None
+    return checked(StudyFile, content)
 
 
 def _read(folder: Path) -> str:
@@ -113,10 +116,10 @@ def first_problem(error: ValidationError, schema: type[BaseModel] = StudyFile, w
     """
     findings = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     first = findings[0]
+    before, file = (f"{within}.", "") if within else ("", f"{STUDY}: ")
     refused = first.get("ctx", {}).get("error")
-    if isinstance(refused, InvalidStudy):
-        return refused
-    before = f"{within}." if within else ""
+    if isinstance(refused, InvalidInput):
+        return _refused(refused, "" if isinstance(refused, InvalidStudy) else before + _place(first["loc"]))
     unknown = first["type"] == "extra_forbidden"
     same = [first] if unknown else _of_one_place(findings, first)
     first = same[0]
@@ -125,12 +128,19 @@ def first_problem(error: ValidationError, schema: type[BaseModel] = StudyFile, w
     others = {other for other in others if not place.startswith(f"{other}.")}
     more = f" ({len(others)} more to correct: {', '.join(sorted(others))}.)" if others else ""
     if unknown:
-        return _unknown_key(_known_keys(schema, first["loc"][:-1]), str(first["loc"][-1]), place, more)
+        known, name = _known_keys(schema, first["loc"][:-1]), str(first["loc"][-1])
+        return InvalidStudy(
+            f"{file}unknown key",
+            value=place,
+            expected=f"one of {', '.join(known)}" if known else "no such key",
+            remedy=suggestion(name, known, f"Remove {place}.") + more,
+        )
+    place = place.removesuffix(".") or "study"
     return InvalidStudy(
-        f"{STUDY}: {place or 'study'}",
+        f"{file}{place}",
         value=None if first["type"] == "missing" else first["input"],
         expected=" or ".join(dict.fromkeys(_expectation(one) for one in same)),
-        remedy=("Add it." if first["type"] == "missing" else f"Correct {place or 'it'}.") + more,
+        remedy=("Add it." if first["type"] == "missing" else f"Correct {place}.") + more,
     )
 
 
@@ -147,16 +157,6 @@ def _of_one_place(findings: Sequence[Mapping[str, Any]], first: Mapping[str, Any
 
 def _place(location: tuple[int | str, ...]) -> str:
     return ".".join(str(part) for part in location if not _is_internal(part))
-
-
-def _unknown_key(known: list[str], given: str, place: str, more: str) -> InvalidStudy:
-    close = get_close_matches(given, known, n=1)
-    return InvalidStudy(
-        f"{STUDY}: unknown key",
-        value=place,
-        expected=f"one of {', '.join(known)}" if known else "no such key",
-        remedy=(f"Did you mean {close[0]}?" if close else f"Remove {place}.") + more,
-    )
 
 
 def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
@@ -177,7 +177,7 @@ def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list
 def _is_internal(part: int | str) -> bool:
     """Return whether `part` is one of pydantic's own names of union branches, not a key of the file."""
     return isinstance(part, str) and (
-        part in INTERNAL or part.startswith(("function-", "dict[", "list[", "constrained"))
+        part in INTERNAL or part.startswith(("function-", "dict[", "list[", "tuple[", "constrained"))
     )
 
 
@@ -189,3 +189,117 @@ def _expectation(finding: Mapping[str, Any]) -> str:
     text = str(finding["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
     said = WORDS.get(kind, text[:1].lower() + text[1:])
     return f"a number {said}" if kind.startswith(("greater_than", "less_than")) else said
+
+
+def checked(schema: type[T], value: Any, within: str = "") -> T:
+    """Return a value of the study file after the check of its names, types and missing keys.
+
+    Args:
+        schema: A section, or another type that pydantic knows.
+        value: The value.
+        within: Place in the study file; the whole file by default.
+
+    Raises:
+        InvalidStudy: The value does not fit.
+    """
+    try:
+        return TypeAdapter(schema).validate_python(value)
+    except ValidationError as error:
+        raise first_problem(error, schema, within) from None
+
+
+def made(kind: type, options: Mapping[str, Any] | None, place: str, **others: Any) -> Any:
+    """Return an object of a dataclass, made from its options in the study file.
+
+    Args:
+        kind: The class: the library's own, or one that the study names by ``module:name``.
+        options: Its options.
+        place: Place in the study file.
+        others: Further arguments, which are no options.
+
+    Raises:
+        InvalidStudy: An option is missing, unknown or of another type, or the class refuses it.
+    """
+    values = stated(checked(_section(kind, frozenset(others)), {} if options is None else options, place))
+    try:
+        with refused_at(place):
+            return getattr(kind, "from_options", kind)(**values, **others)
+    except InvalidStudy:
+        raise
+    except (TypeError, ValueError) as error:
+        expected, remedy = " ".join(str(error).split()), f"Correct the options of {place}."
+        raise InvalidStudy(place, value=options, expected=expected, remedy=remedy) from None
+
+
+@cache
+def _section(kind: type, without: frozenset[str]) -> type[BaseModel]:
+    return Options(kind, without, plain=PLAIN).section
+
+
+@contextmanager
+def refused_at(place: str = "") -> Iterator[None]:
+    """Raise an `InvalidInput` again as `InvalidStudy`, with its place in the study file before its subject."""
+    try:
+        yield
+    except InvalidInput as error:
+        raise _refused(error, place) from None
+
+
+def _refused(error: InvalidInput, place: str) -> InvalidStudy:
+    within = "." if re.match(r"[a-z_.]+(:|$)", error.what) else ": "
+    what = f"{place}{within}{error.what}" if place else error.what
+    return InvalidStudy(what, value=error.value, expected=error.expected, remedy=error.remedy)
+
+
+def entry(registry: Mapping[str, Any], name: str, place: str) -> Any:
+    """Return the entry `name` of one of our own registries; refuse an unknown name and suggest the nearest one."""
+    if name not in registry:
+        raise InvalidStudy(
+            place,
+            value=name,
+            expected=f"one of {', '.join(registry)}",
+            remedy=suggestion(name, registry, "Choose one of them."),
+        )
+    return registry[name]
+
+
+def open_entry(registry: Mapping[str, Any], name: str, place: str, protocol: str) -> Any:
+    """Return the entry `name` of a registry, or the class ``module:name``.
+
+    Args:
+        registry: Entries by name.
+        name: Name in the study file.
+        place: Place in the study file.
+        protocol: What the class must be, with its article, for messages.
+    """
+    with refused_at():
+        found = lookup(registry, name, place)
+    if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
+        raise InvalidStudy(
+            place,
+            value=name,
+            expected=f"a dataclass that is {protocol}: its fields are the options",
+            remedy="Decorate the class with @dataclass(frozen=True).",
+        )
+    return found
+
+
+def require_parts(entry: object, parts: Iterable[str], place: str) -> None:
+    """Refuse an object that lacks some of these parts."""
+    missing = [name for name in parts if not hasattr(entry, name)]
+    if missing:
+        raise InvalidStudy(
+            place,
+            value=f"a class without {', '.join(missing)}",
+            expected=f"the parts {', '.join(parts)}",
+            remedy="Add what is missing; the conformance suite in strandline.testing says what it must do.",
+        )
+
+
+def in_words(chosen: Any) -> str:
+    """Return the options of an object in words: ``Uniform: low 100, high 800``."""
+    if not dataclasses.is_dataclass(chosen):
+        return repr(chosen)
+    options = ((field.name, getattr(chosen, field.name)) for field in dataclasses.fields(chosen))
+    shown = ", ".join(f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in options)
+    return f"{type(chosen).__name__}: {shown}" if shown else type(chosen).__name__

@@ -16,10 +16,10 @@ from strandline.models.fidelities import is_cheaper
 from strandline.posterior import Posterior, from_datatree, read
 from strandline.report.plots.pairs import PosteriorPlots
 from strandline.runs import InProcess
-from strandline.studies.chosen import construct, open_entry
 from strandline.studies.folder import POSTERIOR, SUMMARY
 from strandline.studies.models import cheaper_dropped
 from strandline.studies.observed import noisy
+from strandline.studies.parse import made, open_entry
 from strandline.studies.study import Study, load_study
 
 
@@ -92,7 +92,7 @@ class Result:
         """
         if isinstance(measure, str):
             factory = open_entry(DISCREPANCIES, measure, "measure", "a discrepancy")
-            return self._calibrated(discrepancies={measure: construct(factory, options, f"measure {measure}")})
+            return self._calibrated(discrepancies={measure: made(factory, options, f"measure {measure}")})
         if options:
             raise InvalidInput(
                 "options of a measure that is an object",

@@ -16,9 +16,9 @@ from strandline.runs.executors import EXECUTORS, Executor
 from strandline.runs.failures import COMMON_KINDS
 from strandline.runs.record import STATES
 from strandline.smc import SMCSettings
-from strandline.studies.chosen import construct, entry, open_entry, refused_at, require_parts
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.settings import ExecutorChoice, Failures
+from strandline.studies.parse import entry, made, open_entry, refused_at, require_parts
 from strandline.surrogate import fit_named
 from strandline.surrogate.kernels import kernel_named
 
@@ -141,7 +141,7 @@ def build_executor(choice: ExecutorChoice, folder: Path) -> Executor:
     """
     if choice.other is not None:
         ((name, options),) = choice.other.items()
-        own: Executor = construct(open_entry(EXECUTORS, name, "executor", "an executor"), options, f"executor.{name}")
+        own: Executor = made(open_entry(EXECUTORS, name, "executor", "an executor"), options, f"executor.{name}")
         require_parts(own, ("__call__",), f"executor.{name}")
         return own
     named: dict[str, dict[str, Any]] = {name: dict(options) for name, options in choice if options is not None}

@@ -19,8 +19,8 @@ from strandline.report.fit import as_json, fit_as_json, nearest_runs
 from strandline.report.warnings import find_warnings
 from strandline.runs.ledger_rows import outcome_digest
 from strandline.runs.ledger_schema import EXCLUDED
-from strandline.studies.chosen import in_words
 from strandline.studies.outline_effect import outline_effect
+from strandline.studies.parse import in_words
 from strandline.studies.pictures.shown import read_how
 from strandline.studies.provenance import observation_digest, versions
 from strandline.studies.study import Study

@@ -12,8 +12,8 @@ import numpy as np
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
 from strandline.likelihood.compared import adapted
-from strandline.studies.chosen import in_words
 from strandline.studies.first_run import observations_of
+from strandline.studies.parse import in_words
 from strandline.studies.study import Study
 
 __all__ = ["labels_of", "may_err", "require_comparable", "require_several"]

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
 from strandline.models.protocol import declared_conditions
@@ -20,7 +18,7 @@ from strandline.studies.keys.observation import ObservationFile
 from strandline.studies.keys.study_file import SpecimensFile
 from strandline.studies.noise import build_noise, require_fits
 from strandline.studies.observed import read_observation
-from strandline.studies.parse import first_problem
+from strandline.studies.parse import checked
 from strandline.studies.pictures.undeformed import with_errors_of
 from strandline.studies.study import Study
 from strandline.studies.yaml_text import load_yaml
@@ -224,10 +222,7 @@ def _source(content: StudyFile, said: SpecimensFile) -> ObservationFile:
         return own
     image = said.read.get("image")
     into = {"image": {**image, FILE: said.files}} if isinstance(image, Mapping) else {FILE: said.files}
-    try:
-        return ObservationFile.model_validate({**said.read, **into})
-    except ValidationError as error:
-        raise first_problem(error, ObservationFile, "specimens.read") from None
+    return checked(ObservationFile, {**said.read, **into}, "specimens.read")
 
 
 def _table(study: Study, name: str) -> tuple[tuple[str, ...], dict[str, dict[str, float | None]]]:

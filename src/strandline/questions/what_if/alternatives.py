@@ -4,19 +4,16 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from pydantic import ValidationError
-
 from strandline.calibration.alternative import Alternative, Kind, Present
 from strandline.calibration.usual_alternatives import facts_of, prior_in_words, with_prior
 from strandline.errors import InvalidStudy
 from strandline.interface import Observation
 from strandline.likelihood import FieldLikelihood
-from strandline.studies.chosen import entry, refused_at
 from strandline.studies.inputs import build_prior
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.observation import Noise
 from strandline.studies.keys.study_file import WhatIf
-from strandline.studies.parse import first_problem
+from strandline.studies.parse import checked, entry, refused_at
 from strandline.studies.study import Study, study_of
 from strandline.studies.yaml_text import load_yaml
 from strandline.text import listed
@@ -37,10 +34,7 @@ def require_asked(given: Mapping[str, Any]) -> WhatIf:
     Raises:
         InvalidStudy: A key is unknown, or has a value that it cannot have.
     """
-    try:
-        return WhatIf.model_validate(given)
-    except ValidationError as error:
-        raise first_problem(error, WhatIf, PLACE) from None
+    return checked(WhatIf, given, PLACE)
 
 
 def alternative_of(asked: WhatIf, study: Study, now: Present) -> Alternative:
@@ -120,10 +114,7 @@ def _changed(asked: WhatIf, study: Study) -> Study:
     content = StudyFile.model_validate(load_yaml(study.text))
     changes: dict[str, Any] = {}
     if asked.noise is not None:
-        try:
-            changes["noise"] = Noise.model_validate(asked.noise)
-        except ValidationError as error:
-            raise first_problem(error, Noise, f"{PLACE}.noise") from None
+        changes["noise"] = checked(Noise, asked.noise, f"{PLACE}.noise")
     if asked.measure is not None:
         stated = content.discrepancy if isinstance(content.discrepancy, list) else [content.discrepancy]
         named = {name: one for one in stated for name in one}

@@ -1,46 +1,58 @@
-"""Sections whose keys are the options of a class of the library, and all keys in one list."""
+"""The options of a class of the library as keys of study.yaml, and all keys in one list.
+
+A class states name, type and default of each option once, as the fields of a dataclass; `Options` turns them into keys,
+so that pydantic checks names, types and missing keys. Which values make sense the class checks when it is made.
+"""
 
 import dataclasses
 import json
 import re
 import textwrap
 import types
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, create_model
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
-from strandline.studies.keys.scalars import Number, Section, Size, Switch, Text
+from strandline.studies.keys.scalars import Number, Section, Size, Switch, Text, Whole
 
-PLAIN = {float: Number, int: Size, str: Text, bool: Switch}
+READ = "read"
+"""In the metadata of a field: function that turns a value of the study file into one of the field."""
+PLAIN: dict[Any, Any] = {float: Number, int: Whole, str: Annotated[str, Field(strict=True)], bool: Switch}
 """Types of fields → types of values in the study file."""
+BOUNDED: dict[Any, Any] = {**PLAIN, int: Size, str: Text}
+"""The same for our own keys: no number of anything beyond all memory, no empty text."""
 
 
 @dataclass(frozen=True, eq=False)
 class Options:
-    """A mark for a mapping in the study file whose keys are the fields of a dataclass.
+    """A mark for a value in the study file whose keys are the fields of a dataclass.
 
     Args:
         of: The dataclass.
         without: Fields that are not keys.
         also: Further keys, or fields with another form in the study file: type and default by name.
+        plain: Types of values by the types of fields.
+        make: Whether a validated value is an object of the class, not the mapping of its options.
     """
 
     of: type
     without: Collection[str] = ()
     also: Mapping[str, tuple[Any, Any]] = field(default_factory=dict)
+    plain: Mapping[Any, Any] = field(default_factory=lambda: BOUNDED)
+    make: bool = False
 
     @cached_property
     def section(self) -> type[BaseModel]:
         """The keys with their types, defaults and meanings."""
-        meaning = meanings(self.of)
+        meaning, hints = meanings(self.of), _hints(self.of)
         own = {f.name: f for f in dataclasses.fields(self.of) if f.init and f.name not in self.without}
         keys: dict[str, Any] = {
-            name: self.also.get(name) or (_type(one.type) | None, _default(one)) for name, one in own.items()
+            name: self.also.get(name) or self._key(one, hints.get(name, Any)) for name, one in own.items()
         }
         keys |= self.also
         described: dict[str, Any] = {
@@ -51,8 +63,39 @@ class Options:
         return made
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return the schema of the section; a validated value is a dict."""
-        return core_schema.no_info_after_validator_function(_chosen, handler.generate_schema(self.section))
+        """Return the schema of the section."""
+        inner = handler.generate_schema(self.section)
+        return core_schema.no_info_wrap_validator_function(self._read, inner)
+
+    def _read(self, value: Any, checked: Callable[[Any], BaseModel]) -> Any:
+        if self.make and isinstance(value, self.of):
+            return value
+        options = stated(checked(value))
+        return self.of(**options) if self.make else options
+
+    def _key(self, one: "dataclasses.Field[Any]", hint: Any) -> tuple[Any, Any]:
+        kind = Annotated[Any, _Read(one.metadata[READ])] if READ in one.metadata else self._type(hint)
+        if one.default is dataclasses.MISSING and one.default_factory is dataclasses.MISSING:
+            return kind, ...
+        return kind | None, one.default if one.default is not dataclasses.MISSING else one.default_factory()
+
+    def _type(self, hint: Any) -> Any:
+        """Return the type of a value in the study file for a field of this type; Any leaves it to the class."""
+        origin, arguments = get_origin(hint), get_args(hint)
+        if hasattr(self.of, "from_options"):
+            return self.plain.get(
+                next((k for k in arguments if k is not type(None)), hint) if len(arguments) == 2 else hint, Any
+            )
+        if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+            return Annotated[Any, Options(hint, plain=self.plain, make=True)]
+        if origin in (Union, types.UnionType):
+            kinds = [self._type(kind) for kind in arguments if kind is not type(None)]
+            return Any if Any in kinds else Union[tuple(kinds)]  # noqa: UP007
+        if origin is tuple:
+            return cast(Any, tuple)[tuple(one if one is ... else self._type(one) for one in arguments)]
+        if isinstance(origin, type) and issubclass(origin, Mapping):
+            return cast(Any, dict)[str, self._type(arguments[1])]
+        return hint if origin is Literal else self.plain.get(hint, Any)
 
 
 class _Described(Section):
@@ -61,27 +104,27 @@ class _Described(Section):
     model_config = ConfigDict(use_attribute_docstrings=False)
 
 
-def _chosen(section: BaseModel) -> dict[str, Any]:
+@dataclass(frozen=True)
+class _Read:
+    """A mark for a value that a function reads."""
+
+    read: Callable[[Any], Any]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self.read)
+
+
+def stated(section: BaseModel) -> dict[str, Any]:
     """Return the options by name, except those left to the class."""
-    return section.model_dump(exclude_none=True)
+    return {name: value for name, value in section if value is not None}
 
 
-def _default(one: "dataclasses.Field[Any]") -> Any:
-    if one.default_factory is not dataclasses.MISSING:
-        return one.default_factory()
-    if one.default is dataclasses.MISSING:
-        return ...
-    return list(one.default) if isinstance(one.default, tuple) else one.default
-
-
-def _type(annotation: Any) -> Any:
-    """Return the type of a value in the study file that becomes a field of this type."""
-    if get_origin(annotation) in (Union, types.UnionType):
-        (kind,) = (kind for kind in get_args(annotation) if kind is not type(None))
-        return _type(kind)
-    if get_origin(annotation) is tuple:
-        return cast(Any, list)[_type(get_args(annotation)[0])]
-    return annotation if get_origin(annotation) is Literal else PLAIN[annotation]
+def _hints(kind: type) -> dict[str, Any]:
+    """Return the types of the fields; none if a class of somebody else names types that do not exist here."""
+    try:
+        return get_type_hints(kind)
+    except NameError:
+        return {}
 
 
 def keys_within(annotation: Any) -> type[BaseModel] | None:

@@ -33,8 +33,8 @@ from strandline.imaging.markov_path import MarkovPath
 from strandline.imaging.reading import SAME, PixelSize
 from strandline.imaging.surfaces import StackFrame
 from strandline.interface import Interface, PointErrors
-from strandline.studies.chosen import refused_at
 from strandline.studies.keys.observation import ConditionFile, ImageFile, ObservationFile
+from strandline.studies.parse import refused_at
 
 UNDEFORMED = "undeformed"
 """Name, in files and results, of the picture that gives the model its outline."""

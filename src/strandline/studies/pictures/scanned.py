@@ -8,8 +8,8 @@ from strandline.imaging import PictureReading, Stack, read_stack
 from strandline.imaging.reading import PixelSize
 from strandline.imaging.surfaces import StackFrame, Surface, find_surface, region_of
 from strandline.interface import Interface, PointErrors
-from strandline.studies.chosen import refused_at
 from strandline.studies.keys.observation import StackFile
+from strandline.studies.parse import refused_at
 from strandline.studies.pictures.photographed import frame_note
 
 PLACE = "observation.stack"

@@ -20,9 +20,9 @@ from strandline.report.click_page import write_click_page
 from strandline.report.plots.picture import plot_picture
 from strandline.report.plots.style import DOTS_PER_INCH
 from strandline.report.plots.surfaces import plot_stack
-from strandline.studies.chosen import in_words, refused_at
 from strandline.studies.folder import require_writable, told_if_unwritable, whole_file, write_json
 from strandline.studies.keys.observation import ImageFile
+from strandline.studies.parse import in_words, refused_at
 from strandline.studies.pictures.photographed import UNDEFORMED, Photographed, clicked, read_only_picture
 from strandline.studies.pictures.scanned import Scanned
 from strandline.studies.pictures.undeformed import Undeformed

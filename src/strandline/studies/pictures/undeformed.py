@@ -7,13 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from strandline.imaging import Outlined, outline_of
 from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
-from strandline.studies.chosen import refused_at
 from strandline.studies.keys.observation import ImageFile
-from strandline.studies.parse import first_problem
+from strandline.studies.parse import checked, refused_at
 from strandline.studies.pictures.photographed import Photographed, photographed
 
 IMAGE = "image"
@@ -58,10 +56,7 @@ def undeformed_picture(choice: Mapping[str, Mapping[str, Any] | None]) -> ImageF
     outline = (options or {}).get("outline")
     if not isinstance(outline, Mapping) or IMAGE not in outline:
         return None
-    try:
-        return ImageFile.model_validate(outline[IMAGE])
-    except ValidationError as error:
-        raise first_problem(error, ImageFile, f"model.{name}.outline.{IMAGE}") from None
+    return checked(ImageFile, outline[IMAGE], f"model.{name}.outline.{IMAGE}")
 
 
 def undeformed_in(choice: Mapping[str, Mapping[str, Any] | None], folder: Path) -> Undeformed | None:
