@@ -39,6 +39,7 @@ _END = 0.1
 
 def measure_lines(study: Study, record: RunRecord) -> Iterator[str]:
     """Yield a warning for lines that turn with the noise, and for a measure that charges what was not observed."""
+    yield from (f"warning: {one}" for one in contradictions(study))
     for condition, seen in observations_of(study).items():
         observation = Observation(seen, study.noise_of(condition), condition)
         run, of = record.interfaces[condition], f" ({condition})" if condition else ""
@@ -58,30 +59,36 @@ def measure_lines(study: Study, record: RunRecord) -> Iterator[str]:
                 yield from _past_the_end(seen, run, of)
 
 
-def _held(observation: Observation, of: str) -> Iterator[str]:
-    """Yield a warning if the outline may shift less than a wrong pixel size or a tilted camera shifts it.
+def contradictions(study: Study) -> Iterator[str]:
+    """Yield the errors of outlines in pictures that contradict each other: too small a shift beside scale or rotation.
 
     Scale and rotation act about the middle of the observed points. The origin of the frame was clicked: about it, they
     also move this middle.
     """
+    for condition in study.pictures:
+        errors, of = study.noise_of(condition), f" ({condition})" if condition else ""
+        if not isinstance(errors, PointErrors | UnknownErrors):
+            continue
+        away = float(np.hypot(*study.observed[condition].points.mean(axis=0)))
+        moved = {"scale": errors.scale * away, "rotation": math.radians(errors.rotation) * away}
+        name = max(moved, key=lambda one: LEAST_SHARE[one] * moved[one])
+        if errors.shift < LEAST_SHARE[name] * moved[name]:
+            yield (
+                f"the errors of the outline{of} contradict each other: an error of {name} about the origin of the "
+                f"picture's frame moves its middle, {away:.3g} mm away, by {TO_UM * moved[name]:.3g} µm, but "
+                f"shift allows {TO_UM * errors.shift:.3g} µm; the posterior becomes too narrow. State a shift of at "
+                f"least {TO_UM * moved[name]:.3g} µm"
+            )
+
+
+def _held(observation: Observation, of: str) -> Iterator[str]:
+    """Yield a warning if the outline in a picture may neither shift nor turn nor grow."""
     errors = observation.noise
-    if not isinstance(errors, PointErrors | UnknownErrors):
-        return
-    if not any(getattr(errors, name) for name in ("shift", "rotation", "scale")):
+    held = isinstance(errors, PointErrors | UnknownErrors) and not (errors.shift or errors.rotation or errors.scale)
+    if held:
         yield (
             f"warning{of}: no error of place and size is stated. A picture cannot show how far its origin, angle and "
             "pixel size are off: state `unknown: {shift: …, rotation: …, scale: …}` in `noise`"
-        )
-        return
-    away = float(np.hypot(*observation.interface.points.mean(axis=0)))
-    moved = {"scale": errors.scale * away, "rotation": math.radians(errors.rotation) * away}
-    name = max(moved, key=lambda one: LEAST_SHARE[one] * moved[one])
-    if errors.shift < LEAST_SHARE[name] * moved[name]:
-        yield (
-            f"warning: the errors of the outline{of} contradict each other: an error of {name} about the origin of the "
-            f"picture's frame moves its middle, {away:.3g} mm away, by {TO_UM * moved[name]:.3g} µm, but "
-            f"shift allows {TO_UM * errors.shift:.3g} µm; the posterior becomes too narrow. State a shift of at least "
-            f"{TO_UM * moved[name]:.3g} µm"
         )
 
 

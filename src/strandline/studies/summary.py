@@ -19,6 +19,7 @@ from strandline.report.fit import as_json, fit_as_json, nearest_runs
 from strandline.report.warnings import find_warnings
 from strandline.runs.ledger_rows import outcome_digest
 from strandline.runs.ledger_schema import EXCLUDED
+from strandline.studies.measure_doubts import contradictions
 from strandline.studies.outline_effect import outline_effect
 from strandline.studies.parse import in_words
 from strandline.studies.pictures.shown import read_how
@@ -91,7 +92,10 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "under_uncertainty": _under_uncertainty(calibration),
         "sensitivity": _sensitivity(calibration),
         "missing": {},
-        "warnings": list(find_warnings(calibration, turned=(*study.turned, *calibration.turned))),
+        "warnings": [
+            *contradictions(study),
+            *find_warnings(calibration, turned=(*study.turned, *calibration.turned)),
+        ],
         "seconds": dict(calibration.seconds),
     }
 

@@ -68,6 +68,10 @@ noise: {noise}
 """
 
 
+OF_SEVERAL_FILES = (".pvd", ".pvtu", ".pvtp", ".xdmf", ".xmf")
+"""Suffixes of files that refer to others beside them."""
+
+
 @dataclass(frozen=True)
 class Observed:
     """An observed interface and how far its points may be off.
@@ -100,8 +104,19 @@ class Observed:
         noise |= {} if self.length == 0 else {"length": "unknown" if self.length is None else self.length}
         noise |= {"unit": "um"} | ({"unknown": shared} if shared else {})
         place = Path(os.path.relpath(self.file.resolve(), folder.resolve())).as_posix()
+        place = self.file.name if self._is_copied(folder) else place
         observation = f"{{file: {json.dumps(place, ensure_ascii=False)}, unit: {self.unit}}}"
         return MEASURED.format(observation=observation, noise=_flow(noise))
+
+    def put_into(self, folder: Path) -> None:
+        """Copy the file into the folder of the study, unless it is there or refers to further files."""
+        if self._is_copied(folder):
+            with (folder / self.file.name).open("xb") as file:
+                file.write(self.file.read_bytes())
+
+    def _is_copied(self, folder: Path) -> bool:
+        inside = self.file.resolve().is_relative_to(folder.resolve())
+        return not inside and self.file.suffix.lower() not in OF_SEVERAL_FILES
 
 
 def _flow(content: dict[str, Any]) -> str:
@@ -122,8 +137,12 @@ def write_template(folder: Path, observed: Observed | None = None) -> Path:
     """
     path = folder / STUDY
     about = SYNTHETIC if observed is None else observed.section(folder)
-    with made_folder(folder), path.open("x", encoding="utf-8") as file:
-        file.write(TEMPLATE.format(name=study_name(folder), folder=folder, observation=about))
+    with made_folder(folder):
+        if path.exists():
+            raise FileExistsError(None, None, str(path))
+        if observed is not None:
+            observed.put_into(folder)
+        path.write_text(TEMPLATE.format(name=study_name(folder), folder=folder, observation=about), encoding="utf-8")
     return path
 
 
@@ -175,6 +194,9 @@ FOLDERS = {"python": "strip", "oct": "oct-biofilm"}
 """Folders of the examples that are not called by their names."""
 PACKAGE = Path(__file__).parents[1]
 OF_OBSERVATION = ("observed.csv", "make_observation.py")
+OWN_TITLE = """\
+# Your observed interface with the simulator of an example, which yours replaces. Run it with:  strandline run {folder}
+"""
 ACTIVE = "\ndesign: {active: {runs: 60}}\nsurrogate: {field: {}}\n"
 SUFFIXES = {".yaml", ".py", ".j2", ".csv", ".png"}
 
@@ -204,6 +226,8 @@ def write_example(name: str, folder: Path, observed: Observed | None = None, *, 
         for one in (STUDY, *files):
             if (folder / one).exists():
                 raise FileExistsError(None, None, str(folder / one))
+        if observed is not None:
+            observed.put_into(folder)
         for one, content in files.items():
             (folder / one).write_bytes(content)
         (folder / STUDY).write_text(text, encoding="utf-8")
@@ -214,6 +238,7 @@ def _observing(text: str, observed: Observed, folder: Path) -> str:
     """Return the text of an example with another observed interface, and with a design and surrogate that suit it."""
     text = re.sub(r"^(discrepancy|noise|design|surrogate): .*\n", "", text, flags=re.MULTILINE)
     before, after = re.split(r"^observation: .*\n", text, maxsplit=1, flags=re.MULTILINE)
+    before = re.sub(r"^(#.*\n)+", OWN_TITLE.format(folder=folder), before)
     return f"{before}{observed.section(folder)}{ACTIVE}{after}"
 
 

@@ -2,17 +2,20 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from tests.study.conftest import NOISY, SAMPLER, finish
 from tests.study.studies import exact
 
+from strandline.interface import PointErrors
 from strandline.posterior import read
 from strandline.report.warnings import find_warnings
 from strandline.runs import InProcess
 from strandline.studies import check_posterior, load_study
 from strandline.studies.observed import SyntheticNoise, noisy
+from strandline.studies.summary import summarise
 from strandline.testing.studies import beam as simulator
 
 TRUTH = {"E": 400.0, "tilt": 0.02, "load": 1e-5}
@@ -40,6 +43,16 @@ def test_the_posterior_is_that_of_the_model_and_the_report_shows_both_readings(f
     assert "with tilt uncertain" in " ".join(page.split())
     for reading in ("joint", "cut"):
         assert f"{field.outcome.summary['under_uncertainty'][reading]['inputs']['E']['mean']:.4g}" in page
+
+
+def test_errors_of_a_picture_that_contradict_each_other_are_among_the_results(field):
+    seen = SimpleNamespace(name="beam.png", picture=SimpleNamespace(sha256="0"), notes=())
+    observed = {one.condition: one.interface for one in field.outcome.calibration.problem.observations}
+    study = replace(load_study(field.folder), observed=observed, pictures={"": seen})
+    for scale, warned in ((0.05, 1), (0.0, 0)):
+        noisy_picture = replace(study, noises={"": PointErrors(0.01, scale=scale)})
+        found = summarise(noisy_picture, field.outcome.calibration, new_runs=0, reused_runs=0)["warnings"]
+        assert sum("contradict each other" in line for line in found) == warned
 
 
 def test_both_readings_are_those_of_the_model(uncertain):

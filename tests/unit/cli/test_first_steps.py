@@ -57,6 +57,10 @@ def test_a_study_of_an_observed_interface(tmp_path, monkeypatch, capsys):
         assert (study.observed[""].points.shape, study.settings.active.runs) == ((40, 2), 60)
         assert study.noise == PointErrors(0.003, 0.015, rotation=0.5, scale=0.005)
         assert "observed.csv" not in contents(tmp_path / name)
+        assert contents(tmp_path / name)["my edge.csv"] == (tmp_path / "my edge.csv").read_bytes()
+        text = (tmp_path / name / "study.yaml").read_text("utf-8")
+        assert text.startswith("# Your observed interface")
+        assert "../" not in text
     capsys.readouterr()
     words = refused(capsys, "init", str(tmp_path / "d"), "--example", "oct", "--observed", "my edge.csv")
     assert "one of biofilm, python, command" in words
