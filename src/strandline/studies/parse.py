@@ -106,7 +106,7 @@ def _load(text: str) -> dict[Any, Any]:
     return content
 
 
-def first_problem(error: ValidationError, schema: type[BaseModel] = StudyFile, within: str = "") -> InvalidStudy:
+def first_problem(error: ValidationError, schema: Any = StudyFile, within: str = "") -> InvalidStudy:
     """Translate pydantic's findings: an unknown key first, since it explains missing ones.
 
     Args:

@@ -75,9 +75,9 @@ class Options:
 
     def _key(self, one: "dataclasses.Field[Any]", hint: Any) -> tuple[Any, Any]:
         kind = Annotated[Any, _Read(one.metadata[READ])] if READ in one.metadata else self._type(hint)
-        if one.default is dataclasses.MISSING and one.default_factory is dataclasses.MISSING:
-            return kind, ...
-        return kind | None, one.default if one.default is not dataclasses.MISSING else one.default_factory()
+        if one.default_factory is not dataclasses.MISSING:
+            return kind | None, one.default_factory()
+        return (kind, ...) if one.default is dataclasses.MISSING else (kind | None, one.default)
 
     def _type(self, hint: Any) -> Any:
         """Return the type of a value in the study file for a field of this type; Any leaves it to the class."""
