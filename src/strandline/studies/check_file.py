@@ -1,7 +1,6 @@
 """check.json: the check of a study's posterior with the true model, as plain numbers, and whether it still applies."""
 
 import hashlib
-import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from strandline.posterior import (
     verdict_on,
 )
 from strandline.runs import RunRecord
-from strandline.studies.folder import CHECK
+from strandline.studies.folder import CHECK, read_json
 from strandline.studies.provenance import versions
 from strandline.studies.study import Study
 from strandline.version import __version__
@@ -107,11 +106,8 @@ def describe(study: Study, found: Compared, observations: Sequence[Observation],
 
 def read_check(folder: Path, posterior: Posterior) -> dict[str, Any] | None:
     """Return the check of `posterior` in `folder`; None if there is none, or only that of another posterior."""
-    try:
-        content = json.loads((folder / CHECK).read_text(encoding="utf-8"))
-        return content if content["posterior_sha256"] == posterior_digest(posterior) else None
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+    content = read_json(folder / CHECK)
+    return content if content.get("posterior_sha256") == posterior_digest(posterior) else None
 
 
 def posterior_digest(posterior: Posterior) -> str:

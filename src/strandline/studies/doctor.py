@@ -1,6 +1,5 @@
 """What is wrong with a study folder, and what to do about it; nothing is changed."""
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from strandline.studies.folder import (
     SPECIMENS_LEDGER,
     SUMMARY,
     WHAT_IF,
+    read_json,
 )
 from strandline.studies.progress import StudyProgress, progress_of
 from strandline.studies.provenance import versions
@@ -143,7 +143,7 @@ def _model(study: Study) -> Iterator[Finding]:
 def _results(study: Study, state: StudyProgress) -> Iterator[Finding]:
     """Yield how the results differ from what study.yaml, ledger, model and packages would give now."""
     report = f"Make them again: strandline report {study.folder}"
-    summary = _read(study.folder / SUMMARY)
+    summary = read_json(study.folder / SUMMARY)
     if not summary:
         there = [name for name in (POSTERIOR, "report.html") if (study.folder / name).exists()]
         if there:
@@ -162,7 +162,7 @@ def _results(study: Study, state: StudyProgress) -> Iterator[Finding]:
         yield Finding("the ledger has changed since the results were made (runs made again, or excluded)", report)
     yield from _environment(summary, report)
     for name, remedy in ANSWERS.items():
-        answer = _read(study.folder / name)
+        answer = read_json(study.folder / name)
         if answer and answer.get("study_sha256") != study.text_digest:
             yield Finding(f"{name} is of another study.yaml", f"{remedy} {study.folder}")
 
@@ -177,14 +177,6 @@ def _environment(summary: Mapping[str, Any], report: str) -> Iterator[Finding]:
             f"the results were made with other versions: {changes}",
             f"Install those to get the same bits, or leave the results as they are. {report}",
         )
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return content if isinstance(content, dict) else {}
 
 
 def _line(error: Exception) -> str:

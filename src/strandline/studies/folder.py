@@ -119,6 +119,15 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
         partial.write_text(text + "\n", encoding="utf-8")
 
 
+def read_json(path: Path) -> dict[str, Any]:
+    """Return the content of a file with JSON; nothing if there is none, or no mapping in it that can be read."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
 def _finite(value: Any) -> Any:
     """Return `value` with None for each number that is not finite."""
     if isinstance(value, Mapping):

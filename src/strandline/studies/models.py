@@ -1,7 +1,6 @@
 """The keys `model` and `fidelities` of study.yaml → forward models."""
 
 import dataclasses
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +19,7 @@ from strandline.models.python import PythonModel
 from strandline.readers.options import TO_MM
 from strandline.runs import RunRecord
 from strandline.runs.overview import Overview
-from strandline.studies.folder import SUMMARY
+from strandline.studies.folder import SUMMARY, read_json
 from strandline.studies.keys import StudyFile
 from strandline.studies.observed import read_points
 from strandline.studies.parse import made, open_entry, require_parts
@@ -201,9 +200,8 @@ def with_cheaper(
 def cheaper_dropped(folder: Path) -> bool:
     """Return whether the results in a study's folder leave the runs of its cheaper model aside."""
     try:
-        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
-        return summary["certificate"]["fidelities"]["dropped"] is not None
-    except (OSError, ValueError, KeyError, TypeError):
+        return read_json(folder / SUMMARY)["certificate"]["fidelities"]["dropped"] is not None
+    except (KeyError, TypeError):
         return False
 
 

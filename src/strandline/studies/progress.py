@@ -6,7 +6,7 @@ If a driver has noted the study's plan in the ledger, no model is loaded and not
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from strandline.runs.ledger_schema import EXCLUDED, INTERRUPTED
 from strandline.runs.overview import OPEN, Attempt, Driver, Overview, Run
 from strandline.runs.plans import Plan
-from strandline.studies.folder import LEDGER, REFINEMENT, STUDY, SUMMARY
+from strandline.studies.folder import LEDGER, REFINEMENT, STUDY, SUMMARY, read_json
 from strandline.studies.question_keys import digest_of
 
 if TYPE_CHECKING:
@@ -100,32 +100,13 @@ class StudyProgress:
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything that the status shows, in types that JSON has."""
-        driver = self.driver
-        return {
-            "name": self.name,
-            "planned": self.planned,
-            "done": self.done,
-            "ok": self.ok,
-            "failed": self.failed,
-            "open": self.open,
-            "lost": self.lost,
-            "reused": self.reused,
-            "detached": self.detached,
-            "to_do": self.to_do,
-            "driver": None
-            if driver is None
-            else {"pid": driver.pid, "host": driver.host, "since": driver.opened_at, "at_work": driver.at_work},
-            "runs_per_minute": self.rate,
-            "seconds_left": self.seconds_left,
-            "median_seconds": self.median_seconds,
-            "slowest": None if self.slowest is None else _as_dict(self.slowest),
-            "failures": {
-                kind: {"count": some.count, "example": _as_dict(some.example)} for kind, some in self.failures.items()
-            },
-            "active": self.active,
-            "last_batch": self.last_batch,
-            "results": self.results,
-        }
+        content = asdict(self) | {"done": self.done, "to_do": self.to_do}
+        content["runs_per_minute"] = content.pop("rate")
+        if self.driver is not None:
+            driver = self.driver
+            stated = {"pid": driver.pid, "host": driver.host, "since": driver.opened_at, "at_work": driver.at_work}
+            content["driver"] = stated
+        return content
 
 
 def progress_in(folder: Path) -> StudyProgress:
@@ -187,18 +168,10 @@ def _progress(folder: Path, plan: Plan) -> StudyProgress:
         wanted, driver = frozenset(plan.keys), ledger.driver()
         runs = [run for run in ledger.runs() if run.key in wanted]
         state = _Counted(plan, driver, runs, detached=_detached(path.parent)).told(ledger, results)
-    noted = _noted(folder, plan.study_sha256)
+    noted = read_json(folder / REFINEMENT)
+    noted = noted if noted.get("study_sha256") == plan.study_sha256 else {}
     under_way = "given" in noted and not noted.get("finished")
     return replace(state, active=under_way, last_batch=str(noted.get("last_batch", "")))
-
-
-def _noted(folder: Path, study_sha256: str) -> dict[str, Any]:
-    """Return the content of refinement.json; empty if it belongs to another study.yaml."""
-    try:
-        found = json.loads((folder / REFINEMENT).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) and found.get("study_sha256") == study_sha256 else {}
 
 
 class _Counted:
@@ -295,11 +268,8 @@ def _per_minute(made: Sequence[Attempt]) -> float | None:
 
 
 def _results(folder: Path, study_sha256: str) -> Results:
-    try:
-        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return "none"
-    if not isinstance(summary, dict):
+    summary = read_json(folder / SUMMARY)
+    if not summary:
         return "none"
     return "current" if summary.get("study_sha256") == study_sha256 else "outdated"
 
@@ -311,13 +281,3 @@ def _seconds(attempt: Attempt) -> float:
 def _detached(folder: Path) -> bool:
     """Return whether batches of a SLURM array are out: each has a folder until it is collected."""
     return any((folder / "slurm").glob("*/batch.json"))
-
-
-def _as_dict(run: RunReported) -> dict[str, Any]:
-    return {
-        "key": run.key,
-        "inputs": dict(run.inputs),
-        "seconds": run.seconds,
-        "message": run.message,
-        "log": list(run.log),
-    }

@@ -14,7 +14,7 @@ from strandline.interface import Interface, Observation, PointErrors, UnknownErr
 from strandline.report import FIGURES
 from strandline.runs import FailurePolicy
 from strandline.runs.ledger_rows import outcome_digest
-from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY
+from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY, read_json
 from strandline.studies.study import Study
 from strandline.version import __version__
 
@@ -87,8 +87,8 @@ def results_at_hand(study: Study) -> dict[str, Any] | None:
     They depend on study.yaml, the model, the observation with its noise, the outcomes of all runs, and on the versions
     of strandline and of the libraries that compute.
     """
+    summary = read_json(study.folder / SUMMARY)
     try:
-        summary = json.loads((study.folder / SUMMARY).read_text(encoding="utf-8"))
         study.runs.require_finished()
         now = {
             "study_sha256": study.text_digest,
@@ -99,11 +99,11 @@ def results_at_hand(study: Study) -> dict[str, Any] | None:
             "versions": versions(),
             "missing": {},
         }
-    except (OSError, ValueError, StrandlineError):
+    except (OSError, StrandlineError):
         return None
     names = (POSTERIOR, REPORT, FIGURES) if study.with_report else (POSTERIOR,)
     written = all((study.folder / name).exists() for name in names)
-    if not written or not isinstance(summary, dict) or any(summary.get(key) != value for key, value in now.items()):
+    if not written or any(summary.get(key) != value for key, value in now.items()):
         return None
     runs = summary["runs"]
     return summary | {"runs": runs | {"new": 0, "reused": runs["new"] + runs["reused"]}}

@@ -1,52 +1,24 @@
 """The forward runs that a study needs, and which of them its ledgers hold."""
 
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
-from strandline.calibration import Settings
 from strandline.design import sobol
 from strandline.errors import InvalidStudy
 from strandline.models.fidelities import CHEAPER, first_runs, run_identity
-from strandline.models.protocol import ForwardModel, fingerprint
-from strandline.parameters import ParameterSpace
+from strandline.models.protocol import fingerprint
 from strandline.runs import Ledger, RunRecord, run_key
 from strandline.runs.ledger_schema import ATTEMPTS, EXCLUDED
 from strandline.runs.plans import Plan
-from strandline.studies.folder import REFINEMENT, write_json
+from strandline.studies.folder import REFINEMENT, read_json, write_json
 from strandline.studies.settings import failure_words
 
-
-@runtime_checkable
-class Asks(Protocol):
-    """The part of a study that concerns its runs."""
-
-    @property
-    def folder(self) -> Path: ...
-    @property
-    def name(self) -> str: ...
-    @property
-    def text_digest(self) -> str: ...
-    @property
-    def model(self) -> ForwardModel: ...
-    @property
-    def space(self) -> ParameterSpace: ...
-    @property
-    def fixed(self) -> Mapping[str, float]: ...
-    @property
-    def truth(self) -> Mapping[str, float] | None: ...
-    @property
-    def settings(self) -> Settings: ...
-    @property
-    def sensitivities(self) -> bool: ...
-    @property
-    def ledger_path(self) -> Path: ...
-    @property
-    def reuse(self) -> tuple[Path, ...]: ...
+if TYPE_CHECKING:
+    from strandline.studies.study import Study
 
 
 @dataclass(frozen=True)
@@ -60,7 +32,7 @@ class StudyRuns:
         study: The study, as loaded or with parts of it replaced.
     """
 
-    study: Asks
+    study: "Study"
 
     @cached_property
     def identity(self) -> str:
@@ -270,11 +242,8 @@ class StudyRuns:
     @property
     def _noted(self) -> dict[str, Any]:
         """Content of refinement.json; empty if it belongs to another study.yaml."""
-        try:
-            found = json.loads((self.study.folder / REFINEMENT).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return {}
-        return found if isinstance(found, dict) and found.get("study_sha256") == self.study.text_digest else {}
+        found = read_json(self.study.folder / REFINEMENT)
+        return found if found.get("study_sha256") == self.study.text_digest else {}
 
     def _note(self, **content: Any) -> None:
         digest = {"study_sha256": self.study.text_digest}
