@@ -157,7 +157,7 @@ def _widths(study: "Study", record: "RunRecord", *, asked: bool) -> Iterator[str
     from strandline.cli.forward import attempted
     from strandline.errors import InvalidInput, NumericsError
     from strandline.interface import UnknownErrors
-    from strandline.studies import expected_widths as widths
+    from strandline.studies import widths
     from strandline.studies.first_run import observations_of
 
     seen = study.observations(study.observed or record.interfaces)

@@ -136,7 +136,7 @@ def _files(given: Sequence[Path]) -> list[Path]:
 
 def _options(reading: Sequence[str]) -> dict[str, Any]:
     """Return how to read the files, with values as in study.yaml; what is no YAML, like a comma, is a text."""
-    from strandline.studies.yaml_text import load_yaml
+    from strandline.studies.text import load_yaml
 
     found: dict[str, Any] = {}
     for text in reading:

@@ -44,7 +44,7 @@ def command(study: Path, asked: tuple[str, ...], seed: int, quiet: bool) -> None
 
 def _change(text: str) -> dict[str, Any]:
     from strandline.errors import InvalidInput
-    from strandline.studies.yaml_text import load_yaml
+    from strandline.studies.text import load_yaml
 
     found = load_yaml(text)
     if not isinstance(found, dict):

@@ -15,8 +15,7 @@ from strandline.studies.folder import STUDY, is_result, told_if_unwritable
 from strandline.studies.parse import parse_study, parsed
 from strandline.studies.study import load_study
 from strandline.studies.template import study_name
-from strandline.studies.yaml_edit import Changes, changed_text, flow
-from strandline.studies.yaml_text import load_yaml
+from strandline.studies.text import Changes, changed_text, flow, load_yaml
 
 LONGEST = 63
 """Most characters in the name of a folder that is made up from settings."""

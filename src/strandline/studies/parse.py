@@ -16,7 +16,7 @@ from strandline.studies.folder import STUDY
 from strandline.studies.keys import SCHEMA_VERSION, StudyFile
 from strandline.studies.keys.observation import KNOWN, ONE, RANGE, SEVERAL, UNKNOWN, ConditionFile
 from strandline.studies.keys.schema import PLAIN, Options, annotation_of, keys_within, stated
-from strandline.studies.yaml_text import load_yaml
+from strandline.studies.text import load_yaml
 
 T = TypeVar("T")
 WORDS = {

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from strandline.runs.ledger_schema import EXCLUDED, INTERRUPTED
 from strandline.runs.overview import OPEN, Attempt, Driver, Overview, Run
 from strandline.runs.plans import Plan
-from strandline.studies.folder import LEDGER, REFINEMENT, STUDY, SUMMARY, read_json
-from strandline.studies.question_keys import digest_of
+from strandline.studies.folder import LEDGER, REFINEMENT, STUDY, SUMMARY, digest_of, read_json
 
 if TYPE_CHECKING:
     from strandline.studies.study import Study

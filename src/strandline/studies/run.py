@@ -24,8 +24,7 @@ from strandline.report import FIGURES, remove_report, template, write_report
 from strandline.report.fit import nearest_runs, nothing_near
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.runs.failures import FailurePolicy
-from strandline.studies.check_file import read_check
-from strandline.studies.early_widths import noting_widths
+from strandline.studies.check import read_check
 from strandline.studies.first_run import require_same_size
 from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY, require_writable, write_json
 from strandline.studies.noise import require_fits
@@ -34,6 +33,7 @@ from strandline.studies.pictures.shown import pictures_in_page
 from strandline.studies.provenance import require_its_own_text
 from strandline.studies.study import Study
 from strandline.studies.summary import summarise
+from strandline.studies.widths import noting_widths
 from strandline.version import __version__
 
 TELLING_RUNS = 4

@@ -26,8 +26,6 @@ from strandline.studies.noise import require_stated
 from strandline.studies.observed import noisy
 from strandline.studies.study import Study
 
-__all__ = ["Solver", "differentiating", "served_models"]
-
 REMEMBERED = 64
 
 Solve = Callable[[Mapping[str, float]], RunRecord]

@@ -14,9 +14,8 @@ from strandline.models.protocol import ForwardModel, asks_sensitivities, declare
 from strandline.parameters import ParameterSpace
 from strandline.planning.candidate import Candidate
 from strandline.runs import Executor
-from strandline.studies.candidates import read_candidates
-from strandline.studies.folder import LEDGER
-from strandline.studies.inputs import build_fixed, build_space, check_complete
+from strandline.studies.folder import LEDGER, digest_of
+from strandline.studies.inputs import build_fixed, build_space, check_complete, read_candidates
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.observation import COLUMN, IMAGE, ConditionFile, ConditionNoise, ObservationFile
 from strandline.studies.models import as_in_ledgers, build_discrepancies, build_model, with_cheaper
@@ -33,7 +32,6 @@ from strandline.studies.parse import parse_study
 from strandline.studies.pictures.photographed import Photographed
 from strandline.studies.pictures.scanned import Scanned
 from strandline.studies.pictures.undeformed import Undeformed, undeformed_in, with_errors_of
-from strandline.studies.question_keys import digest_of
 from strandline.studies.settings import build_executor, build_settings
 from strandline.studies.study_runs import StudyRuns
 from strandline.typeset import html_table, html_text

@@ -20,12 +20,12 @@ from strandline.report.warnings import find_warnings
 from strandline.runs.ledger_rows import outcome_digest
 from strandline.runs.ledger_schema import EXCLUDED
 from strandline.studies.measure_doubts import contradictions
-from strandline.studies.outline_effect import outline_effect
 from strandline.studies.parse import in_words
 from strandline.studies.pictures.shown import read_how
 from strandline.studies.provenance import observation_digest, versions
 from strandline.studies.study import Study
 from strandline.studies.summary_field import certificate, comparison, field_surrogate, inferred_noise
+from strandline.studies.widths import outline_effect
 from strandline.surrogate import GaussianProcess, LogLikelihoodSurrogate
 from strandline.version import __version__
 

@@ -18,8 +18,7 @@ from strandline.priors import Prior
 from strandline.studies.changed_copy import reuse_from, write_copy
 from strandline.studies.inputs import build_prior
 from strandline.studies.study import Study
-from strandline.studies.yaml_edit import REMOVED, changed_text
-from strandline.studies.yaml_text import load_yaml
+from strandline.studies.text import REMOVED, changed_text, load_yaml
 
 NOISE, LENGTH = (0.2, 5.0), (0.0, 200.0)
 """Range of the factor on the noise's standard deviation, and of the correlation length, µm."""

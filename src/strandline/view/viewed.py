@@ -42,10 +42,9 @@ from strandline.report.explore import (
 from strandline.runs import Ledger
 from strandline.runs.overview import Overview
 from strandline.studies.first_run import observations_of
-from strandline.studies.folder import REFINEMENT, STUDY, SUMMARY
+from strandline.studies.folder import REFINEMENT, STUDY, SUMMARY, digest_of
 from strandline.studies.pictures.shown import picture_behind
 from strandline.studies.progress import progress_as_planned
-from strandline.studies.question_keys import digest_of
 from strandline.studies.study import Study
 from strandline.view.assumptions import answer_to, asked_by, knobs_of, number_in
 from strandline.view.feeds import SEED, PosteriorFeed, RunsFeed, changed_at

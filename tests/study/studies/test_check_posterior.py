@@ -17,7 +17,7 @@ from strandline.errors import ForwardModelError, InvalidInput, TooFewRuns
 from strandline.posterior import from_datatree, read
 from strandline.runs import InProcess
 from strandline.studies import check_posterior, load_study
-from strandline.studies.check_file import read_check
+from strandline.studies.check import read_check
 from strandline.testing.studies import undeclared_beam, write_study
 
 

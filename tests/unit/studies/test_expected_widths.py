@@ -13,10 +13,8 @@ from strandline.interface import Interface
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import Uniform
 from strandline.runs import Progress, RunRecord, RunRequest, attempt
-from strandline.studies import expected_widths as widths
-from strandline.studies import load_study
-from strandline.studies.early_widths import noting_widths, predicted_at
-from strandline.studies.expected_widths import STEP, expected_sd, neighbours, slopes_by_differences
+from strandline.studies import load_study, widths
+from strandline.studies.widths import STEP, expected_sd, neighbours, noting_widths, predicted_at, slopes_by_differences
 from strandline.testing.models import TwoLoads
 from strandline.testing.studies import TWO_LOADS_STUDY, write_study
 

@@ -28,7 +28,7 @@ from strandline.studies.keys.settings import ExecutorChoice
 from strandline.studies.noise import require_stated
 from strandline.studies.observed import SyntheticNoise, noisy, read_points, require_plausible
 from strandline.studies.parse import parse_study
-from strandline.studies.yaml_text import _not_yaml
+from strandline.studies.text import _not_yaml
 from strandline.testing.models import TwoLoads
 from strandline.testing.studies import BEAM_STUDY, TWO_LOADS_STUDY, write_study
 

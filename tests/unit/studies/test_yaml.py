@@ -14,11 +14,18 @@ import yaml
 from tests.unit.cli.command_line import contents
 
 from strandline.errors import InvalidInput, InvalidStudy
-from strandline.studies import changed_copy, load_study, yaml_edit
+from strandline.studies import changed_copy, load_study
+from strandline.studies import text as study_text
 from strandline.studies.changed_copy import changed_study
-from strandline.studies.question_keys import digest_of, without_questions
-from strandline.studies.yaml_edit import REMOVED, changed_content, changed_text
-from strandline.studies.yaml_text import DEEPEST, load_yaml
+from strandline.studies.text import (
+    DEEPEST,
+    REMOVED,
+    changed_content,
+    changed_text,
+    digest_of,
+    load_yaml,
+    without_questions,
+)
 from strandline.testing.studies import TWO_LOADS_STUDY, write_study
 
 ROOT = Path(__file__).parents[3]
@@ -194,7 +201,7 @@ def test_what_cannot_be_edited_is_written_anew(monkeypatch):
     ):
         assert load_yaml(changed_text(text, changes)) == changed_content(load_yaml(text), changes) != load_yaml(text)
     # A planted error: the edit cuts off what follows the value.
-    monkeypatch.setattr(yaml_edit, "_end", lambda text, node: len(text))
+    monkeypatch.setattr(study_text, "_end", lambda text, node: len(text))
     assert load_yaml(changed_text(TEXT, {("noise", "sd"): 4})) == {**load_yaml(TEXT), "noise": {"sd": 4, "unit": "um"}}
 
 

@@ -17,7 +17,7 @@ from strandline.posterior import FLAT, Posterior, interface_band, prior_conflict
 from strandline.posterior.weighted import Weighted
 from strandline.questions.compare.comparable import may_err
 from strandline.questions.compare.separation import Shown
-from strandline.studies.check_file import offset_band, posterior_digest
+from strandline.studies.check import offset_band, posterior_digest
 from strandline.studies.parse import in_words
 from strandline.studies.provenance import versions
 from strandline.studies.study import Study

@@ -33,8 +33,7 @@ from strandline.report import write_answer
 from strandline.report.answers import draw_coverage
 from strandline.runs import Progress
 from strandline.runs.ledger_rows import outcome_digest
-from strandline.studies.check import finished_posterior
-from strandline.studies.check_file import posterior_digest
+from strandline.studies.check import finished_posterior, posterior_digest
 from strandline.studies.first_run import observations_of
 from strandline.studies.folder import COVERAGE, REPLICATES, require_writable, told_if_unwritable, write_json
 from strandline.studies.provenance import points_digest

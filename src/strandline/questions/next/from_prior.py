@@ -25,8 +25,8 @@ from strandline.posterior.weighted import Weighted
 from strandline.questions.next.answers import Answer, Answers, problem_of
 from strandline.questions.next.runs import PointRuns, runs_at
 from strandline.runs import Executor, RunRecord
-from strandline.studies.expected_widths import slopes_by_differences, slopes_by_sensitivities
 from strandline.studies.study import Study
+from strandline.studies.widths import slopes_by_differences, slopes_by_sensitivities
 
 __all__ = ["answers_from_prior"]
 

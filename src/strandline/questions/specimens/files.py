@@ -21,7 +21,7 @@ from strandline.studies.observed import read_observation
 from strandline.studies.parse import checked
 from strandline.studies.pictures.undeformed import with_errors_of
 from strandline.studies.study import Study
-from strandline.studies.yaml_text import load_yaml
+from strandline.studies.text import load_yaml
 
 __all__ = ["Outline", "SpecimenFiles", "noise_of_outline", "specimen_files"]
 

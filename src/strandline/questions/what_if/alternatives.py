@@ -15,7 +15,7 @@ from strandline.studies.keys.observation import Noise
 from strandline.studies.keys.study_file import WhatIf
 from strandline.studies.parse import checked, entry, refused_at
 from strandline.studies.study import Study, study_of
-from strandline.studies.yaml_text import load_yaml
+from strandline.studies.text import load_yaml
 from strandline.text import listed
 
 __all__ = ["alternative_of", "asked_in", "require_asked"]

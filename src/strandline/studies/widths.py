@@ -1,24 +1,28 @@
-"""The widths that the posterior will have, from the slopes of the interface at one point, before any campaign."""
+"""The widths that the posterior will have, from the slopes of the interface at one point, also during a campaign."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from strandline.calibration import Observer
 from strandline.calibration.footprint import footprint
 from strandline.discrepancy import Discrepancy, NormalOffset, signed_distances, squared_discrepancies
-from strandline.errors import NumericsError
-from strandline.interface import Interface, Observation
+from strandline.errors import InvalidInput, NumericsError
+from strandline.interface import Interface, Observation, UnknownErrors
 from strandline.likelihood import compared, noise_length
 from strandline.likelihood.compared import errors_of
 from strandline.likelihood.joint_errors import error_model
 from strandline.likelihood.noise_rule import differences, second_differences
 from strandline.likelihood.shared_errors import shared_errors
+from strandline.models.fidelities import WithCheaper, is_cheaper
 from strandline.parameters import ParameterSpace
-from strandline.runs import RunRecord
+from strandline.posterior import Posterior
+from strandline.runs import Progress, RunRecord
 from strandline.studies.study import Study
-
-__all__ = ["expected_sd", "neighbours", "slopes_by_differences", "slopes_by_sensitivities", "width_lines"]
+from strandline.surrogate.field import FieldTraining, fit_field
 
 HARDLY = 0.8
 """Share of the prior's sd above which the data barely constrain an input."""
@@ -162,3 +166,114 @@ def _prior_sd(space: ParameterSpace) -> Float[np.ndarray, " dim"]:
     """Return half the width of the central 68.3 % of each prior."""
     low, high = (space.prior_quantiles(np.full((1, space.dim), p))[0] for p in (0.1587, 0.8413))
     return np.asarray(0.5 * (high - low))
+
+
+RUNS_PER_INPUT = 4
+"""Successful runs for each input, and for the mean, from which slopes are estimated."""
+SURROGATE_STEP = 1e-3
+"""Step of the differences, in widths of the box."""
+
+
+def noting_widths(observer: Observer, study: Study) -> Observer:
+    """Return an observer that also notes the expected widths, once: after the first runs, without any of its own."""
+    first: list[RunRecord] = []
+    needed = 1 if study.sensitivities else RUNS_PER_INPUT * (study.space.dim + 1)
+
+    def run(record: RunRecord, progress: Progress) -> None:
+        """Report a run, and after enough runs the widths."""
+        observer.run(record, progress)
+        by_one = not isinstance(study.model, WithCheaper) or is_cheaper(record.inputs)
+        if record.ok and by_one and len(first) < needed:
+            first.append(record)
+            if len(first) == needed:
+                for line in _early_lines(study, first):
+                    observer.note(line)
+
+    return replace(observer, run=run)
+
+
+def predicted_at(
+    records: Sequence[RunRecord], space: ParameterSpace, at: Float[np.ndarray, " dim"]
+) -> tuple[dict[str, Interface], Slopes] | None:
+    """Return the interfaces at some inputs, and d(points)/d(input) there, mm per unit of the input, by condition.
+
+    They come from a surrogate of the field, learnt from successful runs. Slopes in the mean over a wide box would hide
+    that two inputs have nearly the same effect. Returns None for runs that define no field.
+    """
+    x = np.array([[record.inputs[name] for name in space.names] for record in records], float)
+    interfaces = [record.interfaces for record in records]
+    try:
+        field = fit_field(FieldTraining(x, interfaces, None, space.low, space.high))
+    except (InvalidInput, NumericsError):
+        return None
+    steps = SURROGATE_STEP * (space.high - space.low)
+    ahead, back = (field.points(field.mean(at + np.diag(one))) for one in (steps, -steps))
+    slopes = {name: np.moveaxis(ahead[name] - back[name], 0, -1) / (2 * steps) for name in ahead}
+    return field.interfaces(at), slopes
+
+
+def _early_lines(study: Study, records: Sequence[RunRecord]) -> list[str]:
+    """Return the expected widths in sentences; none if they cannot be computed."""
+    names, seen = study.space.names, study.observed or records[0].interfaces
+    if any(isinstance(study.noise_of(condition), UnknownErrors) for condition in seen):
+        return []
+    x = np.array([[record.inputs[name] for name in names] for record in records], float)
+    middle = records[int(np.argmin((((x - x.mean(axis=0)) / np.maximum(x.std(axis=0), 1e-300)) ** 2).sum(axis=1)))]
+    slopes, interfaces, source = slopes_by_sensitivities(middle, names), middle.interfaces, "the sensitivities of a run"
+    if slopes is None:
+        found = predicted_at(records, study.space, np.array([middle.inputs[name] for name in names], float))
+        if found is None:
+            return []
+        (interfaces, slopes), source = found, f"the first {len(records)} runs"
+    try:
+        return list(width_lines(study, expected_sd(study, interfaces, slopes, study.observed), source))
+    except (InvalidInput, NumericsError):
+        return []  # what the measure refuses is reported elsewhere
+
+
+NEAREST = 8
+"""Runs near the posterior that give the slopes, for each input and for the mean."""
+
+
+def outline_effect(study: Study, records: Sequence[RunRecord], posterior: Posterior) -> dict[str, Any] | None:
+    """Return the outline's errors, µm, and the expected sd of each input with and without them.
+
+    Both widths are those of a model that is linear around the posterior's mean, with slopes from the runs near it.
+
+    Args:
+        study: The study.
+        records: Its runs.
+        posterior: Its posterior.
+
+    Returns:
+        The entry of summary.json; None if the outline comes from no picture. The widths are missing if the noise is
+        inferred, or if too few runs succeeded.
+    """
+    found = study.undeformed
+    if found is None:
+        return None
+    of: dict[str, Any] = {
+        "sd_um": 1e3 * found.errors.sd,
+        "length_um": 1e3 * found.errors.length,
+        "offset_um": 1e3 * found.errors.offset,
+    }
+    names, noises = study.space.names, [*study.noises.values()]
+    ok = [record for record in records if record.ok]
+    if not ok or any(isinstance(one, UnknownErrors) for one in noises):
+        return of
+    x = np.array([[record.inputs[name] for name in names] for record in ok], float)
+    away = (((x - posterior.mean) / posterior.sd) ** 2).sum(axis=1)
+    dim = len(names)
+    near = [ok[i] for i in np.argsort(away)[: NEAREST * (dim + 1)]]
+    predicted = predicted_at(near, study.space, posterior.mean)
+    if predicted is None:
+        return of
+    alone = replace(study, noises=found.noises)
+    try:
+        sds = [expected_sd(one, *predicted, study.observed) for one in (study, alone)]
+    except (InvalidInput, NumericsError):
+        return of
+    return of | {
+        name: dict(zip(names, (float(value) for value in one), strict=True))
+        for name, one in zip(("expected_sd", "expected_sd_without"), sds, strict=True)
+    }
