@@ -70,8 +70,8 @@ class Options:
     def _read(self, value: Any, checked: Callable[[Any], BaseModel]) -> Any:
         if self.make and isinstance(value, self.of):
             return value
-        options = stated(checked(value))
-        return self.of(**options) if self.make else options
+        section = checked(value)
+        return self.of(**stated(section)) if self.make else {name: one for name, one in section if one is not None}
 
     def _key(self, one: "dataclasses.Field[Any]", hint: Any) -> tuple[Any, Any]:
         kind = Annotated[Any, _Read(one.metadata[READ])] if READ in one.metadata else self._type(hint)
@@ -116,7 +116,7 @@ class _Read:
 
 def stated(section: BaseModel) -> dict[str, Any]:
     """Return the options by name, except those left to the class."""
-    return {name: value for name, value in section if value is not None}
+    return {name: value for name, value in section if name in section.model_fields_set and value is not None}
 
 
 def _hints(kind: type) -> dict[str, Any]:
