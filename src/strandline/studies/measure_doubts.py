@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import cKDTree
 
 from strandline.discrepancy import ClosestPoint, Discrepancy, MeasurementLines, NormalOffset
 from strandline.discrepancy.contours import path_of
@@ -24,6 +25,9 @@ PIECE = 4.0
 """Shortest piece of outline that is suggested, in spacings of the observed points."""
 GAP = 5.0
 """Longest distance of neighbouring points, in their median, that is no gap."""
+ALONE, FEWEST = 8.0, 20
+"""Distance of an observed point from all others, in the next largest such distance, that shows a mistake; fewest points.
+For 20 or more points at random places on a line, it was at most 7.4 in 3,000 draws."""
 TO_POINTS = "to_simulated", "sum"
 """Direction and weighting of closest_point with which only the observed points count."""
 BEYOND = 3.0
@@ -45,6 +49,7 @@ def measure_lines(study: Study, record: RunRecord) -> Iterator[str]:
         run, of = record.interfaces[condition], f" ({condition})" if condition else ""
         if seen.dim != 2 or run.dim != 2:
             continue
+        yield from _alone(seen, of)
         yield from _long(observation, of)
         if condition in study.pictures:
             yield from _held(observation, of)
@@ -89,6 +94,20 @@ def _held(observation: Observation, of: str) -> Iterator[str]:
         yield (
             f"warning{of}: no error of place and size is stated. A picture cannot show how far its origin, angle and "
             "pixel size are off: state `unknown: {shift: …, rotation: …, scale: …}` in `noise`"
+        )
+
+
+def _alone(seen: Interface, of: str) -> Iterator[str]:
+    """Yield a warning for a single observed point that lies far from all others."""
+    if len(seen.points) < FEWEST:
+        return
+    nearest = cKDTree(seen.points).query(seen.points, k=2)[0][:, 1]
+    usual, far = np.sort(nearest)[-2:]
+    if far > ALONE * usual:
+        at = ", ".join(f"{one:.4g}" for one in seen.points[np.argmax(nearest)])
+        yield (
+            f"warning{of}: the observed point at ({at}) mm lies {far:.3g} mm from all others, which have a neighbour "
+            f"within {usual:.3g} mm; leave it out if it is a mistake"
         )
 
 

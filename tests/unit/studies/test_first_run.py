@@ -196,6 +196,19 @@ def test_lines_that_turn_with_the_noise(tmp_path):
     assert doubts(tmp_path, noisy(0.4), measurement_lines={"lines": 10, "smooth": smooth}) == []
 
 
+def test_an_observed_point_far_from_all_others(tmp_path):
+    """Neither noise nor a gap makes one."""
+    points = noisy(0.2, 30)
+    spacing = points[-1, 0] / 30
+    moved = points.copy()
+    moved[12, 1] += 14 * spacing
+    for seen, number in ((moved, 1), (points, 0), (np.delete(points, range(5, 15), axis=0), 0)):
+        lines = doubts(tmp_path, seen, {"sd": 3, "unit": "um"}, normal_offset={})
+        found = [line for line in lines if "from all others" in line]
+        assert len(found) == number
+    assert f"({moved[12, 0]:.4g}, {moved[12, 1]:.4g}) mm" in doubts(tmp_path, moved, closest_point={})[0]
+
+
 def test_errors_correlated_over_much_of_the_interface(tmp_path):
     points = noisy(0.02)
     whole = 1e3 * float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
