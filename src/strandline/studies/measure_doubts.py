@@ -26,7 +26,7 @@ PIECE = 4.0
 GAP = 5.0
 """Longest distance of neighbouring points, in their median, that is no gap."""
 ALONE, FEWEST = 8.0, 20
-"""Distance of an observed point from all others, in the next largest such distance, that shows a mistake; fewest points.
+"""Distance of one observed point from all others, in the next largest such distance, that shows a mistake.
 For 20 or more points at random places on a line, it was at most 7.4 in 3,000 draws."""
 TO_POINTS = "to_simulated", "sum"
 """Direction and weighting of closest_point with which only the observed points count."""

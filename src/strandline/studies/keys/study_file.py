@@ -2,11 +2,12 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
 
 from strandline.errors import InvalidStudy
+from strandline.planning.view import FEWEST_POINTS
 from strandline.studies.keys.observation import Noise, Observed
-from strandline.studies.keys.scalars import Choice, Name, Number, Section, Seed, Switch, Unit
+from strandline.studies.keys.scalars import MOST, Choice, Name, Number, Section, Seed, Switch, Unit, Whole
 from strandline.studies.keys.settings import Design, ExecutorChoice, Failures, Sampler, Surrogate
 
 
@@ -29,6 +30,44 @@ class SpecimensFile(Section):
 
 
 CHANGES = ("prior", "noise", "measure", "fix", "without")
+
+
+Share = Annotated[Number, Field(ge=0, le=1)]
+Points = Annotated[Whole, Field(ge=FEWEST_POINTS, le=MOST)]
+
+
+def _ordered(part: tuple[float, float]) -> tuple[float, float]:
+    if not part[0] < part[1]:
+        raise ValueError("pairs of shares of the interface's length, e.g. [[0, 0.5], [0.5, 1]]")
+    return part
+
+
+class Next(Section):
+    """Candidates for the next experiment: values of quantities, each a key, and what of the interface is observed."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Annotated[list[Number], Field(min_length=1)]]
+    condition: Annotated[list[str | list[str]], Field(min_length=1)] | None = None
+    """of the [candidates for the next experiment](../how-to/next-experiment.md), which also list values of known
+    quantities by name: conditions to observe, `[slow, fast]`, or `[[slow, fast]]` for both"""
+    part: Annotated[list[Annotated[tuple[Share, Share], AfterValidator(_ordered)]], Field(min_length=1)] | None = None
+    """where on the interface to look, as shares of the observed length: `[[0, 0.5], [0.5, 1]]`"""
+    points: Annotated[list[Points | None], Field(min_length=1)] | None = (
+        None
+    )
+    """how many points to observe, at equal distances: `[20, 100]`"""
+    sd: Annotated[list[Annotated[Number, Field(gt=0)] | None], Field(min_length=1)] | None = None
+    """standard deviation of each point, in `next.unit`"""
+    unit: Literal["mm", "um", "µm", "m"] | None = None
+    """of `next.sd`"""
+    together: Annotated[Whole, Field(ge=1, le=3)] = 1
+    """how many experiments may be made together, up to 3"""
+
+    @model_validator(mode="after")
+    def _in_a_unit(self) -> "Next":
+        if self.sd is not None and self.unit is None:
+            raise ValueError("the unit of `sd` too: `unit: um` (or mm, m)")
+        return self
 
 
 class WhatIf(Section):
@@ -124,9 +163,7 @@ class StudyFile(Section):
     """`none`: no figures and no page"""
     seed: Seed = 1
     """for every random number after the design"""
-    next: dict[Name, Any] = {}
-    """[candidates for the next experiment](../how-to/next-experiment.md): values of fixed quantities, with what of the
-    interface is observed; no result depends on it"""
+    next: Next | None = None
     specimens: SpecimensFile | None = None
     """outlines of [many specimens](../how-to/many-specimens.md), analysed with the runs of this study"""
     what_if: list[WhatIf] = []
