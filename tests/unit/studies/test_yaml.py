@@ -17,6 +17,8 @@ from strandline.errors import InvalidInput, InvalidStudy
 from strandline.studies import changed_copy, load_study
 from strandline.studies import text as study_text
 from strandline.studies.changed_copy import changed_study
+from strandline.studies.keys import StudyFile
+from strandline.studies.keys.schema import listed
 from strandline.studies.text import (
     DEEPEST,
     REMOVED,
@@ -312,3 +314,10 @@ def test_keys_with_dots_and_a_planted_error(tmp_path, monkeypatch):
     monkeypatch.setattr(changed_copy, "_keys", lambda name, content: tuple(name.split(".")))
     with pytest.raises(InvalidStudy):
         changed_study(folder, [setting], tmp_path / "other")
+
+
+def test_every_key_has_a_meaning_and_names_in_it_are_shown_once():
+    keys = {key.name: key for key in listed(StudyFile)}
+    assert [name for name, key in keys.items() if not key.meaning] == []
+    assert {"surrogate.field", "executor.in_process", "noise.conditions.NAME", "next.together"} <= set(keys)
+    assert keys["design.active.runs"].default == keys["noise.unknown.shift"].default.replace("0.0", "required")

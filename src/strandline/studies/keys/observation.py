@@ -334,18 +334,22 @@ class ConditionNoise(Section):
     """Noise of one condition: of the measure, or with a `unit` of the observed points."""
 
     variance: Annotated[Number, Field(gt=0)] | None = None
-    """σ_N² of the condition NAME, instead of the study's"""
+    """σ_N², in the unit of d² (mm²)"""
     sd: Sd | None = None
-    """instead of `variance`: its σ_N, or with `unit` that of its points"""
+    """instead of `variance`: σ_N; or with `unit` the standard deviation of [an observed point](../how-to/noise.md);
+    `unknown` or a range [low, high] lets the residuals decide, `column` takes those of `observation.sd`,
+    `image` what the picture shows"""
     unit: Literal["mm", "um", "µm", "m"] | None = None
-    """as `noise.unit`, for the condition NAME"""
+    """`mm`, `um`, `µm` or `m`: `sd` is that of an observed point along the normal; strandline derives the noise of
+    every measure from it"""
     length: Length | None = None
-    """as `noise.length`, for the condition NAME"""
+    """correlation length of the points' errors along the interface, in `unit`, `unknown` or a range as for `sd`;
+    default: 0, independent points"""
     unknown: Unknown | None = None
     model_error: Switch = False
-    """as `noise.model_error`, for the condition NAME"""
+    """whether the model may err by [a smooth offset along the interface](../how-to/model-error.md) of unknown size"""
     spread: list[Name] = []
-    """as `noise.spread`, for the condition NAME"""
+    """inputs that may [differ from condition to condition](../how-to/model-error.md) by an unknown amount"""
 
     @property
     def of_points(self) -> bool:
@@ -379,20 +383,5 @@ class ConditionNoise(Section):
 class Noise(ConditionNoise):
     """Noise of every condition without its own."""
 
-    variance: Annotated[Number, Field(gt=0)] | None = None
-    """σ_N², in the unit of d² (mm²)"""
-    sd: Sd | None = None
-    """instead of `variance`: σ_N; or with `unit` the standard deviation of [an observed point](../how-to/noise.md);
-    `unknown` or a range [low, high] lets the residuals decide, `column` takes those of `observation.sd`,
-    `image` what the picture shows"""
-    unit: Literal["mm", "um", "µm", "m"] | None = None
-    """`mm`, `um`, `µm` or `m`: `sd` is that of an observed point along the normal; strandline derives the noise of
-    every measure from it"""
-    length: Length | None = None
-    """correlation length of the points' errors along the interface, in `unit`, `unknown` or a range as for `sd`;
-    default: 0, independent points"""
-    model_error: Switch = False
-    """whether the model may err by [a smooth offset along the interface](../how-to/model-error.md) of unknown size"""
-    spread: list[Name] = []
-    """inputs that may [differ from condition to condition](../how-to/model-error.md) by an unknown amount"""
     conditions: dict[str, ConditionNoise] = {}
+    """the same keys for the condition NAME, in place of the others"""

@@ -188,8 +188,9 @@ def _keys(section: type[BaseModel], before: str) -> Iterator[Key]:
         if key.exclude:
             continue
         annotation = annotation_of(key)
-        inner = list(_sections_in(annotation))
-        named = bool(inner) and _by_name(annotation)
+        found = list(_sections_in(annotation))
+        inner = [one for one in found if one.model_fields and not issubclass(section, one)]
+        named = bool(found) and _by_name(annotation)
         prefix = f"{before}{name}.NAME." if named else f"{before}{name}."
         if not inner or (named and key.description):
             default = "required" if key.is_required() else _written(key.get_default())

@@ -86,6 +86,7 @@ class Surrogate(Section):
 
     log_likelihood: LogLikelihood | None = None
     field: InterfaceField | None = None
+    """[a surrogate of the interface](../explanation/surrogates.md), which has no options"""
 
     @model_validator(mode="after")
     def _one_surrogate(self) -> "Surrogate":
@@ -165,6 +166,7 @@ class ExecutorChoice(Section):
     """Where forward runs are made: one place."""
 
     in_process: Annotated[Mapping[str, Any], Options(InProcess)] | None = None
+    """one run after the other, in the process of strandline; it has no options"""
     local: Annotated[Mapping[str, Any], Options(LocalProcesses)] | None = None
     dask: Annotated[Mapping[str, Any], DASK] | None = None
     slurm_array: Annotated[Mapping[str, Any], SLURM_ARRAY] | None = None

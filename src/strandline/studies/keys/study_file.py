@@ -52,9 +52,7 @@ class Next(Section):
     quantities by name: conditions to observe, `[slow, fast]`, or `[[slow, fast]]` for both"""
     part: Annotated[list[Annotated[tuple[Share, Share], AfterValidator(_ordered)]], Field(min_length=1)] | None = None
     """where on the interface to look, as shares of the observed length: `[[0, 0.5], [0.5, 1]]`"""
-    points: Annotated[list[Points | None], Field(min_length=1)] | None = (
-        None
-    )
+    points: Annotated[list[Points | None], Field(min_length=1)] | None = None
     """how many points to observe, at equal distances: `[20, 100]`"""
     sd: Annotated[list[Annotated[Number, Field(gt=0)] | None], Field(min_length=1)] | None = None
     """standard deviation of each point, in `next.unit`"""
