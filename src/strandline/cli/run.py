@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from click.shell_completion import CompletionItem
 
 if TYPE_CHECKING:
     from strandline.calibration import Observer
@@ -17,6 +18,15 @@ from strandline.cli.study_folder import STUDY
 __all__ = ["command"]
 
 
+def _keys(context: click.Context, option: click.Parameter, start: str) -> list[CompletionItem]:
+    """Return the keys of study.yaml that begin with what was typed, for the shell, with their meanings."""
+    from strandline.studies.keys import StudyFile
+    from strandline.studies.keys.schema import listed
+
+    known = (key for key in listed(StudyFile) if key.name.startswith(start) and ".NAME" not in key.name)
+    return [CompletionItem(f"{key.name}=", help=key.meaning) for key in known]
+
+
 @click.command("run")
 @click.argument("study", type=STUDY)
 @click.option(
@@ -24,6 +34,7 @@ __all__ = ["command"]
     "settings",
     multiple=True,
     metavar="KEY=VALUE",
+    shell_complete=_keys,
     help="Run a copy of the study with another value, e.g. noise.sd=3; can be repeated.",
 )
 @click.option("--into", type=click.Path(path_type=Path, file_okay=False), help="Folder of that copy.")

@@ -9,7 +9,7 @@ import pytest
 from tests.unit.cli.command_line import contents, ends, refused
 from tests.unit.cli.test_runs import some_runs
 
-from strandline.cli import signals
+from strandline.cli import run, signals
 from strandline.errors import CampaignStopped, InvalidInput
 from strandline.testing.studies import write_study
 
@@ -101,3 +101,9 @@ def test_how_a_command_ends(handlers, capsys, monkeypatch):
         monkeypatch.setattr("strandline.cli.doctor.command", command)
         assert ends("doctor") == code
         assert capsys.readouterr().err == f"strandline: {told}\n"
+
+
+def test_the_shell_completes_the_keys_of_a_study_file():
+    (option,) = (one for one in run.command.params if one.name == "settings")
+    found = option.shell_complete(click.Context(run.command), "design.active.r")
+    assert [(one.value, one.help[:22]) for one in found] == [("design.active.runs=", "Maximum number of runs")]
