@@ -150,7 +150,6 @@ def build_executor(choice: ExecutorChoice, folder: Path) -> Executor:
         given |= {
             "folder": folder.resolve() / SLURM,
             "command": (sys.executable, "-m", "strandline.studies.array_task", str(folder.resolve())),
-            "extra": tuple(given["extra"]),
         }
     with refused_at(f"executor.{name}"):
         executor: Executor = lookup(EXECUTORS, name, "executor")(**given)

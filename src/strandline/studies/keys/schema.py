@@ -71,7 +71,7 @@ class Options:
         if self.make and isinstance(value, self.of):
             return value
         section = checked(value)
-        return self.of(**stated(section)) if self.make else {name: one for name, one in section if one is not None}
+        return self.of(**stated(section)) if self.make else section.model_dump(exclude_none=True)
 
     def _key(self, one: "dataclasses.Field[Any]", hint: Any) -> tuple[Any, Any]:
         kind = Annotated[Any, _Read(one.metadata[READ])] if READ in one.metadata else self._type(hint)
