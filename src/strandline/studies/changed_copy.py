@@ -28,9 +28,6 @@ def changed_study(folder: Path, settings: Sequence[str], into: Path | None = Non
         folder: Folder of the study, which stays as it is.
         settings: The other values, each as ``KEY=VALUE``, with a dotted key and a value in YAML.
         into: Folder of the copy; by default one beside `folder`, named after it and the settings.
-
-    Raises:
-        InvalidStudy: A setting cannot be used, or the folder holds another study; nothing is written.
     """
     content, text = parse_study(folder)
     present, raw = folder.resolve(), load_yaml(text)
@@ -115,11 +112,7 @@ def _changes(settings: Sequence[str], content: dict[Any, Any]) -> dict[tuple[str
 
 
 def _keys(name: str, content: Any) -> tuple[str, ...]:
-    """Return the keys that a dotted name consists of; keys in the file may have dots themselves.
-
-    Raises:
-        InvalidStudy: The name leads through a value that has no keys.
-    """
+    """Return the keys that a dotted name consists of; keys in the file may have dots themselves."""
     parts, keys = name.split("."), list[str]()
     while parts:
         if content is not None and not isinstance(content, dict):

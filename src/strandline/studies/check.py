@@ -309,15 +309,7 @@ def check_posterior(
 
 
 def finished_posterior(study: Study, *, purpose: str = "check") -> Posterior:
-    """Return the posterior of a study that has results for its present study.yaml.
-
-    Args:
-        study: The study.
-        purpose: What the posterior is needed for, a verb for the message.
-
-    Raises:
-        InvalidStudy: The study has no such posterior, or it cannot be read.
-    """
+    """Return the posterior of a study that has results for its present study.yaml."""
     results, path = results_of(study), study.folder / POSTERIOR
     if results != "current" or not path.is_file():
         outdated = results == "outdated"

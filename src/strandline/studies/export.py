@@ -22,9 +22,6 @@ def write_csv(path: Path, runs: Sequence[Run], ledger: Overview) -> str:
 
     Columns: key, state, kind, seconds, message (its first line), then ``input.NAME`` and ``diagnostic.NAME``; empty
     if a run has none.
-
-    Raises:
-        InvalidInput: The file cannot be written.
     """
     details = _details(runs, ledger)
     inputs, figures = [run.inputs for run in runs], [_figures(run, details) for run in runs]

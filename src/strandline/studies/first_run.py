@@ -74,11 +74,7 @@ def observations_of(study: Study) -> Mapping[str, Interface]:
 
 
 def require_same_size(study: Study, record: RunRecord) -> None:
-    """Refuse an observed interface ten times larger or smaller than that of the run.
-
-    Raises:
-        InvalidStudy: The sizes differ; the message has the ratio and the unit that was probably mistaken.
-    """
+    """Refuse an observed interface ten times larger or smaller than that of the run."""
     for condition, observed in study.observed.items():
         name = f"observation ({condition})" if condition else "observation"
         if observed.dim == record.interfaces[condition].dim:

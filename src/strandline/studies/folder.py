@@ -46,9 +46,6 @@ def require_writable(folder: Path) -> None:
     """Refuse a folder in which no file can be created; if the system allows it, the trial leaves no trace.
 
     Temporary folders are tried as well, because runs are made in them.
-
-    Raises:
-        InvalidStudy: No file can be created; the message has the system's reason.
     """
     require_temporary()
     try:
@@ -67,9 +64,6 @@ def require_temporary() -> None:
     """Refuse an environment without temporary folders for the runs: TMPDIR is wrong, or no folder can be used.
 
     Python itself would skip a wrong TMPDIR and fill another disk.
-
-    Raises:
-        InvalidStudy: No temporary folder can be made; the message names the folder.
     """
     named = next((name for name in ("TMPDIR", "TEMP", "TMP") if os.environ.get(name)), None)
     place = os.environ[named] if named else None
@@ -98,11 +92,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def told_if_unwritable(folder: Path) -> Iterator[None]:
-    """Turn the system's refusal to write a result into one clear line.
-
-    Raises:
-        InvalidStudy: A result cannot be written; the message has the file and the system's reason.
-    """
+    """Turn the system's refusal to write a result into one clear line."""
     try:
         yield
     except OSError as error:
@@ -153,9 +143,6 @@ def without_questions(text: str) -> str:
     """Return the text of study.yaml without its questions, with the comment and the blank lines above each of them.
 
     Adding a question to a study and removing it again thus changes nothing.
-
-    Args:
-        text: Text of study.yaml; one that is not YAML is returned whole.
     """
     if not ASKED.search(text):
         return text

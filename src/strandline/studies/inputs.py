@@ -117,12 +117,7 @@ def _parameter(name: str, item: Input, declared: ModelInput | None) -> Parameter
 
 
 def build_prior(given: Mapping[str, list[float]], at: str) -> Prior:
-    """Return the prior that the study file names.
-
-    Args:
-        given: Its name with its numbers.
-        at: Place in the study file.
-    """
+    """Return the prior that the study file names."""
     (kind, numbers) = next(iter(given.items()))
     prior_class: Any = open_entry(PRIORS, kind, at, "a prior")
     wanted = [field.name for field in dataclasses.fields(prior_class)]
@@ -199,11 +194,7 @@ PARTS = ("support", "log_density", "cdf", "quantile")
 
 
 def require_prior(prior: Prior, place: str) -> None:
-    """Refuse a prior that lacks a part, has no interval as support, or whose density JAX cannot compile.
-
-    Raises:
-        InvalidStudy: The prior cannot be used; the conformance suite says more.
-    """
+    """Refuse a prior that lacks a part, has no interval as support, or whose density JAX cannot compile."""
     require_parts(prior, PARTS, place)
     support = prior.support
     if not (isinstance(support, tuple) and len(support) == 2 and support[0] < support[1]):
@@ -230,17 +221,7 @@ MOST_CANDIDATES = 500
 def read_candidates(
     given: Next | None, model: ForwardModel, space: ParameterSpace, fixed: Mapping[str, float]
 ) -> tuple[Candidate, ...]:
-    """Return the candidates that study.yaml lists; none if it lists none.
-
-    Args:
-        given: The key `next`.
-        model: The simulator.
-        space: The unknown inputs.
-        fixed: The known inputs by name.
-
-    Raises:
-        InvalidStudy: A quantity that no experiment can set, or a value that does not make sense; too many candidates.
-    """
+    """Return the candidates that study.yaml lists; none if it lists none."""
     if given is None or not given.model_fields_set:
         return ()
     values = given.model_extra or {}

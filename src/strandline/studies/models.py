@@ -142,17 +142,7 @@ FAR = 0.5
 def with_cheaper(
     model: ForwardModel, content: StudyFile, folder: Path, undeformed: Undeformed | None = None
 ) -> ForwardModel:
-    """Return the model together with the cheaper one that the study names, or alone if it names none.
-
-    Args:
-        model: The model.
-        content: The study file.
-        folder: Folder of the study.
-        undeformed: The model's undeformed outline, if it comes from a picture.
-
-    Raises:
-        InvalidStudy: The cheaper model cannot be built, or does not fit the model.
-    """
+    """Return the model together with the cheaper one that the study names, or alone if it names none."""
     if not content.fidelities:
         return model
     (given,) = content.fidelities
@@ -208,13 +198,7 @@ def cheaper_dropped(folder: Path) -> bool:
 def cheaper_lines(
     model: ForwardModel, record: RunRecord, make: Callable[[ForwardModel, Mapping[str, float]], RunRecord]
 ) -> Iterator[str]:
-    """Yield how a run of the cheaper model compares with one of the model at the same inputs; nothing without one.
-
-    Args:
-        model: The model of the study.
-        record: Its run.
-        make: Function that makes another run.
-    """
+    """Yield how a run of the cheaper model compares with one of the model at the same inputs; nothing without one."""
     if not isinstance(model, WithCheaper):
         return
     other = make(model, by_cheaper(record.inputs))

@@ -21,16 +21,7 @@ Stated = float | str | tuple[float, float] | None
 def build_noise(
     given: ConditionNoise, names: Sequence[str], found: Found | None = None
 ) -> Noise | PointErrors | UnknownErrors:
-    """Return the noise that a section states, lengths in mm.
-
-    Args:
-        given: The section.
-        names: Names of the inputs.
-        found: What was read of the observed interface, if it is known already.
-
-    Raises:
-        InvalidStudy: The noise needs standard deviations that the observation does not hold, or names no input.
-    """
+    """Return the noise that a section states, lengths in mm."""
     if given.unit is None:
         return GaussianNoise(given.squared)
     mm, unknown = TO_MM[given.unit], given.unknown or Unknown()
@@ -113,11 +104,7 @@ def _require_unshared(unknown: Unknown) -> None:
 
 
 def require_offset(given: ConditionNoise) -> None:
-    """Refuse an edge in a picture whose offset along the normals is known exactly: no threshold is.
-
-    Raises:
-        InvalidStudy: `noise.unknown.offset` is 0, or missing beside a known sd.
-    """
+    """Refuse an edge in a picture whose offset along the normals is known exactly: no threshold is."""
     stated = given.unknown is not None and "offset" in given.unknown.model_fields_set
     if given.of_points and not (given.unknown and given.unknown.offset) and (stated or given.sd != IMAGE):
         raise InvalidStudy(
@@ -129,11 +116,7 @@ def require_offset(given: ConditionNoise) -> None:
 
 
 def require_unit(given: ConditionNoise, measures: Iterable[Discrepancy]) -> None:
-    """Refuse an sd of observed points without a unit: the measure normal_offset has no other noise.
-
-    Raises:
-        InvalidStudy: There is no unit.
-    """
+    """Refuse an sd of observed points without a unit: the measure normal_offset has no other noise."""
     if given.sd is not None and not given.of_points and any(isinstance(one, NormalOffset) for one in measures):
         raise InvalidStudy(
             "noise.sd, of an observed point",
@@ -184,16 +167,7 @@ def require_fits(noise: Noise | PointErrors | UnknownErrors, seen: Interface) ->
 
 
 def require_inferable(noises: Iterable[object], measure: Discrepancy, *, by_field: bool) -> None:
-    """Refuse unknown noise where nothing can infer it.
-
-    Args:
-        noises: Noise of each condition.
-        measure: The measure that defines the posterior.
-        by_field: Whether a surrogate learns the interface.
-
-    Raises:
-        InvalidStudy: Only some conditions have unknown noise, or measure or surrogate do not fit it.
-    """
+    """Refuse unknown noise where nothing can infer it."""
     noises = list(noises)
     if len(noises) < 2 and any(isinstance(noise, UnknownErrors) and noise.spread for noise in noises):
         raise InvalidStudy(
@@ -224,14 +198,7 @@ def require_inferable(noises: Iterable[object], measure: Discrepancy, *, by_fiel
 
 
 def require_shared(noises: Mapping[str, object]) -> None:
-    """Refuse errors shared by the conditions if not all conditions share them, or state different ones.
-
-    Args:
-        noises: Noise by condition.
-
-    Raises:
-        InvalidStudy: A condition has other errors of its position, rotation and scale than those that share them.
-    """
+    """Refuse errors shared by the conditions if not all conditions share them, or state different ones."""
     stated = {
         name: (one.shift, one.rotation, one.scale) if isinstance(one, PointErrors) and one.shared else None
         for name, one in noises.items()
@@ -249,15 +216,7 @@ def require_shared(noises: Mapping[str, object]) -> None:
 
 
 def require_stated(noises: Iterable[object], command: str) -> None:
-    """Refuse unknown noise where the true model's log-likelihood is needed, which then depends on all runs.
-
-    Args:
-        noises: Noise of each condition.
-        command: The command that needs it.
-
-    Raises:
-        InvalidStudy: The noise of a condition is to be inferred.
-    """
+    """Refuse unknown noise where the true model's log-likelihood is needed, which then depends on all runs."""
     found = next((noise for noise in noises if isinstance(noise, UnknownErrors)), None)
     if found is not None:
         raise InvalidStudy(

@@ -38,9 +38,6 @@ def noisy(interfaces: Mapping[str, Interface], noise: SyntheticNoise | None) -> 
     """Return synthetic observations by condition, Y = M + σ ε with ε ~ N(0, I) (Willmann et al. 2022, Eq. 16).
 
     The random numbers of a condition depend on its name and the seed alone. Without `noise` nothing changes.
-
-    Raises:
-        InvalidStudy: The noise is so large that an interface touches itself.
     """
     if noise is None:
         return dict(interfaces)
@@ -75,9 +72,6 @@ def read_points(
         unit: Unit of the numbers in the file, a key of `TO_MM`.
         what: Name of the points in messages.
         options: How to read the file, see `strandline.readers.Reading`.
-
-    Raises:
-        InvalidStudy: The file is missing, empty or damaged, or holds no simple interface.
     """
     try:
         reading = Reading.from_options({**(options or {}), "file": path.name, "unit": unit}, what)
@@ -92,11 +86,7 @@ def read_points(
 
 
 def read_sds(path: Path, unit: str, *, options: Mapping[str, Any]) -> Float[np.ndarray, " point"] | None:
-    """Return the standard deviations of observed points, mm; None if `options` name no column with them.
-
-    Raises:
-        InvalidStudy: One is not above 0.
-    """
+    """Return the standard deviations of observed points, mm; None if `options` name no column with them."""
     if options.get("sd") is None:
         return None
     reading = Reading.from_options({**options, "file": path.name, "unit": unit}, "observation")
@@ -112,9 +102,6 @@ def require_plausible(name: str, observed: Interface, simulated: Interface, *, u
         observed: The observed interface, mm.
         simulated: The model's interface, deformed or not, mm.
         unit: The unit in which the observation was read, if known.
-
-    Raises:
-        InvalidStudy: The extents differ by a factor of 10 or more; the message has both, and the likely mistake.
     """
     ratio = extent_ratio(observed, simulated)
     mistake = unit_mistake(ratio)
@@ -182,13 +169,7 @@ def _unknown_condition(condition: str, known: tuple[str, ...]) -> InvalidStudy:
 
 
 def read_observation(folder: Path, source: ObservationFile, model: ForwardModel) -> Found:
-    """Return an observed interface in the same direction as the model's.
-
-    Args:
-        folder: Folder of the study.
-        source: The file and how to read it.
-        model: The simulator.
-    """
+    """Return an observed interface in the same direction as the model's."""
     undeformed = undeformed_interface(model)
     if source.image is not None:
         picture = photographed(folder, source.image, undeformed)

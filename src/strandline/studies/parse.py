@@ -44,21 +44,13 @@ INTERNAL = {ONE, SEVERAL, KNOWN, UNKNOWN, RANGE, "[key]", "float", "int", "str",
 
 
 def parse_study(folder: Path) -> tuple[StudyFile, str]:
-    """Return the validated content of `folder`/study.yaml and its text.
-
-    Raises:
-        InvalidStudy: The folder or the file does not exist, or its content is not YAML or does not fit the schema.
-    """
+    """Return the validated content of `folder`/study.yaml and its text."""
     text = _read(folder)
     return parsed(text), text
 
 
 def parsed(text: str) -> StudyFile:
-    """Return the validated content of the text of a study file.
-
-    Raises:
-        InvalidStudy: It is not YAML or does not fit the schema.
-    """
+    """Return the validated content of the text of a study file."""
     content = _load(text)
     version = content.get("version")
     if type(version) is not int or version != SCHEMA_VERSION:
@@ -107,13 +99,7 @@ def _load(text: str) -> dict[Any, Any]:
 
 
 def first_problem(error: ValidationError, schema: Any = StudyFile, within: str = "") -> InvalidStudy:
-    """Translate pydantic's findings: an unknown key first, since it explains missing ones.
-
-    Args:
-        error: The findings.
-        schema: What was validated.
-        within: Place in the file of the keys that were validated.
-    """
+    """Translate pydantic's findings: an unknown key first, since it explains missing ones."""
     findings = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     first = findings[0]
     before, file = (f"{within}.", "") if within else ("", f"{STUDY}: ")
@@ -198,9 +184,6 @@ def checked(schema: type[T], value: Any, within: str = "") -> T:
         schema: A section, or another type that pydantic knows.
         value: The value.
         within: Place in the study file; the whole file by default.
-
-    Raises:
-        InvalidStudy: The value does not fit.
     """
     try:
         return TypeAdapter(schema).validate_python(value)
@@ -216,9 +199,6 @@ def made(kind: type, options: Mapping[str, Any] | None, place: str, **others: An
         options: Its options.
         place: Place in the study file.
         others: Further arguments, which are no options.
-
-    Raises:
-        InvalidStudy: An option is missing, unknown or of another type, or the class refuses it.
     """
     values = stated(checked(_section(kind, frozenset(others)), {} if options is None else options, place))
     try:

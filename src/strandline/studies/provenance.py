@@ -39,9 +39,6 @@ def require_its_own_text(study: Study) -> None:
     """Refuse a study that was changed after it was loaded: its results would not match its study.yaml.
 
     The executor, the policy for failed runs and the reused ledgers may be changed.
-
-    Raises:
-        InvalidStudy: Other fields were changed; the message lists them.
     """
     changed = list(replaced(study))
     if changed and study.as_loaded is not None and study.text == study.as_loaded.text:

@@ -127,11 +127,7 @@ def submit_study(study: Study, *, executor: Executor, observer: Observer | None 
 
 @contextmanager
 def _told_if_nothing_near(study: Study, problem: Problem, ledger: Ledger) -> Iterator[None]:
-    """Name the cause of an analysis that fails because no run comes near the observation.
-
-    Raises:
-        NumericsError: The analysis failed; the message has the best run and the likely reason.
-    """
+    """Name the cause of an analysis that fails because no run comes near the observation."""
     try:
         yield
     except InvalidStudy:
@@ -170,11 +166,7 @@ def _telling_early(observer: Observer, study: Study) -> Observer:
 
 
 def _checking_sizes(observer: Observer, study: Study) -> Observer:
-    """Return an observer that ends the study if none of its first runs has the size of the observation.
-
-    Raises:
-        InvalidStudy: None has; raised by the observer, with the ratio and the unit that was probably mistaken.
-    """
+    """Return an observer that ends the study if none of its first runs has the size of the observation."""
     first: list[RunRecord] = []
 
     def run(record: RunRecord, progress: Progress) -> None:
@@ -296,11 +288,7 @@ class _Made:
 
 
 def require_writers() -> None:
-    """Refuse to start if the libraries that write posterior.nc, the figures or the report do not work.
-
-    Raises:
-        InvalidInput: A library does not work; the message has its reason.
-    """
+    """Refuse to start if the libraries that write posterior.nc, the figures or the report do not work."""
     for name, trial in {POSTERIOR: _try_netcdf, FIGURES: _try_figures, REPORT: _try_page}.items():
         try:
             trial()

@@ -163,9 +163,6 @@ def served_models(
         solve: Makes a run; called by several threads at once.
         differentiate: Makes a run with sensitivities; None if the model has none.
         outside: Whether inputs outside the boxes of the priors are answered too.
-
-    Raises:
-        InvalidStudy: One of these runs fails.
     """
     medians = study.space.prior_quantiles(np.full((1, study.space.dim), 0.5))[0]
     example = _required(solve({**study.fixed, **study.space.as_mapping(medians)}), "at the medians of the priors")

@@ -134,11 +134,7 @@ def check_fit(name: str | None) -> str | None:
 
 
 def build_executor(choice: ExecutorChoice, folder: Path) -> Executor:
-    """Return the executor of the study in `folder`; worker processes on this machine if it names none.
-
-    Raises:
-        InvalidStudy: The options do not fit together.
-    """
+    """Return the executor of the study in `folder`; worker processes on this machine if it names none."""
     if choice.other is not None:
         ((name, options),) = choice.other.items()
         own: Executor = made(open_entry(EXECUTORS, name, "executor", "an executor"), options, f"executor.{name}")

@@ -146,16 +146,7 @@ def load_study(folder: Path | str) -> Study:
 
 
 def study_of(folder: Path, content: StudyFile, text: str) -> Study:
-    """Return the study that a study file states.
-
-    Args:
-        folder: Folder of the study.
-        content: Content of the study file.
-        text: Its text.
-
-    Raises:
-        InvalidStudy: A value in it cannot be used.
-    """
+    """Return the study that a study file states."""
     undeformed = undeformed_in(content.model, folder)
     model = build_model(content.model, folder, sensitivities=content.sensitivities, undeformed=undeformed)
     reuse = tuple(_reused_ledger(folder, other) for other in content.reuse)
@@ -206,13 +197,7 @@ def study_of(folder: Path, content: StudyFile, text: str) -> Study:
 def _noises(
     content: StudyFile, model: ForwardModel, read: Mapping[str, Found]
 ) -> tuple[Noise | PointErrors | UnknownErrors, dict[str, Noise | PointErrors | UnknownErrors]]:
-    """Return the noise, and that of each condition that has its own.
-
-    Args:
-        content: The study file.
-        model: The simulator.
-        read: What was read of each condition.
-    """
+    """Return the noise, and that of each condition that has its own."""
     known = declared_conditions(model)
     for condition in content.noise.conditions:
         if condition not in known:

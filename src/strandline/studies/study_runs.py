@@ -144,20 +144,12 @@ class StudyRuns:
         return Ledger.open(self.study.ledger_path, model=self.identity, description=self.study.name)
 
     def require_sound_ledgers(self) -> None:
-        """Refuse a ledger, own or reused, that is damaged or belongs to another model or to a newer strandline.
-
-        Raises:
-            LedgerError: A ledger cannot be used.
-        """
+        """Refuse a ledger, own or reused, that is damaged or belongs to another model or to a newer strandline."""
         for _ in self._own_and_reused():
             pass
 
     def require_finished(self) -> None:
-        """Refuse a study that needs runs that have not been made yet.
-
-        Raises:
-            InvalidStudy: The number of runs done is too small.
-        """
+        """Refuse a study that needs runs that have not been made yet."""
         study, keys, done = self.study, self.needed_keys, 0
         needed = len(keys) + self.planned - sum(len(some) for some in (self.design_keys, *self.rounds))
         if study.ledger_path.is_file():

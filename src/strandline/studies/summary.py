@@ -33,14 +33,7 @@ QUANTILES = (0.05, 0.5, 0.95)
 
 
 def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_runs: int) -> dict[str, Any]:
-    """Return the summary as plain numbers, texts, lists and dicts.
-
-    Args:
-        study: The study.
-        calibration: Result of its calibration.
-        new_runs: Number of forward runs made by this call.
-        reused_runs: Number of planned runs that were in a ledger already.
-    """
+    """Return the summary as plain numbers, texts, lists and dicts."""
     sampling, nearest = calibration.sampling, _nearest(calibration)
     return {
         "study": study.name,

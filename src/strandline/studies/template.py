@@ -126,15 +126,7 @@ def _flow(content: dict[str, Any]) -> str:
 
 
 def write_template(folder: Path, observed: Observed | None = None) -> Path:
-    """Write a commented study.yaml into `folder`, created if needed, and return its path.
-
-    Args:
-        folder: Folder of the study.
-        observed: The observed interface; default: one that the model makes.
-
-    Raises:
-        InvalidStudy: There is one already, or the folder cannot be created.
-    """
+    """Write a commented study.yaml into `folder`, created if needed, and return its path."""
     path = folder / STUDY
     about = SYNTHETIC if observed is None else observed.section(folder)
     with made_folder(folder):
@@ -153,11 +145,7 @@ def study_name(folder: Path) -> str:
 
 @contextmanager
 def made_folder(folder: Path) -> Iterator[None]:
-    """Make the folder of a new study, in which the block creates files.
-
-    Raises:
-        InvalidStudy: One of the files exists, or the folder cannot be created.
-    """
+    """Make the folder of a new study, in which the block creates files."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         yield
@@ -209,9 +197,6 @@ def write_example(name: str, folder: Path, observed: Observed | None = None, *, 
         folder: Folder of the study.
         observed: An observed interface in place of the example's, which must be one of `OWN`.
         package: Folder of the installed package.
-
-    Raises:
-        InvalidStudy: There is a study or one of the files already, or the folder cannot be created.
     """
     if name == "biofilm":
         return write_template(folder, observed)

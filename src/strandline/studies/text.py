@@ -29,10 +29,6 @@ def load_yaml(text: str) -> Any:
     """Return the content of `text`.
 
     Numbers with underscores are texts: YAML 1.1 would read ``1_0`` as 10.
-
-    Raises:
-        InvalidStudy: The text is not YAML, or has a key twice, a tag, or too much nesting or repetition; the message
-            has the line.
     """
     try:
         return yaml.load(text, Loader=_Loader)

@@ -240,11 +240,6 @@ def outline_effect(study: Study, records: Sequence[RunRecord], posterior: Poster
 
     Both widths are those of a model that is linear around the posterior's mean, with slopes from the runs near it.
 
-    Args:
-        study: The study.
-        records: Its runs.
-        posterior: Its posterior.
-
     Returns:
         The entry of summary.json; None if the outline comes from no picture. The widths are missing if the noise is
         inferred, or if too few runs succeeded.

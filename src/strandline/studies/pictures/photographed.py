@@ -122,16 +122,7 @@ class Photographed:
 
 
 def photographed(folder: Path, given: ImageFile, undeformed: Interface | None) -> Photographed:
-    """Return the edge in a picture of a study.
-
-    Args:
-        folder: Folder of the study.
-        given: The section `observation.image`.
-        undeformed: The model's undeformed interface, if it has one.
-
-    Raises:
-        InvalidStudy: The picture, the path or another option cannot be used, or the picture shows no edge there.
-    """
+    """Return the edge in a picture of a study."""
     with refused_at():
         clicks = clicked(folder, given)
         picture = read_picture([folder / name for name in given.files], _reading(given, clicks))
@@ -215,11 +206,7 @@ def clicked(folder: Path, given: ImageFile) -> Clicks | None:
 
 
 def picture_of(source: ObservationFile | list[ConditionFile], condition: str | None) -> ImageFile:
-    """Return the section of the picture of a condition; None for the only one.
-
-    Raises:
-        InvalidStudy: There is no such picture, or there are several.
-    """
+    """Return the section of the picture of a condition; None for the only one."""
     sections = source if isinstance(source, list) else [source]
     found = {getattr(one, "condition", ""): one.image for one in sections if one.image is not None}
     if condition is None and len(found) == 1:
@@ -235,11 +222,7 @@ def picture_of(source: ObservationFile | list[ConditionFile], condition: str | N
 
 
 def reference_of(given: ImageFile) -> ImageFile:
-    """Return the section of the picture to which a picture is registered, its marks as the path.
-
-    Raises:
-        InvalidStudy: The picture is registered to none.
-    """
+    """Return the section of the picture to which a picture is registered, its marks as the path."""
     how = given.registration
     if how is None:
         raise InvalidStudy(

@@ -59,15 +59,7 @@ class Scanned:
 
 
 def scanned(folder: Path, given: StackFile) -> Scanned:
-    """Return the surface in a stack of a study.
-
-    Args:
-        folder: Folder of the study.
-        given: The section `observation.stack`.
-
-    Raises:
-        InvalidStudy: The stack or an option cannot be used, or the stack shows no surface.
-    """
+    """Return the surface in a stack of a study."""
     with refused_at():
         stack = read_stack([folder / name for name in given.files], _reading(given))
         frame = StackFrame.from_options(given.frame or {}, f"{PLACE}.frame", voxel=stack.voxel)

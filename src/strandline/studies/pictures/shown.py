@@ -134,17 +134,7 @@ def write_pictures(
     *,
     measures: Mapping[str, Discrepancy] = MappingProxyType({}),
 ) -> list[PictureFiles]:
-    """Write table, picture and numbers of the edge of each condition into ``image/`` of the study's folder.
-
-    Args:
-        folder: Folder of the study.
-        pictures: The pictures with the observed interfaces, by condition.
-        undeformed: The undeformed outline from a picture, whose files begin with ``undeformed-``.
-        measures: The measures of the study, by name, whose noise variances are given.
-
-    Raises:
-        InvalidStudy: The folder cannot be written to.
-    """
+    """Write table, picture and numbers of the edge of each condition into ``image/`` of the study's folder."""
     require_writable(folder)
     target, out = folder / IMAGE, []
     with told_if_unwritable(target):
@@ -177,11 +167,7 @@ def _with_outline(target: Path, written: PictureFiles, undeformed: Undeformed) -
 
 
 def write_page(folder: Path, given: ImageFile) -> Path:
-    """Write the page on which a person marks a picture, with the marks of the file that `path` names if it exists.
-
-    Raises:
-        InvalidStudy: The picture or that file cannot be read, or the folder cannot be written to.
-    """
+    """Write the page on which a person marks a picture, with the marks of the file that `path` names if it exists."""
     require_writable(folder)
     picture, known = read_only_picture(folder, given)
     with refused_at():
@@ -256,11 +242,6 @@ def variances(seen: Interface, errors: PointErrors, measures: Mapping[str, Discr
 
     Each entry holds the `value`, None without one, its `unit`, and a `note` that says why there is none. The measure
     `normal_offset` is always among them: it needs none.
-
-    Args:
-        seen: The observed interface.
-        errors: The errors of its points.
-        measures: The measures of a study, by name.
     """
     found = {}
     for name, measure in {**measures, "normal_offset": measures.get("normal_offset", NormalOffset())}.items():
@@ -287,16 +268,7 @@ TRIANGLE = 5
 def write_stacks(
     folder: Path, stacks: Mapping[str, Scanned], *, measures: Mapping[str, Discrepancy] = MappingProxyType({})
 ) -> list[PictureFiles]:
-    """Write surface, slices and numbers of each condition into ``image/`` of the study's folder.
-
-    Args:
-        folder: Folder of the study.
-        stacks: The stacks with the observed surfaces, by condition.
-        measures: The measures of the study, by name, whose noise variances are given.
-
-    Raises:
-        InvalidStudy: The folder cannot be written to.
-    """
+    """Write surface, slices and numbers of each condition into ``image/`` of the study's folder."""
     require_writable(folder)
     target, out = folder / IMAGE, []
     with told_if_unwritable(target):

@@ -44,14 +44,7 @@ class Undeformed:
 
 
 def undeformed_picture(choice: Mapping[str, Mapping[str, Any] | None]) -> ImageFile | None:
-    """Return the section of the picture that gives the model its outline, if one does.
-
-    Args:
-        choice: The key `model` of the study.
-
-    Raises:
-        InvalidStudy: A key is missing, unknown or of the wrong kind.
-    """
+    """Return the section of the picture that gives the model its outline, if one does."""
     (name, options) = next(iter(choice.items()))
     outline = (options or {}).get("outline")
     if not isinstance(outline, Mapping) or IMAGE not in outline:
@@ -60,15 +53,7 @@ def undeformed_picture(choice: Mapping[str, Mapping[str, Any] | None]) -> ImageF
 
 
 def undeformed_in(choice: Mapping[str, Mapping[str, Any] | None], folder: Path) -> Undeformed | None:
-    """Return the outline in a picture that the model is to have, if the study names one.
-
-    Args:
-        choice: The key `model` of the study.
-        folder: Folder of the study.
-
-    Raises:
-        InvalidStudy: The picture cannot be used, or shows no outline there.
-    """
+    """Return the outline in a picture that the model is to have, if the study names one."""
     given = undeformed_picture(choice)
     if given is None:
         return None
