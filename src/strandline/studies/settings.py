@@ -94,8 +94,6 @@ def build_active(given: Mapping[str, Any] | None, dim: int, *, sensitivities: bo
     if given is None:
         return None
     options = {name: value for name, value in given.items() if name != "scramble"}
-    if options.get("runs") is None:
-        raise InvalidStudy("design.active.runs", value=None, expected="the most runs to make", remedy="E.g. runs: 100.")
     usual = 4 + 2 * dim
     options.setdefault("initial", max(usual // 2, 3) if sensitivities else usual)
     with refused_at("design.active"):
