@@ -17,17 +17,10 @@ from strandline.errors import InvalidInput, InvalidStudy
 from strandline.studies import changed_copy, load_study
 from strandline.studies import text as study_text
 from strandline.studies.changed_copy import changed_study
+from strandline.studies.folder import digest_of, without_questions
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.schema import listed
-from strandline.studies.text import (
-    DEEPEST,
-    REMOVED,
-    changed_content,
-    changed_text,
-    digest_of,
-    load_yaml,
-    without_questions,
-)
+from strandline.studies.text import DEEPEST, REMOVED, changed_content, changed_text, load_yaml
 from strandline.testing.studies import TWO_LOADS_STUDY, write_study
 
 ROOT = Path(__file__).parents[3]
