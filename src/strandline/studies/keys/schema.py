@@ -83,9 +83,8 @@ class Options:
         """Return the type of a value in the study file for a field of this type; Any leaves it to the class."""
         origin, arguments = get_origin(hint), get_args(hint)
         if hasattr(self.of, "from_options"):
-            return self.plain.get(
-                next((k for k in arguments if k is not type(None)), hint) if len(arguments) == 2 else hint, Any
-            )
+            kinds = [kind for kind in arguments if kind is not type(None)]
+            return self.plain.get(kinds[0] if len(kinds) == 1 and len(arguments) == 2 else hint, Any)
         if isinstance(hint, type) and dataclasses.is_dataclass(hint):
             return Annotated[Any, Options(hint, plain=self.plain, make=True)]
         if origin in (Union, types.UnionType):
