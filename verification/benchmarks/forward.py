@@ -23,14 +23,12 @@ from unittest.mock import patch
 import numpy as np
 
 from strandline.errors import ForwardModelError, InvalidInput
-from strandline.models.biofilm.cell import FlowCell
-from strandline.models.biofilm.channel import Channel
-from strandline.models.biofilm.geometry import MESHES, MeshSize
+from strandline.models.biofilm.cell import FlowCell, Setting
+from strandline.models.biofilm.geometry import MESHES, MeshSize, Partition
 from strandline.models.biofilm.linear import SOLVERS, VARIABLE, Factorisation, linear_solver
 from strandline.models.biofilm.materials import LAWS
 from strandline.models.biofilm.model import Biofilm
-from strandline.models.biofilm.outline import Outline
-from strandline.models.biofilm.subdivision import Partition
+from strandline.models.biofilm.outline import Channel, Outline
 from strandline.models.biofilm.system import CoupledSystem
 from strandline.models.protocol import ModelInput, Simulation
 from strandline.runs import LocalProcesses, RunRecord, RunRequest
@@ -320,7 +318,7 @@ def profile(cell: FlowCell, points: Sequence[tuple[float, float]]) -> Profile:
         for E, nu in points:
             begun = time.perf_counter()
             try:
-                jacobians += cell.solve([E], [nu], INFLOW).jacobians
+                jacobians += cell.solve(Setting([E], [nu], INFLOW)).jacobians
             except ForwardModelError:
                 failed.append(time.perf_counter() - begun)
             seconds.append(time.perf_counter() - begun)
@@ -330,8 +328,8 @@ def profile(cell: FlowCell, points: Sequence[tuple[float, float]]) -> Profile:
 def solve_cost(size: MeshSize, *, repeats: int) -> Cost:
     """Return the size and the median seconds of a solve at (400, 0.3), after an unmeasured one."""
     cell = flow_cell(size)
-    cell.solve([400.0], [0.3], INFLOW)
-    seconds = [timed(cell.solve, [400.0], [0.3], INFLOW) for _ in range(repeats)]
+    cell.solve(Setting([400.0], [0.3], INFLOW))
+    seconds = [timed(cell.solve, Setting([400.0], [0.3], INFLOW)) for _ in range(repeats)]
     return Cost(cell.mesh.ne, len(cell.system.free), statistics.median(seconds))
 
 

@@ -18,12 +18,11 @@ from verification.validation.energies import FURTHER, isochoric_piola, shear_mod
 from verification.validation.tables import Table, observed_orders
 
 from strandline.models.biofilm import newton
-from strandline.models.biofilm.cell import STRESS_SCALE, VISCOSITY, FlowCell
-from strandline.models.biofilm.channel import Channel
-from strandline.models.biofilm.geometry import MESHES, MeshSize
+from strandline.models.biofilm.cell import FlowCell, Setting
+from strandline.models.biofilm.flow import STRESS_SCALE
+from strandline.models.biofilm.geometry import MESHES, MeshSize, Partition
 from strandline.models.biofilm.materials import LAWS
-from strandline.models.biofilm.outline import Outline
-from strandline.models.biofilm.subdivision import Partition
+from strandline.models.biofilm.outline import Channel, Outline
 from strandline.models.biofilm.system import BoundaryNames, CoupledSystem
 
 __all__ = ["block_error", "force_imbalance", "manufactured_errors", "mass_imbalance", "poiseuille_error", "tables"]
@@ -32,6 +31,8 @@ Tensor = Float[np.ndarray, "2 2"]
 YOUNG = 3.0
 RATIOS = (-0.9, -0.3, 0.0, 0.3, 0.49, 0.5)
 STRETCH, SHEAR = 1.3, 0.4
+VISCOSITY = 0.01
+"""Scaled viscosity of water."""
 SETTINGS = newton.NewtonSettings(tolerance=1e-12, maximum_jacobians=40, smallest_damping=1e-3)
 
 
@@ -223,7 +224,7 @@ def layer_error() -> float:
     size = MeshSize(far=0.2, interface=0.1, foot=0.1, grading=0.5)
     law = LAWS["neo_hookean"]
     cell = FlowCell(outline, size, channel=Channel(), partition=Partition(), law=law)
-    cell.solve([1e9 * STRESS_SCALE], [0.3], 100.0)
+    cell.solve(Setting([1e9 * STRESS_SCALE], [0.3], 100.0))
     s = (ng.y - top) / (1 - top)
     exact = ng.IfPos(ng.y - top, 6 * s * (1 - s) / (1 - top), 0.0)
     return _largest(cell.system.state.components[0] - ng.CF((exact, 0)), cell.mesh)
@@ -295,7 +296,7 @@ def _balance_table() -> Table:
         ("Poiseuille flow above a flat, stiff layer: velocity / mean", layer_error()),
     ]
     cell = default_cell()
-    cell.solve([400.0], [0.3], 100.0)
+    cell.solve(Setting([400.0], [0.3], 100.0))
     x, y = force_imbalance(cell)
     rows += [
         ("force of the fluid on the biofilm against reaction at its base, x", x),

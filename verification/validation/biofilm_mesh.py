@@ -12,12 +12,10 @@ from verification.validation.tables import Table
 
 from strandline.design import sobol
 from strandline.errors import ForwardModelError
-from strandline.models.biofilm.cell import FlowCell
-from strandline.models.biofilm.channel import Channel
-from strandline.models.biofilm.geometry import MESHES, MeshSize
+from strandline.models.biofilm.cell import FlowCell, Setting
+from strandline.models.biofilm.geometry import MESHES, MeshSize, Partition
 from strandline.models.biofilm.materials import LAWS
-from strandline.models.biofilm.outline import NODES, Outline
-from strandline.models.biofilm.subdivision import Partition
+from strandline.models.biofilm.outline import NODES, Channel, Outline
 
 __all__ = ["REFERENCE", "box_points", "flow_cell", "tables"]
 
@@ -51,7 +49,7 @@ def displacements(cell: FlowCell, points: Float[np.ndarray, "run 2"]) -> tuple[l
     for young, poisson in points:
         start = time.perf_counter()
         try:
-            found.append(cell.solve([young], [poisson], RATE).displacement)
+            found.append(cell.solve(Setting([young], [poisson], RATE)).displacement)
             seconds.append(time.perf_counter() - start)
         except ForwardModelError:
             found.append(None)

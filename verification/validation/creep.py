@@ -22,16 +22,14 @@ import numpy as np
 from verification.validation.analytic import YOUNG, LoadedSolid, square
 from verification.validation.tables import Table, put_into_page
 
-from strandline.models.biofilm.channel import Channel
+from strandline.models.biofilm.cell import Setting
 from strandline.models.biofilm.course import Course
-from strandline.models.biofilm.creep.creeping_cell import CreepingCell
-from strandline.models.biofilm.creep.quasi_static import QuasiStatic
-from strandline.models.biofilm.fluid import WATER
+from strandline.models.biofilm.creeping_cell import CreepingCell, QuasiStatic
+from strandline.models.biofilm.flow import WATER
+from strandline.models.biofilm.geometry import MESHES, Partition
 from strandline.models.biofilm.materials import LAWS
 from strandline.models.biofilm.memory import Branch
-from strandline.models.biofilm.outline import Outline
-from strandline.models.biofilm.sizes import MESHES
-from strandline.models.biofilm.subdivision import Partition
+from strandline.models.biofilm.outline import Channel, Outline
 
 __all__ = ["block_stresses", "creep_error", "flow_errors", "oscillation_errors", "relaxation_error", "tables"]
 
@@ -141,7 +139,7 @@ def creep_error(tolerance: float = 1e-4, law: str = "neo_hookean") -> tuple[floa
         law: Law of the relaxed solid.
     """
     branch, cell = Branch(1.5, 3.0), _cell(law)
-    relaxed = cell.solve([400.0], [0.3], SLOW).displacement
+    relaxed = cell.solve(Setting([400.0], [0.3], SLOW)).displacement
     size = np.linalg.norm(relaxed, axis=1).max()
     times = (0.0, LAG, 3.0, 6.0, 6.0 + LAG, 9.0, 12.0, 12.0 + LAG, 16.0, 24.0)
     inflow = ((0.0, 0.0), (0.0, 1.0), (6.0, 1.0), (6.0, 0.4), (12.0, 0.4), (12.0, 0.0), (24.0, 0.0))
@@ -170,7 +168,7 @@ def flow_errors(steps: Sequence[float], law: str = "neo_hookean") -> list[float]
     cell, found = _cell(law), []
     times = tuple((f"{time:g}", time) for time in (1.0, 2.0, 4.0, 6.0))
     course = Course(((0.0, 0.0), (1.0, 1.0), (4.0, 0.3), (6.0, 0.3)), times)
-    cell.set([400.0], [0.3], 100.0)
+    cell.set(Setting([400.0], [0.3], 100.0))
     for step in steps:
         way = QuasiStatic(cell, 100.0, WATER, [Branch(1.5, 3.0)], np.inf, largest_step=step)
         found.append(np.array([moment.displacement for moment in way.follow(course)]))

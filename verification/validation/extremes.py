@@ -10,6 +10,7 @@ from verification.validation.energies import FURTHER
 from verification.validation.tables import Table
 
 from strandline.errors import ForwardModelError
+from strandline.models.biofilm.cell import Setting
 from strandline.models.biofilm.geometry import MESHES
 from strandline.models.biofilm.materials import LAWS
 
@@ -34,7 +35,7 @@ def tables(*, mesh: str = "default", laws: Iterable[str] = tuple(LAWS)) -> list[
         cell = flow_cell(MESHES[mesh], law=law)
         for young, poisson, rate in CASES:
             try:
-                found = cell.solve([young], [poisson], rate, *([x] for x in FURTHER[law])).diagnostics()
+                found = cell.solve(Setting([young], [poisson], rate, tuple([x] for x in FURTHER[law]))).diagnostics()
                 figures = (1e3 * found["max_displacement"], found["min_J_fluid"], found["min_J_solid"])
                 rows.append((law, young, poisson, rate, "solved", *figures, int(found["newton_jacobians"])))
             except ForwardModelError as error:

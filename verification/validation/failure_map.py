@@ -33,7 +33,8 @@ from verification.validation.failure_tables import (
 from verification.validation.tables import Table, put_into_page
 
 from strandline.design import sobol
-from strandline.models.biofilm.cell import STRESS_SCALE, VELOCITY_SCALE, FlowCell
+from strandline.models.biofilm.cell import FlowCell
+from strandline.models.biofilm.flow import STRESS_SCALE, VELOCITY_SCALE
 from strandline.models.biofilm.geometry import MESHES
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.protocol import ForwardModel, Simulation

@@ -11,10 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from verification.validation.tables import Table
 
-from strandline.models.biofilm.channel import Channel
-from strandline.models.biofilm.geometry import MESHES, mesh_flow_cell
-from strandline.models.biofilm.outline import Outline
-from strandline.models.biofilm.subdivision import Partition
+from strandline.models.biofilm.geometry import MESHES, Partition, mesh_flow_cell
+from strandline.models.biofilm.outline import Channel, Outline
 
 __all__ = ["draw"]
 

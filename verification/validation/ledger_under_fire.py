@@ -25,7 +25,7 @@ import numpy as np
 
 from strandline.errors import LedgerError
 from strandline.interface import Interface
-from strandline.models.protocol import fingerprint
+from strandline.models.fingerprint import fingerprint
 from strandline.runs import InProcess, Ledger, RunRecord, RunRequest, run_campaign
 from strandline.testing.models import Cantilever
 

@@ -14,12 +14,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from verification.validation.tables import Table
 
-from strandline.models.biofilm.cell import FlowCell
-from strandline.models.biofilm.channel import Channel
+from strandline.models.biofilm.cell import FlowCell, Setting
+from strandline.models.biofilm.geometry import MESHES, MeshSize
 from strandline.models.biofilm.materials import LAWS
 from strandline.models.biofilm.model import Biofilm
-from strandline.models.biofilm.outline import Outline
-from strandline.models.biofilm.sizes import MESHES, MeshSize
+from strandline.models.biofilm.outline import Channel, Outline
 
 __all__ = ["CASES", "REFERENCE", "table"]
 
@@ -87,7 +86,7 @@ def table(
 
 def _interface_on(model: Biofilm, size: MeshSize, inputs: Mapping[str, float]) -> np.ndarray:
     cell = _cell(model, size)
-    return cell.outline.points + cell.solve([inputs["E"]], [inputs["nu"]], inputs["V_in"]).displacement
+    return cell.outline.points + cell.solve(Setting([inputs["E"]], [inputs["nu"]], inputs["V_in"])).displacement
 
 
 def _cell(model: Biofilm, size: MeshSize) -> FlowCell:

@@ -12,9 +12,8 @@ from jaxtyping import Float
 from verification.validation.biofilm_mesh import flow_cell
 from verification.validation.tables import Table
 
-from strandline.models.biofilm.cell import FlowCell
-from strandline.models.biofilm.geometry import MESHES
-from strandline.models.biofilm.subdivision import Partition
+from strandline.models.biofilm.cell import FlowCell, Setting
+from strandline.models.biofilm.geometry import MESHES, Partition
 
 __all__ = ["POINTS", "Inputs", "relative_differences", "tables"]
 
@@ -55,7 +54,7 @@ POINTS = (
 
 def relative_differences(cell: FlowCell, at: Inputs) -> list[float]:
     """Return max |exact - difference| / max |exact| over the interface, for each input."""
-    exact = cell.sensitivities(cell.solve(at.young, at.poisson, at.rate))
+    exact = cell.sensitivities(cell.solve(Setting(at.young, at.poisson, at.rate)))
     return [
         float(np.abs(derivative - _extrapolated(cell, at, k)).max() / np.abs(derivative).max())
         for k, derivative in enumerate(exact)
@@ -71,7 +70,7 @@ def _extrapolated(cell: FlowCell, at: Inputs, k: int) -> Points:
     def moved(step: float) -> Points:
         x = list(flat)
         x[k] += step
-        return cell.solve(x[:parts], x[parts : 2 * parts], x[-1]).displacement
+        return cell.solve(Setting(x[:parts], x[parts : 2 * parts], x[-1])).displacement
 
     d = [(moved(h) - moved(-h)) / (2 * h) for h in steps]
     once = [(4 * d[i + 1] - d[i]) / 3 for i in range(2)]
@@ -83,7 +82,7 @@ def cost(cell: FlowCell, at: Inputs, *, repeats: int = 5) -> float:
     solves, derivatives = [], []
     for _ in range(repeats):
         start = time.perf_counter()
-        solution = cell.solve(at.young, at.poisson, at.rate)
+        solution = cell.solve(Setting(at.young, at.poisson, at.rate))
         middle = time.perf_counter()
         cell.sensitivities(solution)
         solves.append(middle - start)

@@ -23,9 +23,8 @@ from verification.validation.tables import Cell, Table
 from verification.validation.turek_hron import BOUNDARIES, COARSEST, NORM_WEIGHTS, RIGID, force
 from verification.validation.turek_mesh import HEIGHT, TIP, Size, mesh_turek_hron
 
-from strandline.models.biofilm.moving import MovingSystem
+from strandline.models.biofilm.moving import Moment, MovingSystem
 from strandline.models.biofilm.newton import NewtonSettings
-from strandline.models.biofilm.rates import Moment
 from strandline.models.biofilm.transient import StepSettings, TimeCost, march
 
 __all__ = ["CASES", "Case", "Cylinder", "Oscillation", "Stage", "oscillation", "simulate", "tables"]

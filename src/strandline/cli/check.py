@@ -72,6 +72,8 @@ def _about(study: "Study", record: "RunRecord") -> Iterator[str]:
     conditions = tuple(study.observed or record.interfaces)
     if any(conditions):
         yield f"observed conditions: {', '.join(conditions)}"
+    if getattr(study.model, "timeout", 0) is None and getattr(study.executor, "timeout", None) is None:
+        yield "no timeout: a run that hangs is never ended; set `timeout` of the command, in seconds"
     yield from turned_lines(study)
     yield from read_lines(study)
     for shown in study.pictures.values():
@@ -80,7 +82,7 @@ def _about(study: "Study", record: "RunRecord") -> Iterator[str]:
 
 def _prepared(study: "Study") -> Iterator[str]:
     """Yield a line on how many planned runs make use of what the model prepares, a warning if most do not."""
-    from strandline.models.offers import PreparesRuns
+    from strandline.models.protocol import PreparesRuns
 
     model, planned = study.model, study.runs.design[:MOST_PLANNED]
     if not isinstance(model, PreparesRuns) or not model.preparation or not planned:
@@ -189,7 +191,7 @@ def _widths(study: "Study", record: "RunRecord", *, asked: bool) -> Iterator[str
 
 def _drawn(study: "Study", record: "RunRecord") -> Path:
     """Draw observed, undeformed and simulated interface into the study folder; return the picture's path."""
-    from strandline.models.offers import undeformed_interface
+    from strandline.models.protocol import undeformed_interface
     from strandline.report.plots import plot_conditions, plot_interfaces
     from strandline.studies.first_run import observations_of
     from strandline.studies.folder import told_if_unwritable, whole_file
@@ -215,7 +217,7 @@ def _forward_run(study: "Study") -> tuple["RunRecord", str]:
 
     from strandline.cli.forward import attempted, show_remains
     from strandline.errors import InvalidStudy
-    from strandline.models.offers import prepare_runs
+    from strandline.models.protocol import prepare_runs
 
     medians = study.space.prior_quantiles(np.full((1, study.space.dim), 0.5))[0]
     inputs = {**study.fixed, **study.space.as_mapping(medians)}

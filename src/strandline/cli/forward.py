@@ -124,7 +124,7 @@ def _require_fields(model: Any) -> None:
 
 def _write_fields(model: Any, inputs: Mapping[str, float], folder: Path | None, *, plot: bool) -> list[Path]:
     """Write the solved state of each condition for ParaView and as a picture; return the paths."""
-    from strandline.models.biofilm.paraview import write_vtu
+    from strandline.models.biofilm.fields import write_vtu
     from strandline.models.protocol import declared_conditions
     from strandline.report.plots import plot_flow
 

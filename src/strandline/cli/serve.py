@@ -44,12 +44,11 @@ def command(
     of the study's observation by the true model. Requests of web pages are refused. Without --token every program that
     reaches the port can make runs; set it by the environment variable STRANDLINE_TOKEN where others see your processes.
     """
-    from strandline.models.umbridge.door import Door
-    from strandline.models.umbridge.server import UMBridgeServer
+    from strandline.models.umbridge.server import Access, UMBridgeServer
     from strandline.studies import load_study
     from strandline.studies.serve import served_models
 
-    door = Door.of(host, names=names, origins=origins, token=token)
+    door = Access.of(host, names=names, origins=origins, token=token)
     loaded = load_study(study)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     solvers = _solvers(loaded, workers)
@@ -77,9 +76,9 @@ def _solvers(study: "Study", workers: int) -> list["Solver"]:
 
 
 def _announce(study: "Study", server: "UMBridgeServer", host: str) -> None:
-    from strandline.models.command.keep import RUNS
-    from strandline.models.offers import KeepsFolders
-    from strandline.models.umbridge.door import is_loopback
+    from strandline.models.command.files import RUNS
+    from strandline.models.protocol import KeepsFolders
+    from strandline.models.umbridge.server import is_loopback
 
     if not is_loopback(host) and server.door.token is None:
         click.echo(f"warning: whoever reaches {host} over the network can make runs here", err=True)

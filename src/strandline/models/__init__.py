@@ -1,5 +1,9 @@
 """Forward models: the built-in biofilm and adapters to other simulators."""
 
+from strandline.errors import InvalidInput
+
+__all__ = ["MODELS", "refused"]
+
 MODELS = {
     "biofilm": "strandline.models.biofilm.model:Biofilm",
     "command": "strandline.models.command.model:CommandModel",
@@ -7,3 +11,8 @@ MODELS = {
     "umbridge": "strandline.models.umbridge.model:UMBridge",
 }
 """Names in study files → ``module:class``, imported only when used."""
+
+
+def refused(what: str, value: object, expected: str, remedy: str = "Correct it.") -> InvalidInput:
+    """Return the error for an option of a model that cannot be used."""
+    return InvalidInput(what, value=value, expected=expected, remedy=remedy)

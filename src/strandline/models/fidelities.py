@@ -10,18 +10,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from strandline.errors import InvalidInput
 from strandline.interface import Interface
-from strandline.models.offers import PreparesRuns, prepare_runs
+from strandline.models import refused
+from strandline.models.fingerprint import fingerprint
 from strandline.models.protocol import (
     ForwardModel,
+    PreparesRuns,
     Simulation,
     declared_conditions,
     declared_inputs,
-    fingerprint,
+    prepare_runs,
 )
-
-__all__ = ["CHEAPER", "FIRST_PAIRS", "WithCheaper", "by_cheaper", "first_runs", "is_cheaper", "run_identity"]
 
 CHEAPER = "cheaper_model"
 """Input that marks a run by the cheaper model; its value is 1."""
@@ -48,29 +47,20 @@ class WithCheaper:
 
     def __post_init__(self) -> None:
         if not 0 < self.cost < 1:
-            raise InvalidInput(
-                "cost of a run of the cheaper model",
-                value=self.cost,
-                expected="a share of the cost of a run of the model, above 0 and below 1",
-                remedy="Divide the seconds of a run of the cheaper model by those of a run of the model.",
-            )
+            expected = "a share of the cost of a run of the model, above 0 and below 1"
+            remedy = "Divide the seconds of a run of the cheaper model by those of a run of the model."
+            raise refused("cost of a run of the cheaper model", self.cost, expected, remedy)
         if fingerprint(self.model) == fingerprint(self.cheaper):
-            raise InvalidInput(
-                "the cheaper model",
-                value="the model itself",
-                expected="a model whose runs are cheaper, such as one with a coarser mesh",
-                remedy="Change an option, or remove the cheaper model.",
-            )
+            expected = "a model whose runs are cheaper, such as one with a coarser mesh"
+            remedy = "Change an option, or remove the cheaper model."
+            raise refused("the cheaper model", "the model itself", expected, remedy)
         names = [sorted(one.name for one in declared_inputs(model)) for model in (self.model, self.cheaper)]
         conditions = [sorted(declared_conditions(model)) for model in (self.model, self.cheaper)]
         for what, (own, other) in (("inputs", names), ("conditions", conditions)):
             if own != other:
-                raise InvalidInput(
-                    f"{what} of the cheaper model",
-                    value=", ".join(other) or "none",
-                    expected=f"those of the model: {', '.join(own) or 'none'}",
-                    remedy="Let both models take the same inputs and return the same conditions.",
-                )
+                expected = f"those of the model: {', '.join(own) or 'none'}"
+                remedy = "Let both models take the same inputs and return the same conditions."
+                raise refused(f"{what} of the cheaper model", ", ".join(other) or "none", expected, remedy)
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation | Interface:
         """Run the model, or the cheaper one if the inputs are marked."""
@@ -123,10 +113,7 @@ def by_cheaper(inputs: Mapping[str, float]) -> dict[str, float]:
 def run_identity(model: ForwardModel, own: str, inputs: Mapping[str, float]) -> str:
     """Return the fingerprint that a run's content address begins with: that of the model that makes it.
 
-    Args:
-        model: The model, or a pair of models.
-        own: Fingerprint of the model.
-        inputs: Inputs of the run.
+    `own` is the fingerprint of the model, or of the pair.
     """
     return model.fingerprint_of_cheaper if isinstance(model, WithCheaper) and is_cheaper(inputs) else own
 

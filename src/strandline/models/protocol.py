@@ -1,10 +1,11 @@
-"""What a forward model is, and what distinguishes its runs."""
+"""What a forward model is, and what it may offer in addition to its runs: one protocol each, satisfied by the method.
+
+All of these are optional. `undeformed` adds a check and a figure, `on_finer_mesh` adds the mesh error to `strandline
+check`, `prepare_runs` is called once before the first run.
+"""
 
 import dataclasses
-import hashlib
-import inspect
-import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -12,23 +13,28 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import InvalidInput
 from strandline.interface import Interface
-from strandline.models.sources import sources_of
+from strandline.models import refused
 
 __all__ = [
+    "DrawsFields",
     "ForwardModel",
+    "KeepsFolders",
+    "KnowsUndeformed",
     "ModelInput",
+    "PreparesRuns",
     "Sensitivities",
     "Simulation",
+    "SolvesOnFinerMesh",
+    "UsesNames",
     "asks_sensitivities",
     "declared_conditions",
     "declared_failure_kinds",
     "declared_inputs",
-    "earlier_fingerprint",
-    "fingerprint",
+    "prepare_runs",
     "require_conditions",
     "the_only_interface",
+    "undeformed_interface",
     "with_sensitivities",
     "without_failure_budget",
 ]
@@ -63,11 +69,7 @@ class Simulation:
 
     @property
     def interface(self) -> Interface:
-        """The only interface.
-
-        Raises:
-            InvalidInput: there are several.
-        """
+        """The only interface; an `InvalidInput` if there are several."""
         return the_only_interface(self.interfaces)
 
 
@@ -116,7 +118,74 @@ class ForwardModel(Protocol):
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation | Interface:
         """Run the simulator; `workdir` is an empty folder for this run."""
-        ...
+
+
+@runtime_checkable
+class KnowsUndeformed(Protocol):
+    """A model that knows its interface before any load.
+
+    strandline then checks the unit and the direction of an observation before the first run, and draws the interface.
+    """
+
+    def undeformed(self) -> Interface:
+        """Return the undeformed interface, mm."""
+
+
+@runtime_checkable
+class SolvesOnFinerMesh(Protocol):
+    """A model that can run on the next finer mesh: `strandline check` then reports the error of its own mesh."""
+
+    def on_finer_mesh(self, inputs: Mapping[str, float]) -> Mapping[str, Interface]:
+        """Return the interfaces by condition, mm; may raise `ForwardModelError`."""
+
+
+@runtime_checkable
+class DrawsFields(Protocol):
+    """A model that knows velocity, pressure and displacement in its domain: the report then draws them."""
+
+    def fields(self, inputs: Mapping[str, float]) -> Any:
+        """Return the `strandline.models.biofilm.fields.FlowFields` of a run; may raise `ForwardModelError`."""
+
+
+@runtime_checkable
+class KeepsFolders(Protocol):
+    """A model that keeps the folders of its runs, which are removed otherwise.
+
+    `keep` selects which: ``all``, ``failed`` or ``none``.
+    """
+
+    @property
+    def keep(self) -> str:
+        """Which folders are kept."""
+
+    def retain(self, workdir: Path, key: str, *, ok: bool) -> Path | None:
+        """Move the folder of a finished run to where it is kept and return its new path; None if it is not kept."""
+
+
+@runtime_checkable
+class PreparesRuns(Protocol):
+    """A model with work that all runs share: it is done once, before the first run of a campaign is started.
+
+    What it leaves on disk serves the processes that make the runs; a process that finds nothing there helps itself.
+    """
+
+    @property
+    def preparation(self) -> str:
+        """What is prepared, in the plural; empty if nothing is."""
+
+    def prepare_runs(self) -> None:
+        """Do that work, unless it has been done."""
+
+    def is_prepared(self, inputs: Mapping[str, float]) -> bool:
+        """Return whether a run makes use of it."""
+
+
+@runtime_checkable
+class UsesNames(Protocol):
+    """A model that does not declare its inputs but knows which names it uses, from its templates for example."""
+
+    def require_names(self, unknown: Iterable[str], fixed: Iterable[str]) -> None:
+        """Refuse unknown inputs and fixed quantities that the model does not use, and names that are missing."""
 
 
 def declared_inputs(model: ForwardModel) -> tuple[ModelInput, ...]:
@@ -144,12 +213,9 @@ def require_conditions(observed: Iterable[str], model: ForwardModel) -> None:
     known = declared_conditions(model)
     for name in observed:
         if name not in known:
-            raise InvalidInput(
-                "condition of an observation",
-                value=name or "no name",
-                expected=f"one of {', '.join(known)}" if any(known) else "no name: the model has one condition",
-                remedy="Name the conditions of the observations as the model does.",
-            )
+            expected = f"one of {', '.join(known)}" if any(known) else "no name: the model has one condition"
+            remedy = "Name the conditions of the observations as the model does."
+            raise refused("condition of an observation", name or "no name", expected, remedy)
 
 
 def asks_sensitivities(model: ForwardModel) -> bool:
@@ -165,12 +231,9 @@ def with_sensitivities(model: Any) -> Any:
     """
     if _has_field(model, "sensitivities"):
         return dataclasses.replace(model, sensitivities=True)
-    raise InvalidInput(
-        "sensitivities of the model",
-        value="this model offers none",
-        expected="a dataclass with a field `sensitivities: bool`",
-        remedy="Leave sensitivities out, or give the model that field.",
-    )
+    expected = "a dataclass with a field `sensitivities: bool`"
+    remedy = "Leave sensitivities out, or give the model that field."
+    raise refused("sensitivities of the model", "this model offers none", expected, remedy)
 
 
 def without_failure_budget(model: Any) -> Any:
@@ -185,12 +248,8 @@ def the_only_interface(interfaces: Mapping[str, Interface]) -> Interface:
         InvalidInput: there are several, or none.
     """
     if len(interfaces) != 1:
-        raise InvalidInput(
-            "the interface of a run",
-            value=f"the conditions {', '.join(interfaces)}" if interfaces else "no condition",
-            expected="one condition",
-            remedy="Choose one of `interfaces` by its name.",
-        )
+        found = f"the conditions {', '.join(interfaces)}" if interfaces else "no condition"
+        raise refused("the interface of a run", found, "one condition", "Choose one of `interfaces` by its name.")
     return next(iter(interfaces.values()))
 
 
@@ -199,61 +258,26 @@ def _has_field(model: Any, name: str) -> bool:
     return is_record and any(f.name == name and f.init for f in dataclasses.fields(model))
 
 
-def fingerprint(model: ForwardModel) -> str:
-    """Return the text that identifies `model` in a ledger.
+def prepare_runs(model: ForwardModel, announce: Callable[[str], object] | None = None) -> None:
+    """Let a model prepare its runs, if there is anything to prepare; `announce` is called with what it is before."""
+    if isinstance(model, PreparesRuns) and model.preparation:
+        if announce is not None:
+            announce(model.preparation)
+        model.prepare_runs()
 
-    This is its own `fingerprint` if it has one, plus the options of the instance if the class has one fingerprint for
-    all instances. Otherwise it is a hash of the class or function, the file that defines it, the files of the same
-    package that this file imports, and the fields except `sensitivities`, which change no interface.
+
+def undeformed_interface(model: ForwardModel) -> Interface | None:
+    """Return the interface before any load, mm; None if `model` does not know it.
+
+    Raises:
+        InvalidInput: `undeformed` is not a method, or does not return an interface.
     """
-    own = getattr(model, "fingerprint", None)
-    if isinstance(own, str):
-        return own + _options_beside(model)
-    subject, fields = _described(model)
-    try:
-        sources = sources_of(subject.__module__)
-    except OSError:  # typed into a notebook or a terminal
-        return earlier_fingerprint(model)
-    text = json.dumps([subject.__module__, subject.__qualname__, sources, fields], default=repr)
-    return "python-files:" + hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def _options_beside(model: Any) -> str:
-    """Return the options that differ from their defaults, if a dataclass has one fingerprint for all instances.
-
-    A fingerprint declared as a ``ClassVar`` states on purpose that no option changes results.
-    """
-    kind = type(model)
-    declared = "fingerprint" in inspect.get_annotations(kind)
-    if not dataclasses.is_dataclass(model) or declared or not isinstance(vars(kind).get("fingerprint"), str):
-        return ""
-    given = {
-        f.name: value
-        for f in dataclasses.fields(model)
-        if f.init and f.name != "sensitivities" and repr(value := getattr(model, f.name)) != repr(_default(f))
-    }
-    return f"/{json.dumps(given, default=repr, sort_keys=True)}" if given else ""
-
-
-def _default(field: "dataclasses.Field[Any]") -> Any:
-    return field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
-
-
-def earlier_fingerprint(model: ForwardModel) -> str:
-    """Return the fingerprint used before the whole file counted: it covers only the source of the class or function."""
-    own = getattr(model, "fingerprint", None)
-    if isinstance(own, str):
-        return own
-    subject, fields = _described(model)
-    text = json.dumps([subject.__module__, subject.__qualname__, inspect.getsource(subject), fields], default=repr)
-    return "python:" + hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def _described(model: ForwardModel) -> tuple[Any, dict[str, Any]]:
-    """Return the function, or the class and the fields, that `model` is made of."""
-    instance: Any = model
-    subject = instance if inspect.isfunction(instance) else type(instance)
-    is_record = dataclasses.is_dataclass(instance) and not isinstance(instance, type)
-    fields = dataclasses.asdict(instance) if is_record else {}
-    fields.pop("sensitivities", None)
-    return subject, fields
+    if not isinstance(model, KnowsUndeformed):
+        return None
+    found: Any = model.undeformed() if callable(model.undeformed) else None
+    if not isinstance(found, Interface):
+        what, shown = f"undeformed interface of {type(model).__name__}", f"a {type(found).__name__}"
+        expected = "a method undeformed() that returns an Interface"
+        remedy = "Correct the model; strandline.testing.simulators checks it."
+        raise refused(what, shown if callable(model.undeformed) else "an attribute", expected, remedy)
+    return found

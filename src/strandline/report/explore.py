@@ -17,8 +17,7 @@ from strandline.calibration.usual_alternatives import prior_in_words
 from strandline.discrepancy.normal_offset import signed_distances
 from strandline.interface import Interface
 from strandline.interface.normals import node_normals
-from strandline.models.offers import DrawsFields, undeformed_interface
-from strandline.models.protocol import ForwardModel
+from strandline.models.protocol import DrawsFields, ForwardModel, undeformed_interface
 from strandline.parameters import ParameterSpace
 from strandline.posterior import systematic_indices
 from strandline.report.html import PANELS, PLOTLY, bundled, embedded, script_hash

@@ -12,7 +12,7 @@ from strandline.calibration import Calibration
 from strandline.calibration.misfit import ConditionMisfit
 from strandline.errors import ForwardModelError
 from strandline.interface import Interface
-from strandline.models.offers import DrawsFields, undeformed_interface
+from strandline.models.protocol import DrawsFields, undeformed_interface
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Reading, observed_offsets
 from strandline.posterior.quadrature import QuadratureResult, mixture

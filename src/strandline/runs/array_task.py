@@ -14,7 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from strandline.errors import InvalidInput
-from strandline.models.protocol import ForwardModel, asks_sensitivities, fingerprint, with_sensitivities
+from strandline.models.fingerprint import fingerprint
+from strandline.models.protocol import ForwardModel, asks_sensitivities, with_sensitivities
 from strandline.models.python import PythonModel
 from strandline.runs.executors.slurm_array import UNUSABLE
 from strandline.runs.executors.slurm_batch import ArrayBatch

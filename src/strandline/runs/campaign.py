@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 from strandline.errors import InvalidInput, LedgerError, NumericsError
 from strandline.models.fidelities import run_identity
-from strandline.models.offers import prepare_runs
-from strandline.models.protocol import ForwardModel, asks_sensitivities, fingerprint
+from strandline.models.fingerprint import fingerprint
+from strandline.models.protocol import ForwardModel, asks_sensitivities, prepare_runs
 from strandline.runs.executors import Executor
 from strandline.runs.failures import FailurePolicy, Outages, aborted
 from strandline.runs.ledger import Ledger

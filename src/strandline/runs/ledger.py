@@ -20,7 +20,8 @@ from typing import Any
 from filelock import BaseFileLock
 
 from strandline.errors import LedgerError
-from strandline.models.protocol import ForwardModel, fingerprint
+from strandline.models.fingerprint import fingerprint
+from strandline.models.protocol import ForwardModel
 from strandline.runs import ledger_rows, ledger_schema
 from strandline.runs.ledger_schema import INTERRUPTED, translated
 from strandline.runs.lock_watch import Hold, locked

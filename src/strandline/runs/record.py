@@ -17,8 +17,14 @@ import numpy as np
 
 from strandline.errors import ForwardModelError, InvalidInput, InvalidInterface
 from strandline.interface import Interface, is_condition
-from strandline.models.offers import KeepsFolders
-from strandline.models.protocol import ForwardModel, Sensitivities, Simulation, asks_sensitivities, declared_conditions
+from strandline.models.protocol import (
+    ForwardModel,
+    KeepsFolders,
+    Sensitivities,
+    Simulation,
+    asks_sensitivities,
+    declared_conditions,
+)
 from strandline.runs.ledger_schema import EXCLUDED, LOG_TITLE
 
 State = Literal["ok", "failed", "timeout", "killed", "invalid", "excluded"]

@@ -22,8 +22,7 @@ from strandline.discrepancy import oriented_like_runs
 from strandline.errors import InvalidInput, InvalidStudy, TooFewRuns
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
-from strandline.models.offers import undeformed_interface
-from strandline.models.protocol import ForwardModel
+from strandline.models.protocol import ForwardModel, undeformed_interface
 from strandline.posterior import (
     Posterior,
     Reweighting,

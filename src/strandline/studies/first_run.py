@@ -13,7 +13,7 @@ from strandline.discrepancy.nearest import squared_distances
 from strandline.errors import ForwardModelError, InvalidInput, NumericsError
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import InterfaceLikelihood, compared, errors_of, noise_length, sd_of_distances
-from strandline.models.offers import SolvesOnFinerMesh, undeformed_interface
+from strandline.models.protocol import SolvesOnFinerMesh, undeformed_interface
 from strandline.runs import Ledger, RunRecord, run_key
 from strandline.studies.observed import noisy, require_plausible
 from strandline.studies.study import Study

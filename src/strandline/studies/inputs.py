@@ -9,8 +9,7 @@ import jax
 import numpy as np
 
 from strandline.errors import InvalidStudy
-from strandline.models.offers import UsesNames
-from strandline.models.protocol import ForwardModel, ModelInput, declared_conditions, declared_inputs
+from strandline.models.protocol import ForwardModel, ModelInput, UsesNames, declared_conditions, declared_inputs
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.planning.candidate import Candidate, Look, candidates
 from strandline.planning.view import WHOLE

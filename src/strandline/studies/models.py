@@ -13,8 +13,8 @@ from strandline.discrepancy.comparison import apart
 from strandline.errors import InvalidInput, InvalidStudy, LedgerError
 from strandline.models import MODELS
 from strandline.models.fidelities import CHEAPER, WithCheaper, by_cheaper
-from strandline.models.offers import UsesNames
-from strandline.models.protocol import ForwardModel, fingerprint, with_sensitivities
+from strandline.models.fingerprint import fingerprint
+from strandline.models.protocol import ForwardModel, UsesNames, with_sensitivities
 from strandline.models.python import PythonModel
 from strandline.readers.options import TO_MM
 from strandline.runs import RunRecord

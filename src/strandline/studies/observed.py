@@ -12,8 +12,7 @@ from jaxtyping import Float
 from strandline.discrepancy import extent, extent_ratio, unit_mistake
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Interface, PointErrors
-from strandline.models.offers import undeformed_interface
-from strandline.models.protocol import ForwardModel, declared_conditions
+from strandline.models.protocol import ForwardModel, declared_conditions, undeformed_interface
 from strandline.readers import Reading, read_interface, read_point_sds
 from strandline.studies.keys.observation import ConditionFile, ObservationFile
 from strandline.studies.parse import refused_at

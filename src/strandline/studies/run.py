@@ -18,7 +18,7 @@ from strandline.design.active import BatchReport
 from strandline.errors import InvalidInput, InvalidStudy, NumericsError, ResultsNotWritten
 from strandline.interface import Interface
 from strandline.likelihood import compared
-from strandline.models.offers import prepare_runs
+from strandline.models.protocol import prepare_runs
 from strandline.posterior import to_datatree, write
 from strandline.report import FIGURES, remove_report, template, write_report
 from strandline.report.fit import nearest_runs, nothing_near

@@ -16,7 +16,7 @@ from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
 from strandline.models.protocol import ForwardModel, with_sensitivities
 from strandline.models.umbridge.answers import Blocks, ServedModel
-from strandline.models.umbridge.layout import flattened
+from strandline.models.umbridge.model import flattened
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord, RunRequest, run_key
 from strandline.runs.worker import packed_model

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from strandline.design import sobol
 from strandline.errors import InvalidStudy
 from strandline.models.fidelities import CHEAPER, first_runs, run_identity
-from strandline.models.protocol import fingerprint
+from strandline.models.fingerprint import fingerprint
 from strandline.runs import Ledger, RunRecord, run_key
 from strandline.runs.ledger_schema import ATTEMPTS, EXCLUDED
 from strandline.runs.plans import Plan

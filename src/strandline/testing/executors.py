@@ -25,7 +25,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from strandline.interface import Interface
-from strandline.models.protocol import fingerprint
+from strandline.models.fingerprint import fingerprint
 from strandline.runs.executors import Executor
 from strandline.runs.record import NOT_NOW, RunRecord, RunRequest, run_key
 from strandline.testing import by_name

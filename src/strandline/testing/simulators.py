@@ -14,8 +14,14 @@ import numpy as np
 
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
-from strandline.models.offers import SolvesOnFinerMesh, undeformed_interface
-from strandline.models.protocol import ForwardModel, declared_inputs, fingerprint, with_sensitivities
+from strandline.models.fingerprint import fingerprint
+from strandline.models.protocol import (
+    ForwardModel,
+    SolvesOnFinerMesh,
+    declared_inputs,
+    undeformed_interface,
+    with_sensitivities,
+)
 from strandline.runs import RunRecord, RunRequest, attempt
 from strandline.testing import by_name
 

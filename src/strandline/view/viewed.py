@@ -19,8 +19,7 @@ from strandline.calibration.what_if import Answer
 from strandline.design.active import Knowledge
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Interface
-from strandline.models.offers import DrawsFields
-from strandline.models.protocol import ForwardModel, declared_conditions
+from strandline.models.protocol import DrawsFields, ForwardModel, declared_conditions
 from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import systematic_indices
 from strandline.posterior.pareto_smoothing import reliability_threshold

@@ -19,8 +19,7 @@ import pytest
 import yaml
 
 from strandline.cli.main import COMMANDS
-from strandline.models.offers import undeformed_interface
-from strandline.models.protocol import declared_conditions
+from strandline.models.protocol import declared_conditions, undeformed_interface
 from strandline.studies import load_study
 from strandline.studies.template import write_template
 

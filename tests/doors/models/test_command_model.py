@@ -52,6 +52,26 @@ def test_command_and_environment_take_inputs_and_post_follows(folder):
     assert (kept / "post-1.log").read_text() == "post\n"
 
 
+@pytest.mark.smoke
+def test_a_program_of_the_study_folder_that_cannot_start_says_what_lets_it_start(folder):
+    for change, steps in (
+        ({}, "write ./run.sh in the command, make it executable: chmod +x run.sh"),
+        ({"files": []}, "add it to `files`, which copies it into the folder of the run, write ./run.sh"),
+        ({"command": ["./run.sh"]}, "run.sh lies in the study folder: make it executable: chmod +x run.sh"),
+        ({"command": ["no-such-program"]}, "No such file or directory"),
+    ):
+        record = outcome(model(folder, **{"command": ["run.sh"]} | change))
+        assert record.failure_kind == "command_not_found"
+        assert steps in record.message, record.message
+
+
+@pytest.mark.smoke
+def test_the_check_says_that_a_command_that_hangs_is_never_ended(tmp_path, capsys):
+    for name, options in (("without", {}), ("with", {"timeout": 60})):
+        main(["check", str(study(tmp_path / name, {"local": {"workers": 1}}, **options))])
+        assert ("no timeout: a run that hangs is never ended" in capsys.readouterr().out) == (not options)
+
+
 def test_a_shell_only_where_it_is_asked_for_and_its_characters_in_names_are_names(folder):
     command = "cp out.txt missing.txt || printf 'x,y\\n0,0\\n1,{{ a }}\\n' > out.csv"
     assert outcome(model(folder, command=command, shell=True)).ok

@@ -19,8 +19,7 @@ from tests.unit.models.umbridge.served import AT, BARE, TOKEN, WHOLE, served
 from strandline.errors import ForwardModelError, InvalidInput
 from strandline.models.umbridge.answers import ServedModel
 from strandline.models.umbridge.client import TOKEN_VARIABLE, Client
-from strandline.models.umbridge.door import Door
-from strandline.models.umbridge.server import UMBridgeServer
+from strandline.models.umbridge.server import Access, UMBridgeServer
 from strandline.testing.umbridge import CHECKS, STRICT_CHECKS, ModelUnderTest
 
 POST = b"POST /Evaluate HTTP/1.1\r\nHost: localhost\r\n"
@@ -110,7 +109,7 @@ def test_it_listens_on_this_machine_alone_unless_told_otherwise():
 
 
 def test_a_token_is_sent_by_our_client_and_by_the_reference(monkeypatch):
-    with served(WHOLE, door=Door.of("127.0.0.1", token=TOKEN)) as url:
+    with served(WHOLE, door=Access.of("127.0.0.1", token=TOKEN)) as url:
         x, y = AT[0]
         assert umbridge.HTTPModel(url.replace("//", f"//any:{TOKEN}@"), "whole")(AT) == [[x * x, x * y, y]]
         client = Client(url, "whole")

@@ -12,13 +12,13 @@ import pytest
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
 from strandline.models.fidelities import CHEAPER, FIRST_PAIRS, WithCheaper, by_cheaper, first_runs, run_identity
-from strandline.models.offers import undeformed_interface
+from strandline.models.fingerprint import fingerprint
 from strandline.models.protocol import (
     Simulation,
     asks_sensitivities,
     declared_conditions,
-    fingerprint,
     require_conditions,
+    undeformed_interface,
     with_sensitivities,
 )
 from strandline.models.python import PythonModel

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from strandline.errors import InvalidInput
-from strandline.models.beside import lies_in, modules_of
-from strandline.models.protocol import declared_inputs, earlier_fingerprint, fingerprint
-from strandline.models.python import PythonModel
-from strandline.models.sources import sources_of
+from strandline.models.fingerprint import earlier_fingerprint, fingerprint, sources_of
+from strandline.models.protocol import declared_inputs
+from strandline.models.python import PythonModel, lies_in, modules_of
 from strandline.runs import RunRequest, attempt
 from strandline.studies import load_study
 from strandline.testing.studies import write_study

@@ -16,7 +16,8 @@ from verification.reproduction.truth import TruePosterior, true_posterior
 from strandline.discrepancy import Currents
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
-from strandline.models.protocol import fingerprint, with_sensitivities
+from strandline.models.fingerprint import fingerprint
+from strandline.models.protocol import with_sensitivities
 from strandline.parameters import ParameterSpace
 from strandline.runs import Ledger, LocalProcesses, RunRecord, RunRequest, run_key
 from strandline.runs.record import attempt

@@ -20,8 +20,6 @@ from strandline.models.biofilm import newton
 from strandline.models.biofilm.newton import LinearSolver, NewtonSettings
 from strandline.models.biofilm.strain import Strain
 
-__all__ = ["ContinuationSettings", "LoadedSystem", "PathPoint", "Traced", "trace"]
-
 Vector = Float[np.ndarray, " unknown"]
 
 
@@ -38,13 +36,11 @@ class LoadedSystem(Protocol):
 
     def by_load(self) -> Vector:
         """Return the derivative of the residual with respect to the load, at the last factorised state."""
-        ...
 
     def critical_strain(self, x: Vector, tangent: Vector) -> Strain: ...
 
     def check(self, x: Vector) -> Mapping[str, float]:
         """Return figures that show how close a solution is to being invalid; raise ForwardModelError if it is."""
-        ...
 
 
 CORRECTOR = NewtonSettings(1e-3, maximum_jacobians=1, smallest_damping=1.0, contraction=0.8)
@@ -55,21 +51,10 @@ ARRIVAL = NewtonSettings(maximum_jacobians=6, smallest_damping=0.1)
 """For the state at the target load."""
 
 
-@dataclass(frozen=True)
-class ContinuationSettings:
-    """Steps and budget.
-
-    Args:
-        first_step: First step of strain, along the tangent.
-        smallest_step: Smallest step of strain; the path stalls below it.
-        largest_step: Largest step of strain, along the parabola through the last two points.
-        maximum_jacobians: Budget of the path, not counting the arrival at the load once it is passed; 0: no limit.
-    """
-
-    first_step: float = 0.2
-    smallest_step: float = 0.001
-    largest_step: float = 0.11
-    maximum_jacobians: int = 0
+FIRST_STEP = 0.2
+"""First step of strain, along the tangent."""
+SMALLEST_STEP, LARGEST_STEP = 0.001, 0.11
+"""Step of strain below which the path stalls, and largest one along the parabola through the last two points."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,16 +67,14 @@ class PathPoint:
 
 
 @dataclass(frozen=True, eq=False)
-class Traced:
-    """The steady state at the target load, and what the path to it cost."""
+class Steady:
+    """The unknowns of a steady state, and how many Jacobians they cost."""
 
     x: Vector
     jacobians: int
 
 
-def trace(
-    system: LoadedSystem, *, linear: Vector, load: float, first_load: float, settings: ContinuationSettings
-) -> Traced:
+def trace(system: LoadedSystem, *, linear: Vector, load: float, first_load: float, budget: int) -> Steady:
     """Follow the path of steady states from rest and return its state at `load`.
 
     Args:
@@ -99,7 +82,7 @@ def trace(
         linear: First-order solution at `load`.
         load: Target load, above zero.
         first_load: Load of the first point, below `load`.
-        settings: Steps and budget.
+        budget: Number of Jacobians of the path, not counting the arrival at the load once it is passed; 0: no limit.
 
     Raises:
         ForwardModelError: ``limit_point``: the load has a maximum below the target load, shown by the sign of the
@@ -107,23 +90,23 @@ def trace(
             evidence holds `load_reached`, the largest load with a steady state that was found, and with a limit point
             `limit_load`, an estimate of the maximum, and `load_slope`, d(load)/d(strain) beyond it, which is negative.
     """
-    return _Path(system, load, settings).follow(linear, first_load)
+    return _Path(system, load, budget).follow(linear, first_load)
 
 
 class _Path:
     """One path; counts Jacobians against the budget and remembers the largest load reached."""
 
-    def __init__(self, system: LoadedSystem, load: float, settings: ContinuationSettings) -> None:
-        self.system, self.load, self.settings = system, load, settings
+    def __init__(self, system: LoadedSystem, load: float, budget: int) -> None:
+        self.system, self.load = system, load
         self.jacobians, self.reached = 0, 0.0
-        self.budget, self.bracketed = settings.maximum_jacobians, False
+        self.budget, self.bracketed = budget, False
         self.figures: Mapping[str, float] = {}
 
-    def follow(self, linear: Vector, first_load: float) -> Traced:
+    def follow(self, linear: Vector, first_load: float) -> Steady:
         """Go from the unloaded state along the path until it turns back, the load is reached, or the budget ends."""
         last = PathPoint(np.zeros_like(linear), 0.0, linear / self.load)
         point = self._first_point(linear, first_load)
-        strain, step = self.system.critical_strain(point.x, point.tangent), self.settings.first_step
+        strain, step = self.system.critical_strain(point.x, point.tangent), FIRST_STEP
         while True:
             following = self._advance(last, point, strain, step)
             falls = strain.functional @ following.tangent < 0.0
@@ -138,7 +121,7 @@ class _Path:
                 continue
             arrived = self._arrival(point, following, strain)
             if arrived is not None:
-                return Traced(arrived, self.jacobians)
+                return Steady(arrived, self.jacobians)
             step *= 0.5
 
     def _arrival(self, below: PathPoint, above: PathPoint, strain: Strain) -> Vector | None:
@@ -159,9 +142,6 @@ class _Path:
                 return None
             raise
         return found.x
-
-    def residual(self, x: Vector, load: float) -> Vector:
-        return self.system.residual(x, load)
 
     def factorise(self, x: Vector, load: float) -> LinearSolver:
         """Factorise within the budget."""
@@ -196,7 +176,7 @@ class _Path:
         advanced = strain.functional @ (point.x - last.x)
         fall = (slopes[0] - slopes[1]) / advanced if advanced > 0 else 0.0
         wanted = 1.15 * slopes[1] / fall if fall > 0 else np.inf
-        return float(np.clip(wanted, 0.5 * self.settings.largest_step, self.settings.largest_step))
+        return float(np.clip(wanted, 0.5 * LARGEST_STEP, LARGEST_STEP))
 
     def _advance(self, last: PathPoint, point: PathPoint, strain: Strain, step: float) -> PathPoint:
         """Return the point whose strain is larger by `step`, or by a half, a quarter, … of it.
@@ -205,7 +185,7 @@ class _Path:
         """
         reason: tuple[str, str, dict[str, float]]
         reason = ("continuation_stalled", "the steps along the load path became too short", {})
-        while step >= self.settings.smallest_step:
+        while step >= SMALLEST_STEP:
             system = _AtStrain(self, strain.functional, strain.functional @ point.x + step)
             weights = np.append(self.system.weights, np.sqrt(len(point.x)))
             start = _predicted(last, point, strain, step)
@@ -254,7 +234,7 @@ class _AtLoad:
         self._path, self._load = path, load
 
     def residual(self, x: Vector) -> Vector:
-        return self._path.residual(x, self._load)
+        return self._path.system.residual(x, self._load)
 
     def factorise(self, x: Vector) -> LinearSolver:
         jacobian = self._path.factorise(x, self._load)
@@ -272,7 +252,7 @@ class _AtStrain:
 
     def residual(self, z: Vector) -> Vector:
         x, load = z[:-1], float(z[-1])
-        return np.append(self._path.residual(x, load), self._functional @ x - self._value)
+        return np.append(self._path.system.residual(x, load), self._functional @ x - self._value)
 
     def factorise(self, z: Vector) -> LinearSolver:
         jacobian = self._path.factorise(z[:-1], float(z[-1]))

@@ -1,6 +1,6 @@
 """How the inflow changes with time, and when interfaces are observed."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -9,9 +9,8 @@ import numpy as np
 
 from strandline.errors import InvalidInput
 from strandline.interface import is_condition
-from strandline.models.biofilm.inflow import Pairs
-
-__all__ = ["MOTIONS", "QUASI_STATIC", "TRANSIENT", "Course"]
+from strandline.models import refused
+from strandline.models.biofilm.outline import Pairs, pairs_in
 
 QUASI_STATIC, TRANSIENT = "quasi_static", "transient"
 MOTIONS = (QUASI_STATIC, TRANSIENT)
@@ -69,11 +68,7 @@ class Course:
 
     @classmethod
     def of(cls, value: Any) -> "Course":
-        """Return the course that a study file describes; times in a list are named t1, t2, ….
-
-        Raises:
-            InvalidInput: It is none.
-        """
+        """Return the course that a study file describes; times in a list are named t1, t2, …."""
         if isinstance(value, cls):
             return value
         example = "{inflow: [[0, 0], [0.5, 1]], times: {early: 0.1, late: 0.5}, motion: transient}"
@@ -124,13 +119,10 @@ def _require_increasing(what: str, times: list[float]) -> None:
 
 def _table(value: Any) -> Pairs:
     """Return at least two pairs of finite numbers."""
-    try:
-        pairs = np.array(value, float)
-    except (TypeError, ValueError):
-        pairs = np.empty(0)
-    if pairs.ndim != 2 or pairs.shape[1] != 2 or len(pairs) < 2 or not np.isfinite(pairs).all():
+    pairs = pairs_in(value, 2)
+    if pairs is None:
         raise _refused("inflow in the", value, "a table of at least two pairs [time in s, share of V_in]")
-    return tuple((float(time), float(share)) for time, share in pairs)
+    return pairs
 
 
 def _named(value: Any) -> Times:
@@ -150,4 +142,41 @@ def _number(key: str, value: Any) -> float:
 
 
 def _refused(what: str, value: object, expected: str) -> InvalidInput:
-    return InvalidInput(f"{what} {PLACE}".strip(), value=value, expected=expected, remedy="Correct the course.")
+    return refused(f"{what} {PLACE}".strip(), value, expected, "Correct the course.")
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A stretch of time, s, in which the share of the full inflow changes linearly, or a sudden change of it."""
+
+    begin: float
+    end: float
+    from_share: float
+    to_share: float
+
+    @property
+    def is_sudden(self) -> bool:
+        """Whether the inflow jumps."""
+        return self.begin == self.end
+
+    def share(self, time: float) -> float:
+        """Return the share of the full inflow at a time between beginning and end."""
+        if time >= self.end:
+            return self.to_share
+        return self.from_share + (self.to_share - self.from_share) * (time - self.begin) / (self.end - self.begin)
+
+
+def pieces(course: Course) -> Iterator[Piece]:
+    """Yield the pieces of a course until the last time observed, divided at all times observed."""
+    observed = [time for _, time in course.times]
+    end = observed[-1]
+    for (begin, first), (until, second) in pairwise(course.inflow):
+        whole = Piece(begin, until, first, second)
+        if begin > end or (begin == end and not whole.is_sudden):
+            return
+        if whole.is_sudden:
+            yield whole
+            continue
+        marks = [begin, *(time for time in observed if begin < time < until), until]
+        for a, b in pairwise(time for time in marks if time <= end):
+            yield Piece(a, b, whole.share(a), whole.share(b))

@@ -24,8 +24,6 @@ from jaxtyping import Float, Int
 
 from strandline.models.biofilm.triangles import AtPoints, Numbers, Rule, map_at_rest, numbers_of, places_of
 
-__all__ = ["FluidElements"]
-
 ORDER = 6
 """Order of the quadrature rule: exact for all terms but the viscous one, which is rational."""
 

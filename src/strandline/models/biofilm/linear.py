@@ -8,90 +8,102 @@ returns wrong results without a warning. So its residual is checked, and a solut
 again with its own analysis.
 """
 
+import contextlib
+import ctypes
 import os
+from collections.abc import Iterator
 from functools import cache
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Float
 from ngsolve import la
 
-from strandline.errors import ForwardModelError, InvalidInput
-from strandline.models.biofilm.silence import without_prints
+from strandline.errors import ForwardModelError
+from strandline.models import refused
 
-__all__ = ["SOLVERS", "VARIABLE", "Factorisation", "linear_solver"]
-
+STANDARD_OUTPUT = 1
 SOLVERS = ("umfpack", "pardiso")
 VARIABLE = "STRANDLINE_LINEAR_SOLVER"
 RESIDUAL_TOLERANCE = 1e-6
 """Largest ‖Jx - b‖ / ‖b‖ of PARDISO; close to a fold, UMFPACK leaves up to 1e-8."""
-
 Vector = Float[np.ndarray, " unknown"]
+
+
+@contextlib.contextmanager
+def without_prints() -> Iterator[None]:
+    """Discard what this process writes to standard output, even outside Python.
+
+    The C library buffers its prints, so they are flushed before and after. If standard output is closed, or the
+    system is not POSIX, this does nothing.
+    """
+    library = _c_library()
+    try:
+        kept = None if library is None else os.dup(STANDARD_OUTPUT)
+    except OSError:
+        kept = None
+    if library is None or kept is None:
+        yield
+        return
+    library.fflush(None)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, STANDARD_OUTPUT)
+    os.close(nowhere)
+    try:
+        yield
+    finally:
+        library.fflush(None)
+        os.dup2(kept, STANDARD_OUTPUT)
+        os.close(kept)
+
+
+@cache
+def _c_library() -> Any:
+    """Return the C library of this process; None if there is none."""
+    try:
+        return ctypes.CDLL(None) if os.name == "posix" else None
+    except OSError:
+        return None
 
 
 @cache
 def linear_solver() -> str:
-    """Return one of `SOLVERS`: the environment's choice, else PARDISO if it works; decided once per process.
-
-    Raises:
-        InvalidInput: The environment variable STRANDLINE_LINEAR_SOLVER asks for a solver that is not installed.
-    """
-    chosen = os.environ.get(VARIABLE)
+    """Return one of `SOLVERS`: the environment's choice, else PARDISO if it works; decided once per process."""
+    chosen, what = os.environ.get(VARIABLE), f"environment variable {VARIABLE}"
     if chosen is None:
         return "pardiso" if _pardiso_works() else "umfpack"
     if chosen not in SOLVERS:
-        raise InvalidInput(
-            f"environment variable {VARIABLE}",
-            value=chosen or "an empty text",
-            expected=f"one of {', '.join(SOLVERS)}",
-            remedy="Correct it, or unset it to use the fastest solver installed.",
-        )
+        remedy = "Correct it, or unset it to use the fastest solver installed."
+        raise refused(what, chosen or "an empty text", f"one of {', '.join(SOLVERS)}", remedy)
     if chosen == "pardiso" and not _pardiso_works():
-        raise InvalidInput(
-            f"environment variable {VARIABLE}",
-            value=chosen,
-            expected="umfpack, because NGSolve finds no PARDISO",
-            remedy='Install it by `pip install "strandline[mkl]"`, or unset the variable.',
-        )
+        remedy = 'Install it by `pip install "strandline[mkl]"`, or unset the variable.'
+        raise refused(what, chosen, "umfpack, because NGSolve finds no PARDISO", remedy)
     return chosen
 
 
 class Factorisation:
-    """A sparse LU of the reduced Jacobian; it stays valid when the matrix changes.
+    """A sparse LU of the reduced Jacobian with `size` rows; it stays valid when the NGSolve matrix changes.
 
-    Args:
-        matrix: NGSolve matrix.
-        size: Number of its rows.
-        own_analysis: Whether PARDISO analyses these values for themselves. This takes several times as long, and then
-            solving with this and other matrices by turns needs no new factorisations.
+    With `own_analysis`, PARDISO analyses these values for themselves. This takes several times as long, and then
+    solving with this and other matrices by turns needs no new factorisations.
     """
 
     def __init__(self, matrix: Any, size: int, *, own_analysis: bool = False) -> None:
         try:
-            self._lu: _LU = (
-                _Pardiso(matrix, size, own_analysis=own_analysis)
-                if linear_solver() == "pardiso"
-                else _Umfpack(matrix, size)
+            by_pardiso = linear_solver() == "pardiso"
+            self._lu: _Pardiso | _Umfpack = (
+                _Pardiso(matrix, size, own_analysis) if by_pardiso else _Umfpack(matrix, size)
             )
         except Exception as error:
             raise ForwardModelError("linear_solve", f"the Jacobian could not be factorised: {error}") from error
 
     def solve(self, right: Vector) -> Vector:
-        """Return J⁻¹ right.
-
-        Raises:
-            ForwardModelError: ``linear_solve``: the result is not finite, or does not solve the equations.
-        """
+        """Return J⁻¹ right; fails as ``linear_solve`` if that is not finite, or does not solve the equations."""
         result = self._lu.solve(right)
         if not np.isfinite(result).all():
             raise ForwardModelError("linear_solve", "the linear solve gave values that are not finite")
         return result
-
-
-@runtime_checkable
-class _LU(Protocol):
-    def solve(self, right: Vector) -> Vector: ...
 
 
 class _Umfpack:
@@ -107,13 +119,12 @@ class _Umfpack:
 class _Pardiso:
     """One set of values, and its own analysis, or one shared with other sets until it no longer suits this one."""
 
-    def __init__(self, matrix: Any, size: int, *, own_analysis: bool) -> None:
+    def __init__(self, matrix: Any, size: int, own_analysis: bool) -> None:
         self._values = np.array(matrix.AsVector().FV().NumPy())
         if not np.isfinite(self._values).all():
             raise ValueError("an entry is not finite")
         if own_analysis:
-            self._analysis, self._shared = _Analysis(matrix, size), False
-            self._analysis.hold(self._values)
+            self._analysis, self._shared = _Analysis(matrix, size, loaded=self._values), False
             return
         if matrix not in _analyses:
             _analyses[matrix] = _Analysis(matrix, size)
@@ -121,33 +132,26 @@ class _Pardiso:
         self._analysis.factorise(self._values)
 
     def solve(self, right: Vector) -> Vector:
-        """Return A⁻¹ right; a shared analysis that does not suit these values is replaced by a new one.
-
-        Raises:
-            ForwardModelError: ``linear_solve``: the residual is not small with the new analysis either.
-        """
+        """Return A⁻¹ right; a shared analysis that does not suit these values is replaced by a new one."""
         self._analysis.factorise(self._values)
         x, residual = self._analysis.solve(right)
         if self._shared and not residual <= RESIDUAL_TOLERANCE * np.linalg.norm(right):
             self._analysis, self._shared = self._analysis.renewed(), False
             x, residual = self._analysis.solve(right)
         if not residual <= RESIDUAL_TOLERANCE * np.linalg.norm(right):
-            raise ForwardModelError(
-                "linear_solve",
-                "the Jacobian is singular, or nearly so: PARDISO does not solve the equations",
-                {"linear_residual": float(residual)},
-            )
+            message = "the Jacobian is singular, or nearly so: PARDISO does not solve the equations"
+            raise ForwardModelError("linear_solve", message, {"linear_residual": float(residual)})
         return x
 
 
 class _Analysis:
     """PARDISO's analysis of a copy of `matrix`, and the factorisation of the values loaded last."""
 
-    def __init__(self, matrix: Any, size: int, *, refinement: int = 0) -> None:
+    def __init__(self, matrix: Any, size: int, *, loaded: object = None, refinement: int = 0) -> None:
         self._matrix, self._size = matrix.CreateMatrix(), size
         self._entries = self._matrix.AsVector().FV().NumPy()
         self._entries[:] = matrix.AsVector().FV().NumPy()
-        self._loaded: object = None
+        self._loaded = loaded
         self._inverse = self._matrix.Inverse(inverse="pardiso", flags={"refinement": refinement})
         self._right, self._left = la.CreateVVector(size), la.CreateVVector(size)
 
@@ -166,15 +170,9 @@ class _Analysis:
         back = _product(self._matrix, x, self._right, self._left)
         return x, float(np.linalg.norm(back - right))
 
-    def hold(self, values: Float[np.ndarray, " nonzero"]) -> None:
-        """Note that the matrix is factorised with `values`."""
-        self._loaded = values
-
     def renewed(self) -> "_Analysis":
         """Return a new analysis for the values loaded, with as much iterative refinement as is useful."""
-        fresh = _Analysis(self._matrix, self._size, refinement=16)
-        fresh._loaded = self._loaded
-        return fresh
+        return _Analysis(self._matrix, self._size, loaded=self._loaded, refinement=16)
 
 
 _analyses: WeakKeyDictionary[Any, _Analysis] = WeakKeyDictionary()

@@ -24,8 +24,6 @@ from ngsolve.comp import IntegrationRuleSpace
 
 from strandline.models.protocol import ModelInput
 
-__all__ = ["MOST_BRANCHES", "Branch", "Memory", "Past", "branch_inputs"]
-
 MOST_BRANCHES = 3
 ORDER = 2
 """Order of the quadrature over the solid."""
@@ -35,12 +33,7 @@ Stresses = Float[np.ndarray, " entry"]
 
 @dataclass(frozen=True)
 class Branch:
-    """A Maxwell branch.
-
-    Args:
-        ratio: Its stiffness over that of the relaxed solid, above 0.
-        time: Its relaxation time, s, above 0.
-    """
+    """A Maxwell branch: its stiffness over that of the relaxed solid, and its relaxation time, s, both above 0."""
 
     ratio: float
     time: float
@@ -72,11 +65,7 @@ def _of_branch(name: str, unit: str, end: str) -> ModelInput:
 
 
 class Memory:
-    """Adds the branches to the stress of a law; belongs to one mesh.
-
-    Args:
-        mesh: NGSolve mesh.
-    """
+    """Adds the branches to the stress of a law; belongs to one mesh."""
 
     def __init__(self, mesh: Any) -> None:
         points = IntegrationRuleSpace(mesh, order=ORDER)
@@ -99,13 +88,7 @@ class Memory:
         return Past(none, (none,) * branches)
 
     def begin(self, past: Past, branches: Sequence[Branch], step: float) -> None:
-        """Let the stress be that at the end of a step after `past`.
-
-        Args:
-            past: Stresses at the beginning of the step.
-            branches: The branches.
-            step: Length of the step, s; 0: a sudden change.
-        """
+        """Let the stress be that at the end of a step, s, after `past`; a step of 0 is a sudden change."""
         factor, carried = 1.0, np.zeros_like(past.elastic)
         for branch, stress in zip(branches, past.branches, strict=True):
             kept, taken = branch.over(step)
@@ -115,14 +98,7 @@ class Memory:
         self._carried.vec.FV().NumPy()[:] = carried
 
     def after(self, past: Past, branches: Sequence[Branch], step: float, elastic: Any) -> Past:
-        """Return the stresses at the end of the step.
-
-        Args:
-            past: Stresses at its beginning.
-            branches: The branches.
-            step: Length of the step, s.
-            elastic: Sₑ at the end of the step, an NGSolve function.
-        """
+        """Return the stresses at the end of a step, s, after `past`; `elastic` is Sₑ there, an NGSolve function."""
         self._elastic.Interpolate(elastic)
         now = np.array(self._elastic.vec.FV().NumPy())
         changed = []

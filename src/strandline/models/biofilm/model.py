@@ -13,40 +13,50 @@ import numpy as np
 
 from strandline.errors import ForwardModelError
 from strandline.interface import Interface
-from strandline.models.biofilm.anchors import on_disk
-from strandline.models.biofilm.anchors.anchored_cell import AnchoredCell, Setting
-from strandline.models.biofilm.anchors.box import Box, Ranges, as_ranges, check_ranges
-from strandline.models.biofilm.cell import FlowCell, FlowFields, Solution
-from strandline.models.biofilm.channel import Channel, check_inside, check_outline
+from strandline.models import refused
+from strandline.models.biofilm.anchored_cell import AnchoredCell
+from strandline.models.biofilm.anchors import (
+    Box,
+    Ranges,
+    anchors_file,
+    as_ranges,
+    check_ranges,
+    load_anchors,
+    save_anchors,
+)
+from strandline.models.biofilm.cell import FlowCell, Setting, Solution
 from strandline.models.biofilm.course import Course
-from strandline.models.biofilm.creep.creeping_cell import CreepingCell
-from strandline.models.biofilm.flow import inlet_bottom
-from strandline.models.biofilm.fluid import WATER, Fluid
-from strandline.models.biofilm.foot import as_stretches, check_clamped
-from strandline.models.biofilm.geometry import subdivide
-from strandline.models.biofilm.inflow import DROP, PARABOLA, PRESSURE, RATE, Pairs, check_inflow
+from strandline.models.biofilm.creeping_cell import CreepingCell
+from strandline.models.biofilm.fields import FlowFields
+from strandline.models.biofilm.flow import DROP, PARABOLA, PRESSURE, RATE, WATER, Fluid, entering, inlet_bottom
+from strandline.models.biofilm.geometry import FINER, MESHES, MeshSize, Partition, is_adapted, subdivide
 from strandline.models.biofilm.linear import linear_solver
 from strandline.models.biofilm.materials import LAWS, law_named
 from strandline.models.biofilm.memory import Branch, branch_inputs
 from strandline.models.biofilm.options import (
+    SolidInputs,
     as_inflow,
     as_loads,
     check_budget,
     check_course,
     check_loads,
     converted,
-    one_of,
 )
-from strandline.models.biofilm.outline import Outline
-from strandline.models.biofilm.sizes import FINER, MESHES, MeshSize, is_adapted
-from strandline.models.biofilm.solid_inputs import SolidInputs
-from strandline.models.biofilm.subdivision import Partition
-from strandline.models.biofilm.transient_cell import TransientCell
+from strandline.models.biofilm.outline import (
+    Channel,
+    Outline,
+    Pairs,
+    as_stretches,
+    check_clamped,
+    check_inside,
+    check_outline,
+)
+from strandline.models.biofilm.transient import TransientCell
+from strandline.models.fingerprint import fingerprint as fingerprint_of
 from strandline.models.protocol import ModelInput, Simulation
-from strandline.models.protocol import fingerprint as fingerprint_of
 from strandline.registry import imported
 
-__all__ = ["Biofilm", "FlowFields"]
+__all__ = ["Biofilm"]
 
 REVISION = 2
 """Raised whenever the results of the model change by more than 1e-4 µm."""
@@ -113,20 +123,13 @@ class Biofilm:
     failure_budget: int = 5
     anchors: Ranges = ()
     failure_kinds: ClassVar[tuple[str, ...]] = (
-        "limit_point",
-        "continuation_stalled",
-        "newton_stalled",
-        "newton_maxit",
-        "inverted_elements",
-        "unbalanced",
-        "nonfinite_residual",
-        "linear_solve",
-        "mesh",
-        "time_step",
-    )
+        "limit_point", "continuation_stalled", "newton_stalled", "newton_maxit", "inverted_elements", "unbalanced",
+        "nonfinite_residual", "linear_solve", "mesh", "time_step",
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
-        one_of("mesh", self.mesh, MESHES)
+        if self.mesh not in MESHES:
+            raise refused("mesh of the biofilm model", self.mesh, f"one of {', '.join(MESHES)}")
         law_named(self.material)
         check_budget(self.failure_budget)
         check_loads(self.inflow_rates, self.pressure_drops, self.inflow)
@@ -138,7 +141,8 @@ class Biofilm:
         subdivide(reference, self.channel, self.partition)
         check_clamped(self.clamped, reference)
         check_ranges(self.anchors, self.inputs, steady=self.course is None)
-        check_inflow(self.inflow, inlet_bottom(reference, self.channel), self.channel.height)
+        if self.inflow != PRESSURE:
+            entering(self.inflow, inlet_bottom(reference, self.channel), self.channel.height)
         linear_solver()
 
     @classmethod
@@ -221,7 +225,8 @@ class Biofilm:
         figures: dict[str, float] = {}
         for name, solution in self._solutions(cell, inputs, self.failure_budget, anchored=anchored):
             interfaces[name] = Interface.polyline(cell.outline.points + solution.displacement)
-            figures |= {_figure(key, name): value for key, value in solution.diagnostics().items()}
+            end = f"_{name}" if name else ""
+            figures |= {key + end: value for key, value in solution.diagnostics().items()}
             if self.sensitivities:
                 found = cell.sensitivities(solution, [q.name for q in self.fluid.inputs])
                 sensitivities[name] = self._by_input(found, self.course.shares()[name] if self.course else 1.0)
@@ -286,25 +291,19 @@ class Biofilm:
         anchored: AnchoredCell | None = None,
     ) -> Iterator[tuple[str, Solution]]:
         """Yield each condition with its state, which the cell holds meanwhile; of steady ones, `only` that if given."""
-        young, poisson, *further = self._solid.values(inputs)
-        fluid = self.fluid.at(inputs)
-        if isinstance(cell, TransientCell | CreepingCell) and self.course:
-            specimen: list[Any] = [young, poisson, float(inputs[self._drive[0].name]), *further]
-            if isinstance(cell, TransientCell):
-                yield from cell.through(self.course, *specimen, fluid=fluid, budget=budget)
-            else:
-                yield from cell.through(self.course, self._branches(inputs), *specimen, fluid=fluid, budget=budget)
+        if self.course and isinstance(cell, TransientCell):
+            yield from cell.through(self.course, self._setting(inputs), budget)
+            return
+        if self.course and isinstance(cell, CreepingCell):
+            yield from cell.through(self.course, self._branches(inputs), self._setting(inputs), budget)
             return
         for name, load in self._loads_at(inputs):
-            if only not in (None, name):
-                continue
-            if anchored is None:
-                yield name, cell.solve(young, poisson, load, *further, fluid=fluid, budget=budget)
-            else:
-                yield name, anchored.solve({**inputs, self._driven_by.name: load}, budget)
+            if only in (None, name):
+                at = {**inputs, self._driven_by.name: load}
+                yield name, anchored.solve(at, budget) if anchored else cell.solve(self._setting(at), budget)
 
     def _setting(self, inputs: Mapping[str, float]) -> Setting:
-        """Return the arguments of `FlowCell.solve` at inputs, among them what drives the flow."""
+        """Return what a run at these inputs is made with, among them what drives the flow."""
         young, poisson, *further = self._solid.values(inputs)
         return Setting(young, poisson, float(inputs[self._driven_by.name]), tuple(further), self.fluid.at(inputs))
 
@@ -354,10 +353,6 @@ class Biofilm:
         return by_name | {item.name: share * by_drive for item in self._drive}
 
 
-def _figure(key: str, condition: str) -> str:
-    return f"{key}_{condition}" if condition else key
-
-
 @lru_cache(maxsize=2)
 def _flow_cell(model: Biofilm, solid_density: float | None = None, *, creeps: bool = False) -> FlowCell:
     return _new_cell(model, MESHES[model.mesh], solid_density, creeps=creeps)
@@ -366,11 +361,11 @@ def _flow_cell(model: Biofilm, solid_density: float | None = None, *, creeps: bo
 @lru_cache(maxsize=2)
 def _anchored_cell(model: Biofilm, box: Box) -> AnchoredCell:
     """Return the cell with anchors, from disk if they are there; a model reduced to its geometry."""
-    path = on_disk.file_of(model.fingerprint, box)
-    kept = on_disk.load(path)
+    path = anchors_file(model.fingerprint, box)
+    kept = load_anchors(path)
     anchored = AnchoredCell(_flow_cell(model), box, model._setting, kept)
     if kept is None:
-        on_disk.save(anchored.states, path)
+        save_anchors(anchored.states, path)
     return anchored
 
 

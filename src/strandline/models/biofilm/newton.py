@@ -15,8 +15,6 @@ from jaxtyping import Float
 
 from strandline.errors import ForwardModelError
 
-__all__ = ["LinearSolver", "NewtonSettings", "NewtonSolution", "NewtonStep", "System", "length", "solve", "step"]
-
 Vector = Float[np.ndarray, " unknown"]
 
 
@@ -55,20 +53,14 @@ class NewtonSettings:
 
 @dataclass(frozen=True, eq=False)
 class NewtonSolution:
-    """The root and how it was found.
+    """The root, the Jacobians factorised, the steps taken with a Jacobian from another point, and the last Jacobian.
 
-    Args:
-        x: the root.
-        jacobians: number of Jacobians factorised.
-        simplified_steps: number of steps taken with a Jacobian from another point.
-        last_correction: length of the last correction.
-        jacobian: the last Jacobian, factorised near the root, not at it.
+    The last was factorised near the root, not at it.
     """
 
     x: Vector
     jacobians: int
     simplified_steps: int
-    last_correction: float
     jacobian: LinearSolver
 
 
@@ -80,9 +72,9 @@ class NewtonStep:
     correction: Vector
 
 
-def step(system: System, x: Vector) -> NewtonStep:
-    """Return Newton's step at `x`; raises what `system` raises."""
-    jacobian = system.factorise(x)
+def step(system: System, x: Vector, jacobian: LinearSolver | None = None) -> NewtonStep:
+    """Return Newton's step at `x`, with a Jacobian from elsewhere if one is given; raises what `system` raises."""
+    jacobian = system.factorise(x) if jacobian is None else jacobian
     return NewtonStep(jacobian, -jacobian.solve(system.residual(x)))
 
 
@@ -92,12 +84,7 @@ def length(correction: Vector, weights: Vector) -> float:
 
 
 def solve(
-    system: System,
-    x: Vector,
-    *,
-    weights: Vector,
-    settings: NewtonSettings,
-    first: NewtonStep | None = None,
+    system: System, x: Vector, *, weights: Vector, settings: NewtonSettings, first: NewtonStep | None = None
 ) -> NewtonSolution:
     """Return the root of `system` that Newton's method reaches from `x`.
 
@@ -135,7 +122,7 @@ class _Search:
             jacobian, correction = taken.jacobian, taken.correction
             size = self._length(correction)
             if size <= self.settings.tolerance:
-                return self._found(x + correction, size, jacobian)
+                return self._found(x + correction, jacobian)
             if previous is not None:
                 damping = self._predicted_damping(correction, previous)
             damping, simplified = self._damped_step(jacobian, x, correction, damping)
@@ -144,18 +131,15 @@ class _Search:
             if damping == 1.0 and self._length(simplified) <= self.settings.contraction * size:
                 x, last = self._quasi_newton(jacobian, x, (correction, simplified))
                 if last <= self.settings.tolerance:
-                    return self._found(x, last, jacobian)
+                    return self._found(x, jacobian)
                 previous = None
             taken = None
             if self.jacobians >= self.settings.maximum_jacobians:
-                raise ForwardModelError(
-                    "newton_maxit",
-                    f"no convergence within {self.settings.maximum_jacobians} Jacobians (last correction {size:.2g})",
-                    {"last_correction": size},
-                )
+                spent = f"{self.settings.maximum_jacobians} Jacobians (last correction {size:.2g})"
+                raise ForwardModelError("newton_maxit", f"no convergence within {spent}", {"last_correction": size})
 
-    def _found(self, x: Vector, last: float, jacobian: LinearSolver) -> NewtonSolution:
-        return NewtonSolution(x, self.jacobians, self.steps, last, jacobian)
+    def _found(self, x: Vector, jacobian: LinearSolver) -> NewtonSolution:
+        return NewtonSolution(x, self.jacobians, self.steps, jacobian)
 
     def _step(self, x: Vector) -> NewtonStep:
         self.jacobians += 1
@@ -183,21 +167,17 @@ class _Search:
                 return damping, simplified
             curvature = self._length(simplified - (1.0 - damping) * correction)
             damping = min(0.5 * damping, 0.5 * size * damping**2 / curvature)
-        raise ForwardModelError(
-            "newton_stalled",
-            f"Newton's steps became shorter than {self.settings.smallest_damping:g} of the correction ({size:.2g})",
-            {"last_correction": size},
-        )
+        limit = f"{self.settings.smallest_damping:g} of the correction ({size:.2g})"
+        message = f"Newton's steps became shorter than {limit}"
+        raise ForwardModelError("newton_stalled", message, {"last_correction": size})
 
     def _quasi_newton(
         self, jacobian: LinearSolver, x: Vector, corrections: tuple[Vector, Vector]
     ) -> tuple[Vector, float]:
         """Continue with Broyden updates of a Jacobian while they contract; return the point and the last correction.
 
-        Args:
-            jacobian: Jacobian that is updated.
-            x: Point after the first correction, which is the Newton step.
-            corrections: The Newton step and the simplified one that it leaves.
+        `x` is the point after the first correction, which is the Newton step; the second is the simplified one that it
+        leaves.
         """
         directions = [corrections[0]]
         squares = [self._inner(corrections[0], corrections[0])]

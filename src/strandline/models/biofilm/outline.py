@@ -1,18 +1,23 @@
-"""The outline of a biofilm: from a few control points to the polygon that the mesh follows."""
+"""The channel, the outline of the biofilm in it, and where the foot of the solid is held on the floor."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.interpolate import CubicSpline
 
-from strandline.errors import InvalidInput
 from strandline.interface import Interface
-from strandline.models.biofilm.channel import ON_WALL
+from strandline.models import refused
 
-__all__ = ["CONTROL_POINTS", "NODES", "Outline", "bodies"]
+SIDES = ("left", "right")
+OUTLETS = ("horizontal", "traction_free")
+TOPS = ("no_slip", "slip", "symmetry")
+ON_WALL = 1e-9
 
+Pairs = tuple[tuple[float, float], ...]
 CONTROL_POINTS = (
     (0.540, 0.000),
     (0.582, 0.085),
@@ -29,11 +34,97 @@ CONTROL_POINTS = (
     (1.391, 0.000),
 )
 """Points (x, y) in mm from the upstream to the downstream foot; the outline of the study is not published in text."""
-
 NODES = 66
 """Interface nodes of the study (its n_in)."""
 LEAST = 4
 """Fewest nodes of a body."""
+CLAMPED = "clamped of the biofilm model"
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A channel [0, length] × [0, height], mm.
+
+    Args:
+        length: length, mm.
+        height: height, mm.
+        inlet: the side where the fluid enters with a parabolic profile; it leaves on the other side.
+        outlet: ``horizontal``: no vertical velocity, as in the study; ``traction_free``: open.
+        top: ``no_slip``: a wall; ``slip``: a wall without friction; ``symmetry``: the middle of a channel of twice this
+            height. The last two are the same equations: no vertical velocity, no shear stress.
+    """
+
+    length: float = 2.0
+    height: float = 1.0
+    inlet: str = "left"
+    outlet: str = "horizontal"
+    top: str = "no_slip"
+
+    def __repr__(self) -> str:
+        """Return the fields; a top wall that is no exception stays out, for the sake of earlier fingerprints."""
+        top = "" if self.top == "no_slip" else f", top={self.top!r}"
+        names = ("length", "height", "inlet", "outlet")
+        return f"Channel({', '.join(f'{name}={getattr(self, name)!r}' for name in names)}{top})"
+
+    @property
+    def is_frictionless(self) -> bool:
+        """Whether the top exerts no shear stress."""
+        return self.top != "no_slip"
+
+    def __post_init__(self) -> None:
+        for name in ("length", "height"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise refused(f"{name} of the channel", value, "a length in mm above 0")
+        for name, choices in (("inlet", SIDES), ("outlet", OUTLETS), ("top", TOPS)):
+            if getattr(self, name) not in choices:
+                raise refused(f"{name} of the channel", getattr(self, name), f"one of {', '.join(choices)}")
+
+
+def check_outline(outline: Interface, channel: Channel) -> None:
+    """Refuse an outline that does not bound a solid on the channel's floor.
+
+    It starts on the floor or on the left end of the channel, ends on the floor or on the right end (both on the floor:
+    a bump; neither: a layer), runs from left to right, stays inside the channel elsewhere and does not cross itself.
+    Two neighbours on the floor between the ends separate two bodies.
+    """
+    outline.require_simple()
+    first, last = outline.points[0], outline.points[-1]
+    if first[0] > last[0]:
+        raise refused("direction of the outline", _place(first), "points from left to right", "Reverse their order.")
+    for point, wall in ((first, 0.0), (last, channel.length)):
+        on_floor = abs(point[1]) < ON_WALL and 0 < point[0] < channel.length
+        on_end = abs(point[0] - wall) < ON_WALL and 0 < point[1] < channel.height
+        if not (on_floor or on_end):
+            place = f"a point on the floor y = 0 or on the channel's end x = {wall:g}"
+            raise refused("end of the outline", _place(point), place, "Move or add the end point.")
+    check_inside(outline.points, channel)
+
+
+def check_inside(points: Sequence[tuple[float, float]] | Float[np.ndarray, "point 2"], channel: Channel) -> None:
+    """Refuse an outline, or control points of one, that leaves the channel between its ends."""
+    inner = np.asarray(points, float)[1:-1]
+    inner = inner[~_between_bodies(inner, channel)]
+    inside = (inner[:, 0] > 0) & (inner[:, 0] < channel.length) & (inner[:, 1] > 0) & (inner[:, 1] < channel.height)
+    if not inside.all():
+        raise refused(
+            "outline outside the channel",
+            _place(inner[np.argmin(inside)]),
+            f"points inside [0, {channel.length:g}] × [0, {channel.height:g}] mm",
+            "Correct the point or the channel. A spline may overshoot: add points, or `spline: false`. Two bodies need"
+            " two neighbouring points on the floor between them.",
+        )
+
+
+def _between_bodies(inner: Float[np.ndarray, "point 2"], channel: Channel) -> Bool[np.ndarray, " point"]:
+    """Return which points are the end of one body and the start of the next: two neighbours on the floor."""
+    on_floor = (np.abs(inner[:, 1]) < ON_WALL) & (inner[:, 0] > 0) & (inner[:, 0] < channel.length)
+    runs = np.diff(np.flatnonzero(np.diff(np.concatenate([[0], on_floor, [0]]))).reshape(-1, 2), axis=1).ravel()
+    return on_floor if (runs == 2).all() else np.zeros(len(inner), bool)
+
+
+def _place(point: np.ndarray) -> str:
+    return f"({point[0]:.6g}, {point[1]:.6g}) mm"
 
 
 @dataclass(frozen=True)
@@ -59,19 +150,17 @@ class Outline:
     def __post_init__(self) -> None:
         shape = np.shape(np.array(self.points, dtype=object))
         if len(shape) != 2 or shape[1] != 2 or shape[0] < 3:
-            _refuse("points of the outline", self.points, "at least three pairs (x, y) in mm", "Correct the points.")
+            raise refused("points of the outline", self.points, "at least three pairs (x, y) in mm")
         for body in bodies(np.array(self.points, float)):
             if body.stop - body.start < 3:
                 x, y = self.points[body.start]
-                _refuse(
-                    "body of the outline", f"{body.stop - body.start} point(s) from ({x:g}, {y:g}) mm on",
-                    "at least three points, with two neighbouring points on the floor between bodies",
-                    "Correct the points.",
-                )  # fmt: skip
+                found = f"{body.stop - body.start} point(s) from ({x:g}, {y:g}) mm on"
+                wanted = "at least three points, with two neighbouring points on the floor between bodies"
+                raise refused("body of the outline", found, wanted)
         if self.nodes is None and self.spline:
-            _refuse("nodes of the outline", self.nodes, "a number of nodes for a spline", "Give nodes, e.g. 66.")
+            raise refused("nodes of the outline", None, "a number of nodes for a spline", "Give nodes, e.g. 66.")
         if self.nodes is not None and self.nodes < LEAST:
-            _refuse("nodes of the outline", self.nodes, "at least 4", "Raise the number of nodes.")
+            raise refused("nodes of the outline", self.nodes, f"at least {LEAST}")
 
     @classmethod
     def of(cls, interface: Interface, *, nodes: int | None = NODES) -> "Outline":
@@ -96,7 +185,8 @@ class Outline:
         """Return the outline of one body."""
         if not self.spline or len(points) < 3:
             return Interface.polyline(points)
-        spline = CubicSpline(_chord_length(points), points, axis=0)
+        chords = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        spline = CubicSpline(np.concatenate([[0.0], np.cumsum(chords)]), points, axis=0)
         return Interface.polyline(spline(np.linspace(0.0, spline.x[-1], 4001)))
 
 
@@ -108,10 +198,40 @@ def bodies(points: Float[np.ndarray, "point 2"]) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(edges)]
 
 
-def _chord_length(points: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, " point"]:
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])
+def finite(given: Any) -> np.ndarray:
+    """Return what a study file gives as an array of finite numbers; an empty one if it is none."""
+    try:
+        array = np.array(given, float)
+    except (TypeError, ValueError, OverflowError):
+        return np.empty(0)
+    return array if np.isfinite(array).all() else np.empty(0)
 
 
-def _refuse(what: str, value: object, expected: str, remedy: str) -> None:
-    raise InvalidInput(what, value=value, expected=expected, remedy=remedy)
+def pairs_in(given: Any, least: int) -> Pairs | None:
+    """Return a table of a study file as pairs of finite numbers; None if it is not at least so many of these."""
+    pairs = finite(given)
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or len(pairs) < least:
+        return None
+    return tuple((float(a), float(b)) for a, b in pairs)
+
+
+def as_stretches(given: Any) -> Pairs:
+    """Return stretches of the floor from a study file as pairs (from, to), mm."""
+    pairs = pairs_in(given, 1)
+    if pairs is None or not (np.diff(np.ravel(pairs)) > 0).all():
+        expected = "stretches [from, to] of the floor in mm, from left to right, e.g. [[0.5, 0.9]]"
+        raise refused(CLAMPED, given, expected)
+    return pairs
+
+
+def check_clamped(clamped: Pairs, outline: Interface) -> None:
+    """Refuse stretches that do not hold each body."""
+    if not clamped:
+        return
+    as_stretches(clamped)
+    for body in bodies(outline.points):
+        left, right = outline.points[body][[0, -1], 0].tolist()
+        if not any(min(b, right) - max(a, left) > 0 for a, b in clamped):
+            shown = ", ".join(f"{a:g} to {b:g}" for a, b in clamped)
+            held = f"a stretch that holds the body that stands from {left:.4g} to {right:.4g} mm"
+            raise refused(CLAMPED, f"{shown} mm", held)

@@ -7,7 +7,6 @@ is connected with the state at rest: there the most compressed element is compre
 `docs/explanation/forward-model.md` shows the figures behind these bounds.
 """
 
-from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -15,11 +14,9 @@ from jaxtyping import Float
 
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm import newton
-from strandline.models.biofilm.continuation import ContinuationSettings, LoadedSystem, trace
+from strandline.models.biofilm.continuation import LoadedSystem, Steady, trace
 from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, NewtonStep
 from strandline.models.biofilm.strain import Strain
-
-__all__ = ["DIRECT_STRAIN", "SAFE_STRAIN", "AtLoad", "Bending", "FirstOrder", "Steady", "first_order", "steady_state"]
 
 SAFE_STRAIN = 0.2
 DIRECT_STRAIN = 0.27
@@ -45,57 +42,28 @@ class Bending(LoadedSystem, Protocol):
     def largest_strain(self, x: Vector) -> Strain: ...
 
 
-@dataclass(frozen=True, eq=False)
-class Steady:
-    """Unknowns, and how many Jacobians they cost."""
-
-    x: Vector
-    jacobians: int
-
-
-@dataclass(frozen=True, eq=False)
-class FirstOrder:
-    """What one Newton step makes of the flow past a rigid body.
-
-    Args:
-        start: The flow past the rigid body.
-        step: Newton's step from there.
-    """
-
-    start: Vector
-    step: NewtonStep
-
-    @property
-    def state(self) -> Vector:
-        """The state, to first order in the displacement."""
-        return np.asarray(self.start + self.step.correction)
-
-
-def first_order(bending: Bending, load: float) -> FirstOrder:
-    """Return the first-order state at a load; raises what `bending` raises."""
+def first_order(bending: Bending, load: float) -> tuple[Vector, NewtonStep]:
+    """Return the flow past a rigid body, and Newton's step from there; raises what `bending` raises."""
     start = bending.undeformed(load)
-    return FirstOrder(start, newton.step(AtLoad(bending, load), start))
+    return start, newton.step(AtLoad(bending, load), start)
 
 
 def steady_state(bending: Bending, load: float, *, budget: int = 0) -> Steady:
-    """Return the steady state that is connected with the one at rest.
+    """Return the steady state at a load that is connected with the one at rest.
 
-    Args:
-        bending: The solid in the flow.
-        load: Target load.
-        budget: Number of Jacobians after which a search along the load path is given up; 0: no limit.
+    The `budget` is a number of Jacobians after which a search along the load path is given up; 0: no limit.
 
     Raises:
         ForwardModelError: For the reasons given in `continuation.trace`.
     """
-    begun = first_order(bending, load)
-    linear = begun.state
+    start, first = first_order(bending, load)
+    linear = np.asarray(start + first.correction)
     strain = bending.largest_compression(linear)
     spent = 1
     if strain <= DIRECT_STRAIN:
         try:
             system, weights = AtLoad(bending, load), bending.weights
-            found = newton.solve(system, begun.start, weights=weights, settings=DIRECT, first=begun.step)
+            found = newton.solve(system, start, weights=weights, settings=DIRECT, first=first)
             spent += found.jacobians
             if strain <= SAFE_STRAIN:
                 return Steady(found.x, spent)
@@ -105,9 +73,9 @@ def steady_state(bending: Bending, load: float, *, budget: int = 0) -> Steady:
         except ForwardModelError as error:
             spent += int(error.evidence.get("jacobians", 0))
     first_load = load * min(FIRST_SHARE, FIRST_STRAIN / strain)
-    path = ContinuationSettings(maximum_jacobians=max(SHORTEST_PATH, budget - spent) if budget else 0)
+    left = max(SHORTEST_PATH, budget - spent) if budget else 0
     try:
-        traced = trace(bending, linear=linear, load=load, first_load=first_load, settings=path)
+        traced = trace(bending, linear=linear, load=load, first_load=first_load, budget=left)
     except ForwardModelError as error:
         total = {"jacobians": error.evidence.get("jacobians", 0.0) + spent}
         raise ForwardModelError(error.kind, error.message, error.evidence | total) from error

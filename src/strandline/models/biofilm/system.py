@@ -9,28 +9,145 @@ exactly conservative, and no penalty pollutes the interface.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import ngsolve as ng
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from ngsolve import la
 from scipy.sparse import csr_array
 
 from strandline.errors import ForwardModelError
-from strandline.models.biofilm import forms
-from strandline.models.biofilm.assembly import Part, Pattern, SymbolicPart, product
 from strandline.models.biofilm.fluid_elements import FluidElements
+from strandline.models.biofilm.forms import (
+    FluidLoad,
+    add_fluid,
+    add_loads,
+    fluid_beside_interface,
+    motion_matrix,
+    solid_form,
+)
 from strandline.models.biofilm.linear import Factorisation
 from strandline.models.biofilm.materials import LAWS, IsotropicLaw, Law, further_parameters, typical_value
 from strandline.models.biofilm.memory import Memory
 from strandline.models.biofilm.solid_elements import SolidElements
 
-__all__ = ["BoundaryNames", "CoupledSystem", "FluidLoad", "fluid_cells"]
-
 QUADRATIC = 2
 """Order of velocity and displacement for which fluid and solid have elements of their own, faster than their forms."""
 
 Vector = Float[np.ndarray, " unknown"]
+
+
+Values = Float[np.ndarray, " dof"]
+Entries = Float[np.ndarray, " entry"]
+Numbers = Int[np.ndarray, " entry"]
+
+
+@runtime_checkable
+class Part(Protocol):
+    """What some elements add, as a function of an NGSolve function with the coefficients of all unknowns."""
+
+    def places(self) -> tuple[Numbers, Numbers]:
+        """Return row and column of each entry that `jacobian` has returned; those of one place add up."""
+
+    def residual(self, state: Any) -> Values: ...
+
+    def jacobian(self, state: Any) -> Entries: ...
+
+
+class SymbolicPart:
+    """A form that NGSolve differentiates."""
+
+    def __init__(self, form: Any) -> None:
+        self.form = form
+
+    def places(self) -> tuple[Numbers, Numbers]:
+        """Return row and column of each entry that `jacobian` has returned."""
+        return _places(self.form.mat)
+
+    def residual(self, state: Any) -> Values:
+        """Return what the form adds to the residual of each row."""
+        result = state.vec.CreateVector()
+        self.form.Apply(state.vec, result)
+        return np.array(result.FV().NumPy())
+
+    def jacobian(self, state: Any) -> Entries:
+        """Return the entries of the form's derivative."""
+        self.form.AssembleLinearization(state.vec)
+        return np.array(self.form.mat.AsVector().FV().NumPy())
+
+
+def product(places: tuple[Numbers, Numbers], entries: Entries, vector: Values) -> Values:
+    """Return the product of the square matrix with these entries and a vector."""
+    rows, columns = places
+    return np.bincount(rows, weights=entries * vector[columns], minlength=len(vector))
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """Where the entries of the parts go in the sparse matrix of the free unknowns.
+
+    `slots` has the place of each entry among the matrix's values, one behind the last for those left out; `constants`
+    are its values from constant rows.
+    """
+
+    matrix: Any
+    constants: Float[np.ndarray, " nonzero"]
+    slots: Int[np.ndarray, " entry"]
+
+    def fill(self, entries: Entries) -> Any:
+        """Write the sums of the entries and the constant rows into the matrix; return it."""
+        sums = np.bincount(self.slots, weights=entries, minlength=len(self.constants) + 1)
+        self.matrix.AsVector().FV().NumPy()[:] = sums[:-1] + self.constants
+        return self.matrix
+
+    @classmethod
+    def find(
+        cls,
+        places: tuple[Numbers, Numbers],
+        used: Bool[np.ndarray, " entry"],
+        constant: csr_array,
+        is_constant: Bool[np.ndarray, " dof"],
+        free: Int[np.ndarray, " unknown"],
+    ) -> "Pattern":
+        """Return the pattern of the places where some entry is not zero.
+
+        Args:
+            places: Row and column of each entry of the parts.
+            used: Which entries are not zero; if only a load is zero now, other entries hold its place.
+            constant: The constant rows (constant, dof).
+            is_constant: Which rows come from it, not from the parts.
+            free: Numbers of the free unknowns.
+        """
+        number, count = np.full(len(is_constant), -1), len(free)
+        number[free] = np.arange(count)
+
+        def codes(at: tuple[Numbers, Numbers], kept: Bool[np.ndarray, " entry"]) -> Numbers:
+            """Return a number for each place in the reduced matrix; -1 for entries that are left out."""
+            rows, columns = (number[part] for part in at)
+            return np.where(kept & (rows >= 0) & (columns >= 0), rows * count + columns, -1)
+
+        fixed = constant.tocoo()
+        of_parts = codes(places, ~is_constant[places[0]])
+        of_constants = codes((np.flatnonzero(is_constant)[fixed.row], fixed.col), fixed.data != 0.0)
+        distinct = np.unique(np.concatenate([of_parts[used], of_constants]))
+        distinct = distinct[distinct >= 0]
+        ones = np.ones(len(distinct))
+        matrix = la.SparseMatrixd.CreateFromCOO(
+            (distinct // count).tolist(), (distinct % count).tolist(), ones.tolist(), count, count
+        )
+        found = np.minimum(np.searchsorted(distinct, of_parts), len(distinct) - 1)
+        slots = np.where(distinct[found] == of_parts, found, len(distinct))
+        kept, constants = of_constants >= 0, np.zeros(len(distinct))
+        constants[np.searchsorted(distinct, of_constants[kept])] = fixed.data[kept]
+        return cls(matrix, constants, slots)
+
+
+def _places(matrix: Any) -> tuple[Numbers, Numbers]:
+    """Return row and column of each entry of an NGSolve matrix."""
+    _, columns, pointers = matrix.CSR()
+    counts: Int[np.ndarray, " row"] = np.diff(np.array(pointers, dtype=np.int64))
+    return np.repeat(np.arange(len(counts)), counts), np.array(columns, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -50,23 +167,6 @@ class BoundaryNames:
     fixed: str
     vertical_velocity_zero: str = ""
     sliding: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class FluidLoad:
-    """A load on the fluid that is proportional to a parameter: a force per volume, and a pressure from outside.
-
-    Args:
-        parameter: NGSolve parameter that it is proportional to, scaled.
-        force: Force per volume at a parameter of 1, along x and y.
-        pressure: External pressure on `boundary` at a parameter of 1, a form.
-        boundary: Regular expression for the boundaries under pressure.
-    """
-
-    parameter: Any
-    force: tuple[float, float] = (0.0, 0.0)
-    pressure: Any = None
-    boundary: str = ""
 
 
 class CoupledSystem:
@@ -110,12 +210,14 @@ class CoupledSystem:
         self._derivatives: dict[Any, Any] = {}
         self.viscosity, self.density, self.loads = ng.Parameter(viscosity), ng.Parameter(density), tuple(loads)
         by_elements = order == QUADRATIC
-        self._fluid = _fluid_elements(self) if by_elements and "fluid" in mesh.GetMaterials() else None
+        fluid = {"viscosity": self.viscosity, "density": self.density}
+        has_fluid = by_elements and "fluid" in mesh.GetMaterials()
+        self._fluid = FluidElements(self.space, *fluid_cells(mesh), **fluid) if has_fluid else None
         self._parts: tuple[Part, ...] = _parts(self, self._fluid, _solid_elements(self) if by_elements else None)
         self._entries: Float[np.ndarray, " entry"]
         self.free: Int[np.ndarray, " unknown"] = np.flatnonzero([bool(b) for b in self.space.FreeDofs()])
         self.is_motion: Bool[np.ndarray, " dof"] = _motion_rows(self)
-        self._motion = _motion_matrix(self.space, self.is_motion)
+        self._motion = motion_matrix(self.space, self.is_motion)
 
     @property
     def values(self) -> Float[np.ndarray, " dof"]:
@@ -150,11 +252,7 @@ class CoupledSystem:
         self.values[self.free] = x
 
     def residual(self, x: Vector) -> Vector:
-        """Return the residual of the coupled system at `x`.
-
-        Raises:
-            ForwardModelError: ``nonfinite_residual``.
-        """
+        """Return the residual of the coupled system at `x`; a run in which it is not finite fails."""
         self.set_unknowns(x)
         return np.asarray(self.full_residual()[self.free])
 
@@ -167,11 +265,7 @@ class CoupledSystem:
         return result
 
     def factorise(self, x: Vector, *, own_analysis: bool = False) -> Factorisation:
-        """Return the factorised Jacobian at `x`; one that is kept for long has its own analysis, see `linear`.
-
-        Raises:
-            ForwardModelError: ``linear_solve``.
-        """
+        """Return the factorised Jacobian at `x`; one that is kept for long has its own analysis, see `linear`."""
         self.set_unknowns(x)
         pattern = self._pattern
         return Factorisation(pattern.fill(self._assemble()), len(self.free), own_analysis=own_analysis)
@@ -179,14 +273,13 @@ class CoupledSystem:
     def by_parameter(self, parameter: Any) -> Vector:
         """Return the derivative of the residual with respect to one parameter at the current state.
 
-        Args:
-            parameter: One of `material`, `viscosity`, `density` or the parameter of a load.
+        It is one of `material`, `viscosity`, `density` or the parameter of a load.
         """
         if parameter not in self._derivatives:
-            form = _solid_form(self, derivative_by=parameter)
-            _add_loads(form, self, derivative_by=parameter)
+            form = solid_form(self, derivative_by=parameter)
+            add_loads(form, self, derivative_by=parameter)
             if self._fluid is None:
-                _add_fluid(form, self, derivative_by=parameter)
+                add_fluid(form, self, derivative_by=parameter)
             self._derivatives[parameter] = form
         self._derivatives[parameter].Apply(self.state.vec, self._residual)
         result = np.array(self._residual.FV().NumPy())
@@ -237,34 +330,12 @@ def _spaces(mesh: Any, names: BoundaryNames, order: int, solids: tuple[str, ...]
     return ng.FESpace([velocity, pressure, displacement, *solid_pressures])
 
 
-def _solid_form(system: CoupledSystem, *, derivative_by: Any = None) -> Any:
-    """Return momentum and constitutive constraint of the solid, or their derivative with respect to a parameter.
-
-    They are separate forms, as in `_add_fluid`.
-    """
-    (_, _, d, *solid_pressures), (_, _, phi, *solid_tests) = system.space.TnT()
-    form = ng.BilinearForm(system.space)
-    same_quadrature = ng.Parameter(0.0)  # without d and pₛ in a derivative NGSolve would take fewer points than before
-    for k, region in enumerate(system.solids):
-        mixed = system.law(d, solid_pressures[k], *system.of_region(k))
-        stress = mixed.second_piola if system.memory is None else system.memory.stress(mixed.second_piola)
-        momentum = forms.solid_stress_power(d, stress, phi) - ng.InnerProduct(ng.CF(system.body_force), phi)
-        dx = ng.dx(region, bonus_intorder=2) if system.memory is None else system.memory.dx(region)
-        for term, test in ((momentum, phi[0]), (solid_tests[k] * mixed.constraint, solid_tests[k])):
-            if derivative_by is None:
-                form += term.Compile() * dx
-            elif any(parameter is derivative_by for parameter in system.of_region(k)):
-                rest = same_quadrature * (d[0] + solid_pressures[k]) * test
-                form += (term.Diff(derivative_by) + rest).Compile() * dx
-    return form
-
-
 def _parts(system: CoupledSystem, fluid: FluidElements | None, solid: SolidElements | None) -> tuple[Part, ...]:
     """Return what adds up to the residual: elements of their own as far as there are any, all else by NGSolve."""
-    form = ng.BilinearForm(system.space) if solid else _solid_form(system)
-    _add_loads(form, system)
+    form = ng.BilinearForm(system.space) if solid else solid_form(system)
+    add_loads(form, system)
     if fluid is None and "fluid" in system.mesh.GetMaterials():
-        _add_fluid(form, system)
+        add_fluid(form, system)
     symbolic = [SymbolicPart(form)] if form.integrators else []
     return (*symbolic, *(part for part in (solid, fluid) if part is not None))
 
@@ -272,13 +343,8 @@ def _parts(system: CoupledSystem, fluid: FluidElements | None, solid: SolidEleme
 def fluid_cells(mesh: Any) -> tuple[Int[np.ndarray, " element"], Int[np.ndarray, " marked"]]:
     """Return the numbers of the fluid's elements, and which of these touch the interface."""
     cells = np.array([element.nr for element in mesh.Elements(ng.VOL) if element.mat == "fluid"], dtype=int)
-    beside = np.array([bool(bit) for bit in _fluid_beside_interface(mesh)], dtype=bool)
+    beside = np.array([bool(bit) for bit in fluid_beside_interface(mesh)], dtype=bool)
     return cells, np.flatnonzero(beside[cells])
-
-
-def _fluid_elements(system: CoupledSystem) -> FluidElements:
-    cells, loading = fluid_cells(system.mesh)
-    return FluidElements(system.space, cells, loading, viscosity=system.viscosity, density=system.density)
 
 
 def _solid_elements(system: CoupledSystem) -> SolidElements | None:
@@ -290,79 +356,6 @@ def _solid_elements(system: CoupledSystem) -> SolidElements | None:
         for region in system.solids
     ]
     return SolidElements(system.space, system.law, cells, material=system.material, body_force=system.body_force)
-
-
-def _add_fluid(form: Any, system: CoupledSystem, *, derivative_by: Any = None) -> None:
-    """Add momentum and continuity of the fluid, the former tested with w + φ on the interface, or a derivative of them.
-
-    Every term is a separate form: the cost of a Jacobian grows with the product of a form's trial and test components
-    and with its length, so the sum as a single form takes twice as long to assemble.
-    """
-    (v, p, d, *_), (w, q, phi, *_) = system.space.TnT()
-    beside_interface = {"definedonelements": _fluid_beside_interface(system.mesh)}
-    for test, where in ((w, {}), (phi, beside_interface)):
-        for term, bonus, parameter in (
-            (forms.viscous(v, d, test, system.viscosity), 2, system.viscosity),
-            (forms.pressure(p, d, test), 0, None),
-            (forms.convection(v, d, test, system.density), 2, system.density),
-        ):
-            chosen = _or_derivative(term, parameter, derivative_by)
-            if chosen is not None:
-                form += chosen.Compile() * ng.dx("fluid", bonus_intorder=bonus, **where)
-    if derivative_by is None:
-        form += forms.continuity(v, d, q).Compile() * ng.dx("fluid")
-
-
-def _add_loads(form: Any, system: CoupledSystem, *, derivative_by: Any = None) -> None:
-    """Add the further loads on the fluid, tested with w + φ on the interface, or a derivative of them."""
-    d, (w, _, phi, *_) = system.space.TrialFunction()[2], system.space.TestFunction()
-    beside_interface = {"definedonelements": _fluid_beside_interface(system.mesh)}
-    for load in system.loads:
-        for test, where in ((w, {}), (phi, beside_interface)) if any(load.force) else ():
-            force = _or_derivative(_force_of(load, d, test), load.parameter, derivative_by)
-            if force is not None:
-                form += force.Compile() * ng.dx("fluid", bonus_intorder=2, **where)
-        pressure = _or_derivative(_pressure_of(load, w), load.parameter, derivative_by)
-        if load.boundary and pressure is not None:
-            form += pressure.Compile() * ng.ds(load.boundary)
-
-
-def _force_of(load: FluidLoad, d: Any, test: Any) -> Any:
-    return load.parameter * forms.body_force(d, test, ng.CF(load.force))
-
-
-def _pressure_of(load: FluidLoad, test: Any) -> Any:
-    return load.parameter * forms.outer_pressure(test, 0.0 if load.pressure is None else load.pressure)
-
-
-def _or_derivative(term: Any, parameter: Any, by: Any) -> Any:
-    """Return a term that is proportional to `parameter`, or its derivative; None if it does not depend on `by`."""
-    if by is None:
-        return term
-    return term.Diff(by) if by is parameter else None
-
-
-def _motion_matrix(space: Any, rows: Bool[np.ndarray, " dof"]) -> csr_array:
-    """Return the rows of the matrix of the mesh motion that determine the displacement inside the fluid."""
-    d, phi = space.TrialFunction()[2], space.TestFunction()[2]
-    form = ng.BilinearForm(space)
-    form += forms.mesh_motion(d, phi) * ng.dx("fluid")
-    form.Assemble()
-    values, columns, starts = (np.array(part) for part in form.mat.CSR())
-    chosen: csr_array = csr_array((values, columns, starts), shape=(space.ndof, space.ndof))[rows]
-    chosen.eliminate_zeros()
-    return chosen
-
-
-def _fluid_beside_interface(mesh: Any) -> Any:
-    """Mark the fluid elements that touch the interface: φ|Γ is nonzero only there."""
-    on_interface = {v.nr for e in mesh.Elements(ng.BND) if e.mat == "interface" for v in e.vertices}
-    marked = ng.BitArray(mesh.ne)
-    marked.Clear()
-    for element in mesh.Elements(ng.VOL):
-        if element.mat == "fluid" and any(v.nr in on_interface for v in element.vertices):
-            marked.Set(element.nr)
-    return marked
 
 
 def _motion_rows(system: CoupledSystem) -> Bool[np.ndarray, " dof"]:

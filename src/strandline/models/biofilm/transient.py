@@ -1,4 +1,4 @@
-"""Runs through time: implicit steps of second order, fixed or chosen by the error that each one makes.
+"""Runs through time with inertia: implicit steps of second order, fixed or chosen by the error that each one makes.
 
 The scheme is BDF2 with steps of any length, started by one step of backward Euler. Fluid, solid, mesh and pressures are
 solved together at the new time. BDF2 is chosen over Crank–Nicolson and generalised-α because it damps what a step does
@@ -12,18 +12,20 @@ for the choice of steps.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm import newton
-from strandline.models.biofilm.moving import MovingSystem
-from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, NewtonStep
-from strandline.models.biofilm.rates import LARGEST_RATIO, Moment, extrapolated, share_of_error
-
-__all__ = ["StepSettings", "TimeCost", "march"]
+from strandline.models.biofilm.cell import FlowCell, Setting, Solution
+from strandline.models.biofilm.course import Course
+from strandline.models.biofilm.flow import DENSITY_SCALE, VELOCITY_SCALE
+from strandline.models.biofilm.moving import LARGEST_RATIO, Moment, MovingSystem, extrapolated, share_of_error
+from strandline.models.biofilm.newton import LinearSolver, NewtonSettings
+from strandline.models.biofilm.system import CoupledSystem
 
 Vector = Float[np.ndarray, " unknown"]
 Values = Float[np.ndarray, " dof"]
@@ -35,6 +37,16 @@ SLOW = 8
 SHARE_OF_TOLERANCE = 0.9
 SMALLEST_FACTOR, KEPT_FACTOR = 0.25, 1.2
 CORRECTOR = NewtonSettings(tolerance=1e-8, maximum_jacobians=6, smallest_damping=0.1)
+TIME_SCALE = 1.0 / VELOCITY_SCALE
+"""1 mm over the velocity scale, s."""
+FIRST_STEP = 1e-3
+"""First step as a share of the shortest stretch between times observed and corners of the course."""
+SMALLEST_STEP = 0.01
+"""Smallest step as a share of the first."""
+LEAST_STEPS = 4
+"""Smallest number of steps in the longest stretch."""
+FLOORS = (1e-3, 1e-3)
+"""Velocity, scaled, and displacement, mm, below which the tolerance is a share of these."""
 
 
 @dataclass(frozen=True)
@@ -61,19 +73,11 @@ class StepSettings:
 
 @dataclass
 class TimeCost:
-    """What a run has cost so far.
-
-    Args:
-        steps: Number of accepted steps.
-        rejected: Number of steps repeated with a shorter one.
-        jacobians: Number of Jacobians factorised.
-        corrections: Number of residuals with a back-substitution.
-    """
+    """What a run has cost so far: accepted steps, steps repeated with a shorter one, Jacobians factorised."""
 
     steps: int = 0
     rejected: int = 0
     jacobians: int = 0
-    corrections: int = 0
 
 
 def march(
@@ -180,8 +184,7 @@ class _Run:
         leading, corrector = self.system.rates.leading, self.settings.corrector
         first = None
         if self.jacobian is not None and abs(leading - self.leading) <= AS_BEFORE * self.leading:
-            correction = -self.jacobian.solve(self.system.residual(guess))
-            first = NewtonStep(self.jacobian, correction)
+            first = newton.step(self.system, guess, self.jacobian)
         try:
             found = newton.solve(self.system, guess, weights=self.weights, settings=corrector, first=first)
         except ForwardModelError:
@@ -189,7 +192,6 @@ class _Run:
                 raise
             found = newton.solve(self.system, guess, weights=self.weights, settings=corrector)
         self.cost.jacobians += found.jacobians
-        self.cost.corrections += found.simplified_steps + 1
         if found.jacobians:
             self.leading = leading
         self.jacobian = found.jacobian if found.jacobians or found.simplified_steps <= SLOW else None
@@ -218,3 +220,71 @@ class _Run:
         """Return the largest coefficients of velocity and displacement."""
         parts = [values[part.start : part.stop] for part in (self.system.space.Range(k) for k in (0, 2))]
         return np.array([np.abs(part).max(initial=0.0) for part in parts])
+
+
+class TransientCell(FlowCell):
+    """A `FlowCell` with inertia, made from its arguments and the density of the undeformed solid, kg/m³."""
+
+    def __init__(self, *arguments: Any, solid_density: float, **options: Any) -> None:
+        self._solid_density = solid_density
+        super().__init__(*arguments, **options)
+
+    def coupled(self, *arguments: Any, **options: Any) -> CoupledSystem:
+        """Return the system with inertia."""
+        return MovingSystem(*arguments, solid_density=self._solid_density / DENSITY_SCALE, **options)
+
+    def through(self, course: Course, setting: Setting, budget: int = 0) -> Iterator[tuple[str, Solution]]:
+        """Yield name and state of each time observed; while one is yielded, the system holds it.
+
+        The rate in the `setting` is where the course has the share 1. The `budget` of Jacobians is for the search for
+        the steady state at the start; 0: no limit.
+
+        Raises:
+            ForwardModelError: As `solve` at the start; ``time_step`` or ``inverted_elements`` later, with the time, s.
+        """
+        system = self.system
+        assert isinstance(system, MovingSystem)
+        system.rates.rest()
+        steady = self.solve(replace(setting, rate=course.share(course.start) * setting.rate), budget)
+        first = Moment(course.start / TIME_SCALE, np.array(system.values), np.zeros(system.space.ndof))
+        observed = {time / TIME_SCALE: name for name, time in course.times}
+        if first.time in observed:
+            yield observed[first.time], steady
+        cost, reached = TimeCost(), first.time
+
+        def prescribe(time: float) -> None:
+            share = course.share(time * TIME_SCALE)
+            self._apply(self.set_loads(share * setting.rate, setting.fluid))
+
+        settings, stops = _steps(course)
+        end = stops[-1] if stops[-1] > first.time else first.time
+        options: dict[str, Any] = {"weights": self.weights, "settings": settings, "stops": stops, "cost": cost}
+        try:
+            for moment in march(system, first, end, prescribe=prescribe, **options):
+                reached = moment.time
+                bounds = self.check(moment.values[system.free])
+                if moment.time in observed:
+                    moved = self._interface_values(moment.values)
+                    x, figures = moment.values[system.free], (bounds["min_J_fluid"], bounds["min_J_solid"])
+                    yield observed[moment.time], Solution(x, moved, *figures, cost.jacobians)
+        except ForwardModelError as error:
+            spent = {"steps": float(cost.steps), "jacobians": float(cost.jacobians), "time": reached * TIME_SCALE}
+            raise ForwardModelError(error.kind, error.message, {**error.evidence, **spent}) from error
+        finally:
+            system.rates.rest()
+
+
+def _steps(course: Course) -> tuple[StepSettings, tuple[float, ...]]:
+    """Return how to step, and the times that steps meet: those observed, and corners of the course before the last."""
+    end = course.times[-1][1]
+    met = {time for _, time in course.times} | {time for time, _ in course.inflow if time < end}
+    times = np.array(sorted(met | {course.start})) / TIME_SCALE
+    stretches = np.diff(times) if len(times) > 1 else np.ones(1)
+    settings = StepSettings(
+        FIRST_STEP * float(stretches.min()),
+        tolerance=course.tolerance,
+        largest=float(stretches.max()) / LEAST_STEPS,
+        smallest=SMALLEST_STEP,
+        floors=FLOORS,
+    )
+    return settings, tuple(times.tolist())

@@ -7,8 +7,6 @@ import ngsolve as ng
 import numpy as np
 from jaxtyping import Float, Int
 
-__all__ = ["AtPoints", "Numbers", "Rule", "map_at_rest", "numbers_of", "places_of"]
-
 AtPoints = Float[np.ndarray, "point element"]
 Numbers = Int[np.ndarray, " entry"]
 

@@ -9,20 +9,34 @@ import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, ClassVar
 
-from strandline.errors import ForwardModelError, InvalidInput
-from strandline.models.command.keep import kept_folder, require_keep
-from strandline.models.command.names import SourceFile, file_in, relative_name
-from strandline.models.command.options import commands_of, declared_by, errors_of, exit_codes_of, seconds, texts_of
-from strandline.models.command.process import Ended, supervised
-from strandline.models.command.results import LogText, named_by, read_results, readings_of
-from strandline.models.command.templates import Template
+from strandline.errors import ForwardModelError
+from strandline.models import refused
+from strandline.models.command.files import (
+    KEPT,
+    LogText,
+    SourceFile,
+    file_in,
+    kept_folder,
+    named_by,
+    read_result,
+    readings_of,
+    relative_name,
+)
+from strandline.models.command.options import (
+    InputTemplate,
+    commands_of,
+    declared_by,
+    errors_of,
+    exit_codes_of,
+    seconds,
+    texts_of,
+)
+from strandline.models.command.process import ProcessEnd, supervised
 from strandline.models.protocol import ModelInput, Simulation
 from strandline.readers import Reading
-
-__all__ = ["CommandModel"]
 
 PYTHON = "python"
 """A variable that every template knows: the interpreter that runs strandline."""
@@ -78,18 +92,9 @@ class CommandModel:
     inputs: tuple[ModelInput, ...] = ()
     folder: Path = Path()
     failure_kinds: ClassVar[tuple[str, ...]] = (
-        "exit_code",
-        "simulator_killed",
-        "command_not_found",
-        "no_success",
-        "result_missing",
-        "result_old",
-        "result_unreadable",
-        "template",
-        "file_changed",
-        "processes_left",
-        "supervisor_died",
-    )
+        "exit_code", "simulator_killed", "command_not_found", "no_success", "result_missing", "result_old",
+        "result_unreadable", "template", "file_changed", "processes_left", "supervisor_died",
+    )  # fmt: skip
     _parts: "_Parts" = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -128,11 +133,7 @@ class CommandModel:
         return "command:" + hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def require_names(self, unknown: Iterable[str], fixed: Iterable[str]) -> None:
-        """Refuse templates with variables that are not inputs, and unknown inputs that no template uses.
-
-        Raises:
-            InvalidInput: There is one; the message names the variable, its file and line.
-        """
+        """Refuse templates with variables that are not inputs, and unknown inputs that no template uses."""
         unknown = list(unknown)
         known = {*unknown, *fixed, PYTHON}
         for template in self._parts.every_template():
@@ -140,12 +141,11 @@ class CommandModel:
         used = frozenset[str]().union(*(template.names for template in self._parts.every_template()))
         for name in unknown:
             if name not in used:
-                raise InvalidInput(
+                what, expected = (
                     f"the input {name} is used in no template and no command",
-                    value="an input without effect",
-                    expected=f"{{{{ {name} }}}} somewhere",
-                    remedy=f"Put it there, or remove {name} from inputs.",
+                    f"{{{{ {name} }}}} somewhere",
                 )
+                raise refused(what, "an input without effect", expected, f"Put it there, or remove {name} from inputs.")
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
         """Run the command in `workdir` and return the resulting interfaces.
@@ -176,7 +176,7 @@ class CommandModel:
                 self._require_success(ended, arguments[0])
             if parts.success is not None:
                 parts.success.require(workdir, workdir / LOG)
-            return Simulation(read_results(parts.readings, workdir, started))
+            return Simulation({name: read_result(one, workdir, started) for name, one in parts.readings.items()})
         except ForwardModelError as error:
             error.log = error.log or log
             raise named_by(parts.errors, workdir, error) from None
@@ -199,9 +199,10 @@ class CommandModel:
             path.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(file.path, path)
 
-    def _require_success(self, ended: Ended, program: str) -> None:
+    def _require_success(self, ended: ProcessEnd, program: str) -> None:
         if ended.problem:
-            raise ForwardModelError("command_not_found", f"{program} cannot be started: {ended.problem}")
+            message = f"{program} cannot be started: {ended.problem}{self._way_to_start(program)}"
+            raise ForwardModelError("command_not_found", message)
         if ended.timed_out:
             message = f"still running after {self.timeout:g} s, and ended with all its processes"
             raise ForwardModelError("timeout", message)
@@ -209,19 +210,29 @@ class CommandModel:
         if ended.killed and code not in (codes or ()):
             raise _killed(ended, program)
         if code is None or (codes is not None and code not in codes):
-            raise ForwardModelError(
-                "exit_code", f"{program} ended with {ended.how}", {} if code is None else {"exit_code": float(code)}
-            )
+            evidence = {} if code is None else {"exit_code": float(code)}
+            raise ForwardModelError("exit_code", f"{program} ended with {ended.how}", evidence)
+
+    def _way_to_start(self, program: str) -> str:
+        """Return what lets a program of the study folder start, as the end of a message; nothing for other programs."""
+        name = PurePosixPath(program)
+        if name.is_absolute() or not (self.folder / name).is_file():
+            return ""
+        copied = str(name) in [file.name for file in self._parts.files]
+        steps = [] if copied else ["add it to `files`, which copies it into the folder of the run"]
+        steps += [] if program.startswith("./") else [f"write ./{program} in the command"]
+        steps += [] if os.access(self.folder / name, os.X_OK) else [f"make it executable: chmod +x {name}"]
+        return f"; {name} lies in the study folder: {', '.join(steps)}" if steps else ""
 
 
 @dataclass(frozen=True)
 class _Parts:
     """The checked options and the text of the templates, so that later changes of the folder affect no campaign."""
 
-    templates: tuple[tuple[str, Template], ...]
+    templates: tuple[tuple[str, InputTemplate], ...]
     files: tuple[SourceFile, ...]
-    commands: tuple[tuple[Template, ...], ...]
-    environment: Mapping[str, Template]
+    commands: tuple[tuple[InputTemplate, ...], ...]
+    environment: Mapping[str, InputTemplate]
     readings: Mapping[str, Reading]
     exit_codes: frozenset[int] | None
     errors: Mapping[str, str]
@@ -230,13 +241,16 @@ class _Parts:
     @classmethod
     def of(cls, model: CommandModel) -> "_Parts":
         """Return the checked options of a model."""
-        require_keep(model.keep)
+        if model.keep not in KEPT:
+            raise refused("keep", model.keep, f"one of {', '.join(KEPT)}")
         for name, value in (("timeout", model.timeout), ("grace", model.grace)):
             seconds(name, value)
         if not isinstance(model.shell, bool):
-            raise InvalidInput("shell", value=model.shell, expected="true or false", remedy="Correct it.")
+            raise refused("shell", model.shell, "true or false")
         targets = [relative_name(target, "templates") for target in texts_of(model.templates, "templates").values()]
-        files = [SourceFile.of(model.folder, name, "files") for name in _listed(model.files)]
+        if not isinstance(model.files, list | tuple):
+            raise refused("files", model.files, "a list of names", "Write `files: [mesh.msh]`.")
+        files = [SourceFile.of(model.folder, name, "files") for name in model.files]
         _require_distinct([*targets, *(relative_name(file.name, "files") for file in files)])
         sources = [(_read(model.folder, name), target) for name, target in zip(model.templates, targets, strict=True)]
         return cls(
@@ -244,7 +258,7 @@ class _Parts:
             files=tuple(files),
             commands=commands_of(model.command, model.post, shell=model.shell),
             environment={
-                name: Template(f"environment.{name}", value)
+                name: InputTemplate(f"environment.{name}", value)
                 for name, value in texts_of(model.environment, "environment").items()
             },
             readings=readings_of(model.result, model.results),
@@ -253,52 +267,37 @@ class _Parts:
             success=None if model.success is None else LogText.of(model.success),
         )
 
-    def every_template(self) -> Iterator[Template]:
+    def every_template(self) -> Iterator[InputTemplate]:
         """Yield all texts that may contain inputs."""
         yield from (template for _, template in self.templates)
         yield from (item for command in self.commands for item in command)
         yield from self.environment.values()
 
 
-def _read(folder: Path, name: str) -> Template:
+def _read(folder: Path, name: str) -> InputTemplate:
     path = file_in(folder, name, "templates")
     try:
-        return Template(name, path.read_text(encoding="utf-8"))
+        return InputTemplate(name, path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInput(
-            f"the template {name} cannot be read",
-            value=str(error),
-            expected="a text file in UTF-8",
-            remedy="Correct the file.",
-        ) from None
-
-
-def _listed(files: object) -> list[object]:
-    if not isinstance(files, list | tuple):
-        raise InvalidInput("files", value=files, expected="a list of names", remedy="Write `files: [mesh.msh]`.")
-    return list(files)
+        raise refused(f"the template {name} cannot be read", str(error), "a text file in UTF-8") from None
 
 
 def _require_distinct(targets: list[str]) -> None:
     reserved = {LOG} | {f"post-{number}.log" for number in range(1, 10)}
     for k, target in enumerate(targets):
         if target in targets[:k] or target in reserved:
-            raise InvalidInput(
-                "templates and files",
-                value=f"{target} {'for the second time' if target in targets[:k] else 'is written by strandline'}",
-                expected="each name in the folder of the run once",
-                remedy="Choose another name.",
-            )
+            found = f"{target} {'for the second time' if target in targets[:k] else 'is written by strandline'}"
+            expected = "each name in the folder of the run once"
+            raise refused("templates and files", found, expected, "Choose another name.")
 
 
-def _killed(ended: Ended, program: str) -> ForwardModelError:
+def _killed(ended: ProcessEnd, program: str) -> ForwardModelError:
     """Return the error for a command that was killed, but neither by itself nor by strandline."""
-    message = f"{program} ended with {ended.how}: something killed it from outside"
-    evidence = {"exit_code": float(ended.exit_code or 0)}
+    kind, why = "simulator_killed", ": something killed it from outside"
     if ended.out_of_memory:
-        message = f"{program} ended with {ended.how} while the machine was out of memory"
-        return ForwardModelError("out_of_memory", message, evidence, state="killed")
-    return ForwardModelError("simulator_killed", message, evidence, state="killed")
+        kind, why = "out_of_memory", " while the machine was out of memory"
+    evidence = {"exit_code": float(ended.exit_code or 0)}
+    return ForwardModelError(kind, f"{program} ended with {ended.how}{why}", evidence, state="killed")
 
 
 def _now(workdir: Path) -> int:

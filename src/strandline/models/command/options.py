@@ -1,30 +1,101 @@
-"""Options of a command in study.yaml → checked values, with one clear line for each mistake."""
+"""Options of a command in study.yaml → checked values, and the templates with the inputs."""
 
+import functools
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from strandline.errors import InvalidInput
-from strandline.models.command.templates import Template
+import jinja2
+from jinja2 import meta, nodes
+from jinja2.sandbox import ImmutableSandboxedEnvironment
+
+from strandline.errors import ForwardModelError, InvalidInput
+from strandline.models import refused
 from strandline.models.protocol import ModelInput
 from strandline.text import decimal
 
-__all__ = ["commands_of", "declared_by", "errors_of", "exit_codes_of", "seconds", "texts_of"]
-
+LONGEST = 20
+"""Characters of a number: CalculiX 2.20 looks at no more, and so loses the exponent of 3.141592653589793e-05 in silence
+(findings/calculix-twenty-characters.sh)."""
 LONGEST_SECONDS = 366 * 24 * 3600
 DECLARED = {"unit", "low", "high", "meaning"}
 
 
-def commands_of(command: object, post: object, *, shell: bool) -> tuple[tuple[Template, ...], ...]:
-    """Return the commands of a run as templates of their arguments.
+@dataclass(frozen=True)
+class InputTemplate:
+    """A text that contains inputs as ``{{ name }}``; numbers are written in at most 20 characters.
 
-    Raises:
-        InvalidInput: not a list of texts; a text without `shell`, or a list with it.
+    `place` is the name of the text in messages, e.g. that of the file.
     """
+
+    place: str
+    text: str
+
+    def __post_init__(self) -> None:
+        try:
+            _compiled(self.text)
+        except jinja2.TemplateSyntaxError as error:
+            remedy = "Correct the line; {% raw %}…{% endraw %} keeps braces as they are."
+            raise refused(f"{self.place}, line {error.lineno}", error.message, "a Jinja2 template", remedy) from None
+        except (RecursionError, SyntaxError, MemoryError, OverflowError, ValueError) as error:
+            what, found = f"the template {self.place} cannot be compiled", f"{type(error).__name__}: {error}"
+            remedy = "Simplify the expressions between braces."
+            raise refused(what, found, "expressions of ordinary depth and size", remedy) from None
+
+    @property
+    def names(self) -> frozenset[str]:
+        """The variables that must be given."""
+        return frozenset(meta.find_undeclared_variables(_environment().parse(self.text)) - set(_environment().globals))
+
+    def require_known(self, names: Iterable[str]) -> None:
+        """Refuse variables other than `names`."""
+        known = set(names)
+        for name in sorted(self.names - known):
+            found = _environment().parse(self.text).find_all(nodes.Name)
+            line = min((node.lineno for node in found if node.name == name), default=1)
+            expected, remedy = (
+                f"one of {', '.join(sorted(known))}",
+                f"Correct the name, or add {name} to inputs or fixed.",
+            )
+            raise refused(f"{self.place}, line {line}: unknown variable", name, expected, remedy)
+
+    def rendered(self, values: Mapping[str, Any]) -> str:
+        """Return the text with `values` filled in; a run in which that fails ends with the kind ``template``."""
+        try:
+            return _compiled(self.text).render(values)
+        except Exception as error:
+            raise ForwardModelError("template", f"{self.place}: {type(error).__name__}: {error}") from None
+
+
+@functools.cache
+def _environment() -> ImmutableSandboxedEnvironment:
+    return ImmutableSandboxedEnvironment(
+        undefined=jinja2.StrictUndefined, keep_trailing_newline=True, autoescape=False, finalize=_written
+    )
+
+
+@functools.lru_cache(maxsize=256)
+def _compiled(text: str) -> jinja2.Template:
+    return _environment().from_string(text)
+
+
+def _written(value: Any) -> Any:
+    """Return a number with all the digits for which there is room, at least twelve."""
+    if not isinstance(value, float):
+        return value
+    text, digits = repr(float(value)), 14
+    while len(text) > LONGEST:
+        text, digits = f"{value:.{digits}e}", digits - 1
+    return text
+
+
+def commands_of(command: object, post: object, *, shell: bool) -> tuple[tuple[InputTemplate, ...], ...]:
+    """Return the commands of a run as templates of their arguments."""
     if shell:
         if not isinstance(command, str) or not command.strip():
             raise _unfit("command", command, "with `shell: true` one text for /bin/sh")
-        first: tuple[Template, ...] = (Template("command", command),)
+        first: tuple[InputTemplate, ...] = (InputTemplate("command", command),)
     else:
         first = _arguments(command, "command")
     if not isinstance(post, list | tuple):
@@ -33,18 +104,14 @@ def commands_of(command: object, post: object, *, shell: bool) -> tuple[tuple[Te
     return (first, *(_arguments(one, "post") for one in several))
 
 
-def _arguments(command: object, place: str) -> tuple[Template, ...]:
+def _arguments(command: object, place: str) -> tuple[InputTemplate, ...]:
     if not (isinstance(command, list | tuple) and command and all(_is_word(item) for item in command)):
         raise _unfit(place, command, 'program and arguments as a list, e.g. ["ccx", "-i", "model"]')
-    return tuple(Template(place, str(item)) for item in command)
+    return tuple(InputTemplate(place, str(item)) for item in command)
 
 
 def texts_of(given: object, place: str) -> dict[str, str]:
-    """Return a mapping of texts; numbers become texts.
-
-    Raises:
-        InvalidInput: anything else.
-    """
+    """Return a mapping of texts; numbers become texts."""
     fits = isinstance(given, Mapping) and all(isinstance(k, str) and _is_word(v) for k, v in given.items())
     if not (fits and isinstance(given, Mapping)) or any(
         "\0" in f"{k}{v}" or "=" in k or not k for k, v in given.items()
@@ -54,11 +121,7 @@ def texts_of(given: object, place: str) -> dict[str, str]:
 
 
 def errors_of(given: object, known: Collection[str]) -> dict[str, str]:
-    """Return the text that names each further kind of failure.
-
-    Raises:
-        InvalidInput: anything else, or a kind of this name exists already.
-    """
+    """Return the text that names each further kind of failure."""
     found = texts_of(given, "errors")
     if not all(text and kind.isidentifier() and kind not in known for kind, text in found.items()):
         raise _unfit("errors", given, "a new word for each kind and a text, e.g. {diverged: no convergence}")
@@ -66,11 +129,7 @@ def errors_of(given: object, known: Collection[str]) -> dict[str, str]:
 
 
 def exit_codes_of(given: object) -> frozenset[int] | None:
-    """Return the exit codes that count as success; None for all.
-
-    Raises:
-        InvalidInput: anything else.
-    """
+    """Return the exit codes that count as success; None for all."""
     if given == "any":
         return None
     if isinstance(given, list | tuple) and given and all(type(code) is int for code in given):
@@ -79,21 +138,13 @@ def exit_codes_of(given: object) -> frozenset[int] | None:
 
 
 def seconds(name: str, value: object) -> None:
-    """Refuse anything but a number of seconds above 0, or None.
-
-    Raises:
-        InvalidInput: It is something else; the message shows the value.
-    """
+    """Refuse anything but a number of seconds above 0, or None."""
     if value is not None and not (isinstance(value, int | float) and 0 < value <= LONGEST_SECONDS):
         raise _unfit(name, value, f"seconds above 0, at most {LONGEST_SECONDS} (a year)")
 
 
 def declared_by(given: object) -> tuple[ModelInput, ...]:
-    """Return the inputs that a study file declares.
-
-    Raises:
-        InvalidInput: a declaration that cannot be understood.
-    """
+    """Return the inputs that a study file declares."""
     if not isinstance(given, Mapping):
         raise _unfit("inputs", given, "declarations by name, e.g. {E: {unit: Pa, low: 0}}")
     return tuple(_declared(str(name), options) for name, options in given.items())
@@ -107,7 +158,7 @@ def _declared(name: str, options: object) -> ModelInput:
     for key, otherwise in (("low", -math.inf), ("high", math.inf)):
         value: Any = options.get(key, otherwise)
         if isinstance(value, str):  # 1e-5, which YAML 1.1 reads as text
-            value = _number_in(value, place)
+            value = value if (number := decimal(value)) is None else number
         if not isinstance(value, int | float) or isinstance(value, bool) or math.isnan(value):
             raise _unfit(f"{place}.{key}", value, "a number")
         bounds.append(float(value))
@@ -117,16 +168,9 @@ def _declared(name: str, options: object) -> ModelInput:
     return ModelInput(name, str(options.get("unit", "1")), low, high, meaning=str(options.get("meaning", "")))
 
 
-def _number_in(text: str, place: str) -> float:
-    number = decimal(text)
-    if number is None:
-        raise _unfit(place, text, "a number")
-    return number
-
-
 def _is_word(value: object) -> bool:
     return isinstance(value, str | int | float) and not isinstance(value, bool) and "\0" not in str(value)
 
 
 def _unfit(what: str, value: object, expected: str) -> InvalidInput:
-    return InvalidInput(what, value=value, expected=expected, remedy=f"Correct `{what.partition('.')[0]}`.")
+    return refused(what, value, expected, f"Correct `{what.partition('.')[0]}`.")

@@ -13,8 +13,6 @@ from typing import Any
 
 from strandline.errors import ForwardModelError
 
-__all__ = ["Ended", "supervised"]
-
 SUPERVISOR = Path(__file__).with_name("supervisor.py")
 LOG_LIMIT = 1_000_000
 """Bytes kept of the beginning, and of the end, of a command's output."""
@@ -25,7 +23,7 @@ SHORT_OF_MEMORY = frozenset({errno.ENOMEM, errno.EAGAIN})
 
 
 @dataclass(frozen=True)
-class Ended:
+class ProcessEnd:
     """How a command ended.
 
     Args:
@@ -67,11 +65,11 @@ def supervised(
     timeout: float | None,
     grace: float,
     log: Path,
-) -> Ended:
-    """Run a command in `folder` to its end; no process that it started remains afterwards.
+) -> ProcessEnd:
+    """Run a command in `folder`, without a shell, to its end; no process that it started remains afterwards.
 
     Args:
-        arguments: The program and its arguments; no shell.
+        arguments: The program and its arguments.
         folder: Working directory.
         environment: The complete environment.
         timeout: Seconds after which the command is ended; None: no limit.
@@ -122,22 +120,23 @@ def _started(folder: Path, environment: Mapping[str, str]) -> subprocess.Popen[b
         raise
 
 
-def _ended(answer: bytes, code: int, log: Path) -> Ended:
+def _ended(answer: bytes, code: int, log: Path) -> ProcessEnd:
     try:
         told: dict[str, Any] = json.loads(answer)
     except ValueError:  # nothing, or the beginning of an answer
-        how = Ended(code, False, 0.0, "").how
+        how = ProcessEnd(code, False, 0.0, "").how
         message = f"the process that watches over the simulator ended with {how}, and the simulator with it"
         raise ForwardModelError("supervisor_died", message, state="killed", log=_end_of(log)) from None
     if told.get("errno") in SHORT_OF_MEMORY:
         raise _no_room(told["error"])
     if "error" in told:
-        return Ended(None, False, 0.0, "", told["error"])
+        return ProcessEnd(None, False, 0.0, "", told["error"])
     if told["left"]:
-        raise ForwardModelError(
-            "processes_left", f"{told['left']} process(es) of the simulator survive SIGKILL", log=told["tail"]
-        )
-    return Ended(told["exit_code"], told["timeout"], told["seconds"], told["tail"], out_of_memory=told["out_of_memory"])
+        message = f"{told['left']} process(es) of the simulator survive SIGKILL"
+        raise ForwardModelError("processes_left", message, log=told["tail"])
+    return ProcessEnd(
+        told["exit_code"], told["timeout"], told["seconds"], told["tail"], out_of_memory=told["out_of_memory"]
+    )
 
 
 def _no_room(reason: str) -> ForwardModelError:

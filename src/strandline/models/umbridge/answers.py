@@ -9,8 +9,6 @@ from typing import Any
 from strandline.errors import ForwardModelError, InvalidInput
 from strandline.models.umbridge.client import PROTOCOL_VERSION
 
-__all__ = ["Answer", "Blocks", "Refused", "ServedModel", "answer"]
-
 Blocks = list[list[float]]
 
 
@@ -51,14 +49,14 @@ class ServedModel:
 
 
 @dataclass(frozen=True)
-class Answer:
+class Reply:
     """An HTTP status and the object that is sent with it as JSON."""
 
     status: int
     content: Mapping[str, Any]
 
 
-class Refused(Exception):
+class Rejected(Exception):
     """A request that is answered with an error of the protocol."""
 
     def __init__(self, kind: str, message: str, status: int = 400) -> None:
@@ -66,23 +64,23 @@ class Refused(Exception):
         super().__init__(message)
 
     @property
-    def answer(self) -> Answer:
+    def answer(self) -> Reply:
         """The error in the protocol's form."""
-        return Answer(self.status, {"error": {"type": self.kind, "message": str(self)}})
+        return Reply(self.status, {"error": {"type": self.kind, "message": str(self)}})
 
 
-def answer(models: Sequence[ServedModel], method: str, path: str, body: bytes) -> Answer:
+def answer(models: Sequence[ServedModel], method: str, path: str, body: bytes) -> Reply:
     """Return the answer to a request; invalid requests and failures of the model are answered too."""
     try:
-        return Answer(200, _answered(models, method, path, body))
-    except Refused as refused:
+        return Reply(200, _answered(models, method, path, body))
+    except Rejected as refused:
         return refused.answer
     except InvalidInput as error:
-        return Refused("InvalidInput", str(error)).answer
+        return Rejected("InvalidInput", str(error)).answer
     except ForwardModelError as error:
-        return Refused("ModelError", str(error), 500).answer
+        return Rejected("ModelError", str(error), 500).answer
     except Exception as error:
-        return Refused("ModelError", f"{type(error).__name__}: {error}", 500).answer
+        return Rejected("ModelError", f"{type(error).__name__}: {error}", 500).answer
 
 
 def _answered(models: Sequence[ServedModel], method: str, path: str, body: bytes) -> dict[str, Any]:
@@ -90,17 +88,19 @@ def _answered(models: Sequence[ServedModel], method: str, path: str, body: bytes
         _require_method(method, "GET", path)
         return {"protocolVersion": PROTOCOL_VERSION, "models": [model.name for model in models]}
     if path not in ENDPOINTS:
-        raise Refused("NotFound", f"no endpoint {path[:80]}; there are /Info, {', '.join(ENDPOINTS)}", 404)
+        raise Rejected("NotFound", f"no endpoint {path[:80]}; there are /Info, {', '.join(ENDPOINTS)}", 404)
     _require_method(method, "POST", path)
     asked = _object(body)
     model = next((model for model in models if model.name == asked.get("name")), None)
     if model is None:
         known = ", ".join(model.name for model in models)
-        raise Refused("ModelNotFound", f"no model {_shown(asked.get('name'))}; there are {known}")
+        raise Rejected("ModelNotFound", f"no model {shortened(asked.get('name'))}; there are {known}")
     if not model.support.get(path[1:], True):
-        raise Refused("UnsupportedFeature", f"{model.name} does not support {path[1:]}")
+        raise Rejected("UnsupportedFeature", f"{model.name} does not support {path[1:]}")
     if asked.get("config") not in (None, {}):
-        raise Refused("InvalidInput", f"config: got {_shown(asked['config'])}; expected none: the study sets it all")
+        raise Rejected(
+            "InvalidInput", f"config: got {shortened(asked['config'])}; expected none: the study sets it all"
+        )
     return ENDPOINTS[path](model, asked)
 
 
@@ -108,7 +108,7 @@ def _evaluate(model: ServedModel, asked: Mapping[str, Any]) -> dict[str, Any]:
     output = model.evaluate(_inputs(model, asked))
     sizes = tuple(len(block) for block in output)
     if sizes != model.output_sizes:
-        raise Refused("InvalidOutput", f"{model.name} yields {sizes} numbers here; {model.output_sizes} declared", 500)
+        raise Rejected("InvalidOutput", f"{model.name} yields {sizes} numbers here; {model.output_sizes} declared", 500)
     return {"output": [_finite(model, block) for block in output]}
 
 
@@ -127,7 +127,7 @@ def _apply_jacobian(model: ServedModel, asked: Mapping[str, Any]) -> dict[str, A
 
 
 def _no_hessian(model: ServedModel, asked: Mapping[str, Any]) -> dict[str, Any]:
-    raise Refused("UnsupportedFeature", f"{model.name} does not support ApplyHessian")
+    raise Rejected("UnsupportedFeature", f"{model.name} does not support ApplyHessian")
 
 
 ENDPOINTS: Mapping[str, Callable[[ServedModel, Mapping[str, Any]], dict[str, Any]]] = {
@@ -144,32 +144,32 @@ ENDPOINTS: Mapping[str, Callable[[ServedModel, Mapping[str, Any]], dict[str, Any
 
 def _require_method(method: str, right: str, path: str) -> None:
     if method != right:
-        raise Refused("InvalidInput", f"{method} {path}: expected {right}", 405)
+        raise Rejected("InvalidInput", f"{method} {path}: expected {right}", 405)
 
 
 def _object(body: bytes) -> dict[str, Any]:
     try:
         asked = json.loads(body.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise Refused("InvalidInput", f"the request is not JSON: {error}") from None
+        raise Rejected("InvalidInput", f"the request is not JSON: {error}") from None
     if not isinstance(asked, dict):
-        raise Refused("InvalidInput", f"the request is {_shown(asked)}; expected a JSON object")
+        raise Rejected("InvalidInput", f"the request is {shortened(asked)}; expected a JSON object")
     return asked
 
 
 def _inputs(model: ServedModel, asked: Mapping[str, Any]) -> Blocks:
     blocks, sizes = asked.get("input"), model.input_sizes
     if not isinstance(blocks, list) or len(blocks) != len(sizes):
-        found = f"{len(blocks)} blocks" if isinstance(blocks, list) else _shown(blocks)
-        raise Refused("InvalidInput", f"input: got {found}; expected a list of {len(sizes)} block(s)")
+        found = f"{len(blocks)} blocks" if isinstance(blocks, list) else shortened(blocks)
+        raise Rejected("InvalidInput", f"input: got {found}; expected a list of {len(sizes)} block(s)")
     return [_vector(block, size, f"input block {k}") for k, (block, size) in enumerate(zip(blocks, sizes, strict=True))]
 
 
 def _vector(values: object, size: int, what: str) -> list[float]:
     """Return `size` finite numbers."""
     if not isinstance(values, list) or len(values) != size:
-        found = f"{len(values)} numbers" if isinstance(values, list) else _shown(values)
-        raise Refused("InvalidInput", f"{what}: got {found}; expected a list of {size} number(s)")
+        found = f"{len(values)} numbers" if isinstance(values, list) else shortened(values)
+        raise Rejected("InvalidInput", f"{what}: got {found}; expected a list of {size} number(s)")
     return [_number(value, what) for value in values]
 
 
@@ -179,26 +179,26 @@ def _number(value: object, what: str) -> float:
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise Refused("InvalidInput", f"{what}: got {_shown(value)}; expected finite numbers")
+        raise Rejected("InvalidInput", f"{what}: got {shortened(value)}; expected finite numbers")
     return number
 
 
 def _index(asked: Mapping[str, Any], name: str, sizes: tuple[int, ...]) -> int:
     value = asked.get(name)
     if type(value) is not int or not 0 <= value < len(sizes):
-        raise Refused(
-            "InvalidInput", f"{name}: got {_shown(value)}; expected a whole number from 0 to {len(sizes) - 1}"
-        )
+        expected = f"expected a whole number from 0 to {len(sizes) - 1}"
+        raise Rejected("InvalidInput", f"{name}: got {shortened(value)}; {expected}")
     return value
 
 
 def _finite(model: ServedModel, values: Sequence[float]) -> list[float]:
     numbers = [float(value) for value in values]
     if not all(map(math.isfinite, numbers)):
-        raise Refused("InvalidOutput", f"{model.name} yields numbers that are not finite", 500)
+        raise Rejected("InvalidOutput", f"{model.name} yields numbers that are not finite", 500)
     return numbers
 
 
-def _shown(value: object) -> str:
+def shortened(value: object) -> str:
+    """Return the repr of what was sent, cut to one short line."""
     text = repr(value)
     return text if len(text) <= 80 else f"{text[:80]}…"

@@ -21,12 +21,11 @@ from urllib.parse import urlsplit
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import ForwardModelError, InvalidInput
+from strandline.errors import ForwardModelError
+from strandline.models import refused
 
 if TYPE_CHECKING:
     import httpx
-
-__all__ = ["LARGEST_ANSWER", "PROTOCOL_VERSION", "Client", "Description"]
 
 PROTOCOL_VERSION = 1.0
 LARGEST_ANSWER = 64 * 2**20
@@ -39,6 +38,8 @@ PATIENCE = 10
 NUMBERS_OF_PYTHON = re.compile(r"(?<![\w\"])-?(nan|inf)(?![\w\"])")
 """Numbers that are not finite, as `repr` writes them; servers that build JSON with it send these."""
 BLAMES_THE_CALL = ("ModelNotFound", "UnsupportedFeature", "Unauthorized", "Forbidden")
+KINDS = {"Busy": "connection", **dict.fromkeys(BLAMES_THE_CALL, "protocol")}
+"""What a server says → kind of the failure; anything else is one of the model."""
 TOKEN_VARIABLE = "STRANDLINE_TOKEN"
 """Environment variable with the secret of a server started by `strandline serve --token`."""
 
@@ -79,13 +80,9 @@ class Client:
     def __post_init__(self) -> None:
         parts = urlsplit(self.url)
         if parts.scheme not in ("http", "https") or not parts.hostname or parts.query or parts.fragment:
-            raise InvalidInput(
-                "url", value=self.url, expected="e.g. http://127.0.0.1:4242", remedy="Give the server's own address."
-            )
+            raise refused("url", self.url, "e.g. http://127.0.0.1:4242", "Give the server's own address.")
         if not 0 < self.timeout < threading.TIMEOUT_MAX / PATIENCE:
-            raise InvalidInput(
-                "timeout", value=self.timeout, expected="seconds above 0", remedy="Leave it out for 10 minutes."
-            )
+            raise refused("timeout", self.timeout, "seconds above 0", "Leave it out for 10 minutes.")
 
     def describe(self) -> Description:
         """Return the server's description of the model.
@@ -160,9 +157,7 @@ class Client:
         answer = _parsed(body)
         error = answer.get("error") if isinstance(answer, dict) else None
         if isinstance(error, dict):
-            kind = {"Busy": "connection", **dict.fromkeys(BLAMES_THE_CALL, "protocol")}.get(
-                str(error.get("type")), "model_error"
-            )
+            kind = KINDS.get(str(error.get("type")), "model_error")
             reason, _, log = str(error.get("message")).strip().partition("\n")
             message = f"the server says {_short(error.get('type'))}: {_told(reason)}"
             lost = kind == "connection"
@@ -179,7 +174,7 @@ class Client:
         """Return status and body of one request; one that takes more than `timeout` seconds in total is a failure."""
         import httpx
 
-        method, place = ("GET", "Info") if asked is None else ("POST", endpoint)
+        method, url = "GET" if asked is None else "POST", f"{self.url.rstrip('/')}/{endpoint}"
         verify = ssl.create_default_context() if self.url.startswith("https:") else False
         longest = self.timeout * (PATIENCE if "input" in (asked or ()) else 1)
         limits = httpx.Timeout(longest, connect=self.timeout)
@@ -188,13 +183,7 @@ class Client:
             with (
                 _deadline(longest) as trace,
                 httpx.Client(verify=verify, timeout=limits, follow_redirects=False, trust_env=False) as client,
-                client.stream(
-                    method,
-                    f"{self.url.rstrip('/')}/{place}",
-                    json=asked,
-                    headers=_headers(),
-                    extensions={"trace": trace},
-                ) as response,
+                client.stream(method, url, json=asked, headers=_headers(), extensions={"trace": trace}) as response,
             ):
                 answer = response.status_code, self._body(response, endpoint)
         except (httpx.HTTPError, httpx.InvalidURL, OSError) as error:

@@ -1,10 +1,10 @@
-"""A simulator behind UM-Bridge as a forward model."""
+"""A simulator behind UM-Bridge as a forward model, and the conversion of its blocks of numbers to an interface."""
 
 import functools
 import hashlib
 import importlib.util
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -13,11 +13,98 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.errors import ForwardModelError, InvalidInput
+from strandline.interface import Interface
+from strandline.models import refused
 from strandline.models.protocol import ModelInput, Simulation
 from strandline.models.umbridge.client import PROTOCOL_VERSION, Client, Description
-from strandline.models.umbridge.layout import UNITS, Layout
 
-__all__ = ["UMBridge", "UMBridgeModel"]
+UNITS = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "m": 1e3}
+"""Millimetres in each unit of length."""
+SHAPES = ("points", "columns")
+
+
+@dataclass(frozen=True)
+class BlockLayout:
+    """Where a model's output holds the coordinates of an interface.
+
+    Args:
+        shape: ``points``: block 0 holds x0, y0, x1, y1, …; ``columns``: block 0 holds the x's, block 1 the y's.
+        dim: Number of coordinates: 2 for a polyline through the points in their order, 3 for a surface; its triangles,
+            three node numbers from 0 each, are the block after the coordinates.
+        closed: Whether a polyline returns to its first point.
+    """
+
+    shape: str = "points"
+    dim: int = 2
+    closed: bool = False
+
+    def __post_init__(self) -> None:
+        for name, value, right in (
+            ("shape", self.shape, self.shape in SHAPES),
+            ("dim", self.dim, type(self.dim) is int and self.dim in (2, 3)),
+            ("closed", self.closed, type(self.closed) is bool and not (self.closed and self.dim == 3)),
+        ):
+            if not right:
+                raise _wrong_option(name, value)
+
+    @classmethod
+    def from_options(cls, options: object) -> "BlockLayout":
+        """Return the layout of ``{shape: points, dim: 2, closed: false}``, each key optional."""
+        given = {} if options is None else options
+        if not isinstance(given, Mapping) or not set(given) <= {"shape", "dim", "closed"}:
+            raise _wrong_option("", options)
+        return cls(**given)
+
+    @property
+    def coordinate_blocks(self) -> int:
+        """Number of output blocks that hold coordinates; a surface's triangles are in the next one."""
+        return 1 if self.shape == "points" else self.dim
+
+    def points(self, blocks: Sequence[Float[np.ndarray, " number"]]) -> Float[np.ndarray, "point xyz"]:
+        """Return the coordinates, or their derivatives, that `coordinate_blocks` blocks hold; fails as ``protocol``."""
+        if len(blocks) < self.coordinate_blocks:
+            raise _unfit(blocks, f"at least {self.coordinate_blocks} blocks")
+        if self.shape == "points":
+            if blocks[0].size % self.dim:
+                raise _unfit(blocks, f"{self.dim} numbers for each point in block 0")
+            return np.ascontiguousarray(blocks[0].reshape(-1, self.dim))
+        columns = blocks[: self.dim]
+        if len({column.size for column in columns}) > 1:
+            raise _unfit(blocks, f"as many numbers in each of the first {self.dim} blocks")
+        return np.stack(list(columns), axis=1)
+
+    def interface(self, blocks: Sequence[Float[np.ndarray, " number"]], factor: float) -> Interface:
+        """Return the interface; `factor` is mm per unit of the coordinates.
+
+        Raises:
+            ForwardModelError: ``protocol``: as for `points`, or a surface without triangles.
+            InvalidInterface: points that form no interface.
+        """
+        points = factor * self.points(blocks)
+        if self.dim == 2:
+            return Interface.polyline(points, closed=self.closed)
+        if len(blocks) <= self.coordinate_blocks:
+            raise _unfit(blocks, "a block with the triangles after the coordinates")
+        corners = blocks[self.coordinate_blocks]
+        if corners.size % 3 or (corners != np.round(corners)).any():
+            raise _unfit(blocks, "three whole numbers for each triangle")
+        return Interface(points, corners.reshape(-1, 3).astype(np.int64))
+
+
+def flattened(interface: Interface) -> list[list[float]]:
+    """Return the blocks of `interface` in the layout ``points``, mm: coordinates, then a surface's triangles."""
+    blocks = [interface.points.ravel().tolist()]
+    return blocks if interface.dim == 2 else [*blocks, interface.cells.astype(float).ravel().tolist()]
+
+
+def _wrong_option(name: str, value: object) -> InvalidInput:
+    expected = "{shape: points or columns, dim: 2 or 3, closed: true or false (polylines only)}"
+    return refused(f"interface.{name}".rstrip("."), value, expected)
+
+
+def _unfit(blocks: Sequence[Any], expected: str) -> ForwardModelError:
+    sizes = [len(block) for block in blocks]
+    return ForwardModelError("protocol", f"the model's output has blocks of {sizes} numbers; expected {expected}")
 
 
 @dataclass(frozen=True)
@@ -30,7 +117,7 @@ class UMBridge:
         inputs: Names of the inputs in the model's order: a list is a single block of inputs, a list of lists several
             blocks. A name may carry its unit, ``{E: Pa}``; if all do, the study's units and names are checked against
             them.
-        interface: Layout of the output, see `Layout`.
+        interface: Layout of the output, see `BlockLayout`.
         unit: Unit of the coordinates: mm, um, µm or m.
         config: Configuration sent with every call.
         timeout: Largest duration of a call, seconds.
@@ -52,19 +139,17 @@ class UMBridge:
 
     @classmethod
     def from_options(cls, **options: Any) -> "UMBridgeModel":
-        """Return the model; nothing is sent to the server yet.
-
-        Raises:
-            InvalidInput: an option that cannot be used.
-        """
+        """Return the model; nothing is sent to the server yet."""
         given = cls(**options)
-        _require_httpx()
+        if importlib.util.find_spec("httpx") is None:
+            what, remedy = "the package httpx, which calls the server", 'Install it: pip install "strandline[umbridge]"'
+            raise refused(what, "not installed", "the extra `umbridge`", remedy)
         names, units = _named_blocks(given.inputs)
         return UMBridgeModel(
             Client(given.url, given.name, _config(given.config), given.timeout),
             names,
             units,
-            Layout.from_options(given.interface),
+            BlockLayout.from_options(given.interface),
             given.unit,
             "" if given.version is None else str(given.version),
             given.sensitivities,
@@ -78,27 +163,14 @@ class UMBridgeModel:
 
     Runs are identified by the model's name, its config, the order of the inputs, the layout and unit of its output, the
     version of the protocol and `version`, but not by the address of the server. If a model changes under the same name,
-    this goes unnoticed: change `version`.
-
-    Args:
-        client: Client that calls the model.
-        blocks: Names of the inputs by block.
-        units: Units of the inputs by name; empty if they are unknown.
-        layout: Layout of the output.
-        unit: Unit of the coordinates, a key of `UNITS`.
-        version: Part of the fingerprint.
-        sensitivities: Whether runs yield d(points)/d(input) too: by ApplyJacobian, one call for each input, or, if the
-            server lacks it, by Gradient, one call for each coordinate.
-        at_once: Number of evaluations that the server makes at a time, and so of runs under way.
-
-    Raises:
-        InvalidInput: an unknown unit, or a number below 1.
+    this goes unnoticed: change `version`. Sensitivities are found by ApplyJacobian, one call for each input, or, if the
+    server lacks it, by Gradient, one call for each coordinate. The other fields are as in `UMBridge`.
     """
 
     client: Client
     blocks: tuple[tuple[str, ...], ...]
     units: Mapping[str, str] = field(default_factory=dict)
-    layout: Layout = field(default_factory=Layout)
+    layout: BlockLayout = field(default_factory=BlockLayout)
     unit: str = "mm"
     version: str = ""
     sensitivities: bool = False
@@ -107,9 +179,9 @@ class UMBridgeModel:
 
     def __post_init__(self) -> None:
         if self.unit not in UNITS:
-            raise InvalidInput("unit", value=self.unit, expected=f"one of {', '.join(UNITS)}", remedy="Correct it.")
+            raise refused("unit", self.unit, f"one of {', '.join(UNITS)}")
         if self.at_once < 1:
-            raise InvalidInput("at_once", value=self.at_once, expected="at least 1", remedy="Correct the number.")
+            raise refused("at_once", self.at_once, "at least 1")
 
     @property
     def inputs(self) -> tuple[ModelInput, ...]:
@@ -119,40 +191,22 @@ class UMBridgeModel:
     @property
     def fingerprint(self) -> str:
         """Text that changes with everything the class lists, but not with the address of the server."""
-        told = [
-            PROTOCOL_VERSION,
-            self.client.name,
-            self.client.config,
-            self.blocks,
-            asdict(self.layout),
-            UNITS[self.unit],
-            self.version,
-        ]
-        return "umbridge:" + hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
+        own = [self.client.name, self.client.config, self.blocks, asdict(self.layout), UNITS[self.unit], self.version]
+        text = json.dumps([PROTOCOL_VERSION, *own], sort_keys=True)
+        return "umbridge:" + hashlib.sha256(text.encode()).hexdigest()[:16]
 
     @functools.cached_property
     def description(self) -> Description:
-        """The server's description of the model, requested once.
-
-        Raises:
-            ForwardModelError: As for `Client.describe`; or the sizes of the input blocks differ from the study's.
-        """
+        """The server's description of the model, requested once; fails as `Client.describe`, or with other blocks."""
         described = self.client.describe()
         sizes = tuple(len(block) for block in self.blocks)
         if described.input_sizes != sizes:
-            raise ForwardModelError(
-                "protocol",
-                f"the model {self.client.name!r} takes blocks of {list(described.input_sizes)} inputs; `inputs` names "
-                f"blocks of {list(sizes)}",
-            )
+            taken = f"the model {self.client.name!r} takes blocks of {list(described.input_sizes)} inputs"
+            raise ForwardModelError("protocol", f"{taken}; `inputs` names blocks of {list(sizes)}")
         return described
 
     def require_server(self) -> None:
-        """Return if the server answers.
-
-        Raises:
-            ForwardModelError: As for `Client.describe`.
-        """
+        """Return if the server answers; fails as `Client.describe`."""
         self.client.describe()
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
@@ -173,17 +227,15 @@ class UMBridgeModel:
         known = {name for block in self.blocks for name in block}
         if set(inputs) != known:
             odd = ", ".join(sorted(set(inputs) ^ known))
-            raise ForwardModelError(
-                "inputs", f"{odd}: expected the same names in the study (inputs, fixed) and in model.umbridge.inputs"
-            )
+            expected = "the same names in the study (inputs, fixed) and in model.umbridge.inputs"
+            raise ForwardModelError("inputs", f"{odd}: expected {expected}")
 
     def _slopes(self, values: list[list[float]]) -> dict[str, Float[np.ndarray, "point xyz"]]:
         """Return d(points)/d(input) by input, mm per unit of the input."""
         support = self.description.support
         if not (support.get("ApplyJacobian") or support.get("Gradient")):
-            raise ForwardModelError(
-                "no_sensitivities", "the server supports neither ApplyJacobian nor Gradient; leave sensitivities out"
-            )
+            message = "the server supports neither ApplyJacobian nor Gradient; leave sensitivities out"
+            raise ForwardModelError("no_sensitivities", message)
         columns = self._by_jacobian if support.get("ApplyJacobian") else self._by_gradient
         slopes = {}
         for into, block in enumerate(self.blocks):
@@ -227,12 +279,8 @@ def _entry(item: object, given: object) -> tuple[str, str | None]:
 
 
 def _wrong_inputs(given: object) -> InvalidInput:
-    return InvalidInput(
-        "inputs",
-        value=given,
-        expected="names in the order of the model, [E, nu], or of its blocks, [[E, nu], [V_in]]; with units [E: Pa]",
-        remedy="Name each input once.",
-    )
+    expected = "names in the order of the model, [E, nu], or of its blocks, [[E, nu], [V_in]]; with units [E: Pa]"
+    return refused("inputs", given, expected, "Name each input once.")
 
 
 def _config(given: object) -> dict[str, Any]:
@@ -243,16 +291,4 @@ def _config(given: object) -> dict[str, Any]:
         config = f"{config!r} ({error})"
     if isinstance(config, dict) and all(isinstance(key, str) for key in config):
         return config
-    raise InvalidInput(
-        "config", value=config, expected="keys with values that JSON can hold", remedy="Correct the option."
-    )
-
-
-def _require_httpx() -> None:
-    if importlib.util.find_spec("httpx") is None:
-        raise InvalidInput(
-            "the package httpx, which calls the server",
-            value="not installed",
-            expected="the extra `umbridge`",
-            remedy='Install it: pip install "strandline[umbridge]"',
-        )
+    raise refused("config", config, "keys with values that JSON can hold")

@@ -1,25 +1,37 @@
-"""An HTTP server for UM-Bridge, based on that of the standard library.
+"""An HTTP server for UM-Bridge, based on that of the standard library, and who may send it requests.
 
 `umbridge.serve_models` listens on every interface of the machine, takes requests of any size, answers malformed ones
 and failing models with a page of text instead of the protocol's errors, and writes NaN as `nan`, which is not JSON.
+
+A server on the loopback address is within reach of every web page that the user opens, and of every user of the
+machine. A page is recognised by its `Origin`, or, if its domain points to this address (DNS rebinding), by its `Host`;
+a form cannot send JSON. Against other users only a token helps.
 """
 
+import base64
+import binascii
 import contextlib
+import hmac
+import ipaddress
 import json
 import socket
 import sys
-from collections.abc import Sequence
+import threading
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from email.message import Message
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
-from strandline.errors import InvalidInput
-from strandline.models.umbridge.answers import Answer, Refused, ServedModel, answer
-from strandline.models.umbridge.connections import Connections
-from strandline.models.umbridge.door import Door
+from strandline.models import refused as invalid
+from strandline.models.umbridge.answers import Rejected, Reply, ServedModel, answer, shortened
 
-__all__ = ["LARGEST_REQUEST", "MOST_CONNECTIONS", "UMBridgeServer"]
-
+SHORTEST_TOKEN = 16
+"""Fewest characters of a token."""
+SOON_SECONDS = 0.5
+"""A connection that has just been made gets this long before it can be ended in favour of a new one."""
 LARGEST_REQUEST = 10 * 1000**2
 """Bytes of a request's body."""
 MOST_CONNECTIONS = 128
@@ -28,6 +40,148 @@ PATIENCE_SECONDS = 30.0
 """How long a client may take to send a request, and how long a connection may be idle between two requests."""
 DRAINED_BYTES = 65536
 """A refused request is read up to this size, so that the client can read the reason."""
+
+
+@dataclass(frozen=True)
+class Access:
+    """Lets requests in, or refuses them.
+
+    Args:
+        names: Names under which the server may be called (`Host`), in lower case.
+        any_address: Whether it may be called by any numeric address; if not, by loopback addresses only.
+        origins: Web pages that may send requests (`Origin`), e.g. ``https://example.org``.
+        token: Secret that each request must carry; None for none.
+    """
+
+    names: frozenset[str] = frozenset({"localhost"})
+    any_address: bool = False
+    origins: frozenset[str] = frozenset()
+    token: str | None = None
+
+    def __post_init__(self) -> None:
+        token = self.token
+        if token is None:
+            return
+        if len(token) < SHORTEST_TOKEN or not (token.isascii() and token.isprintable()) or " " in token:
+            expected = f"at least {SHORTEST_TOKEN} printable ASCII characters without blanks"
+            remedy = "Make one: python -c 'import secrets; print(secrets.token_urlsafe())'"
+            raise invalid("token", f"{len(token)} characters", expected, remedy)
+
+    @classmethod
+    def of(
+        cls, host: str, *, names: Iterable[str] = (), origins: Iterable[str] = (), token: str | None = None
+    ) -> "Access":
+        """Return the door of a server that listens on `host`; `names` are further names of the server."""
+        known = {"localhost", *(name.lower().rstrip(".") for name in names)}
+        local = is_loopback(host)
+        if not local:
+            machine = socket.gethostname().lower()
+            known |= {host.lower(), machine, machine.partition(".")[0]}
+        return cls(frozenset(known), not local, frozenset(origins), token)
+
+    def check(self, method: str, headers: Message) -> None:
+        """Refuse (HTTP 401, 403 or 415) a request that may come from a web page, or that lacks the token."""
+        hosts, origin = headers.get_all("Host", []), headers.get("Origin")
+        if len(hosts) != 1 or not self._is_called(hosts[0]):
+            found = ", ".join(hosts) or "none"
+            expected = "this machine's numeric address or name" if self.any_address else "localhost or 127.0.0.1"
+            told = (
+                f"Host: got {shortened(found)}; expected {expected}. Allow a further name by `serve --allow-host NAME`."
+            )
+            raise Rejected("Forbidden", told, 403)
+        if origin is not None and origin not in self.origins:
+            told = f"Origin: got {shortened(origin)}; web pages may not send requests. See `serve --allow-origin`."
+            raise Rejected("Forbidden", told, 403)
+        kind = headers.get("Content-Type")
+        if method == "POST" and kind is not None and kind.partition(";")[0].strip().lower() != "application/json":
+            raise Rejected("InvalidInput", f"Content-Type: got {shortened(kind)}; expected application/json", 415)
+        if self.token is not None and not _carries(headers.get("Authorization", ""), self.token):
+            raise Rejected("Unauthorized", "this server needs its token: send `Authorization: Bearer TOKEN`", 401)
+
+    def _is_called(self, host: str) -> bool:
+        """Return whether `host`, with or without a port, is a name or address of this server."""
+        name = host.strip().lower()
+        name = name[1:].partition("]")[0] if name.startswith("[") else name.partition(":")[0]
+        try:
+            address = ipaddress.ip_address(name)
+        except ValueError:
+            return name.rstrip(".") in self.names
+        return self.any_address or address.is_loopback
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether an address to listen on can be reached only from this machine."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host.lower() == "localhost"
+
+
+def _carries(authorization: str, token: str) -> bool:
+    """Return whether a header carries the token: as ``Bearer TOKEN``, or as the password of ``Basic``."""
+    scheme, _, given = authorization.partition(" ")
+    if scheme.lower() == "basic":
+        try:
+            given = base64.b64decode(given.strip(), validate=True).decode("utf-8", "replace").partition(":")[2]
+        except (binascii.Error, ValueError):
+            return False
+    elif scheme.lower() != "bearer":
+        return False
+    return hmac.compare_digest(given.strip().encode(), token.encode())
+
+
+class Connections:
+    """Counts connections; each is waiting for a request or working on one.
+
+    When all places are taken, a new connection replaces the one that has waited longest for its client. Those that are
+    working are never ended. A client must send a whole request within `patience` seconds.
+    """
+
+    def __init__(self, most: int, patience: float) -> None:
+        self._patience = patience
+        self._free = threading.BoundedSemaphore(most)
+        self._lock = threading.Lock()
+        self._waiting: dict[socket.socket, float] = {}
+
+    def admit(self, connection: socket.socket) -> bool:
+        """Give a new connection a place; return whether there is one."""
+        for _ in range(2):  # after the first round those that have just been made may be ended too
+            if self._free.acquire(blocking=False):
+                break
+            self._end_older_than(SOON_SECONDS, most=1)
+            if self._free.acquire(timeout=SOON_SECONDS):
+                break
+        else:
+            return False
+        self.waits(connection)
+        return True
+
+    def leave(self, connection: socket.socket) -> None:
+        """Free the place of a connection that has been admitted."""
+        self.works(connection)
+        self._free.release()
+
+    def waits(self, connection: socket.socket) -> None:
+        """Note that the connection waits for its client's next request, from now on."""
+        with self._lock:
+            self._waiting[connection] = time.monotonic()
+
+    def works(self, connection: socket.socket) -> None:
+        """Note that the client has sent its request."""
+        with self._lock:
+            self._waiting.pop(connection, None)
+
+    def end_overdue(self) -> None:
+        """End the connections whose client has not sent a whole request in time, even if it keeps sending slowly."""
+        self._end_older_than(self._patience)
+
+    def _end_older_than(self, seconds: float, *, most: int | None = None) -> None:
+        limit = time.monotonic() - seconds
+        with self._lock:  # oldest first: the dictionary keeps the order, and `waits` may only refresh
+            found = sorted((since, n, c) for n, (c, since) in enumerate(self._waiting.items()) if since <= limit)
+            for _, _, connection in found[:most]:
+                with contextlib.suppress(OSError):
+                    connection.shutdown(socket.SHUT_RDWR)
 
 
 class UMBridgeServer(ThreadingHTTPServer):
@@ -42,9 +196,6 @@ class UMBridgeServer(ThreadingHTTPServer):
         door: Object that decides which requests are answered; by default, those to an address of the server itself.
         connections: Largest number of connections, and of threads.
         patience: Seconds within which a client must send a whole request.
-
-    Raises:
-        InvalidInput: the server cannot listen on the address.
     """
 
     daemon_threads = True
@@ -56,24 +207,21 @@ class UMBridgeServer(ThreadingHTTPServer):
         host: str = "127.0.0.1",
         port: int = 4242,
         *,
-        door: Door | None = None,
+        door: Access | None = None,
         connections: int = MOST_CONNECTIONS,
         patience: float = PATIENCE_SECONDS,
     ) -> None:
         self.models = tuple(models)
-        self.door = Door.of(host) if door is None else door
+        self.door = Access.of(host) if door is None else door
         self.patience = patience
         self.connections = Connections(connections, patience)
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
             super().__init__((host, port), _Handler)
         except (OSError, OverflowError) as error:
-            raise InvalidInput(
-                "address to serve on",
-                value=f"{host}, port {port}: {error}",
-                expected="an address of this machine and a port that is free",
-                remedy="Choose another --port (0 takes any free one), or end what uses it.",
-            ) from None
+            expected = "an address of this machine and a port that is free"
+            remedy = "Choose another --port (0 takes any free one), or end what uses it."
+            raise invalid("address to serve on", f"{host}, port {port}: {error}", expected, remedy) from None
 
     @property
     def url(self) -> str:
@@ -114,7 +262,7 @@ class UMBridgeServer(ThreadingHTTPServer):
             print(f"a request could not be answered: {type(error).__name__}: {str(error)[:200]!r}", file=sys.stderr)
 
     def _turn_away(self, request: Any) -> None:
-        content = json.dumps(Refused("Busy", "too many connections; try again later", 503).answer.content).encode()
+        content = json.dumps(Rejected("Busy", "too many connections; try again later", 503).answer.content).encode()
         head = f"HTTP/1.1 503 Service Unavailable\r\nContent-Length: {len(content)}\r\nConnection: close\r\n\r\n"
         with contextlib.suppress(OSError):
             request.settimeout(0.0)
@@ -147,7 +295,7 @@ class _Handler(BaseHTTPRequestHandler):
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
         """Answer malformed HTTP, or a method that UM-Bridge does not have."""
         self.close_connection = True
-        self._send(Refused("InvalidInput", message or HTTPStatus(code).phrase, code).answer)
+        self._send(Rejected("InvalidInput", message or HTTPStatus(code).phrase, code).answer)
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002
         """Log nothing."""
@@ -158,7 +306,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _reply(self) -> None:
         try:
             body = self._body(self._length())
-        except Refused as refused:
+        except Rejected as refused:
             self.close_connection = True
             self._send(refused.answer)
             return
@@ -171,28 +319,28 @@ class _Handler(BaseHTTPRequestHandler):
         told = set(self.headers.get_all("Content-Length", ["0"]))
         length = told.pop().strip()
         if told or "Transfer-Encoding" in self.headers or not (length.isascii() and length.isdigit()):
-            raise Refused("InvalidInput", "the request does not state its length; send Content-Length", 411)
+            raise Rejected("InvalidInput", "the request does not state its length; send Content-Length", 411)
         digits = length.lstrip("0")[: len(str(LARGEST_REQUEST)) + 1] or "0"
         if int(digits) > LARGEST_REQUEST:
-            raise Refused("InvalidInput", f"a request of more than {LARGEST_REQUEST // 1000**2} MB", 413)
+            raise Rejected("InvalidInput", f"a request of more than {LARGEST_REQUEST // 1000**2} MB", 413)
         return int(digits)
 
     def _body(self, length: int) -> bytes:
         """Return the body of a request that the door lets in; the body of a refused one is not kept."""
         try:
             if not self.path.startswith("/"):
-                raise Refused("InvalidInput", f"the path: got {self.path[:80]!r}; expected one such as /Info")
+                raise Rejected("InvalidInput", f"the path: got {self.path[:80]!r}; expected one such as /Info")
             self.server.door.check(self.command, self.headers)
-        except Refused:
+        except Rejected:
             if length <= DRAINED_BYTES:
                 self.rfile.read(length)
             raise
         body = self.rfile.read(length)
         if len(body) < length:
-            raise Refused("InvalidInput", f"{len(body)} of {length} bytes of the request arrived")
+            raise Rejected("InvalidInput", f"{len(body)} of {length} bytes of the request arrived")
         return body
 
-    def _send(self, given: Answer) -> None:
+    def _send(self, given: Reply) -> None:
         content = json.dumps(given.content, allow_nan=False).encode()
         self.send_response(given.status)
         self.send_header("Content-Type", "application/json")

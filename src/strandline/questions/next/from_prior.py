@@ -15,7 +15,7 @@ from strandline.calibration.footprint import Footprint, footprint
 from strandline.design import sobol
 from strandline.errors import InvalidInput, TooFewRuns
 from strandline.interface import Interface
-from strandline.models.offers import undeformed_interface
+from strandline.models.protocol import undeformed_interface
 from strandline.planning.candidate import Candidate, Look, key_of
 from strandline.planning.identifiability import directions_left, scale_of
 from strandline.planning.observing import Observing

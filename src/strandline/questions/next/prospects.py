@@ -15,8 +15,7 @@ from strandline.calibration.source import Source, posterior_source
 from strandline.design.active import Knowledge, training_of
 from strandline.errors import NoCommonPoints
 from strandline.interface import Interface
-from strandline.models.offers import undeformed_interface
-from strandline.models.protocol import declared_conditions
+from strandline.models.protocol import declared_conditions, undeformed_interface
 from strandline.planning.candidate import Candidate, Look, Setting, key_of
 from strandline.planning.failing import FailureBySize, crossing_share, learn_failure_by_size
 from strandline.planning.forecast import Forecast, carried, covered, field_of, slopes_of_field

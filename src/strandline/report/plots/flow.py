@@ -19,7 +19,7 @@ def plot_flow(fields: Any, *, title: str = "", figure: Figure | SubFigure | None
     The undeformed interface is grey; thin lines in the solid divide its parts.
 
     Args:
-        fields: The state to draw, in the form of `strandline.models.biofilm.flow_fields.FlowFields`.
+        fields: The state to draw, in the form of `strandline.models.biofilm.fields.FlowFields`.
         title: Title, e.g. the inputs.
         figure: Figure to draw in; a new one by default.
     """

@@ -29,7 +29,8 @@ import numpy as np
 
 from strandline.errors import InvalidInput, StrandlineError
 from strandline.interface import Interface
-from strandline.models.protocol import ForwardModel, asks_sensitivities, fingerprint
+from strandline.models.fingerprint import fingerprint
+from strandline.models.protocol import ForwardModel, asks_sensitivities
 from strandline.runs.ledger_schema import synchronise
 from strandline.runs.record import RunRecord, RunRequest
 

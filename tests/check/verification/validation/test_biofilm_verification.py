@@ -7,6 +7,7 @@ from verification.validation.biofilm_mesh import flow_cell
 from verification.validation.sensitivities import POINTS, Inputs, partition_of, relative_differences
 from verification.validation.tables import observed_orders
 
+from strandline.models.biofilm.cell import Setting
 from strandline.models.biofilm.geometry import MeshSize
 from strandline.models.biofilm.materials import LAWS, MixedStress
 
@@ -40,7 +41,7 @@ def test_poiseuille_flow_is_exact_forces_and_mass_balance_and_those_of_an_unfini
     assert max(analytic.poiseuille_error()) < 1e-12
     assert analytic.layer_error() < 1e-8, "above a layer too stiff to move"
     cell = analytic.default_cell()
-    solution = cell.solve([400.0], [0.3], 100.0)
+    solution = cell.solve(Setting([400.0], [0.3], 100.0))
     assert max(analytic.force_imbalance(cell)) < 1e-8
     assert analytic.mass_imbalance(cell) < 1e-9
     cell.system.set_unknowns(solution.unknowns * (1 + 1e-6 * np.sin(np.arange(len(solution.unknowns)))))
@@ -58,7 +59,7 @@ def test_sensitivities_agree_with_differences(at):
 def test_sensitivities_with_a_jacobian_from_elsewhere_do_not(monkeypatch):
     """The planted error: the Jacobian of a solution at E half a percent larger."""
     cell = flow_cell(ROUGH, nodes=18)
-    elsewhere = cell.system.factorise(cell.solve([402.0], [0.3], 100.0).unknowns)
+    elsewhere = cell.system.factorise(cell.solve(Setting([402.0], [0.3], 100.0)).unknowns)
     exact = cell.sensitivities
 
     def stale(solution):

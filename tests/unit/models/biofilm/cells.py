@@ -8,12 +8,10 @@ import pytest
 
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm.cell import FlowCell
-from strandline.models.biofilm.channel import Channel
-from strandline.models.biofilm.geometry import MESHES
+from strandline.models.biofilm.geometry import MESHES, Partition
 from strandline.models.biofilm.materials import LAWS
 from strandline.models.biofilm.model import Biofilm
-from strandline.models.biofilm.outline import Outline
-from strandline.models.biofilm.subdivision import Partition
+from strandline.models.biofilm.outline import Channel, Outline
 
 SOLID = {"E": 400.0, "nu": 0.3}
 INPUTS = SOLID | {"V_in": 100.0}

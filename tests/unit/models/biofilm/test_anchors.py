@@ -9,11 +9,10 @@ from tests.unit.models.biofilm.cells import INPUTS, rough
 
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm import model as module
-from strandline.models.biofilm.anchors import on_disk
-from strandline.models.biofilm.anchors.anchored_cell import LARGEST_STRAIN
-from strandline.models.biofilm.anchors.states import States
+from strandline.models.biofilm.anchored_cell import LARGEST_STRAIN
+from strandline.models.biofilm.anchors import States, load_anchors, save_anchors
 from strandline.models.biofilm.steady import DIRECT_STRAIN
-from strandline.models.offers import prepare_runs
+from strandline.models.protocol import prepare_runs
 
 RANGES = {"E": [100, 800], "nu": [-0.8, 0.5], "V_in": 100}
 TOLERANCE = 1e-7  # mm
@@ -140,20 +139,20 @@ def test_a_result_depends_on_its_inputs_alone_and_a_cache_may_be_broken_or_not_w
 def test_a_file_that_is_damaged_has_other_arrays_or_is_of_another_box_is_not_read(tmp_path):
     path, other = tmp_path / "whole.npz", tmp_path / "another.npz"
     states = States(np.eye(3), np.arange(1.0, 4.0), np.array([True, True, False]), np.ones((2, 5)))
-    on_disk.save(states, path)
-    np.testing.assert_array_equal(on_disk.load(path).unknowns, states.unknowns)
+    save_anchors(states, path)
+    np.testing.assert_array_equal(load_anchors(path).unknowns, states.unknowns)
     content = path.read_bytes()
     for kept in (0, 100, len(content) // 2, len(content) - 22):  # the last record has 22 bytes
         other.write_bytes(content[:kept] + b"x" * 30)
-        assert on_disk.load(other) is None
+        assert load_anchors(other) is None
     other.write_bytes(content)
-    assert on_disk.load(other) is None
+    assert load_anchors(other) is None
     with np.load(path) as arrays:
         held = dict(arrays)
     held["unknowns"][0, 0] = np.nextafter(1.0, 2.0)
     for changed in ({"states": np.ones(3)}, held):
         np.savez(path, **changed)
-        assert on_disk.load(path) is None
+        assert load_anchors(path) is None
 
 
 def test_where_newton_does_not_converge_from_the_prediction_the_run_is_cold(anchored, cold, monkeypatch):

@@ -12,10 +12,10 @@ from tests.unit.models.biofilm.cells import coarse_cell, failure, largest
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm import cell as cell_module
 from strandline.models.biofilm import newton
-from strandline.models.biofilm.continuation import ARRIVAL, ContinuationSettings, trace
-from strandline.models.biofilm.distortion import jacobian_bound
-from strandline.models.biofilm.steady import Steady, steady_state
-from strandline.models.biofilm.strain import Strain
+from strandline.models.biofilm.cell import Setting
+from strandline.models.biofilm.continuation import ARRIVAL, Steady, trace
+from strandline.models.biofilm.steady import steady_state
+from strandline.models.biofilm.strain import Strain, jacobian_bound
 
 LIMIT = 3.0**-1.5
 """Largest w(1 - w)(2 - w)/2, at w = 1 - 3^-1/2: the force that a Saint-Venant–Kirchhoff bar with ν = 0, E = 1 bears."""
@@ -58,8 +58,7 @@ class Bar:
 
 def follow(bar, load, *, first_share=0.7, budget=0):
     linear = np.array([load, load + load / SPRING])
-    settings = ContinuationSettings(maximum_jacobians=budget)
-    return trace(bar, linear=linear, load=load, first_load=first_share * load, settings=settings)
+    return trace(bar, linear=linear, load=load, first_load=first_share * load, budget=budget)
 
 
 def compression(load: float) -> float:
@@ -166,7 +165,7 @@ def test_strains_have_their_closed_forms(cell):
     heights = np.array([[cell.mesh.vertices[v.nr].point[1] for v in e.vertices] for e in elements])
     G, a = np.array([[-0.2, 0.05], [0.03, -0.1]]), 0.1
     x = displaced(cell, G[0, 0] * ng.x + G[0, 1] * ng.y, G[1, 0] * ng.x + G[1, 1] * ng.y)
-    found = cell._strains._gradients(x)[heights.min(axis=1) > 1e-9]
+    found = cell.strains._gradients(x)[heights.min(axis=1) > 1e-9]
     np.testing.assert_allclose(found, np.broadcast_to(G, found.shape), atol=1e-9)
     x = displaced(cell, -a * ng.y**2, 0.0)
     for way in (x, -x):
@@ -175,7 +174,7 @@ def test_strains_have_their_closed_forms(cell):
 
 @pytest.fixture(scope="module")
 def fold(cell) -> ForwardModelError:
-    return failure(cell.solve, **SOFT, rate=100.0)
+    return failure(cell.solve, Setting(**SOFT, rate=100.0))
 
 
 def test_soft_specimen_has_a_limit_point_below_the_inflow_wanted(cell, fold):
@@ -184,7 +183,7 @@ def test_soft_specimen_has_a_limit_point_below_the_inflow_wanted(cell, fold):
     assert evidence["load_slope"] < 0
     assert 0 < evidence["load_reached"] <= limit < 100
     assert 0 < evidence["min_J_solid"] < evidence["min_J_fluid"] < 1
-    beyond = failure(cell.solve, **SOFT, rate=1.01 * limit)
+    beyond = failure(cell.solve, Setting(**SOFT, rate=1.01 * limit))
     assert beyond.kind == "limit_point"
     np.testing.assert_allclose(beyond.evidence["limit_load"], limit, rtol=5e-3)
 
@@ -192,7 +191,7 @@ def test_soft_specimen_has_a_limit_point_below_the_inflow_wanted(cell, fold):
 def test_close_to_the_fold_the_state_is_that_of_the_first_branch(cell, fold):
     """The interface goes on as it began, further with each increase; the second branch would lead it back."""
     shares = np.array([0.9, 0.95, 0.98, 0.99, 0.995])
-    found = [cell.solve(**SOFT, rate=share * fold.evidence["limit_load"]) for share in shares]
+    found = [cell.solve(Setting(**SOFT, rate=share * fold.evidence["limit_load"])) for share in shares]
     thinnest = [one.min_J_solid for one in found]
     assert (np.diff([largest(one.displacement) for one in found]) > 0).all()
     assert (np.diff(thinnest) < 0).all()
@@ -200,7 +199,7 @@ def test_close_to_the_fold_the_state_is_that_of_the_first_branch(cell, fold):
 
 
 def test_a_budget_changes_no_result(cell):
-    free, bounded = (cell.solve([220.0], [0.0], 100.0, budget=budget) for budget in (0, 5))
+    free, bounded = (cell.solve(Setting([220.0], [0.0], 100.0), budget) for budget in (0, 5))
     np.testing.assert_array_equal(free.unknowns, bounded.unknowns)
 
 
@@ -211,7 +210,7 @@ def test_what_does_not_balance_or_is_not_finite_is_a_typed_failure(cell, monkeyp
 
     assert failure(cell.residual, np.full(len(cell.system.free), np.nan), 1.0).kind == "nonfinite_residual"
     monkeypatch.setattr(cell_module, "steady_state", perturbed)
-    found = failure(cell.solve, [400.0], [0.3], 100.0)
+    found = failure(cell.solve, Setting([400.0], [0.3], 100.0))
     assert found.kind == "unbalanced"
     assert found.evidence["residual"] > 1e-6 * found.evidence["reaction"]
 
@@ -222,7 +221,7 @@ def test_inverted_elements_are_found_in_solid_and_fluid(cell):
     found = failure(cell.check, displaced(cell, 0.0, -2.0 * ng.y))
     assert found.kind == "inverted_elements"
     assert found.evidence["min_J_solid"] < 0
-    soft = failure(coarse_cell("neo_hookean").solve, [70.0], [0.3], 100.0)  # stopped by its mesh
+    soft = failure(coarse_cell("neo_hookean").solve, Setting([70.0], [0.3], 100.0))  # stopped by its mesh
     assert soft.kind == "inverted_elements"
     assert soft.evidence["min_J_fluid"] <= 0 < soft.evidence["min_J_solid"]
     assert 85 < soft.evidence["load_reached"] < 100
@@ -290,7 +289,7 @@ def test_critical_strain_is_that_of_the_element_that_grows_fastest(cell):
     """Not of the most compressed one, which lies elsewhere; its rate is that of the smallest stretch's fall."""
 
     def stretches(x):
-        F = np.eye(2) + cell._strains._gradients(x)
+        F = np.eye(2) + cell.strains._gradients(x)
         return np.sqrt(np.linalg.eigvalsh(F.transpose(0, 2, 1) @ F)[:, 0])
 
     h, state = 1e-4, squeezed(cell, (0.95, 0.3), 0.3)

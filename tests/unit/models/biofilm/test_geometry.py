@@ -7,11 +7,8 @@ from tests.unit.models.biofilm.cells import LAYER
 
 from strandline.interface import Interface
 from strandline.models.biofilm import geometry
-from strandline.models.biofilm.channel import Channel
-from strandline.models.biofilm.geometry import MeshSize, mesh_flow_cell
-from strandline.models.biofilm.outline import Outline
-from strandline.models.biofilm.sizes import MESHES, is_adapted, segment_sizes
-from strandline.models.biofilm.subdivision import Partition
+from strandline.models.biofilm.geometry import MESHES, MeshSize, Partition, is_adapted, mesh_flow_cell, segment_sizes
+from strandline.models.biofilm.outline import Channel, Outline
 
 COARSE, ROUGH = MESHES["coarse"], MeshSize(0.3, 0.1, 0.1, 0.5)
 STUDY = Outline().interface()

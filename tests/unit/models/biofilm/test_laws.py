@@ -9,15 +9,13 @@ from verification.validation.energies import ENERGIES, FURTHER, volume_piola
 from verification.validation.generality import law_inputs
 
 from strandline.models.biofilm import fluid_elements, solid_elements
-from strandline.models.biofilm.assembly import SymbolicPart
-from strandline.models.biofilm.cell import _boundaries
-from strandline.models.biofilm.channel import Channel
-from strandline.models.biofilm.geometry import MESHES, mesh_flow_cell
+from strandline.models.biofilm.cell import Setting, _boundaries
+from strandline.models.biofilm.forms import add_fluid, solid_form
+from strandline.models.biofilm.geometry import MESHES, Partition, mesh_flow_cell
 from strandline.models.biofilm.materials import LAWS, further_parameters
 from strandline.models.biofilm.materials.isotropic import flaw
-from strandline.models.biofilm.outline import Outline
-from strandline.models.biofilm.subdivision import Partition
-from strandline.models.biofilm.system import CoupledSystem, _add_fluid, _solid_form
+from strandline.models.biofilm.outline import Channel, Outline
+from strandline.models.biofilm.system import CoupledSystem, SymbolicPart
 
 NEO_HOOKEAN = {"material": "neo_hookean"}
 OPEN = {"channel": {"inlet": "right", "outlet": "traction_free"}}
@@ -81,7 +79,7 @@ def test_a_law_is_right_at_rest_and_its_cauchy_stress_is_that_of_its_energy(law)
 def system():
     """A system far from rest, in another fluid than water."""
     cell = rough_cell("neo_hookean")
-    cell.solve([200.0], [0.3], 100.0)
+    cell.solve(Setting([200.0], [0.3], 100.0))
     cell.system.viscosity.Set(0.037)
     cell.system.density.Set(1.7)
     return cell.system
@@ -102,7 +100,7 @@ def matrix(part, system):
 def test_the_fluid_is_that_of_the_forms_and_a_wrong_term_would_be_noticed(system, monkeypatch):
     """In the balances of momentum and mass: to rounding where the deformation is affine, for both quadratures."""
     form, fluid, rows = ng.BilinearForm(system.space), system._parts[-1], np.flatnonzero(~system.is_motion)
-    _add_fluid(form, system)
+    add_fluid(form, system)
     reference, bent = SymbolicPart(form), np.array(system.values)
     system.values[:] = np.random.default_rng(1).uniform(-1.0, 1.0, len(bent))
     system.state.components[2].Set(ng.CF((0.3 * ng.x - 0.4 * ng.y, 0.5 * ng.x + 0.2 * ng.y)))
@@ -141,7 +139,7 @@ TERMS = {"neo_hookean": "_metric", "mooney_rivlin": "_strained", "fung": "_gradi
 def test_the_solid_is_that_of_the_forms_and_a_wrong_term_would_be_noticed(name, monkeypatch):
     system = layer(name)
     (solid,) = (part for part in system._parts if isinstance(part, solid_elements.SolidElements))
-    reference = SymbolicPart(_solid_form(system))
+    reference = SymbolicPart(solid_form(system))
     assert max(errors(solid, reference, system)) < 1e-13
     if name in TERMS:
         right = vars(solid_elements._AtPoints)[TERMS[name]].func

@@ -9,7 +9,7 @@ from tests.unit.models.biofilm.cells import LAYER, OWN, PAIR, coarse
 from strandline.errors import InvalidInput
 from strandline.models.biofilm.materials import law_named
 from strandline.models.biofilm.model import Biofilm
-from strandline.models.protocol import fingerprint
+from strandline.models.fingerprint import fingerprint
 
 TWO = {"channel": {"length": 4.0}, "outline": {"points": PAIR}}
 RANGES = {"E": [100, 800], "nu": [-0.8, 0.5], "V_in": 100}
@@ -69,7 +69,10 @@ REFUSED = {
         (table([0, 0], [0.5, -2], [1, 0]), r"got -2 at y = 0.5 mm.*velocities that enter"),
         ({"inflow": "our_model:wrong"}, r"one velocity for each height"),
         ({"inflow": "pressure", "inflow_rates": {"slow": 1}}, "or give `pressure_drops` by condition"),
-        ({"pressure_drops": {"low": 5}}, "got low: 5.0 without inflow: pressure; expected"),
+        (
+            {"pressure_drops": {"low": 5}},
+            "pressure_drops of the biofilm model: got inflow: parabola; expected inflow: p",
+        ),
         ({"inflow": "pressure", "pressure_drops": {"low": -5}}, "pressure drop 'low' of the biofilm model: got -5"),
     ],
     "law": [

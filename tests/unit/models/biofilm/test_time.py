@@ -5,16 +5,13 @@ import numpy as np
 import pytest
 from netgen.geom2d import SplineGeometry
 
-from strandline.models.biofilm import rates
+from strandline.models.biofilm import moving
 from strandline.models.biofilm.cell import _boundaries
-from strandline.models.biofilm.channel import Channel
 from strandline.models.biofilm.geometry import MESHES, mesh_flow_cell
-from strandline.models.biofilm.inertia import FluidInertia
 from strandline.models.biofilm.materials import deformation_gradient
-from strandline.models.biofilm.moving import MovingSystem
+from strandline.models.biofilm.moving import FluidInertia, Moment, MovingSystem
 from strandline.models.biofilm.newton import NewtonSettings
-from strandline.models.biofilm.outline import Outline
-from strandline.models.biofilm.rates import Moment
+from strandline.models.biofilm.outline import Channel, Outline
 from strandline.models.biofilm.system import BoundaryNames
 from strandline.models.biofilm.transient import StepSettings, TimeCost, march
 
@@ -99,8 +96,8 @@ def test_decaying_flow_is_of_second_order_and_backward_euler_is_noticed(pipe, mo
     coarse, fine = decay_errors(*pipe)
     assert fine < 2e-3
     assert np.log2(coarse / fine) > 1.9
-    original = rates.differences
-    monkeypatch.setattr(rates, "differences", lambda times: (*original(times[:2]), *([0.0] * (len(times) - 2))))
+    original = moving.differences
+    monkeypatch.setattr(moving, "differences", lambda times: (*original(times[:2]), *([0.0] * (len(times) - 2))))
     coarse, fine = decay_errors(*pipe)
     assert np.log2(coarse / fine) < 1.2
 
@@ -169,14 +166,14 @@ def test_uniform_and_shear_flow_stay_on_a_moving_mesh_to_rounding(monkeypatch):
     """With the mesh's velocity of a scheme of first order, a shear flow does not stay itself."""
     assert error_on_moving_mesh(uniform=1.0, shear=0.0) < 1e-12
     assert error_on_moving_mesh(uniform=0.5, shear=2.0) < 1e-11
-    original = rates.Rates.first
+    original = moving.Rates.first
 
     def lagging(self, values):
         found = original(self, values)
         found[len(found) // 2 :] *= 0.9
         return found
 
-    monkeypatch.setattr(rates.Rates, "first", lagging)
+    monkeypatch.setattr(moving.Rates, "first", lagging)
     assert error_on_moving_mesh(uniform=1.0, shear=0.0) < 1e-12
     assert error_on_moving_mesh(uniform=0.5, shear=2.0) > 1e-4
 

@@ -26,8 +26,9 @@ def model(folder, **changes):
     return CommandModel.from_options(folder=folder, **options)
 
 
-def study(tmp_path, **changes):
+def study(tmp_path, executor=None, **changes):
     """Return a study folder whose model is the command."""
     inputs = {"a": {"prior": {"uniform": [1, 2]}, "unit": "Pa"}}
     given = {"fixed": {"load": 1.0}, "inputs": inputs, "observation": {"synthetic": {"a": 1.5, "load": 1.0}}}
+    given |= {"executor": executor} if executor else {}
     return filled(write_study(tmp_path / "s", model={"command": OPTIONS | changes}, **given))

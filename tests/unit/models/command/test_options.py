@@ -12,9 +12,10 @@ from tests.unit.models.command.commands import ECHO, RESULT, filled, model, stud
 from strandline.errors import ForwardModelError, InvalidInput, InvalidStudy
 from strandline.models.command import model as command_model
 from strandline.models.command import process
-from strandline.models.command.results import named_by
-from strandline.models.command.templates import Template
-from strandline.models.protocol import declared_failure_kinds, fingerprint
+from strandline.models.command.files import named_by
+from strandline.models.command.options import InputTemplate
+from strandline.models.fingerprint import fingerprint
+from strandline.models.protocol import declared_failure_kinds
 from strandline.studies import load_study
 
 
@@ -46,7 +47,7 @@ def test_the_fingerprint_follows_what_results_depend_on(folder, tmp_path):
 
 
 def test_numbers_are_exact_or_have_twenty_characters():
-    shown = Template("in.inp", "{{ a }}")
+    shown = InputTemplate("in.inp", "{{ a }}")
     for value in (0.1 + 0.2, 1e-300, -123456.789, 5.0):
         assert shown.rendered({"a": value}) == repr(value)
     for value in (3.141592653589793e-05, -1.2345678901234567e-05, -1.2345678901234567e-105):

@@ -13,10 +13,9 @@ from tests.unit.models.umbridge.served import AT, TOKEN, WHOLE
 
 from strandline.errors import ForwardModelError, InvalidInput
 from strandline.models.protocol import with_sensitivities
-from strandline.models.umbridge.answers import Refused, ServedModel, answer
-from strandline.models.umbridge.door import Door
-from strandline.models.umbridge.layout import Layout
-from strandline.models.umbridge.model import UMBridge
+from strandline.models.umbridge.answers import Rejected, ServedModel, answer
+from strandline.models.umbridge.model import BlockLayout, UMBridge
+from strandline.models.umbridge.server import Access
 from strandline.testing.umbridge import CHECKS, ModelUnderTest
 
 
@@ -82,37 +81,37 @@ def status(door, **headers):
             message[name] = text
     try:
         door.check("POST", message)
-    except Refused as refused:
+    except Rejected as refused:
         return refused.status if TOKEN not in str(refused) else None
     return 200
 
 
 def test_it_answers_to_its_own_addresses_alone():
     """A page whose domain points here sends another name."""
-    door = Door.of("127.0.0.1")
+    door = Access.of("127.0.0.1")
     for host in ("localhost", "LOCALHOST:4242", "localhost.", "127.0.0.1:1", "127.1.2.3", "[::1]:80"):
         assert status(door, Host=host) == 200
     for host in ("attacker.example", "attacker.example:4242", "10.0.0.1", "[fe80::1]", "", "localhost@x"):
         assert status(door, Host=host) == 403
-    network = Door.of("0.0.0.0")
+    network = Access.of("0.0.0.0")
     names = ("10.0.0.1:4242", socket.gethostname(), "attacker.example")
     assert [status(network, Host=host) for host in names] == [200, 200, 403]
 
 
 def test_pages_and_forms_are_refused_unless_they_are_allowed():
-    door, page = Door.of("127.0.0.1"), "https://example.org"
+    door, page = Access.of("127.0.0.1"), "https://example.org"
     for origin in (page, "null", "http://localhost:4242"):
         assert status(door, Origin=origin) == 403
     for kind in ("text/plain", "multipart/form-data; boundary=x"):
         assert status(door, **{"Content-Type": kind}) == 415
     assert status(door, **{"Content-Type": "Application/JSON; charset=utf-8"}) == 200
-    allowed = Door.of("127.0.0.1", names=["Cell.example"], origins=[page])
+    allowed = Access.of("127.0.0.1", names=["Cell.example"], origins=[page])
     assert status(allowed, Host="cell.example:80", Origin=page) == 200
     assert status(allowed, Host="other.example") == 403
 
 
 def test_a_token_is_needed_as_bearer_or_as_the_password_of_the_address():
-    door = Door.of("127.0.0.1", token=TOKEN)
+    door = Access.of("127.0.0.1", token=TOKEN)
     wrong, right = (base64.b64encode(f"any:{token}".encode()).decode() for token in (f"{TOKEN}x", TOKEN))
     for sent in ("", f"Bearer {TOKEN}x", "Basic !", f"Basic {wrong}", f"Other {TOKEN}"):
         assert status(door, Authorization=sent) == 401
@@ -120,7 +119,7 @@ def test_a_token_is_needed_as_bearer_or_as_the_password_of_the_address():
         assert status(door, Authorization=sent) == 200
     for token in ("0123456789 abcdef", "0123456789abcdéf", TOKEN[:-1]):
         with pytest.raises(InvalidInput, match="at least 16 printable ASCII characters") as caught:
-            Door.of("127.0.0.1", token=token)
+            Access.of("127.0.0.1", token=token)
         assert token not in str(caught.value)
 
 
@@ -168,10 +167,10 @@ CORNERS = np.array([0.0, 0, 0, 4, 0, 0, 0, 1, 0, 0, 0, 1])
 
 def test_blocks_that_hold_no_interface_are_told():
     for layout, blocks, words in (
-        (Layout(), [np.ones(3)], "2 numbers for each point"),
-        (Layout("columns"), [np.ones(3), np.ones(2)], "as many numbers"),
-        (Layout(dim=3), [CORNERS], "a block with the triangles"),
-        (Layout(dim=3), [CORNERS, TRIANGLES + 0.5], "three whole numbers"),
+        (BlockLayout(), [np.ones(3)], "2 numbers for each point"),
+        (BlockLayout("columns"), [np.ones(3), np.ones(2)], "as many numbers"),
+        (BlockLayout(dim=3), [CORNERS], "a block with the triangles"),
+        (BlockLayout(dim=3), [CORNERS, TRIANGLES + 0.5], "three whole numbers"),
     ):
         with pytest.raises(ForwardModelError, match=words) as caught:
             layout.interface(blocks, 1.0)

@@ -1,15 +1,18 @@
-"""Hyperelastic laws in mixed form, plane strain; a new law is one file and one line in `LAWS`.
+"""Hyperelastic laws in mixed form, plane strain; a new law is one class and one line in `LAWS`.
 
 A law takes the displacement d, the solid pressure pₛ, Young's modulus E, Poisson's ratio ν and its own parameters, if
 any, and returns the second Piola–Kirchhoff stress and the residual of the constitutive constraint that defines pₛ.
 """
 
 import re
-from typing import Any, cast
+from dataclasses import dataclass
+from typing import Any, ClassVar, cast
+
+import numpy as np
 
 from strandline.errors import InvalidInput
-from strandline.models.biofilm.materials.fung import Fung
-from strandline.models.biofilm.materials.isotropic import IsotropicLaw, flaw
+from strandline.models import refused
+from strandline.models.biofilm.materials.isotropic import IsotropicLaw, Number, exp, flaw
 from strandline.models.biofilm.materials.law import (
     Law,
     MixedStress,
@@ -17,10 +20,6 @@ from strandline.models.biofilm.materials.law import (
     further_parameters,
     typical_value,
 )
-from strandline.models.biofilm.materials.mooney_rivlin import MooneyRivlin
-from strandline.models.biofilm.materials.neo_hookean import NeoHookean
-from strandline.models.biofilm.materials.saint_venant_kirchhoff import SaintVenantKirchhoff
-from strandline.models.biofilm.materials.yeoh import Yeoh
 from strandline.models.protocol import ModelInput
 from strandline.registry import lookup
 
@@ -35,6 +34,104 @@ __all__ = [
     "typical_value",
 ]
 
+
+@dataclass(frozen=True)
+class SaintVenantKirchhoff(IsotropicLaw):
+    """Energy μ E:E + ½ λ (tr E)² of the strain E = ½ (C - I).
+
+    Source: Holzapfel, Nonlinear Solid Mechanics (2000), section 6.5.
+    """
+
+    def coefficients(
+        self, invariant: Number, log_volume: Number, pressure: Number, shear: Number, /
+    ) -> tuple[Number, Number, Number]:
+        """Return those of S = 2 μ E + pₛ I."""
+        return pressure - shear, shear, 0.0
+
+    def volume(self, invariant: Number, log_volume: Number) -> Number:
+        """Return tr E."""
+        return 0.5 * (invariant - 3)
+
+
+@dataclass(frozen=True)
+class NeoHookean(IsotropicLaw):
+    """Energy ½ μ (I₁ - 3 - 2 ln J) + ½ λ (ln J)².
+
+    Source: Holzapfel, Nonlinear Solid Mechanics (2000), section 6.5.
+    """
+
+    def coefficients(
+        self, invariant: Number, log_volume: Number, pressure: Number, shear: Number, /
+    ) -> tuple[Number, Number, Number]:
+        """Return those of S = μ (I - C⁻¹) + pₛ C⁻¹."""
+        return shear, 0.0, pressure - shear
+
+
+@dataclass(frozen=True)
+class MooneyRivlin(IsotropicLaw):
+    """Energy c₁ (I₁ - 3) + c₂ (I₂ - 3) - 2 (c₁ + 2c₂) ln J - 2 c₂ (ln J)² + ½ λ (ln J)².
+
+    With c₁ + c₂ = μ/2, E and ν are those of small strains; `share` is c₂ / (c₁ + c₂). A share of 0 is the neo-Hookean
+    law. Source: Holzapfel, Nonlinear Solid Mechanics (2000), section 6.5; the term -2 c₂ (ln J)², which
+    vanishes at ν = ½, keeps λ that of small strains.
+    """
+
+    parameters: ClassVar[tuple[ModelInput, ...]] = (
+        ModelInput("share", "1", 0.0, 1.0, meaning="share of the second invariant, c2 / (c1 + c2)"),
+    )
+
+    def coefficients(
+        self, invariant: Number, log_volume: Number, pressure: Number, shear: Number, /, share: Number
+    ) -> tuple[Number, Number, Number]:
+        """Return those of S = 2 (c₁ + c₂ I₁) I - 2 c₂ C - 2 (c₁ + 2c₂ + 2c₂ ln J) C⁻¹ + pₛ C⁻¹."""
+        second = shear * share
+        return shear + second * (invariant - 1), -second, pressure - shear - second * (1 + 2 * log_volume)
+
+
+@dataclass(frozen=True)
+class Yeoh(IsotropicLaw):
+    """Energy c₁ Q + c₂ Q² + c₃ Q³ + ½ λ (ln J)² with Q = I₁ - 3 - 2 ln J and c₁ = μ/2.
+
+    `second` is c₂/c₁ and `third` c₃/c₁; with both 0 it is the neo-Hookean law. A negative `second` softens the solid
+    at moderate strains; without a `third` that stiffens it again, the solid gives way. Source: Yeoh, Rubber Chem.
+    Technol. 66 (1993) 754; Q in place of I₁ - 3 keeps the compressible solid free of stress at rest.
+    """
+
+    parameters: ClassVar[tuple[ModelInput, ...]] = (
+        ModelInput("second", "1", -np.inf, np.inf, False, False, "ratio of Yeoh's constants, c2 / c1"),
+        ModelInput("third", "1", 0.0, np.inf, True, False, "ratio of Yeoh's constants, c3 / c1"),
+    )
+
+    def coefficients(
+        self, invariant: Number, log_volume: Number, pressure: Number, shear: Number, /, second: Number, third: Number
+    ) -> tuple[Number, Number, Number]:
+        """Return those of S = μ (1 + 2 c₂/c₁ Q + 3 c₃/c₁ Q²) (I - C⁻¹) + pₛ C⁻¹."""
+        Q = invariant - 3 - 2 * log_volume
+        stiffness = shear * (1 + 2 * second * Q + 3 * third * Q * Q)
+        return stiffness, 0.0, pressure - stiffness
+
+
+@dataclass(frozen=True)
+class Fung(IsotropicLaw):
+    """Energy μ/(2b) (exp(b Q) - 1) + ½ λ (ln J)² with Q = I₁ - 3 - 2 ln J.
+
+    `exponent` is b; 0 is the neo-Hookean law. Source: Fung, Biomechanics: Mechanical Properties of Living Tissues
+    (1993), in the isotropic form of Demiray, J. Biomech. 5 (1972) 309; Q in place of I₁ - 3 keeps the
+    compressible solid free of stress at rest.
+    """
+
+    parameters: ClassVar[tuple[ModelInput, ...]] = (
+        ModelInput("exponent", "1", 0.0, np.inf, True, False, "exponent b of Fung's law"),
+    )
+
+    def coefficients(
+        self, invariant: Number, log_volume: Number, pressure: Number, shear: Number, /, exponent: Number
+    ) -> tuple[Number, Number, Number]:
+        """Return those of S = μ exp(b Q) (I - C⁻¹) + pₛ C⁻¹."""
+        stiffness = shear * exp(exponent * (invariant - 3 - 2 * log_volume))
+        return stiffness, 0.0, pressure - stiffness
+
+
 LAWS: dict[str, Law] = {
     "saint_venant_kirchhoff": SaintVenantKirchhoff(),
     "neo_hookean": NeoHookean(),
@@ -46,11 +143,7 @@ LAWS: dict[str, Law] = {
 
 
 def law_named(name: str) -> Law:
-    """Return a law by its name in `LAWS`, or a third party's by ``module:name``.
-
-    Raises:
-        InvalidInput: There is no such law, or it is not one.
-    """
+    """Return a law by its name in `LAWS`, or a third party's by ``module:name``."""
     found = lookup(LAWS, name, "material of the biofilm model")
     if name in LAWS:
         return cast(Law, found)
@@ -59,7 +152,7 @@ def law_named(name: str) -> Law:
     if not callable(law) or not all(_is_parameter(item) for item in parameters):
         raise _refused(
             name,
-            _shown(law) if not callable(law) else ", ".join(map(_name_of, parameters)),
+            ", ".join(str(getattr(item, "name", repr(item))) for item in parameters) if callable(law) else _shown(law),
             "an IsotropicLaw or a function of NGSolve forms; `parameters`, if any, are a tuple of ModelInput in Pa or "
             "of unit 1, whose names are words without digits, not E, nu or V_in",
         )
@@ -76,21 +169,13 @@ def _made(name: str, kind: type) -> Any:
 
 
 def _refused(name: str, value: Any, expected: str) -> InvalidInput:
-    return InvalidInput(
-        f"material {name} of the biofilm model",
-        value=value,
-        expected=expected,
-        remedy="Correct the law; strandline.models.biofilm.materials.fung is an example.",
-    )
+    remedy = "Correct the law; strandline.models.biofilm.materials.Fung is an example."
+    return refused(f"material {name} of the biofilm model", value, expected, remedy)
 
 
 def _shown(thing: object) -> str:
     text = repr(thing)
     return f"an object of class {type(thing).__name__}" if " object at 0x" in text else text
-
-
-def _name_of(item: object) -> str:
-    return str(getattr(item, "name", repr(item)))
 
 
 def _is_parameter(item: object) -> bool:

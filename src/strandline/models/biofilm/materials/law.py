@@ -11,17 +11,6 @@ from ngsolve import Grad, Id
 
 from strandline.models.protocol import ModelInput
 
-__all__ = [
-    "Form",
-    "Law",
-    "MixedStress",
-    "compliance",
-    "deformation_gradient",
-    "further_parameters",
-    "shear_modulus",
-    "typical_value",
-]
-
 Form = Any  # an NGSolve coefficient function
 
 
@@ -51,7 +40,6 @@ class Law(Protocol):
 
     def __call__(self, d: Form, solid_pressure: Form, young: Form, poisson: Form, /, *further: Form) -> MixedStress:
         """Return the stress at displacement d and solid pressure pₛ, as symbolic forms."""
-        ...
 
 
 def further_parameters(law: Law) -> tuple[ModelInput, ...]:

@@ -1,18 +1,83 @@
-"""The source files of a Python model: its own, and those of the same package that it imports."""
+"""What distinguishes the runs of a model: its fingerprint, and the source files that a Python model consists of."""
 
 import ast
+import dataclasses
+import hashlib
 import importlib.util
+import inspect
+import json
 import sys
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
-__all__ = ["sources_of"]
+from strandline.models.protocol import ForwardModel
 
 OWN = "strandline"
 """Package whose modules are identified by its version, not by their text."""
 INSTALLED = frozenset({"site-packages", "dist-packages"})
+
+
+def fingerprint(model: ForwardModel) -> str:
+    """Return the text that identifies `model` in a ledger.
+
+    This is its own `fingerprint` if it has one, plus the options of the instance if the class has one fingerprint for
+    all instances. Otherwise it is a hash of the class or function, the file that defines it, the files of the same
+    package that this file imports, and the fields except `sensitivities`, which change no interface.
+    """
+    own = getattr(model, "fingerprint", None)
+    if isinstance(own, str):
+        return own + _options_beside(model)
+    subject, fields = _described(model)
+    try:
+        sources = sources_of(subject.__module__)
+    except OSError:  # typed into a notebook or a terminal
+        return earlier_fingerprint(model)
+    text = json.dumps([subject.__module__, subject.__qualname__, sources, fields], default=repr)
+    return "python-files:" + hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _options_beside(model: Any) -> str:
+    """Return the options that differ from their defaults, if a dataclass has one fingerprint for all instances.
+
+    A fingerprint declared as a ``ClassVar`` states on purpose that no option changes results.
+    """
+    kind = type(model)
+    declared = "fingerprint" in inspect.get_annotations(kind)
+    if not dataclasses.is_dataclass(model) or declared or not isinstance(vars(kind).get("fingerprint"), str):
+        return ""
+    given = {
+        f.name: value
+        for f in dataclasses.fields(model)
+        if f.init and f.name != "sensitivities" and repr(value := getattr(model, f.name)) != repr(_default(f))
+    }
+    return f"/{json.dumps(given, default=repr, sort_keys=True)}" if given else ""
+
+
+def _default(field: "dataclasses.Field[Any]") -> Any:
+    return field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
+
+
+def earlier_fingerprint(model: ForwardModel) -> str:
+    """Return the fingerprint used before the whole file counted: it covers only the source of the class or function."""
+    own = getattr(model, "fingerprint", None)
+    if isinstance(own, str):
+        return own
+    subject, fields = _described(model)
+    text = json.dumps([subject.__module__, subject.__qualname__, inspect.getsource(subject), fields], default=repr)
+    return "python:" + hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _described(model: ForwardModel) -> tuple[Any, dict[str, Any]]:
+    """Return the function, or the class and the fields, that `model` is made of."""
+    instance: Any = model
+    subject = instance if inspect.isfunction(instance) else type(instance)
+    is_record = dataclasses.is_dataclass(instance) and not isinstance(instance, type)
+    fields = dataclasses.asdict(instance) if is_record else {}
+    fields.pop("sensitivities", None)
+    return subject, fields
 
 
 def sources_of(module: str) -> list[tuple[str, str]]:

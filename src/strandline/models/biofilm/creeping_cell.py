@@ -1,4 +1,4 @@
-"""A solid that relaxes in a flow that is steady at every moment: what happens over time, with control of the error.
+"""A flow cell whose solid creeps while the inflow changes with time; the flow is steady at every moment.
 
 Each step solves the coupled equations with the stresses that the solid remembers. A step is made once as a whole and
 once in halves. A third of the difference is the error of the halves, which are kept (the method is of second order;
@@ -9,21 +9,20 @@ up to at most the tolerance; earlier errors do not grow, since the solid relaxes
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm import newton
-from strandline.models.biofilm.cell import FlowCell
-from strandline.models.biofilm.course import Course
-from strandline.models.biofilm.creep.pieces import Piece, pieces
-from strandline.models.biofilm.fluid import Fluid
+from strandline.models.biofilm.cell import FlowCell, Setting, Solution
+from strandline.models.biofilm.course import Course, Piece, pieces
+from strandline.models.biofilm.flow import Fluid
 from strandline.models.biofilm.memory import Branch, Memory, Past
-from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, NewtonSolution, NewtonStep
+from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, NewtonSolution
 from strandline.models.biofilm.steady import AtLoad, steady_state
-
-__all__ = ["Moment", "QuasiStatic"]
+from strandline.models.biofilm.system import CoupledSystem
 
 Vector = Float[np.ndarray, " unknown"]
 
@@ -39,15 +38,10 @@ SAFETY, GROWTH, CUT = 0.9, 3.0, 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
-    """What is known at a point in time.
+class CreepState:
+    """What is known at a point in time, s: the share of the full inflow, all unknowns, scaled, and the stresses.
 
-    Args:
-        time: The time, s.
-        share: Inflow as a share of the full one.
-        x: Unknowns of the coupled system, scaled.
-        past: Stresses in the solid.
-        displacement: Displacements of the interface's nodes (point, 2), mm.
+    The displacements of the interface's nodes (point, 2) are in mm.
     """
 
     time: float
@@ -64,10 +58,10 @@ class Moment:
 
 @dataclass
 class QuasiStatic:
-    """The way of one specimen through time.
+    """The way of one specimen through time; the cell has the material set, and its solid remembers.
 
     Args:
-        cell: The cell, with the material set; its solid remembers.
+        cell: The cell.
         rate: The full inflow rate, mm²/s, or pressure drop, Pa.
         fluid: The fluid, without unknown quantities.
         branches: The branches of the solid.
@@ -87,7 +81,7 @@ class QuasiStatic:
     jacobians: int = field(default=0, init=False)
     _last: LinearSolver | None = field(default=None, init=False)
 
-    def follow(self, course: Course) -> Iterator[Moment]:
+    def follow(self, course: Course) -> Iterator[CreepState]:
         """Yield the state at each time observed; of a sudden change, that after it.
 
         A run starts relaxed, in the steady state of the first share.
@@ -112,7 +106,7 @@ class QuasiStatic:
         assert self.cell.system.memory is not None
         return self.cell.system.memory
 
-    def _start(self, course: Course) -> Moment:
+    def _start(self, course: Course) -> CreepState:
         """Return the relaxed state of the first share."""
         share, rest = course.share(course.start, before=True), self._memory.at_rest(len(self.branches))
         self._memory.begin(self._memory.at_rest(0), (), 0.0)
@@ -120,13 +114,13 @@ class QuasiStatic:
         self.jacobians += found.jacobians
         self.cell.check(found.x)
         past = self._memory.after(self._memory.at_rest(0), (), 0.0, self.cell.system.elastic_stress)
-        return Moment(course.start, share, found.x, Past(past.elastic, rest.branches), self.cell.displacement)
+        return CreepState(course.start, share, found.x, Past(past.elastic, rest.branches), self.cell.displacement)
 
     def _load(self, share: float) -> float:
         """Set the loads for a share of the inflow; return the load at the end of their path."""
         return self.cell.set_loads(share * self.rate, self.fluid)
 
-    def _changed(self, now: Moment, share: float) -> Moment:
+    def _changed(self, now: CreepState, share: float) -> CreepState:
         """Return the state after a sudden change of the inflow, reached by changes as small as needed."""
         self._memory.begin(now.past, self.branches, 0.0)
         if not now.x.any():
@@ -146,9 +140,9 @@ class QuasiStatic:
             reached = following
         return self._accepted(x, now, now.time, share)
 
-    def _through(self, now: Moment, piece: Piece, step: float, whole: float) -> tuple[Moment, float]:
+    def _through(self, now: CreepState, piece: Piece, step: float, whole: float) -> tuple[CreepState, float]:
         """Return the state at the end of a piece, and the length of the next step."""
-        before: Moment | None = None
+        before: CreepState | None = None
         step = step or FIRST_STEP * min((branch.time for branch in self.branches), default=np.inf)
         while now.time < piece.end:
             left, step = piece.end - now.time, min(step, self.largest_step)
@@ -170,7 +164,9 @@ class QuasiStatic:
             before, now, self.steps = now, found, self.steps + 1
         return now, step
 
-    def _doubled(self, before: Moment | None, now: Moment, piece: Piece, time: float) -> tuple[Moment, float]:
+    def _doubled(
+        self, before: CreepState | None, now: CreepState, piece: Piece, time: float
+    ) -> tuple[CreepState, float]:
         """Return the state at `time` after two steps, and the error estimated from a single one, mm."""
         if not self.branches:
             return self._after(before, now, piece, time), 0.0
@@ -181,8 +177,8 @@ class QuasiStatic:
         return halves, float(difference) / 3.0
 
     def _after(
-        self, before: Moment | None, now: Moment, piece: Piece, time: float, *, guess: Vector | None = None
-    ) -> Moment:
+        self, before: CreepState | None, now: CreepState, piece: Piece, time: float, *, guess: Vector | None = None
+    ) -> CreepState:
         """Return the state after one step; the first guess goes on as from `before` to `now`."""
         share, step = piece.share(time), time - now.time
         self._memory.begin(now.past, self.branches, step)
@@ -197,7 +193,7 @@ class QuasiStatic:
         system, weights = AtLoad(self.cell, self._load(share)), self.cell.weights
         if self._last is not None:
             with suppress(ForwardModelError):  # then the Jacobian is out of date
-                first = NewtonStep(self._last, -self._last.solve(system.residual(guess)))
+                first = newton.step(system, guess, self._last)
                 return self._kept(newton.solve(system, guess, weights=weights, settings=STEP, first=first))
         return self._kept(newton.solve(system, guess, weights=weights, settings=STEP))
 
@@ -205,11 +201,11 @@ class QuasiStatic:
         self.jacobians, self._last = self.jacobians + found.jacobians, found.jacobian
         return found.x
 
-    def _accepted(self, x: Vector, now: Moment, time: float, share: float) -> Moment:
+    def _accepted(self, x: Vector, now: CreepState, time: float, share: float) -> CreepState:
         """Return the state of these unknowns after a step from `now`, if it is a valid one."""
         self.cell.check(x)
         past = self._memory.after(now.past, self.branches, time - now.time, self.cell.system.elastic_stress)
-        return Moment(time, share, x, past, self.cell.displacement)
+        return CreepState(time, share, x, past, self.cell.displacement)
 
     def _rigid(self, change: float) -> Vector:
         """Return how the flow past a rigid body changes with the share of the inflow."""
@@ -224,3 +220,35 @@ def _at(error: ForwardModelError, time: float) -> ForwardModelError:
     """Return a failure that states the time it happened."""
     kind, message = ("inverted_elements", error.message) if error.kind == "inverted_elements" else _NONE_FOLLOWS
     return ForwardModelError(kind, f"{message}, after {time:.4g} s", {**error.evidence, "time": time})
+
+
+class CreepingCell(FlowCell):
+    """A `FlowCell` whose solid remembers its stresses; the flow is steady at every moment."""
+
+    def coupled(self, *arguments: Any, **options: Any) -> CoupledSystem:
+        """Return the system with a memory."""
+        return CoupledSystem(*arguments, remembers=True, **options)
+
+    def through(
+        self, course: Course, branches: Sequence[Branch], setting: Setting, budget: int = 0
+    ) -> Iterator[tuple[str, Solution]]:
+        """Yield name and state of each time observed; while one is yielded, the system holds it.
+
+        E in the `setting` is that of the relaxed solid; its rate is where the course has the share 1. The `budget` of
+        Jacobians is for searches along a load path; 0: no limit.
+
+        Raises:
+            ForwardModelError: As `solve` at the start and after a sudden load at rest; ``time_step`` or
+                ``inverted_elements`` later, with the time, s.
+        """
+        self.set(setting)
+        way = QuasiStatic(self, setting.rate, setting.fluid, branches, course.tolerance, budget=budget)
+        names = {time: name for name, time in course.times}
+        try:
+            for moment in way.follow(course):
+                self.residual(moment.x, self.set_loads(moment.share * setting.rate, setting.fluid))
+                fluid_bound, solid_bound = self.distortion()
+                figures = (fluid_bound, solid_bound, way.jacobians)
+                yield names[moment.time], Solution(moment.x, moment.displacement, *figures)
+        except ForwardModelError as error:
+            raise self.in_physical_units(error) from error

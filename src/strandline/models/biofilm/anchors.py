@@ -1,0 +1,307 @@
+"""Anchors: steady states at fixed points of a box of inputs, kept on disk, and what they tell of a run between them.
+
+Cubic radial basis functions with a linear part interpolate all unknowns, so no reduced basis is needed: with a proper
+orthogonal decomposition that keeps every mode the result is the same. The anchors depend on the geometry, the options
+and the box alone, never on the runs of a study, so a run's result depends on its inputs alone.
+"""
+
+import contextlib
+import hashlib
+import os
+import platform
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib.metadata import PackageNotFoundError, version
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.interpolate import RBFInterpolator
+
+from strandline.errors import ForwardModelError
+from strandline.models import refused
+from strandline.models.biofilm.flow import DROP, RATE
+from strandline.models.biofilm.linear import linear_solver
+from strandline.models.biofilm.outline import finite
+from strandline.models.protocol import ModelInput
+
+Ranges = tuple[tuple[str, float, float], ...]
+"""Lowest and highest value of each input, by name."""
+
+POINTS_PER_INPUT = 12
+"""Points of Sobol's sequence for each input that varies."""
+MOST_CORNERS = 8
+"""Up to this number, the corners of the box are points too."""
+OPTION = "anchors of the biofilm model"
+DRIVES = (RATE.name, DROP.name)
+EXAMPLE = "e.g. {E: [100, 800], nu: [0.1, 0.45], V_in: 100}"
+FIELDS = ("coordinates", "strains", "solved", "unknowns")
+REVISION = 1
+"""Raised whenever other anchors are found for a cell and a box."""
+PACKAGES = ("ngsolve", "numpy", "scipy", "mkl")
+Vector = Float[np.ndarray, " unknown"]
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One input that varies in the box, and the length of its range as `Box.distances` measures it."""
+
+    name: str
+    low: float
+    high: float
+    length: float
+
+    @property
+    def is_logarithmic(self) -> bool:
+        """Whether the coordinate is the logarithm of the input."""
+        return self.low > 0 and self.high > 2 * self.low
+
+    def coordinate(self, value: float) -> float:
+        """Return the coordinate, from 0 to 1 in the range."""
+        if self.is_logarithmic:
+            return float(np.log(value / self.low) / np.log(self.high / self.low))
+        return (value - self.low) / (self.high - self.low)
+
+    def value(self, coordinate: float) -> float:
+        """Return the input at a coordinate; the bounds are exact."""
+        if coordinate in (0.0, 1.0):
+            return self.high if coordinate else self.low
+        if self.is_logarithmic:
+            return float(self.low * (self.high / self.low) ** coordinate)
+        return self.low + coordinate * (self.high - self.low)
+
+    @classmethod
+    def of(cls, name: str, low: float, high: float) -> "Axis":
+        """Return the axis of a range.
+
+        Jacobians are rescaled to the shear modulus of a run, see `factors`: what Young's modulus changes is mostly made
+        good, what Poisson's ratio changes is not. So the latter counts as it is, an e-fold of another input 0.3, and
+        the whole range of one whose ends have a ratio below 2 likewise 0.6.
+        """
+        if name.rstrip("0123456789") == "nu":
+            return cls(name, low, high, high - low)
+        axis = cls(name, low, high, 0.6)
+        return cls(name, low, high, 0.3 * float(np.log(high / low))) if axis.is_logarithmic else axis
+
+
+@dataclass(frozen=True)
+class Box:
+    """Ranges of inputs; those whose ends are equal have one value and no coordinate."""
+
+    ranges: Ranges
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """Inputs that vary."""
+        return tuple(Axis.of(*entry) for entry in self.ranges if entry[1] < entry[2])
+
+    def holds(self, inputs: Mapping[str, float]) -> bool:
+        """Return whether inputs lie in the box, its bounds included."""
+        return all(low <= inputs[name] <= high for name, low, high in self.ranges)
+
+    def coordinates(self, inputs: Mapping[str, float]) -> Float[np.ndarray, " axis"]:
+        """Return coordinates of inputs, from 0 to 1 in the box."""
+        return np.array([axis.coordinate(inputs[axis.name]) for axis in self.axes])
+
+    def inputs(self, coordinates: Sequence[float]) -> dict[str, float]:
+        """Return the inputs at coordinates."""
+        at = {axis.name: axis.value(c) for axis, c in zip(self.axes, coordinates, strict=True)}
+        return {name: at.get(name, low) for name, low, _ in self.ranges}
+
+    def points(self) -> Iterator[tuple[float, ...]]:
+        """Yield coordinates of the points to solve: corners if they are few, then Sobol's without its first."""
+        from scipy.stats import qmc  # slow to import, and needed only where anchors are not on disk
+
+        count = len(self.axes)
+        if 2**count <= MOST_CORNERS:
+            yield from product((0.0, 1.0), repeat=count)
+        sequence = qmc.Sobol(count, scramble=False)
+        sequence.fast_forward(1)
+        for row in sequence.random(POINTS_PER_INPUT * count):
+            yield tuple(float(c) for c in row)
+
+    def distances(
+        self, coordinates: Float[np.ndarray, "point axis"], at: Float[np.ndarray, " axis"]
+    ) -> Float[np.ndarray, " point"]:
+        """Return how far the factorised Jacobians of points are from that at a point."""
+        lengths = np.array([axis.length for axis in self.axes])
+        return np.asarray(np.linalg.norm((coordinates - at) * lengths, axis=1))
+
+
+def as_ranges(given: Any) -> Ranges:
+    """Return a mapping of inputs to numbers or pairs [lowest, highest] as ranges."""
+    if not isinstance(given, Mapping) or not given:
+        raise refused(OPTION, given, f"lowest and highest value of each input of the model, {EXAMPLE}")
+    return tuple((str(name), *_ends(name, entry)) for name, entry in given.items())
+
+
+def check_ranges(ranges: Ranges, inputs: Sequence[ModelInput], *, steady: bool) -> None:
+    """Refuse ranges of other inputs than the model's, or outside what these admit, and anchors of runs through time.
+
+    Without inflow nothing bends, and logarithms of strains have no value: a range of the inflow lies above 0.
+    """
+    if not ranges:
+        return
+    if not steady:
+        expected = "no course: a run through time does not start from anchors"
+        raise refused(OPTION, "anchors with a course", expected, "Remove one of the two.")
+    known, given = {item.name: item for item in inputs}, [name for name, _, _ in ranges]
+    for name in [*given, *known]:
+        if name not in known or name not in given:
+            odd = name not in known
+            raise refused(
+                OPTION,
+                f"{name}, which is no input" if odd else f"no {name}",
+                f"lowest and highest value of {', '.join(known)}; one number where an input is the same in all runs",
+                f"Remove {name}." if odd else f"Add {name}.",
+            )
+    for name, low, high in ranges:
+        item = replace(known[name], low_included=known[name].low_included and name not in DRIVES)
+        if not (low <= high and item.admits(low) and item.admits(high)):
+            expected = f"the lowest value, then the highest, both in {item.range_text()}"
+            raise refused(f"{name} in the {OPTION}", low if low == high else [low, high], expected)
+    if all(low == high for _, low, high in ranges):
+        raise refused(OPTION, "no range", f"at least one input that varies, {EXAMPLE}", "Give one a range.")
+
+
+def _ends(name: object, entry: Any) -> tuple[float, float]:
+    ends = entry if isinstance(entry, list | tuple) else [entry, entry]
+    are_numbers = all(isinstance(end, int | float) and not isinstance(end, bool) for end in ends)
+    if not are_numbers or finite(ends).shape != (2,):
+        raise refused(f"{name} in the {OPTION}", entry, "a number, or lowest and highest value as [100, 800]")
+    return float(ends[0]), float(ends[1])
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """What was found at the points of a box.
+
+    Args:
+        coordinates: Points whose first-order state was found (point, axis).
+        strains: Largest compressive strain of the first-order state at each (point,).
+        solved: Which points have a steady state (point,).
+        unknowns: The steady states (solved point, unknown), scaled.
+    """
+
+    coordinates: Float[np.ndarray, "point axis"]
+    strains: Float[np.ndarray, " point"]
+    solved: Bool[np.ndarray, " point"]
+    unknowns: Float[np.ndarray, "solved unknown"]
+
+    @property
+    def anchors(self) -> Float[np.ndarray, "solved axis"]:
+        """Coordinates of the steady states."""
+        return np.asarray(self.coordinates[self.solved])
+
+    @property
+    def suffice(self) -> bool:
+        """Whether there are enough steady states to interpolate."""
+        axes = self.coordinates.shape[1]
+        enough = len(self.anchors) > axes + 1
+        return bool(enough and np.linalg.matrix_rank(self.anchors - self.anchors.mean(0)) == axes)
+
+    def strain(self, at: Float[np.ndarray, " axis"]) -> float:
+        """Return the predicted strain of the first-order state."""
+        return float(np.exp(self._strain(at[None])[0]))
+
+    def guess(self, at: Float[np.ndarray, " axis"]) -> Vector:
+        """Return the predicted steady state, scaled."""
+        return np.asarray(self._state(at[None])[0])
+
+    @cached_property
+    def _strain(self) -> RBFInterpolator:
+        return RBFInterpolator(self.coordinates, np.log(self.strains), kernel="cubic", degree=1)
+
+    @cached_property
+    def _state(self) -> RBFInterpolator:
+        return RBFInterpolator(self.anchors, self.unknowns, kernel="cubic", degree=1)
+
+    @classmethod
+    def solve(
+        cls,
+        box: Box,
+        first_order_strain: Callable[[Mapping[str, float]], float],
+        steady_state: Callable[[Mapping[str, float]], Vector],
+        largest_strain: float,
+    ) -> "States":
+        """Return the states at the points of a box; where it bends too far, or the run fails, there is no anchor.
+
+        Args:
+            box: The box.
+            first_order_strain: Largest compressive strain of the first-order state, by inputs.
+            steady_state: Unknowns of the steady state, by inputs.
+            largest_strain: Largest such strain with which a steady state is solved.
+        """
+        points: list[tuple[float, ...]] = []
+        strains: list[float] = []
+        found: list[Vector | None] = []
+        for point in box.points():
+            with contextlib.suppress(ForwardModelError):
+                strain = first_order_strain(box.inputs(point))
+                points.append(point)
+                strains.append(max(strain, np.finfo(float).tiny))
+                found.append(None)
+                if strain <= largest_strain:
+                    found[-1] = steady_state(box.inputs(point))
+        solved = [x for x in found if x is not None]
+        return cls(
+            np.array(points).reshape(len(points), len(box.axes)),
+            np.array(strains),
+            np.array([x is not None for x in found], dtype=bool),
+            np.array(solved) if solved else np.empty((0, 0)),
+        )
+
+
+def anchors_file(geometry: str, box: Box) -> Path:
+    """Return the file in the user's cache for a cell and a box; its name tells all that their bits depend on.
+
+    `geometry` is a text that identifies the cell.
+    """
+    parts = [str(REVISION), geometry, repr(box), linear_solver(), platform.machine(), *map(_installed, PACKAGES)]
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "strandline" / "anchors"
+    return folder / f"{hashlib.sha256('|'.join(parts).encode()).hexdigest()[:32]}.npz"
+
+
+def save_anchors(states: States, path: Path) -> None:
+    """Write a file, or none where the disk refuses it; another process never sees half of it."""
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=".part")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                arrays = {field: getattr(states, field) for field in FIELDS}
+                np.savez(file, **arrays, digest=np.array(_digest(path, arrays)))
+            Path(name).replace(path)
+        finally:
+            Path(name).unlink(missing_ok=True)
+
+
+def load_anchors(path: Path) -> States | None:
+    """Return the states of a file; None if there is none, a damaged one, or one written under another name."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
+            arrays = {field: content[field] for field in FIELDS}
+            return States(**arrays) if str(content["digest"]) == _digest(path, arrays) else None
+    except (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error):
+        return None
+
+
+def _digest(path: Path, arrays: Mapping[str, np.ndarray]) -> str:
+    """Return a digest of a file's name and of what it holds."""
+    found = hashlib.sha256(path.stem.encode())
+    for field in FIELDS:
+        found.update(f"{field}{arrays[field].shape}{arrays[field].dtype}".encode() + arrays[field].tobytes())
+    return found.hexdigest()
+
+
+def _installed(package: str) -> str:
+    try:
+        return f"{package} {version(package)}"
+    except PackageNotFoundError:
+        return ""

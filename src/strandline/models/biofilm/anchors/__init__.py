@@ -1,1 +1,0 @@
-"""Runs that start from steady states solved beforehand, so that most of them need no Jacobian."""

@@ -1,1 +1,0 @@
-"""A solid that creeps: Maxwell branches beside an elastic law, and the way through time."""
