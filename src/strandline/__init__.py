@@ -29,13 +29,12 @@ if TYPE_CHECKING:
     from strandline.posterior import Posterior
     from strandline.posterior.quadrature import integrate
     from strandline.priors import LogNormal, LogUniform, Normal, ScaledBeta, Uniform
-    from strandline.questions.compare.study_comparison import compare
-    from strandline.questions.coverage.study_coverage import coverage
-    from strandline.questions.next.next_experiment import next_experiment
-    from strandline.questions.specimens.opened import open_specimens
-    from strandline.questions.specimens.study_specimens import specimens
-    from strandline.questions.specimens.watch import watch_specimens
-    from strandline.questions.what_if.study_what_if import what_if
+    from strandline.questions.compare import compare
+    from strandline.questions.coverage import coverage
+    from strandline.questions.next import next_experiment
+    from strandline.questions.opened import open_specimens
+    from strandline.questions.specimens import specimens, watch_specimens
+    from strandline.questions.what_if import what_if
     from strandline.runs import InProcess, Ledger, LocalProcesses, RunRecord, run_campaign
     from strandline.smc import SMCSettings, sample
     from strandline.studies import Outcome, Result, Study, load_result, load_study, run_study
@@ -117,13 +116,12 @@ _NAMES_OF = {
     "posterior": "Posterior",
     "calibration": "Problem Settings Observer Calibration calibrate",
     "studies": "Study load_study Outcome run_study Result load_result",
-    "questions.coverage.study_coverage": "coverage",
-    "questions.next.next_experiment": "next_experiment",
-    "questions.what_if.study_what_if": "what_if",
-    "questions.compare.study_comparison": "compare",
-    "questions.specimens.study_specimens": "specimens",
-    "questions.specimens.opened": "open_specimens",
-    "questions.specimens.watch": "watch_specimens",
+    "questions.coverage": "coverage",
+    "questions.next": "next_experiment",
+    "questions.what_if": "what_if",
+    "questions.compare": "compare",
+    "questions.specimens": "specimens watch_specimens",
+    "questions.opened": "open_specimens",
     "errors": "StrandlineError InvalidInput ForwardModelError NumericsError",
 }
 _HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}

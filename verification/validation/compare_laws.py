@@ -146,7 +146,7 @@ def against_quadrature(nodes: int, folder: Path) -> tuple[Table, list[str]]:
             *(by_quadrature(law, rates, seen, one, nodes, folder) for law, one in zip(LAWS, posteriors, strict=True)),
             strict=True,
         )
-        (factor,) = found.found.factors
+        (factor,) = found.found.models.factors
         ln = factor.ln if factor.of == LAWS[0] else -factor.ln
         runs = [one["runs"] for one in found.content["models"].values()]
         rates_shown = " + ".join(f"{rate:g}" for rate in rates.values())

@@ -21,8 +21,10 @@ from jaxtyping import Float
 from verification.validation.tables import Table, put_into_page
 
 import strandline as sl
-from strandline.population import SpecimenPosterior, Task, population_of, posteriors_of, shrunk
-from strandline.questions.specimens.opened import Specimens
+from strandline.questions.many import Task, posteriors_of
+from strandline.questions.opened import Specimens
+from strandline.questions.population import population_of, shrunk
+from strandline.questions.specimen import SpecimenPosterior
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "many-specimens.md"
 STUDY = """\

@@ -75,7 +75,7 @@ def rows(folder: Path) -> Iterator[tuple[Cell, ...]]:
     study = sl.load_study(folder)
     begun = time.perf_counter()
     asked = [{**question, "name": name} for name, (question, _) in CHANGES.items()]
-    answers = {one.alternative.name: one for one in sl.what_if(study, asked).answers}
+    answers = {one.alternative.name: one for one in sl.what_if(study, asked).found}
     print(f"what-if: {time.perf_counter() - begun:.1f} s", flush=True)
     for number, (name, (_, changes)) in enumerate(CHANGES.items(), start=1):
         target = changed(folder, number, changes)

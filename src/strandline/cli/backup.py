@@ -6,14 +6,12 @@ from pathlib import Path
 
 import click
 
-from strandline.cli.study_folder import STUDY
+from strandline.cli import options
 from strandline.errors import InvalidInput
-
-__all__ = ["command"]
 
 
 @click.command("backup")
-@click.argument("study", type=STUDY)
+@options.study
 @click.argument("file", type=click.Path(path_type=Path))
 def command(study: Path, file: Path) -> None:
     """Copy the ledger of STUDY to FILE, which must not exist; it may be running meanwhile.

@@ -12,9 +12,7 @@ if TYPE_CHECKING:
     from strandline.runs import RunRecord
     from strandline.studies import Study
 
-from strandline.cli.study_folder import STUDY
-
-__all__ = ["command"]
+from strandline.cli import options
 
 PICTURE = "check.png"
 MOST_PLANNED = 1000
@@ -22,9 +20,9 @@ MOST_PLANNED = 1000
 
 
 @click.command("check")
-@click.argument("study", type=STUDY)
+@options.study
 @click.option("--plot", is_flag=True, help="Draw check.png in the study folder: observed, undeformed, simulated.")
-@click.option("--json", "as_json", is_flag=True, help="Print everything as one JSON object.")
+@options.as_json
 @click.option("--widths", is_flag=True, help="Predict the posterior's widths; makes one more run per input if needed.")
 def command(study: Path, plot: bool, as_json: bool, widths: bool) -> None:
     """Validate STUDY (a folder) and make one forward run at the medians of the priors.

@@ -4,13 +4,11 @@ from pathlib import Path
 
 import click
 
-from strandline.cli.study_folder import STUDY
-
-__all__ = ["command"]
+from strandline.cli import options
 
 
 @click.command("doctor")
-@click.argument("study", type=STUDY)
+@options.study
 def command(study: Path) -> None:
     """Look for damage, gaps and drift in STUDY, and say what to do about each; change nothing.
 

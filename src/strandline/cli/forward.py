@@ -17,15 +17,13 @@ if TYPE_CHECKING:
     from strandline.models.protocol import ForwardModel
     from strandline.runs import RunRecord
 
-from strandline.cli.study_folder import STUDY
-
-__all__ = ["attempted", "command", "show_remains"]
+from strandline.cli import options
 
 LOG_LINES = 20
 
 
 @click.command("forward")
-@click.argument("study", type=STUDY)
+@options.study
 @click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="An input or fixed quantity; repeatable.")
 @click.option("--csv", "csv_path", type=click.Path(path_type=Path), help="Write the deformed interface, x,y in mm.")
 @click.option("--json", "as_json", is_flag=True, help="Print the outcome as one JSON object.")
@@ -159,12 +157,7 @@ def _parsed(settings: tuple[str, ...]) -> dict[str, float]:
         except ValueError:
             values[name.strip()] = math.nan
         if not math.isfinite(values[name.strip()]):
-            raise InvalidInput(
-                "--set",
-                value=text,
-                expected="NAME=NUMBER, e.g. E=400",
-                remedy="Correct the option.",
-            )
+            raise InvalidInput("--set", value=text, expected="NAME=NUMBER, e.g. E=400", remedy="Correct the option.")
     return values
 
 

@@ -11,13 +11,11 @@ from strandline.errors import InvalidInput, InvalidStudy
 if TYPE_CHECKING:
     from strandline.studies.pictures.shown import PictureFiles
 
-from strandline.cli.study_folder import STUDY
-
-__all__ = ["command"]
+from strandline.cli import options
 
 
 @click.command("image")
-@click.argument("study", type=STUDY)
+@options.study
 @click.option("--edit", is_flag=True, help="Write a page on which to mark path, scale, origin and regions instead.")
 @click.option(
     "--condition",

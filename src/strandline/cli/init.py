@@ -12,8 +12,6 @@ from strandline.studies.template import EXAMPLES, OWN, write_example
 if TYPE_CHECKING:
     from strandline.studies.template import Observed
 
-__all__ = ["command"]
-
 NOT_NEGATIVE = click.FloatRange(min=0)
 QUESTIONS = {
     "length": "Over what length along the interface do neighbouring points err together, in µm? (0: not at all)",
@@ -104,10 +102,7 @@ def _require_observed(observed: Path | None, stated: dict[str, Any]) -> None:
         )
     if observed is not None and not observed.is_file():
         raise InvalidStudy(
-            "--observed",
-            value=str(observed),
-            expected="a file with a point x, y per line",
-            remedy="Correct the path.",
+            "--observed", value=str(observed), expected="a file with a point x, y per line", remedy="Correct the path."
         )
 
 

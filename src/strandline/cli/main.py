@@ -1,23 +1,23 @@
-"""The command `strandline`: its subcommands, loaded when called, and how errors end it."""
+"""The command `strandline`: its subcommands, loaded when called, and how errors and signals end it."""
 
+import contextlib
 import importlib
 import os
 import signal
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
 import click
 
-from strandline.cli.signals import Ended, end_as_ctrl_c
 from strandline.errors import InvalidInput, StrandlineError
 from strandline.registry import suggestion
 from strandline.version import __version__
 
-__all__ = ["environment", "main"]
-
 MOST_DEVICES = 8
 """Largest number of cores over which the sampler's particles are spread."""
+ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 COMMANDS = {
     "init": "Write a commented study folder that runs.",
     "noise": "Estimate the noise of an observation from its contours.",
@@ -40,6 +40,33 @@ COMMANDS = {
     "forward": "Make one forward run at chosen inputs.",
     "serve": "Serve a study's model to other programs, by UM-Bridge.",
 }
+
+
+class EndedBySignal(KeyboardInterrupt):
+    """A signal that ends the command; `number` is the signal's number."""
+
+    def __init__(self, number: int) -> None:
+        self.number = signal.Signals(number)
+        super().__init__(self.number.name)
+
+
+def end_as_ctrl_c() -> None:
+    """Make SIGTERM and SIGHUP raise `EndedBySignal` unless they are ignored, as under ``nohup``.
+
+    Only the first signal counts: later ones, such as those when a terminal closes, do not disturb the cleanup.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return
+    for number in ENDINGS:
+        if signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, _end_once)
+
+
+def _end_once(number: int, _frame: Any) -> None:
+    for each in ENDINGS:
+        with contextlib.suppress(ValueError):
+            signal.signal(each, signal.SIG_IGN)
+    raise EndedBySignal(number)
 
 
 class _Interrupted(BaseException):
@@ -155,7 +182,7 @@ def _call(command: click.Command, arguments: list[str] | None) -> Any:
 
 
 def _end_interrupted(cause: KeyboardInterrupt) -> None:
-    by, number = (f" by {cause.number.name}", cause.number) if isinstance(cause, Ended) else ("", signal.SIGINT)
+    by, number = (f" by {cause.number.name}", cause.number) if isinstance(cause, EndedBySignal) else ("", signal.SIGINT)
     _end(f"interrupted{by}; what is finished is kept; run the same command again to go on", 128 + number)
 
 

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from strandline.discrepancy import Repeats, Roughness
     from strandline.interface import Interface, PointErrors
 
-__all__ = ["command"]
-
 
 @click.command("noise")
 @click.argument("files", nargs=-1, required=True, metavar="FILE...", type=click.Path(exists=True, path_type=Path))

@@ -6,9 +6,7 @@ from typing import Any
 
 import click
 
-from strandline.cli.study_folder import STUDY
-
-__all__ = ["command"]
+from strandline.cli import options
 
 
 @click.group("posterior")
@@ -17,25 +15,21 @@ def command() -> None:
 
 
 @command.command("check")
-@click.argument("study", type=STUDY)
+@options.study
 @click.option("--draws", type=int, default=200, show_default=True, help="Draws at which the true model is run.")
-@click.option("--workers", type=click.IntRange(min=1), help="Worker processes, if not as study.yaml says.")
-@click.option("--quiet", is_flag=True, help="Print only the result.")
+@options.workers
+@options.quiet
 def check(study: Path, draws: int, workers: int | None, quiet: bool) -> None:
     """Run the true model at draws of STUDY's posterior and report what the surrogate has got wrong.
 
     Finished runs are kept: started again, it goes on where it was stopped.
     """
-    from dataclasses import replace
-
     from strandline.cli.progress import observing
-    from strandline.runs import LocalProcesses
+    from strandline.runs.executors import with_workers
     from strandline.studies import check_posterior, load_study
 
     loaded = load_study(study)
-    executor = loaded.executor
-    if workers is not None and isinstance(executor, LocalProcesses):
-        executor = replace(executor, workers=workers)
+    executor = with_workers(loaded.executor, workers)
     with observing(quiet=quiet) as observer:
         found = check_posterior(loaded, draws=draws, executor=executor, observer=observer)
     _show(found.content, found.path)

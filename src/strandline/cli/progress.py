@@ -1,25 +1,28 @@
-"""Progress: bars on a terminal, plain lines elsewhere."""
+"""Progress: bars on a terminal, plain lines elsewhere; with `--verbose` also each run, step and setting."""
 
-import dataclasses
 import io
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import TextIO, cast
+from typing import Any, TextIO, cast
 
+import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 from strandline.calibration import Observer
+from strandline.calibration import Settings as Stated
 from strandline.calibration.progress_text import STAGES, part_note, run_note, step_note
 from strandline.design.active import BatchReport
 from strandline.errors import InvalidInput
+from strandline.runs import Executor, RunRecord
 from strandline.runs import Progress as Runs
-from strandline.runs import RunRecord
+from strandline.runs.journal import note as journal_note
+from strandline.runs.record import told_folder
 from strandline.smc import StepInfo
-
-__all__ = ["observing", "require_log"]
+from strandline.studies import Study
 
 SECONDS_BETWEEN_LINES = 15.0
 
@@ -58,11 +61,7 @@ def observing(
 
 
 def require_log(path: Path | None) -> None:
-    """Refuse a file for the log that cannot be written to; None is no log.
-
-    Raises:
-        InvalidInput: It cannot be written to.
-    """
+    """Refuse a file for the log that cannot be written to; None is no log."""
     if path is None:
         return
     try:
@@ -107,7 +106,7 @@ def _both(first: Observer, second: Observer) -> Observer:
 
         return tell
 
-    return Observer(**{one.name: of(one.name) for one in dataclasses.fields(Observer)})
+    return Observer(**{one.name: of(one.name) for one in fields(Observer)})
 
 
 @contextmanager
@@ -185,3 +184,80 @@ def _lines(console: Console, clock: Callable[[], float]) -> Observer:
 
 def _say(console: Console, text: str) -> None:
     console.print(text, highlight=False, soft_wrap=True, markup=False)
+
+
+KEY = 12
+"""Characters of a run's key, as in the names of the folders that are kept."""
+
+
+def detailed(study: Study, executor: Executor, say: Callable[[str], None]) -> Observer:
+    """Return an observer that says what the progress leaves out, a line at a time."""
+    settings = _settings(study.settings, executor)
+
+    def stage(name: str) -> None:
+        if name in settings:
+            say(f"  {settings.pop(name)}")
+
+    def run(record: RunRecord, state: Runs) -> None:
+        for line in _run_lines(record, study.folder / "runs"):
+            say(f"  {line}")
+
+    def step(info: StepInfo) -> None:
+        say(f"  step to tempering exponent {info.temperature:.4f}: ESS {info.ess:.0f}, accepted {info.acceptance:.0%}")
+
+    return Observer(stage=stage, run=run, step=step)
+
+
+def set_aside_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Return a line for each run that ended ok and was not used, with the reason."""
+    return [f"  run {one['key'][:KEY]} set aside ({one['kind']}): {one['why']}" for one in summary["set_aside"]]
+
+
+def _run_lines(record: RunRecord, kept: Path) -> list[str]:
+    """Return how a run ended, where its folder is, and why it failed."""
+    inputs = ", ".join(f"{name} = {value:.6g}" for name, value in record.inputs.items())
+    state = record.state if record.ok else f"{record.state} ({record.failure_kind})"
+    told = told_folder(record) or next(
+        (f"its folder: {one}" for one in _folders(kept, record.key)), "no folder is kept"
+    )
+    origin = f"; taken over from {record.origin}" if record.origin else ""
+    lines = [f"run {record.key[:KEY]} {state} in {record.seconds:.3g} s at {inputs}; {told}{origin}"]
+    reason = (record.message or "").partition("\n")[0]
+    return lines if record.ok or not reason else [*lines, f"  {reason}"]
+
+
+def _folders(kept: Path, key: str) -> list[Path]:
+    """Return the folders of a run that are kept, the last attempt first."""
+    return sorted(kept.glob(f"{key[:KEY]}-*"), key=lambda path: (len(path.name), path.name), reverse=True)
+
+
+def _settings(stated: Stated, executor: Executor) -> dict[str, str]:
+    """Return the settings of each stage in words."""
+    by = "the field" if stated.surrogate == "field" else f"the log-likelihood, kernel {stated.kernel}"
+    found = {
+        "forward": f"{stated.planned_runs} runs{' at most' if stated.active else ''} by {_in_words(executor)}",
+        "surrogate": f"of {by}",
+        "sampling": f"{stated.particles} particles, seed {stated.seed}, {_in_words(stated.smc)}",
+    }
+    if stated.active is not None:
+        found["choice"] = _in_words(stated.active)
+    elif stated.refine.rounds:
+        found["refinement"] = _in_words(stated.refine)
+    return found
+
+
+def _in_words(chosen: Any) -> str:
+    """Return a class and its options that are set: ``LocalProcesses: timeout 60.0``."""
+    name = type(chosen).__name__
+    if not is_dataclass(chosen):
+        return name
+    given = ((one.name, getattr(chosen, one.name)) for one in fields(chosen) if one.init)
+    shown = ", ".join(f"{key} {value}" for key, value in given if value is not None)
+    return f"{name}: {shown}" if shown else name
+
+
+def say_journal(study: Study, *, quiet: bool) -> None:
+    """Print on standard error that the ledger of `study` has a rollback journal, and why."""
+    line = journal_note(study.ledger_path)
+    if line and not quiet:
+        click.echo(line, err=True)

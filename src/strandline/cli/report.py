@@ -4,19 +4,16 @@ from pathlib import Path
 
 import click
 
-from strandline.cli import device as devices
-from strandline.cli.study_folder import STUDY
-
-__all__ = ["command"]
+from strandline.cli import options
 
 
 @click.command("report")
-@click.argument("study", type=STUDY)
-@devices.option
-@click.option("--quiet", is_flag=True, help="Print only the result.")
+@options.study
+@options.device
+@options.quiet
 def command(study: Path, device: str | None, quiet: bool) -> None:
     """Write posterior, figures and report of STUDY again from its ledger; no forward run is made."""
-    devices.use(device)
+    options.use_device(device)
     from strandline.cli.progress import observing
     from strandline.cli.results import show, shown_also_if_incomplete
     from strandline.studies import load_study, run_study

@@ -12,8 +12,6 @@ import click
 from strandline.errors import ResultsNotWritten
 from strandline.runs.failures import counted
 
-__all__ = ["show", "shown_also_if_incomplete"]
-
 
 @contextmanager
 def shown_also_if_incomplete(*, as_json: bool = False) -> Iterator[None]:

@@ -4,13 +4,11 @@ from pathlib import Path
 
 import click
 
-from strandline.cli.study_folder import STUDY
-
-__all__ = ["command"]
+from strandline.cli import options
 
 
 @click.command("retry")
-@click.argument("study", type=STUDY)
+@options.study
 @click.option(
     "--kind",
     "kinds",
@@ -19,8 +17,8 @@ __all__ = ["command"]
     metavar="KIND",
     help="Kind of failure, or a state: failed, timeout, killed, invalid. May be given several times.",
 )
-@click.option("--workers", type=click.IntRange(min=1), help="Worker processes, if not as study.yaml says.")
-@click.option("--quiet", is_flag=True, help="Print only the result.")
+@options.workers
+@options.quiet
 def command(study: Path, kinds: tuple[str, ...], workers: int | None, quiet: bool) -> None:
     """Make the runs of STUDY that failed with KIND again, then the runs still missing, then the results.
 
@@ -28,8 +26,7 @@ def command(study: Path, kinds: tuple[str, ...], workers: int | None, quiet: boo
     """
     from dataclasses import replace
 
-    from strandline.cli.journal import say_journal
-    from strandline.cli.progress import observing
+    from strandline.cli.progress import observing, say_journal
     from strandline.cli.results import show, shown_also_if_incomplete
     from strandline.runs.executors import with_workers
     from strandline.runs.failures import require_kinds

@@ -1,5 +1,7 @@
 """`strandline run`: the whole study."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,13 +11,10 @@ from click.shell_completion import CompletionItem
 
 if TYPE_CHECKING:
     from strandline.calibration import Observer
-    from strandline.runs import Progress, RunRecord
+    from strandline.runs import Executor, Progress, RunRecord
     from strandline.studies import Study
 
-from strandline.cli import device as devices
-from strandline.cli.study_folder import STUDY
-
-__all__ = ["command"]
+from strandline.cli import options
 
 
 def _keys(context: click.Context, option: click.Parameter, start: str) -> list[CompletionItem]:
@@ -28,7 +27,7 @@ def _keys(context: click.Context, option: click.Parameter, start: str) -> list[C
 
 
 @click.command("run")
-@click.argument("study", type=STUDY)
+@options.study
 @click.option(
     "--set",
     "settings",
@@ -38,13 +37,13 @@ def _keys(context: click.Context, option: click.Parameter, start: str) -> list[C
     help="Run a copy of the study with another value, e.g. noise.sd=3; can be repeated.",
 )
 @click.option("--into", type=click.Path(path_type=Path, file_okay=False), help="Folder of that copy.")
-@click.option("--workers", type=click.IntRange(min=1), help="Worker processes, if not as study.yaml says.")
-@devices.option
+@options.workers
+@options.device
 @click.option("--detach", is_flag=True, help="Submit the runs of a SLURM array and leave; `run` again collects them.")
 @click.option("--json", "as_json", is_flag=True, help="Print the content of summary.json as one JSON object.")
 @click.option("--log", type=click.Path(path_type=Path, dir_okay=False), help="Add the progress, with times, to a file.")
 @click.option("--verbose", is_flag=True, help="Also show each run and step as it ends, and the settings of each stage.")
-@click.option("--quiet", is_flag=True, help="Print only the result.")
+@options.quiet
 def command(
     study: Path,
     settings: tuple[str, ...],
@@ -66,13 +65,10 @@ def command(
     that fit; the same command again goes on there.
     """
     _require_one(verbose=verbose, quiet=quiet)
-    devices.use(device)
+    options.use_device(device)
     from functools import partial
 
-    from strandline.cli.detached import submit, told_what_goes_on
-    from strandline.cli.details import detailed, set_aside_lines
-    from strandline.cli.journal import say_journal
-    from strandline.cli.progress import observing, require_log
+    from strandline.cli.progress import detailed, observing, require_log, say_journal, set_aside_lines
     from strandline.cli.results import show, shown_also_if_incomplete
     from strandline.runs.executors import with_workers
     from strandline.studies import load_study, run_study
@@ -92,9 +88,9 @@ def command(
     details = partial(detailed, loaded, executor) if verbose else None
     with shown_also_if_incomplete(as_json=as_json), observing(quiet=quiet, log=log, details=details) as observer:
         if detach:
-            submit(loaded, executor, observer)
+            _submit(loaded, executor, observer)
             return
-        with told_what_goes_on(loaded, executor):
+        with _told_what_goes_on(loaded, executor):
             outcome = run_study(loaded, executor=executor, observer=_doubting(loaded, observer))
         if verbose:
             for line in set_aside_lines(outcome.summary):
@@ -133,11 +129,7 @@ def _require_one(*, verbose: bool, quiet: bool) -> None:
 
 
 def _with_settings(study: Path, settings: tuple[str, ...], into: Path | None, *, quiet: bool) -> Path:
-    """Return the folder of the study with other values, or `study` itself if there are none.
-
-    Raises:
-        InvalidStudy: A setting cannot be used, the folder holds another study, or there is a folder but no setting.
-    """
+    """Return the folder of the study with other values, or `study` itself if there are none."""
     from strandline.errors import InvalidStudy
     from strandline.studies.changed_copy import changed_study
 
@@ -160,3 +152,43 @@ def _shortest(folder: Path) -> Path:
     """Return the path from the current folder if `folder` lies below it, else `folder`."""
     here = Path.cwd()
     return folder.relative_to(here) if folder.is_relative_to(here) and folder != here else folder
+
+
+def _submit(study: "Study", executor: "Executor", observer: "Observer") -> None:
+    """Submit all runs that `study` is known to need, and print what to do next."""
+    from strandline.errors import InvalidInput
+    from strandline.runs.executors.slurm_array import Detached, SlurmArray
+    from strandline.studies.run import submit_study
+
+    if not isinstance(executor, SlurmArray):
+        raise InvalidInput(
+            "--detach",
+            value=f"the executor {type(executor).__name__}",
+            expected="runs that go on without a driver, executor: {slurm_array: …}",
+            remedy="Leave --detach out, or choose that executor in study.yaml.",
+        )
+    try:
+        submit_study(study, executor=replace(executor, detach=True), observer=observer)
+    except Detached as detached:
+        click.echo(
+            f"{detached.number} runs are with SLURM (`squeue --me`), their batches in {executor.folder}.\n"
+            f"They go on by themselves. `strandline run {study.folder}` collects them and does the rest."
+        )
+    else:
+        click.echo(f"every run of the design is done. `strandline run {study.folder}` makes the results.")
+
+
+@contextmanager
+def _told_what_goes_on(study: "Study", executor: "Executor") -> Iterator[None]:
+    """Report the runs that continue in SLURM if the driver is interrupted."""
+    from strandline.runs.executors.slurm_array import SlurmArray
+    from strandline.runs.executors.slurm_batch import known_batches
+
+    try:
+        yield
+    except KeyboardInterrupt:
+        number = study.runs.open_attempts
+        if number and isinstance(executor, SlurmArray):
+            names = ",".join(batch.name for batch in known_batches(executor.folder))
+            click.echo(f"runs that go on in SLURM: {number} (`scancel --name={names}` would end them)", err=True)
+        raise

@@ -13,9 +13,7 @@ from strandline.errors import InvalidInput
 if TYPE_CHECKING:
     from strandline.runs.overview import Details, Overview, Run
 
-from strandline.cli.study_folder import STUDY
-
-__all__ = ["command"]
+from strandline.cli import options
 
 SHORT = 12
 """Characters of a key in the list; as few of its first characters as are unique identify a run."""
@@ -23,7 +21,7 @@ SUFFIXES = (".csv", ".nc")
 
 
 @click.command("runs")
-@click.argument("study", type=STUDY)
+@options.study
 @click.option("--state", help="Only runs of this state: ok, failed, timeout, killed, invalid, excluded or open.")
 @click.option("--kind", help="Only runs that failed for this reason.")
 @click.option("--limit", type=click.IntRange(min=1), metavar="N", help="At most N, the last to be started.")
@@ -52,7 +50,6 @@ def command(
     State `open`: started and not ended, under way or lost; `excluded`: by --exclude, which needs the ledger for itself.
     FILE.csv has a row per run, FILE.nc the interfaces too.
     """
-    from strandline.cli.leaving_out import as_used, change, reasons
     from strandline.runs.overview import Overview
     from strandline.studies.folder import LEDGER
 
@@ -64,14 +61,14 @@ def command(
         option = _require_one_change(exclude, include, state, kind, limit, show, export, as_json or None)
         with Overview(study / LEDGER) as ledger:
             run = _found(exclude or include or "", ledger.runs(), option)
-        change(study, run.key, why, exclude=exclude is not None)
+        _change(study, run.key, why, exclude=exclude is not None)
         return
     with Overview(study / LEDGER) as ledger:
-        runs = as_used(ledger.runs(), study)
+        runs = _as_used(ledger.runs(), study)
         if show is not None:
             _require_alone(state, kind, limit, export, as_json or None)
             run = _found(show, runs)
-            click.echo("\n".join((*_in_full(run, ledger), *reasons(run, study))))
+            click.echo("\n".join((*_in_full(run, ledger), *_reasons(run, study))))
             return
         _require_kind(kind, runs)
         chosen = [run for run in runs if state in (None, run.last.state) and kind in (None, run.last.kind)]
@@ -232,3 +229,63 @@ def _export(path: Path, runs: Sequence["Run"], ledger: "Overview") -> None:
         )
     note = write_csv(path, runs, ledger) if path.suffix == ".csv" else write_netcdf(path, runs, ledger)
     click.echo(f"wrote {path}: {len(runs)} runs{note}")
+
+
+def _as_used(runs: Sequence["Run"], folder: Path) -> list["Run"]:
+    """Return the runs with the state that the analysis gives them: excluded by hand, or set aside as invalid."""
+    from strandline.runs.ledger_schema import EXCLUDED
+
+    kinds = {key: kind for key, (kind, _) in _set_aside(folder).items()}
+    out = []
+    for run in runs:
+        if run.exclusion is not None:
+            run = _ending(run, EXCLUDED, EXCLUDED)
+        elif run.key in kinds and run.last.state == "ok":
+            run = _ending(run, "invalid", kinds[run.key])
+        out.append(run)
+    return out
+
+
+def _reasons(run: "Run", folder: Path) -> Iterator[str]:
+    """Yield why a run is left out."""
+    if run.exclusion is not None:
+        when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(run.exclusion.decided_at))
+        yield f"excluded: {when}, {run.exclusion.why}"
+    kind, why = _set_aside(folder).get(run.key, ("", ""))
+    if kind:
+        yield f"set aside by the last analysis: {kind}, {why}"
+
+
+def _change(folder: Path, key: str, why: str | None, *, exclude: bool) -> None:
+    """Exclude the run with this key, or include it again, and print what was done."""
+    from strandline.runs import Ledger
+    from strandline.studies.folder import LEDGER
+
+    if exclude and why is None:
+        raise InvalidInput(
+            "--exclude", value="no reason", expected="--why REASON too", remedy='Add --why "the mesh folded over".'
+        )
+    path = folder / LEDGER
+    with Ledger.open(path, model=None, read_only=True) as reader:
+        model = reader.model
+    with Ledger.open(path, model=model) as ledger:
+        ledger.exclude(key, why or "") if exclude else ledger.include(key, why or "")
+    done = "excluded: it is not used and not made again" if exclude else "included again"
+    click.echo(f"run {key[:12]} is {done}; `strandline run {folder}` makes the results again")
+
+
+def _ending(run: "Run", state: str, kind: str) -> "Run":
+    return run._replace(attempts=(*run.attempts[:-1], run.last._replace(state=state, kind=kind)))
+
+
+def _set_aside(folder: Path) -> dict[str, tuple[str, str]]:
+    """Return kind and reason of the runs that the last analysis of study.yaml did not use at all, by key."""
+    from strandline.studies.folder import SUMMARY
+
+    try:
+        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+        first = summary["likelihood"]["discrepancy"]
+        some = [one for one in summary["set_aside"] if one["measure"] in (None, first)]
+        return {one["key"]: (one["kind"], one["why"]) for one in some}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}

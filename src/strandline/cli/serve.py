@@ -12,13 +12,11 @@ if TYPE_CHECKING:
     from strandline.studies import Study
     from strandline.studies.serve import Solver
 
-from strandline.cli.study_folder import STUDY
-
-__all__ = ["command"]
+from strandline.cli import options
 
 
 @click.command("serve")
-@click.argument("study", type=STUDY)
+@options.study
 @click.option("--port", type=click.IntRange(0, 65535), default=4242, help="To listen on; 0 takes any free one. [4242]")
 @click.option("--host", default="127.0.0.1", help="Address to listen on. [127.0.0.1, this machine alone]")
 @click.option("--workers", type=click.IntRange(1), default=1, metavar="N", help="Runs made at the same time. [1]")

@@ -10,17 +10,15 @@ import click
 if TYPE_CHECKING:
     from strandline.studies.progress import RunReported, StudyProgress
 
-from strandline.cli.study_folder import STUDY
-
-__all__ = ["command", "lines_of"]
+from strandline.cli import options
 
 RESULTS = {"none": "not yet", "current": "written", "outdated": "of an earlier study.yaml"}
 LINE = 160
 
 
 @click.command("status")
-@click.argument("study", type=STUDY)
-@click.option("--json", "as_json", is_flag=True, help="Print everything as one JSON object.")
+@options.study
+@options.as_json
 def command(study: Path, as_json: bool) -> None:
     """Count the runs of STUDY by how they ended; show the pace, the slowest run, and why runs failed.
 

@@ -5,13 +5,11 @@ from pathlib import Path
 
 import click
 
-from strandline.cli.study_folder import STUDY
-
-__all__ = ["command"]
+from strandline.cli import options
 
 
 @click.command("view")
-@click.argument("study", type=STUDY)
+@options.study
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="To listen on; by default any free one.")
 @click.option("--no-browser", is_flag=True, help="Print the address only.")
 def command(study: Path, port: int, no_browser: bool) -> None:

@@ -1,21 +1,43 @@
-"""The interface learnt from the runs of a finished study: what every question looks through."""
+"""The interface learnt from the runs of a finished study, which every question looks through."""
 
+import json
 from collections.abc import Sequence
+from hashlib import sha256
+from typing import Any
 
 import numpy as np
 
 from strandline.calibration.learning import known_field
 from strandline.design.active import Knowledge
 from strandline.design.active.fidelities import as_by_model
-from strandline.errors import InvalidStudy, NoCommonPoints
+from strandline.errors import InvalidInput, InvalidStudy, NoCommonPoints
 from strandline.likelihood.set_aside import Judge
 from strandline.runs import Ledger, RunRecord
+from strandline.runs.ledger_rows import outcome_digest
 from strandline.studies.first_run import observations_of
 from strandline.studies.models import cheaper_dropped
 from strandline.studies.study import Study
 from strandline.studies.study_runs import settled
+from strandline.version import __version__
 
-__all__ = ["field_knowledge", "runs_to_learn_from"]
+
+def chosen_measure(study: Study, name: str | None, of: str) -> str:
+    """Return the name of a measure of the study, by default its first; `of` is what it is for."""
+    if name is not None and name not in study.discrepancies:
+        raise InvalidInput(
+            f"measure of {of}",
+            value=name,
+            expected=f"one of the study's: {', '.join(study.discrepancies)}",
+            remedy="Name one of them, or add it to study.yaml under discrepancy.",
+        )
+    return next(iter(study.discrepancies)) if name is None else name
+
+
+def require_seed(seed: int, of: str) -> None:
+    """Refuse a negative seed; `of` says what it is for."""
+    if seed < 0:
+        raise InvalidInput(f"seed of {of}", value=seed, expected="0 or above", remedy="Choose another one.")
+
 
 MOST_ROWS, FEWEST_RUNS = 400, 50
 """Values and derivatives from which the interface is learnt in a study that learns the log-likelihood; fewest runs."""
@@ -84,3 +106,18 @@ def _thinned(study: Study, records: tuple[RunRecord, ...]) -> tuple[RunRecord, .
     if study.settings.surrogate == "field" or len(records) <= most:
         return records
     return (*records[: most // 2], *records[-(most // 2) :])
+
+
+def digest_of(study: Study, measure: str, seed: int, **more: Any) -> str:
+    """Return a digest of what an answer depends on: study, runs, inputs, measure, seed, this version, and `more`."""
+    facts = {
+        "study": study.text_digest,
+        "model": study.runs.identity,
+        "runs": outcome_digest(study.ledger_path, frozenset(study.runs.needed_keys)),
+        "inputs": repr(study.space),
+        "measure": f"{measure}: {study.discrepancies[measure]!r}",
+        "seed": seed,
+        "version": __version__,
+        **more,
+    }
+    return sha256(json.dumps(facts).encode()).hexdigest()

@@ -21,6 +21,7 @@ PLOTLY = PANELS / "vendor" / "plotly-cartesian.min.js"
 IMPORT = re.compile(r'^import \{ (\w+(?:, \w+)*) \} from "\./([\w-]+)\.js";$', re.MULTILINE)
 EXPORT = re.compile(r"^export (?=(?:async )?function (\w+)|const (\w+))", re.MULTILINE)
 LEFT = re.compile(r"^\s*(?:import|export)\b.*", re.MULTILINE)
+NUMBER = re.compile(r"(?<!\S)[-+]?\d[\d.]*(e[-+]\d+)?(?![^\s,;)])")
 PLAIN_DIGITS = 6
 """Digits up to which a number is written without a power of ten."""
 
@@ -49,6 +50,7 @@ def _environment(package: str) -> Environment:
     )
     environment.filters |= {
         "g": number,
+        "numbers": numbers,
         "fixed": fixed,
         "unit": lambda unit: unit_text(unit) or "–",
         "with_sd": lambda item: with_sd(item["mean"], item["sd"]),
@@ -69,7 +71,16 @@ def number(value: float | list[float] | None, digits: int = 4) -> str:
     if isinstance(value, list):
         return ", ".join(number(item, digits) for item in value)
     rounded = float(f"{value:.{digits}g}") + 0.0  # without the sign of a zero
-    mantissa, _, power = f"{rounded:.{max(digits, PLAIN_DIGITS)}g}".partition("e")
+    return numbers(f"{rounded:.{max(digits, PLAIN_DIGITS)}g}")
+
+
+def numbers(text: str) -> str:
+    """Return a text whose numbers have a proper minus, and powers of ten that no line break splits; HTML as it is."""
+    return text if hasattr(text, "__html__") else NUMBER.sub(_typeset, text)
+
+
+def _typeset(found: re.Match[str]) -> str:
+    mantissa, _, power = found[0].partition("e")
     raised = f"\u00a0·\u00a010{str(int(power)).translate(RAISED)}" if power else ""
     return mantissa.replace("-", "−") + raised
 

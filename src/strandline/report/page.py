@@ -150,17 +150,17 @@ def add_check(check: Mapping[str, Any], folder: Path, *, draft: bool = False) ->
         write_page(report, f"{before}{begin}{section}{end}{after}")
 
 
-def write_answer(question: str, content: Mapping[str, Any], folder: Path, *, draft: bool = False) -> Path:
-    """Write the figures of an answer into `folder`/figures, and a self-contained page about it; return its path.
+def write_answer(answer: Any, question: str, content: Mapping[str, Any], page: Path, *, draft: bool = False) -> None:
+    """Write the figures of an answer into the folder of its page, and the page.
 
     Args:
+        answer: What the page says, `strandline.questions.answer.Answer`.
         question: ``compare``, ``coverage``, ``next``, ``specimens`` or ``what-if``.
         content: Content of the answer's JSON file.
-        folder: Folder of the study, or of the comparison.
+        page: Path of the page.
         draft: Whether coarse PNGs are enough.
     """
-    figures = folder / FIGURES
+    figures = page.parent / FIGURES
     figures.mkdir(exist_ok=True)
     pictures = [saved(captioned, figures, draft=draft) for captioned in ANSWERS[question](content)]
-    page = template(f"{question}.html.j2").render(c=content, figures=pictures)
-    return write_page(folder / f"{question}.html", page)
+    write_page(page, template("answer.html.j2").render(a=answer, figures=pictures))

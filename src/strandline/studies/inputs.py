@@ -8,11 +8,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from strandline.design.candidates import WHOLE, Candidate, Look, candidates
 from strandline.errors import InvalidStudy
 from strandline.models.protocol import ForwardModel, ModelInput, UsesNames, declared_conditions, declared_inputs
 from strandline.parameters import Parameter, ParameterSpace
-from strandline.planning.candidate import Candidate, Look, candidates
-from strandline.planning.view import WHOLE
 from strandline.priors import PRIORS, Prior
 from strandline.readers.options import TO_MM
 from strandline.registry import suggestion

@@ -7,12 +7,12 @@ from functools import cached_property, partial
 from pathlib import Path
 
 from strandline.calibration import Settings
+from strandline.design.candidates import Candidate
 from strandline.discrepancy import Discrepancy
 from strandline.errors import InvalidStudy
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
 from strandline.models.protocol import ForwardModel, asks_sensitivities, declared_conditions
 from strandline.parameters import ParameterSpace
-from strandline.planning.candidate import Candidate
 from strandline.runs import Executor
 from strandline.studies.folder import LEDGER, digest_of
 from strandline.studies.inputs import build_fixed, build_space, check_complete, read_candidates

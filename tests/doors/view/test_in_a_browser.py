@@ -122,7 +122,7 @@ def test_sliders_of_the_assumptions_move_the_posterior_by_keys_too(person: Perso
     person.waits_for(lambda: "effective draws" in person.text("#asked-note"))
     person.slides(NOISE, float(np.log(2.0)))
     person.sees_asked(4)
-    (answer,) = sl.what_if(sl.load_study(folder), [{"noise": {"sd": 6, "unit": "um"}}]).answers
+    (answer,) = sl.what_if(sl.load_study(folder), [{"noise": {"sd": 6, "unit": "um"}}]).found
     person.waits_for(lambda: abs(person.asked()[1] / answer.draws.sd[0] - 1) < 0.12)
     assert person.asked()[0] == pytest.approx(answer.draws.mean[0], abs=0.2 * answer.draws.sd[0])
     person.page.select_option("[data-knob='prior E']", "normal")

@@ -17,7 +17,7 @@ from strandline.calibration.evidence import Evidence
 from strandline.cli import main
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.likelihood import InterfaceLikelihood
-from strandline.questions.compare import study_comparison as module
+from strandline.questions import compare as module
 from strandline.testing.studies import undeclared_beam, write_study
 
 E, SD = {"prior": {"uniform": [300, 560]}, "unit": "Pa"}, 0.003

@@ -17,7 +17,7 @@ from strandline.interface import GaussianNoise, Interface
 from strandline.questions.coverage import coverage
 from strandline.studies.first_run import observations_of
 
-FEWEST = "strandline.questions.coverage.study_coverage.FEWEST_REPLICATES"
+FEWEST = "strandline.questions.coverage.FEWEST_REPLICATES"
 
 
 @pytest.fixture(scope="module")
@@ -96,6 +96,6 @@ def test_the_command_prints_what_it_writes(folder, capsys):
 
 def test_a_coarse_surrogate_is_refused(folder, monkeypatch):
     coarse = FieldQuality(hidden=0.001, median=0.002, q95=0.004, left_out=0.003, beyond=0.62)
-    monkeypatch.setattr("strandline.questions.coverage.study_coverage.field_quality", lambda source: coarse)
+    monkeypatch.setattr("strandline.questions.coverage.field_quality", lambda source: coarse)
     with pytest.raises(InvalidInput, match=r"got errors above 0.5 µm at 62 % of the draws .* an active design"):
         coverage(sl.load_study(folder), source="posterior")

@@ -17,8 +17,9 @@ import strandline as sl
 from strandline.cli import main
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Interface
-from strandline.population.certificate import Certified
-from strandline.questions.specimens import specimens, watch
+from strandline.questions import specimens as module
+from strandline.questions.certificate import Certified
+from strandline.questions.specimens import specimens
 from strandline.testing.studies import beam as true_beam
 from strandline.text import with_sd
 
@@ -120,8 +121,8 @@ def test_known_inputs(folder, answered):
     assert sorted(why) == ["bad.csv", "s1.csv", "s3.csv", "s4.csv"]
     assert "known value of tilt: got 0.3; expected a number from 0 to 0.04" in why["s1.csv"]
     assert "got no number for tilt" in why["s3.csv"]
-    assert [one.name for one in found.posteriors] == ["s0.csv", "s2.csv"]
-    assert found.posteriors[0].sd[0] < answered[1].posteriors[0].sd[0]
+    assert [one.name for one in found.found.posteriors] == ["s0.csv", "s2.csv"]
+    assert found.found.posteriors[0].sd[0] < answered[1].found.posteriors[0].sd[0]
     assert "No population: 2 specimens with a posterior, and at least 3 are needed." in found.content["remarks"]
 
 
@@ -170,8 +171,8 @@ def test_the_command_answers_new_files_as_they_arrive_until_ctrl_c(folder, capsy
     def wait(seconds):
         clock.now += seconds
 
-    watched = partial(watch.watch_specimens, going_on=going_on, clock=lambda: clock.now, wait=wait)
-    monkeypatch.setattr(watch, "watch_specimens", watched)
+    watched = partial(module.watch_specimens, going_on=going_on, clock=lambda: clock.now, wait=wait)
+    monkeypatch.setattr(module, "watch_specimens", watched)
     assert ends("specimens", str(folder), "--watch") == 130
     begin, good, bad = capsys.readouterr().out.splitlines()
     assert begin.startswith("beam: 5 specimens known")

@@ -12,9 +12,9 @@ import strandline as sl
 from strandline.calibration.alternative import present
 from strandline.cli import main
 from strandline.errors import InvalidInput, InvalidStudy, NoCommonPoints
+from strandline.questions.alternatives import alternative_of, require_asked
 from strandline.questions.knowledge import field_knowledge
-from strandline.questions.what_if.alternatives import alternative_of, require_asked
-from strandline.questions.what_if.study_what_if import what_if
+from strandline.questions.what_if import what_if
 from strandline.studies.progress import results_of
 from strandline.testing.studies import write_study
 
@@ -45,7 +45,7 @@ def test_what_it_writes(field, copy_of):
 def test_the_changed_study_gives_the_same_posterior(field, tmp_path, copy_of):
     """Run on its own: another sampler, from the prior, with a surrogate learnt for it."""
     asked = {**NARROW, **WIDER, "measure": "tracked_points"}
-    (answer,) = what_if(sl.load_study(copy_of(field)), [asked]).answers
+    (answer,) = what_if(sl.load_study(copy_of(field)), [asked]).found
     tilt = {"prior": {"uniform": [0.0, 0.04]}, "nuisance": True}
     inputs = {"E": {"prior": {"normal": [350, 20]}, "box": [300, 560], "unit": "Pa"}, "tilt": tilt}
     settings = {"design": {"sobol": {"runs": 32}}, "sampler": SAMPLER, "draft": True, "report": "none"}
@@ -90,7 +90,7 @@ def test_a_study_that_learns_the_log_likelihood(beam, copy_of, monkeypatch):
     study = sl.load_study(copy_of(beam))
     found = what_if(study, [{"noise": {"sd": 0.003}}])
     assert found.content["surrogate"]["shift"] < 0.2
-    assert found.answers[0].moved == ()
+    assert found.found[0].moved == ()
 
     def refuse(*given):
         raise NoCommonPoints("interfaces", value="open and closed ones", expected="alike", remedy="None.")
@@ -114,7 +114,7 @@ def test_the_command_prints_what_it_writes(field, copy_of, capsys):
         assert words in shown.out
     item = content["alternatives"][0]["inputs"]["tilt"]
     (row,) = (line for line in shown.out.splitlines() if line.startswith("other noise"))
-    assert f"tilt {item['shift']:+.2f} sd ×{item['sd_ratio']:.2f}" in row
+    assert f"{item['shift']:+.2f} sd ×{item['sd_ratio']:.2f}" in row
     main(["what-if", str(folder), "--ask", same, "--quiet"])
     shown = capsys.readouterr()
     assert shown.err == ""

@@ -65,7 +65,7 @@ def test_other_assumptions_are_those_of_what_if(viewed: ViewedStudy, field: Fini
     asked = {"noise": 1.5, "priors": {"E": {"normal": [420.0, 30.0]}}}
     narrow = {"E": {"normal": [380.0, 12.0]}}
     truth = sl.what_if(study, [{"noise": {"sd": 4.5, "unit": "um"}, "prior": asked["priors"]}, {"prior": narrow}])
-    answers = {one.alternative.kind: one for one in truth.answers}
+    answers = {one.alternative.kind: one for one in truth.found}
     both = answers["several"].draws
     quick, again = viewed.ask(asked, again=False), viewed.ask(asked, again=True)
     for found in (quick, again):

@@ -9,7 +9,8 @@ import pytest
 from tests.unit.cli.command_line import contents, ends, refused
 from tests.unit.cli.test_runs import some_runs
 
-from strandline.cli import run, signals
+from strandline.cli import run
+from strandline.cli.main import EndedBySignal, end_as_ctrl_c
 from strandline.errors import CampaignStopped, InvalidInput
 from strandline.testing.studies import write_study
 
@@ -69,8 +70,8 @@ def handlers():
 
 
 def test_the_first_signal_counts(handlers):
-    signals.end_as_ctrl_c()
-    with pytest.raises(signals.Ended) as caught:
+    end_as_ctrl_c()
+    with pytest.raises(EndedBySignal) as caught:
         signal.raise_signal(signal.SIGHUP)
     assert isinstance(caught.value, KeyboardInterrupt)
     assert caught.value.number == signal.SIGHUP
@@ -79,9 +80,9 @@ def test_the_first_signal_counts(handlers):
 
 def test_nohup_is_heeded(handlers):
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    signals.end_as_ctrl_c()
+    end_as_ctrl_c()
     signal.raise_signal(signal.SIGHUP)
-    with pytest.raises(signals.Ended):
+    with pytest.raises(EndedBySignal):
         signal.raise_signal(signal.SIGTERM)
 
 
@@ -91,7 +92,7 @@ def test_how_a_command_ends(handlers, capsys, monkeypatch):
         (CampaignStopped("all runs failed"), 1, "all runs failed"),
         (KeyboardInterrupt(), 130, f"interrupted{go_on}"),
         (InvalidInput("x", value=1, expected="2", remedy="Go."), 2, "x: got 1; expected 2. Go."),
-        (signals.Ended(signal.SIGTERM), 143, f"interrupted by SIGTERM{go_on}"),
+        (EndedBySignal(signal.SIGTERM), 143, f"interrupted by SIGTERM{go_on}"),
     ):
 
         @click.command("doctor")

@@ -5,8 +5,7 @@ from dataclasses import replace
 import pytest
 
 from strandline.calibration import progress_text
-from strandline.cli.details import detailed, set_aside_lines
-from strandline.cli.progress import SECONDS_BETWEEN_LINES, observing
+from strandline.cli.progress import SECONDS_BETWEEN_LINES, detailed, observing, set_aside_lines
 from strandline.cli.status import lines_of
 from strandline.design.active import BatchReport
 from strandline.runs import InProcess, RunRecord

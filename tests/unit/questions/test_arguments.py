@@ -12,14 +12,14 @@ from filelock import FileLock
 import strandline as sl
 from strandline.calibration.evidence import Evidence
 from strandline.calibration.model_comparison import ModelComparison
+from strandline.design.candidates import Candidate, Look
 from strandline.errors import InvalidInput, InvalidStudy
-from strandline.planning.candidate import Candidate, Look
-from strandline.questions.compare.comparable import labels_of, may_err, require_comparable, require_several
-from strandline.questions.compare.results import _factor, _verdict
-from strandline.questions.compare.separation import require_settable
+from strandline.questions.answer import LineFile
+from strandline.questions.comparable import labels_of, may_err, require_comparable, require_several
+from strandline.questions.comparison import _factor, _verdict
 from strandline.questions.knowledge import _thinned
-from strandline.questions.line_file import LineFile
-from strandline.questions.specimens.files import specimen_files
+from strandline.questions.separation import require_settable
+from strandline.questions.specimen_files import specimen_files
 from strandline.runs import RunRecord
 from strandline.testing.studies import BEAM_STUDY, TWO_LOADS_STUDY, undeclared_beam, write_study
 

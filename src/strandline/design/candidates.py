@@ -1,0 +1,107 @@
+"""Candidates for the next experiment: what they set, and what of the interface they observe."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations_with_replacement, product
+
+__all__ = ["Candidate", "Look", "Setting", "candidates", "key_of"]
+
+Setting = Mapping[str, float]
+"""Quantities that an experiment sets to other values than the present one; empty for the same experiment again."""
+MICROMETRES = 1e3
+
+TIMES = {2: "twice", 3: "three times"}
+FEWEST_POINTS = 3
+"""Smallest number of points that can be observed."""
+WHOLE = (0.0, 1.0)
+"""The whole interface, as shares of its arc length."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What of the interface is observed.
+
+    Args:
+        conditions: Conditions that are observed; all if empty.
+        part: Where the observed part begins and ends, as shares of the present observation's arc length.
+        points: Number of observed points; those of the present observation in this part if None.
+        sd: Standard deviation of each observed point, mm; that of the present observation if None.
+    """
+
+    conditions: tuple[str, ...] = ()
+    part: tuple[float, float] = WHOLE
+    points: int | None = None
+    sd: float | None = None
+
+    @property
+    def words(self) -> Iterator[str]:
+        """What differs from the present observation, in words."""
+        if self.part != WHOLE:
+            yield f"{100 * self.part[0]:.3g}–{100 * self.part[1]:.3g} % of the interface"
+        if self.points is not None:
+            yield f"{self.points} points"
+        if self.sd is not None:
+            yield f"sd {MICROMETRES * self.sd:.3g} µm"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One or several experiments that are made together.
+
+    Args:
+        settings: Setting of each of them.
+        look: What is observed of each of them.
+    """
+
+    settings: tuple[Setting, ...]
+    look: Look
+
+    def label(self, present: str = "the same again") -> str:
+        """Return the candidate in words, e.g. ``V_in 50 and V_in 125, 20 points``.
+
+        Args:
+            present: Words for an experiment that sets no quantity.
+        """
+        conditions = " and ".join(self.look.conditions)
+        kind = f"condition{'s' * (len(self.look.conditions) > 1)} {conditions}" if conditions else ""
+        settings = [_label(one) or kind or present for one in self.settings]
+        if len(settings) > 1 and not any(self.settings):
+            settings = [f"{settings[0]}, {TIMES[len(settings)]}"]
+        further = [kind] if kind and any(self.settings) else []
+        return ", ".join([" and ".join(settings), *further, *self.look.words])
+
+
+def _label(setting: Setting) -> str:
+    return " ".join(f"{name} {value:.6g}" for name, value in setting.items())
+
+
+def key_of(setting: Setting) -> str:
+    """Return a text that is the same for equal settings alone."""
+    return repr(sorted(setting.items()))
+
+
+def candidates(
+    values: Mapping[str, Sequence[float]],
+    looks: Iterable[Look],
+    *,
+    together: int = 1,
+    present: Mapping[str, float] | None = None,
+) -> tuple[Candidate, ...]:
+    """Return all candidates: every combination of the values with every look, alone and several together.
+
+    Args:
+        values: Values of each quantity that can be set; empty for the same experiment again.
+        looks: What can be observed.
+        together: Largest number of experiments that are made together, with the same look.
+        present: Values that the present experiment has; setting them again is the same experiment.
+    """
+    rows = [zip(values, row, strict=True) for row in product(*values.values())]
+    changes = [{name: value for name, value in row if (present or {}).get(name) != value} for row in rows]
+    settings = list({key_of(one): one for one in changes}.values())
+    looks = tuple(dict.fromkeys(looks))
+    return tuple(
+        Candidate(several, look)
+        for number in range(1, together + 1)
+        for several in combinations_with_replacement(settings, number)
+        for look in looks
+    )

@@ -1,0 +1,140 @@
+"""The key `what_if` of study.yaml → alternatives to a study, each checked as the study itself would be."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from strandline.calibration.alternative import Alternative, Kind, Present
+from strandline.calibration.usual_alternatives import facts_of, prior_in_words, with_prior
+from strandline.errors import InvalidStudy
+from strandline.interface import Observation
+from strandline.likelihood import FieldLikelihood
+from strandline.studies.inputs import build_prior
+from strandline.studies.keys import StudyFile
+from strandline.studies.keys.observation import Noise
+from strandline.studies.keys.study_file import WhatIf
+from strandline.studies.parse import checked, entry, refused_at
+from strandline.studies.study import Study, study_of
+from strandline.studies.text import load_yaml
+from strandline.text import listed
+
+PLACE = "what_if"
+
+
+def asked_in(study: Study) -> tuple[WhatIf, ...]:
+    """Return the alternatives that study.yaml asks for."""
+    return tuple(StudyFile.model_validate(load_yaml(study.text)).what_if)
+
+
+def require_asked(given: Mapping[str, Any]) -> WhatIf:
+    """Return an alternative with the keys of `what_if`; refuse unknown ones."""
+    return checked(WhatIf, given, PLACE)
+
+
+def alternative_of(asked: WhatIf, study: Study, now: Present) -> Alternative:
+    """Return the alternative that is asked for, to be compared with the present posterior.
+
+    Raises:
+        InvalidStudy: It names an input, a measure or a condition that the study does not have, or states a noise or a
+            prior that cannot be used.
+    """
+    priors = {name: build_prior(given, f"{PLACE}.prior.{name}") for name, given in asked.prior.items()}
+    _require_known({**priors, **asked.fix}, study)
+    both = next((name for name in priors if name in asked.fix), None)
+    if both is not None:
+        raise _refused("fix", both, "an input without another prior in the same alternative", "Remove one of the two.")
+    for name, value in asked.fix.items():
+        _require_inside(name, value, study)
+    with refused_at(f"{PLACE}.prior"):
+        space = with_prior(now.space, priors)
+    parts = list(_parts(asked))
+    likelihood = None if now.knowledge is None else _likelihood(asked, study, now.knowledge.likelihood)
+    details = [f"{name}: {prior_in_words(prior)}" for name, prior in priors.items()]
+    if likelihood is not None and asked.noise is not None:
+        details.append(facts_of(likelihood))
+    with refused_at(f"{PLACE}.fix"):
+        return Alternative(
+            name=asked.name or ", ".join(name for _, name, _ in parts),
+            kind=parts[0][0] if len(parts) == 1 else "several",
+            about=listed([about for _, _, about in parts]),
+            space=space,
+            likelihood=likelihood,
+            fixed=dict(asked.fix),
+            detail="; ".join(details),
+            by_prior_alone=not _changes_likelihood(asked),
+        )
+
+
+def _parts(asked: WhatIf) -> list[tuple[Kind, str, str]]:
+    """Return the kind, the name and the subject of each change."""
+    out: list[tuple[Kind, str, str]] = []
+    out += [("prior", f"another prior of {name}", f"the prior of {name}") for name in asked.prior]
+    out += [("fix", f"{name} known to be {value:g}", f"what is known of {name}") for name, value in asked.fix.items()]
+    if asked.noise is not None:
+        out.append(("noise", "other noise", "the noise"))
+    if asked.measure is not None:
+        name = asked.measure if isinstance(asked.measure, str) else next(iter(asked.measure))
+        out.append(("measure", f"measure {name}", "the measure"))
+    out += [("without", f"without condition {name}", f"condition {name}") for name in asked.without]
+    return out
+
+
+def _changes_likelihood(asked: WhatIf) -> bool:
+    return asked.noise is not None or asked.measure is not None or bool(asked.without)
+
+
+def _likelihood(asked: WhatIf, study: Study, present: FieldLikelihood) -> FieldLikelihood | None:
+    """Return the likelihood with another noise or measure, or fewer conditions; None if none of these is asked for."""
+    if not _changes_likelihood(asked):
+        return None
+    observations, measure = present.observations, present.discrepancy
+    if asked.noise is not None or asked.measure is not None:
+        other = _changed(asked, study)
+        measure = next(iter(other.discrepancies.values()))
+        if asked.noise is not None:
+            observations = tuple(
+                Observation(o.interface, other.noise_of(o.condition), o.condition) for o in observations
+            )
+    return replace(present, observations=_left(asked, observations), discrepancy=measure)
+
+
+def _changed(asked: WhatIf, study: Study) -> Study:
+    """Return the study with another noise or measure, checked as any study is."""
+    content = StudyFile.model_validate(load_yaml(study.text))
+    changes: dict[str, Any] = {}
+    if asked.noise is not None:
+        changes["noise"] = checked(Noise, asked.noise, f"{PLACE}.noise")
+    if asked.measure is not None:
+        stated = content.discrepancy if isinstance(content.discrepancy, list) else [content.discrepancy]
+        named = {name: one for one in stated for name in one}
+        given = asked.measure
+        changes["discrepancy"] = named.get(given, {given: None}) if isinstance(given, str) else given
+    with refused_at(PLACE):
+        return study_of(study.folder, content.model_copy(update=changes), study.text)
+
+
+def _left(asked: WhatIf, observations: tuple[Observation, ...]) -> tuple[Observation, ...]:
+    conditions = {seen.condition: seen for seen in observations}
+    if asked.without and len(conditions) == 1:
+        raise _refused("without", ", ".join(asked.without), "several conditions: the study has one", "Remove it.")
+    for name in asked.without:
+        entry(conditions, name, f"{PLACE}.without")
+    left = tuple(seen for name, seen in conditions.items() if name not in asked.without)
+    if not left:
+        raise _refused("without", ", ".join(asked.without), "at least one condition left", "Leave out fewer.")
+    return left
+
+
+def _require_known(given: Mapping[str, Any], study: Study) -> None:
+    for name in given:
+        entry(dict.fromkeys(study.space.names), name, f"{PLACE}: name of an input")
+
+
+def _require_inside(name: str, value: float, study: Study) -> None:
+    low, high = study.space[name].interval
+    if not low <= value <= high:
+        raise _refused(f"fix.{name}", value, f"a value in its box, [{low:g}, {high:g}]", "Choose another value.")
+
+
+def _refused(key: str, value: Any, expected: str, remedy: str) -> InvalidStudy:
+    return InvalidStudy(f"{PLACE}.{key}", value=value, expected=expected, remedy=remedy)

@@ -1,0 +1,247 @@
+"""Answers to questions about a study: one form for the page, the notebook and the terminal, and their files."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, Self, TypeVar
+
+from filelock import FileLock, Timeout
+from markupsafe import escape
+from matplotlib.figure import Figure
+
+from strandline.calibration.field_quality import FieldQuality
+from strandline.errors import InvalidStudy
+from strandline.report import ANSWERS, write_answer
+from strandline.studies.folder import told_if_unwritable, write_json
+from strandline.studies.provenance import versions
+from strandline.studies.study import Study
+from strandline.typeset import html_table, html_text, unit_text
+from strandline.version import __version__
+
+__all__ = ["Answer", "Part", "Symbol", "Table"]
+
+TO_MICROMETRES = 1e3
+MOST_ROWS = 20
+"""Rows of a table that a terminal shows."""
+
+Found = TypeVar("Found")
+
+
+class Symbol(str):
+    """The name of an input; on a page, the part after an underscore is a subscript."""
+
+    def __html__(self) -> str:
+        return html_text(str(self))
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of text.
+
+    Args:
+        head: Headings of its columns.
+        rows: Its cells; in a short row, the last one takes the place of all that are missing.
+    """
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+    def __str__(self) -> str:
+        number = len(self.head)
+        shown = [self.head, *self.rows[:MOST_ROWS]]
+        whole = [row if len(row) == number else [*row[:-1], *[""] * (number - len(row) + 1)] for row in shown]
+        first, *widths = [max(map(len, column)) for column in zip(*whole, strict=True)]
+        lines = [
+            "  ".join([row[0].ljust(first), *(cell.rjust(width) for cell, width in zip(row[1:], widths, strict=False))])
+            for row in shown
+        ]
+        more = len(self.rows) - MOST_ROWS
+        return "\n".join([*(line.rstrip() for line in lines), *([f"{more} more on the page"] if more > 0 else [])])
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of an answer.
+
+    Args:
+        heading: Its heading.
+        table: Its table, if there is one.
+        lines: Sentences, each on a line of its own.
+        notes: What the table means, or how it was computed; on the page alone.
+    """
+
+    heading: str
+    table: Table | None = None
+    lines: Sequence[str] = ()
+    notes: Sequence[str] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Answer(Generic[Found]):
+    """An answer to a question about a finished study, or about several.
+
+    Args:
+        name: The question: ``what-if``, ``next``, ``coverage``, ``compare`` or ``specimens``.
+        title: Title of its page.
+        lead: What was asked.
+        sentence: The answer in a sentence.
+        remarks: What deserves attention.
+        good: Whether the answer is as one would wish.
+        parts: Tables and what they mean; the most important one comes first.
+        content: Content of its JSON file, docs/reference/answers.md.
+        found: The arrays behind it.
+        page: Path of its page.
+    """
+
+    name: str
+    title: str
+    lead: str
+    sentence: str
+    remarks: Sequence[str]
+    good: bool
+    parts: Sequence[Part]
+    content: dict[str, Any]
+    found: Found
+    page: Path
+
+    def __repr__(self) -> str:
+        return f"<{self.title}: {self.sentence}>"
+
+    def __str__(self) -> str:
+        lines = ["", self.title, self.lead, self.sentence, *self.remarks]
+        for part in self.parts:
+            if part.table is not None or part.lines:
+                lines += ["", part.heading, *([str(part.table)] if part.table is not None else []), *part.lines]
+        return "\n".join([*lines, "", f"page: {self.page}"])
+
+    def _repr_html_(self) -> str:
+        rows = ([str(escape(cell)) for cell in row] for row in self.table.rows)
+        return f"<p>{escape(self.sentence)}</p>{html_table(self.table.head, rows)}"
+
+    @property
+    def table(self) -> Table:
+        """The most important table; without rows if there is none."""
+        return next((part.table for part in self.parts if part.table is not None), Table((), ()))
+
+    @property
+    def figures(self) -> dict[str, Figure]:
+        """The figures of the page by name."""
+        return {one.name: one.figure for one in ANSWERS[self.name](self.content)}
+
+    def written(self, *, draft: bool) -> Self:
+        """Write the page, its figures and the JSON file into the page's folder, and return the answer.
+
+        Raises:
+            InvalidStudy: The folder cannot be written to.
+        """
+        folder = self.page.parent
+        with told_if_unwritable(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            write_answer(self, self.name, self.content, self.page, draft=draft)
+            write_json(self.page.with_suffix(".json"), self.content)
+        return self
+
+
+def digits(value: float, number: int = 4) -> str:
+    """Return a value with so many digits, and a power of ten only below 0.0001 and from a million."""
+    return f"{float(f'{value:.{number}g}'):.{max(number, 6)}g}"
+
+
+def label_and_unit(item: Mapping[str, Any]) -> tuple[Symbol, str]:
+    """Return an input's label, and its unit."""
+    return Symbol(item["label"]), unit_text(item["unit"]) or "–"
+
+
+def facts_of(study: Study, seed: int) -> dict[str, Any]:
+    """Return what every answer says of the study, the program and the seed that it comes from."""
+    return {
+        "study": study.name,
+        "study_sha256": study.text_digest,
+        "version": __version__,
+        "versions": versions(),
+        "model": study.runs.identity,
+        "seed": seed,
+    }
+
+
+def facts_of_surrogate(runs: int, quality: FieldQuality) -> dict[str, Any]:
+    """Return how good the surrogate of the interface is, in µm."""
+    return {
+        "runs": runs,
+        "hidden_um": TO_MICROMETRES * quality.hidden,
+        "error_um": {"median": TO_MICROMETRES * quality.median, "q95": TO_MICROMETRES * quality.q95},
+        "beyond": quality.beyond,
+    }
+
+
+def surrogate_note(surrogate: Mapping[str, Any], where: str) -> str:
+    """Return these facts in words; `where` says over what the errors were taken."""
+    error = surrogate["error_um"]
+    return f"""The surrogate of the interface was learnt from {surrogate["runs"]} runs. Its error {where} is
+        {digits(error["median"], 2)} µm in the median ({digits(error["q95"], 2)} µm at 95 %); the local noise hides
+        a shift of {digits(surrogate["hidden_um"], 2)} µm."""
+
+
+@dataclass(frozen=True)
+class LineFile:
+    """A file with one JSON object in each line.
+
+    Args:
+        path: The file; it need not exist.
+    """
+
+    path: Path
+
+    def entries(self) -> list[dict[str, Any]]:
+        """Return the objects in their order; remove a last line that was not written to its end."""
+        if not self.path.is_file():
+            return []
+        content = self.path.read_bytes()
+        whole = content[: content.rfind(b"\n") + 1]
+        if len(whole) < len(content):
+            with self.path.open("r+b") as file:
+                file.truncate(len(whole))
+        return [_parsed(line) for line in whole.splitlines()]
+
+    def append(self, entry: Mapping[str, Any]) -> None:
+        """Add an object."""
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(entry) + "\n")
+
+    @contextmanager
+    def held(self, command: str, results: str) -> Iterator[None]:
+        """Keep other commands from writing to the file.
+
+        Args:
+            command: The command that writes it, e.g. `strandline coverage`, for the message.
+            results: What the lines are, a plural noun for the message.
+
+        Raises:
+            InvalidStudy: Another command holds the file, or its folder cannot be written to.
+        """
+        lock = FileLock(self.path.with_suffix(f"{self.path.suffix}.lock"))
+        with told_if_unwritable(self.path.parent):
+            try:
+                lock.acquire(timeout=0)
+            except Timeout:
+                raise InvalidStudy(
+                    f"{self.path} is in use",
+                    value=f"another `{command}` of this study",
+                    expected="one at a time",
+                    remedy=f"Wait for the other one to end, or stop it; its {results} are kept.",
+                ) from None
+        try:
+            yield
+        finally:
+            lock.release()
+
+
+def _parsed(line: bytes) -> dict[str, Any]:
+    """Return the content of a line; empty if it is not one of ours."""
+    try:
+        found = json.loads(line)
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}

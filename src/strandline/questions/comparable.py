@@ -1,0 +1,179 @@
+"""Can studies be compared? Only if they explain the same data, with the same measure, noise and supports of priors.
+
+Log-likelihoods leave out constants, so that evidences of other data, measures or noise differ by more than the models.
+What may differ is the model, its unknown and its known inputs, and whether the study allows for an error of the model.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from strandline.errors import InvalidInput, InvalidStudy
+from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
+from strandline.likelihood.compared import adapted
+from strandline.studies.first_run import observations_of
+from strandline.studies.parse import in_words
+from strandline.studies.study import Study
+
+SAME = 1e-6
+"""Largest distance of points that count as the same, mm."""
+OF_POINTS = ("sd", "length", "shift", "rotation", "scale", "offset", "shared", "shares")
+DEFAULTS = {"shared": False, "shares": ()}
+
+
+def require_several(studies: Sequence[Study]) -> None:
+    """Refuse fewer than two studies, and the same folder twice."""
+    if len(studies) < 2:
+        raise InvalidInput(
+            "studies to compare",
+            value=", ".join(str(one.folder) for one in studies) or "none",
+            expected="at least two study folders",
+            remedy="Name the other one too: strandline compare A B",
+        )
+    seen: set[Path] = set()
+    for one in studies:
+        if one.folder.resolve() in seen:
+            raise InvalidInput(
+                "studies to compare",
+                value=f"{one.folder} twice",
+                expected="different folders",
+                remedy="Name each study once.",
+            )
+        seen.add(one.folder.resolve())
+
+
+def labels_of(studies: Sequence[Study]) -> tuple[str, ...]:
+    """Return a different name for each study: its own, or else that of its folder, or else the path."""
+    for names in (
+        [one.name for one in studies],
+        [one.folder.resolve().name for one in studies],
+    ):
+        if len(set(names)) == len(names):
+            return tuple(names)
+    return tuple(str(one.folder.resolve()) for one in studies)
+
+
+def require_comparable(studies: Mapping[str, Study]) -> None:
+    """Refuse studies whose data, measure, noise or supports of shared inputs differ; the message says which."""
+    (name, first), *others = studies.items()
+    for one, study in studies.items():
+        _require_known_range(one, study)
+    for other, study in others:
+        both = f"{name} and {other} cannot be compared"
+        _require_same_data(both, first, study)
+        _require_same_measure(both, first, study)
+        _require_same_noise(both, first, study)
+    names = list(studies)
+    for k, one in enumerate(names):
+        for other in names[k + 1 :]:
+            _require_same_supports(f"{one} and {other} cannot be compared", studies[one], studies[other])
+
+
+def may_err(study: Study) -> bool:
+    """Return whether the study allows for an error of the model."""
+    noises = [study.noise, *study.noises.values()]
+    return any(isinstance(one, UnknownErrors) and (one.model_error or bool(one.spread)) for one in noises)
+
+
+def _require_same_data(both: str, first: Study, other: Study) -> None:
+    seen, others = observations_of(first), observations_of(other)
+    if seen.keys() != others.keys():
+        value = " and ".join(", ".join(map(_condition, one)) for one in (seen, others))
+        _refuse(f"{both}: they observe different conditions", value, "the same conditions in both")
+    for name in seen:
+        apart = _apart(seen[name], others[name])
+        if not apart <= SAME:
+            of = f" of {_condition(name)}" if name else ""
+            value = "another number of points" if apart == np.inf else f"points up to {1e3 * apart:.3g} µm apart"
+            remedy = "Give both studies the same file under observation."
+            if first.truth is not None or other.truth is not None:
+                remedy = (
+                    "A synthetic observation comes from the study's own model: write it to a file with `strandline "
+                    "forward … --csv`, and give that to both."
+                )
+            _refuse(f"{both}: the observed interfaces{of} differ", value, "the same data", remedy)
+
+
+def _apart(one: Interface, other: Interface) -> float:
+    """Return the largest distance of corresponding points, mm, in either direction; infinite if numbers differ."""
+    if one.points.shape != other.points.shape or one.cells.shape != other.cells.shape:
+        return np.inf
+    turned = [other.points, other.points[::-1]] if one.dim == 2 else [other.points]
+    return min(float(np.linalg.norm(one.points - points, axis=1).max()) for points in turned)
+
+
+def _require_same_measure(both: str, first: Study, other: Study) -> None:
+    one, two = (_measure(study) for study in (first, other))
+    if one != two:
+        _refuse(f"{both}: the measures differ", f"{one} and {two}", "the same measure first under discrepancy")
+
+
+def _measure(study: Study) -> str:
+    measure = next(iter(study.discrepancies.values()))
+    seen = study.observations(observations_of(study))
+    return str(in_words(adapted(measure, seen[0]) if seen else measure))
+
+
+def _require_same_noise(both: str, first: Study, other: Study) -> None:
+    for name in observations_of(first):
+        one, two = (_stated(study.noise_of(name)) for study in (first, other))
+        if one == two or one == _turned(two):
+            continue
+        of = f" of {_condition(name)}" if name else ""
+        different = [key for key in one if one[key] != two.get(key)] or ["its kind"]
+        value = "; ".join(f"{key} {one.get(key)} and {two.get(key)}" for key in different if key != "shares")
+        expected = "the same errors of the data in both; model_error and spread may differ"
+        _refuse(f"{both}: the noise{of} differs", value or "other errors of single points", expected)
+
+
+def _stated(noise: Noise | PointErrors | UnknownErrors) -> dict[str, object]:
+    """Return what is stated about the errors of the data, without those of the model."""
+    if isinstance(noise, PointErrors | UnknownErrors):
+        return {"kind": "points", **{key: getattr(noise, key, DEFAULTS.get(key)) for key in OF_POINTS}}
+    return {"kind": type(noise).__qualname__, **noise.facts}
+
+
+def _turned(stated: dict[str, object]) -> dict[str, object]:
+    """Return what is stated for the points in the other direction."""
+    shares = stated.get("shares")
+    return {**stated, "shares": shares[::-1]} if isinstance(shares, tuple) else stated
+
+
+def _require_known_range(name: str, study: Study) -> None:
+    """Refuse unknown errors without a range: each model would then get another prior, from its own residuals."""
+    for condition in observations_of(study):
+        noise = study.noise_of(condition)
+        if isinstance(noise, UnknownErrors) and (noise.sd is None or noise.length is None):
+            _refuse(
+                f"{name} cannot be compared: the range of its unknown noise is not stated",
+                "sd or length: unknown",
+                "a value or a range, since the evidence depends on it",
+                "State a range, e.g. noise: {sd: [1, 10], length: [5, 50], unit: um}, in all studies.",
+            )
+
+
+def _require_same_supports(both: str, first: Study, other: Study) -> None:
+    for parameter in first.space:
+        if parameter.name not in other.space.names:
+            continue
+        second = other.space[parameter.name]
+        if parameter.unit != second.unit:
+            value = f"{parameter.unit} and {second.unit}"
+            _refuse(f"{both}: the units of {parameter.name} differ", value, "the same unit of a shared input")
+        if not np.allclose(parameter.interval, second.interval, rtol=1e-12, atol=0.0):
+            value = " and ".join(f"[{low:g}, {high:g}]" for low, high in (parameter.interval, second.interval))
+            _refuse(
+                f"{both}: the supports of the priors of {parameter.name} differ",
+                value,
+                "the same support of a shared input",
+                "Give it the same box or prior in both, or another name if it means something else.",
+            )
+
+
+def _condition(name: str) -> str:
+    return name or "a condition without a name"
+
+
+def _refuse(what: str, value: str, expected: str, remedy: str = "Make them the same and run again.") -> None:
+    raise InvalidStudy(what, value=value, expected=expected, remedy=remedy)

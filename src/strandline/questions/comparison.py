@@ -1,0 +1,286 @@
+"""compare.json: which of several studies of the same data the data prefer, as plain numbers and sentences."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.calibration.model_comparison import ERRORS, SCALE, BayesFactor, ModelComparison
+from strandline.design import sobol
+from strandline.design.active import Knowledge
+from strandline.interface import Interface
+from strandline.posterior import FLAT, Posterior, interface_band, prior_conflicts
+from strandline.posterior.weighted import Weighted
+from strandline.questions.comparable import may_err
+from strandline.questions.information import CLEAR, Discrimination
+from strandline.questions.separation import CandidateSignals
+from strandline.studies.check import offset_band, posterior_digest
+from strandline.studies.parse import in_words
+from strandline.studies.provenance import versions
+from strandline.studies.study import Study
+from strandline.text import listed
+from strandline.version import __version__
+
+QUANTILES = (0.05, 0.5, 0.95)
+PREDICTED = 200
+"""Draws of each posterior whose interfaces are predicted."""
+BINS = 25
+OF_MISFIT = ("verdict", "flagged", "p", "region_p", "smooth_p")
+OUTSIDE = 0.001
+"""Share of the draws left out at either end of a histogram."""
+NARROWED = math.log(2.0)
+"""Logarithm of the factor by which the data narrow inputs of one model alone, from which a remark is made."""
+OFF = 3.0
+"""Errors by which two values of a log-evidence may differ; at least `TOLERATED` nats."""
+TOLERATED = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedStudy:
+    """A study that is compared, with what its results tell.
+
+    Args:
+        study: The study.
+        posterior: Its posterior.
+        knowledge: Surrogate of its interface and its likelihood.
+        summary: Content of its summary.json.
+        constant: Constant that is added to its log-likelihoods.
+    """
+
+    study: Study
+    posterior: Posterior
+    knowledge: Knowledge
+    summary: Mapping[str, Any]
+    constant: float
+
+    @property
+    def misfit_noticed(self) -> bool:
+        """Whether the study says that the model does not explain the data; false if its fit was not judged."""
+        misfit = self.summary["misfit"]
+        return misfit is not None and bool(misfit["flagged"])
+
+    def narrowing(self, name: str) -> float:
+        """Return the standard deviation of an input's prior over that of its posterior."""
+        space = self.study.space
+        k = space.names.index(name)
+        prior = space.prior_quantiles(sobol(1024, space.dim, scramble=0))[:, k]
+        return float(prior.std() / self.posterior.sd[k])
+
+
+def not_flat(compared: Mapping[str, ComparedStudy], shared: Sequence[str]) -> list[str]:
+    """Return the shared inputs that have a prior with a preference inside its box in some model."""
+    spaces = [one.study.space for one in compared.values()]
+    return [name for name in shared if any(not isinstance(space[name].prior, FLAT) for space in spaces)]
+
+
+def describe_comparison(
+    found: ModelComparison,
+    flat: ModelComparison | None,
+    compared: Mapping[str, ComparedStudy],
+    together: Weighted | None,
+    shared: Sequence[str],
+    separate: Sequence[tuple[CandidateSignals, Discrimination | None]],
+    *,
+    seed: int,
+) -> dict[str, Any]:
+    """Return the content of compare.json.
+
+    Args:
+        found: Evidences, Bayes factors and probabilities.
+        flat: The same with uniform priors of the shared inputs; None if theirs are flat.
+        compared: The studies by name.
+        together: Model-averaged draws of the shared inputs.
+        shared: Names of the shared inputs.
+        separate: Candidates for the next experiment with what each is expected to tell about the models.
+        seed: Seed of the random numbers.
+    """
+    first = next(iter(compared.values()))
+    return {
+        "version": __version__,
+        "versions": versions(),
+        "seed": seed,
+        "verdict": _verdict(found, flat, not_flat(compared, shared)),
+        "favoured": found.favoured,
+        "tied": list(found.tied),
+        "remarks": list(_remarks(found, compared, shared)),
+        "scale": [{"least": least, "words": words} for least, words in SCALE],
+        "errors_needed": ERRORS,
+        "models": {name: _model(found, name, one) for name, one in compared.items()},
+        "bayes_factors": [_factor(one, compared, flat) for one in found.factors],
+        "averaged": {} if together is None else _averaged(together, compared, shared),
+        "predictive": [
+            {
+                "condition": seen.condition,
+                "models": {name: _band(one, seen.condition) for name, one in compared.items()},
+            }
+            for seen in first.knowledge.likelihood.observations
+        ],
+        "separate": [_separation(shown, one) for shown, one in sorted(separate, key=_worth)],
+    }
+
+
+def _worth(item: tuple[CandidateSignals, Discrimination | None]) -> float:
+    return math.inf if item[1] is None else -item[1].nats
+
+
+def _separation(shown: CandidateSignals, one: Discrimination | None) -> dict[str, Any]:
+    """Return what a candidate is expected to tell; nulls if a run of it failed."""
+    return {
+        "candidate": shown.label,
+        "nats": None if one is None else one.nats,
+        "error": None if one is None else one.error,
+        "clearly_right": None if one is None else one.clear,
+        "clearly_wrong": None if one is None else one.wrong,
+        "clear_from": CLEAR,
+        "reliable": one is not None and one.reliable,
+        "problem": shown.problem,
+    }
+
+
+def _model(found: ModelComparison, name: str, one: ComparedStudy) -> dict[str, Any]:
+    evidence, misfit, posterior = found.evidences[name], one.summary["misfit"], one.posterior
+    return {
+        "folder": str(one.study.folder),
+        "study": one.study.name,
+        "study_sha256": one.study.text_digest,
+        "posterior_sha256": posterior_digest(posterior),
+        "model": one.study.runs.identity,
+        "inputs": list(one.study.space.names),
+        "fixed": dict(one.study.fixed),
+        "model_error": may_err(one.study),
+        "runs": one.knowledge.surrogate.runs,
+        "log_evidence": evidence.log,
+        "error": evidence.error,
+        "errors": {"sampling": evidence.sampling, "surrogate": evidence.surrogate, "failing": evidence.failing},
+        "stored_log_evidence": posterior.log_evidence + one.constant,
+        "constant": one.constant,
+        "best_log_likelihood": float(np.max(posterior.log_likelihood)) + one.constant,
+        "information": one.posterior.information,
+        "prior_probability": found.prior[name],
+        "probability": found.probabilities[name],
+        "misfit": None if misfit is None else {key: misfit[key] for key in OF_MISFIT},
+    }
+
+
+def _verdict(found: ModelComparison, flat: ModelComparison | None, names: Sequence[str]) -> str:
+    """Return the verdict, with what becomes of it under flat priors if that is another one."""
+    if flat is None or flat.favoured == found.favoured:
+        return found.verdict
+    other = flat.verdict[0].lower() + flat.verdict[1:]
+    return f"{found.verdict} But the prior of {listed(names)} decides this: with a uniform one on the same box, {other}"
+
+
+def _factor(one: BayesFactor, compared: Mapping[str, ComparedStudy], flat: ModelComparison | None) -> dict[str, Any]:
+    """Return a Bayes factor in two parts, ln B = fit + prior, and what it is with flat priors of the shared inputs."""
+    paid = compared[one.over].posterior.information - compared[one.of].posterior.information
+    pair = {one.of, one.over}
+    wide = None if flat is None else next(each for each in flat.factors if {each.of, each.over} == pair)
+    return {
+        "fit": one.ln - paid,
+        "prior": paid,
+        "flat_ln": None if wide is None else wide.ln if wide.of == one.of else -wide.ln,
+        "flat_error": None if wide is None else wide.error,
+        "flat_words": None if wide is None else wide.words,
+        "of": one.of,
+        "over": one.over,
+        "ln": one.ln,
+        "error": one.error,
+        "words": one.words,
+        "decided": one.decided,
+    }
+
+
+def _averaged(together: Weighted, compared: Mapping[str, ComparedStudy], shared: Sequence[str]) -> dict[str, Any]:
+    """Return moments, quantiles and histograms of the shared inputs, for the average and for each model."""
+    space = next(iter(compared.values())).study.space
+    out = {}
+    for k, name in enumerate(shared):
+        column = together.draws[:, k]
+        parts = {
+            label: Weighted(one.posterior.columns([name]), one.posterior.weights) for label, one in compared.items()
+        }
+        low, high = np.quantile(column, (OUTSIDE, 1 - OUTSIDE))
+        edges = np.linspace(float(low), float(high), BINS + 1)
+        whole = Weighted(column[:, None], together.weights)
+        out[name] = {
+            "label": space[name].shown,
+            "unit": space[name].unit,
+            **_figures(whole),
+            "models": {label: _figures(part) for label, part in parts.items()},
+            "histogram": {
+                "edges": edges.tolist(),
+                "averaged": _histogram(whole, edges),
+                "models": {label: _histogram(part, edges) for label, part in parts.items()},
+            },
+        }
+    return out
+
+
+def _figures(one: Weighted) -> dict[str, float]:
+    low, median, high = np.quantile(one.draws[:, 0], QUANTILES, weights=one.weights, method="inverted_cdf")
+    return {
+        "mean": float(one.mean[0]),
+        "sd": float(one.sd[0]),
+        "median": float(median),
+        "q05": float(low),
+        "q95": float(high),
+    }
+
+
+def _histogram(one: Weighted, edges: Float[np.ndarray, " edge"]) -> list[float]:
+    """Return the density in each bin."""
+    mass, _ = np.histogram(one.draws[:, 0], bins=edges, weights=one.weights)
+    return [float(density) for density in mass / np.diff(edges)]
+
+
+def _band(one: ComparedStudy, condition: str) -> dict[str, Any] | None:
+    """Return the predicted interfaces of a condition as offsets from their median; None for surfaces."""
+    likelihood, surrogate = one.knowledge.likelihood, one.knowledge.surrogate
+    seen = next(seen.interface for seen in likelihood.known_observations if seen.condition == condition)
+    x = one.posterior.equally_weighted(0, PREDICTED)
+    points = surrogate.points(surrogate.mean(x))[condition]
+    template = surrogate.layouts[condition].template
+    return offset_band(points, Interface(interface_band(points).median, template.cells), seen)
+
+
+def _remarks(found: ModelComparison, compared: Mapping[str, ComparedStudy], shared: Sequence[str]) -> Iterator[str]:
+    """Yield sentences on what the verdict depends on."""
+    if compared[found.order[0]].misfit_noticed:
+        yield (
+            f"{found.order[0]} has the largest evidence, but does not explain the observation within the noise. "
+            "Even the best of these models is not good enough: do not trust its posterior, nor the average."
+        )
+    for name, one in compared.items():
+        yield from (f"{name}: {conflict}" for conflict in prior_conflicts(one.posterior))
+    yield from _occam(found, compared, shared)
+    for name in shared:
+        priors = {in_words(one.study.space[name].truncated_prior) for one in compared.values()}
+        if len(priors) > 1:
+            yield f"The priors of {name} differ, which counts too: {'; '.join(sorted(priors))}."
+    for name, one in compared.items():
+        evidence, stored = found.evidences[name], one.posterior.log_evidence + one.constant
+        if abs(stored - evidence.log) > max(OFF * evidence.error, TOLERATED):
+            yield (
+                f"The log-evidence of {name} is {stored:.3g} by its sampler and its own surrogate, and "
+                f"{evidence.log:.3g} by the surrogate of the interface, which is used here."
+            )
+    if not shared:
+        yield "The models share no input, so there is nothing to average."
+
+
+def _occam(found: ModelComparison, compared: Mapping[str, ComparedStudy], shared: Sequence[str]) -> Iterator[str]:
+    """Yield a remark on each model with inputs of its own that the data narrow much."""
+    for name in found.order:
+        one = compared[name]
+        own = {other: one.narrowing(other) for other in one.study.space.names if other not in shared}
+        narrowed = {other: factor for other, factor in own.items() if factor > 1}
+        if sum(map(math.log, narrowed.values())) >= NARROWED:
+            factors = ", ".join(f"{other} by {factor:.2g}" for other, factor in narrowed.items())
+            yield (
+                f"Not all models have these inputs of {name}, whose priors the data narrow: {factors}. Its evidence "
+                "pays for their width: a prior twice as wide costs up to ln 2 = 0.7 for each. State these priors with "
+                "care."
+            )

@@ -1,0 +1,340 @@
+"""Would the intervals of a study contain the truth as often as they say? Its experiment repeated, without a run.
+
+Each replicate is written to coverage.jsonl as it ends, so that a stopped command goes on where it was stopped.
+"""
+
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from strandline.calibration import Observer
+from strandline.calibration.coverage import CoverageFound, Replicate, repeatable, replicated
+from strandline.calibration.experiment import CoordinateErrors, Experiment
+from strandline.calibration.field_quality import TOLERATED, TOLERATED_SHARE, FieldQuality, field_quality
+from strandline.calibration.in_notebook import observer_or_default
+from strandline.calibration.source import Source, posterior_source, prior_source
+from strandline.errors import InvalidInput, InvalidStudy
+from strandline.interface import Noise, PointErrors, UnknownErrors
+from strandline.numerics.threads import one_thread, use_double
+from strandline.posterior import Posterior
+from strandline.posterior.uniformity import Band, Coverage
+from strandline.questions.answer import (
+    TO_MICROMETRES,
+    Answer,
+    LineFile,
+    Part,
+    Table,
+    digits,
+    facts_of,
+    facts_of_surrogate,
+    label_and_unit,
+    surrogate_note,
+)
+from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require_seed
+from strandline.runs import Progress
+from strandline.studies.check import finished_posterior, posterior_digest
+from strandline.studies.first_run import observations_of
+from strandline.studies.folder import REPLICATES, require_writable, told_if_unwritable
+from strandline.studies.provenance import points_digest
+from strandline.studies.study import Study
+
+__all__ = ["coverage"]
+
+ARRAYS = ("truth", "ranks", "mean", "sd", "limit")
+NUMBERS = ("fit_rank", "effective")
+
+
+def _entry(one: Replicate, key: str) -> dict[str, Any]:
+    """Return a replicate as coverage.jsonl has it, with the digest of what it depends on, apart from its number."""
+    arrays = {name: getattr(one, name).tolist() for name in ARRAYS}
+    return {"of": key, "number": one.number, **arrays, **{name: getattr(one, name) for name in NUMBERS}, "by": one.by}
+
+
+def _replicate(entry: Mapping[str, Any]) -> Replicate:
+    arrays: dict[str, Any] = {name: np.array(entry[name], float) for name in ARRAYS}
+    numbers: dict[str, Any] = {name: float(entry[name]) for name in NUMBERS}
+    return Replicate(number=int(entry["number"]), by=entry["by"], **arrays, **numbers)
+
+
+FEWEST_REPLICATES = 20
+SOURCES = ("prior", "posterior")
+
+
+def coverage(
+    study: Study,
+    *,
+    replicates: int = 200,
+    source: str = "prior",
+    seed: int = 1,
+    measure: str | None = None,
+    observer: Observer | None = None,
+) -> Answer[CoverageFound]:
+    """Repeat the experiment of a finished study at other true inputs, and count how often its intervals contain them.
+
+    The surrogate of the interface, learnt from the study's runs, takes the place of the simulator. Replicate k depends
+    on the seed and on k alone: more of them, or a second call after a stop, add to those that are known. Writes
+    coverage.jsonl, coverage.json, coverage.html and two figures.
+
+    Args:
+        study: A finished study, from `load_study`.
+        replicates: Number of repetitions, at least 20.
+        source: Where the true inputs come from: the ``prior``, or the ``posterior`` in posterior.nc, which then also
+            takes the place of the prior in the analysis.
+        seed: Seed of all random numbers, 0 or above.
+        measure: Name of a measure of the study; its first by default.
+        observer: Receives the progress.
+
+    Raises:
+        InvalidInput: An argument is out of its range, or no errors of the points have the stated σ_N².
+        InvalidStudy: The study is not finished, its folder cannot be written to, or the surrogate of the interface is
+            not good enough.
+        LedgerError: The ledger is damaged, or belongs to another model.
+        TooFewRuns: Too few runs succeeded to learn the interface.
+    """
+    name = chosen_measure(study, measure, "the coverage")
+    _require_arguments(replicates, source, seed)
+    study.runs.require_finished()
+    posterior = finished_posterior(study, purpose="draw from") if source == "posterior" else None
+    require_writable(study.folder)
+    use_double()
+    tell = observer_or_default(observer)
+    with one_thread():
+        tell.stage("surrogate")
+        origin, quality = _origin(study, name, source, posterior)
+        experiment = repeatable(origin)
+        tell.stage("replicates")
+        file, key = LineFile(study.folder / REPLICATES), _key(study, name, seed, posterior)
+        with file.held("strandline coverage", "replicates"), told_if_unwritable(study.folder):
+            made = tuple(_replicates(experiment, origin, file, key, replicates, seed, tell))
+        found = CoverageFound(study.space.names, made)
+    tell.stage("report")
+    content = _described(study, found, experiment, quality, source=source, seed=seed, measure=name)
+    return _answer(content, found, study.folder).written(draft=study.settings.draft)
+
+
+def _origin(study: Study, measure: str, source: str, posterior: Posterior | None) -> tuple[Source, FieldQuality]:
+    """Return where the true inputs come from, and how good the surrogate of the interface is there."""
+    knowledge = field_knowledge(study, measure)
+    origin = prior_source(knowledge, study.space) if posterior is None else posterior_source(knowledge, posterior)
+    quality = field_quality(origin)
+    _require_good(quality, source)
+    return origin, quality
+
+
+def _replicates(
+    experiment: Experiment, source: Source, file: LineFile, key: str, number: int, seed: int, tell: Observer
+) -> Iterator[Replicate]:
+    """Yield the replicates in their order; only those are made that are not known."""
+    known = {int(one["number"]): _replicate(one) for one in file.entries() if one.get("of") == key}
+    begun = time.monotonic()
+    reused = done = sum(k in known for k in range(number))
+    for k in range(number):
+        one = known.get(k)
+        if one is None:
+            one = replicated(experiment, source, seed=seed, number=k)
+            file.append(_entry(one, key))
+            done += 1
+            tell.part(Progress(number, done, done, 0, reused, time.monotonic() - begun))
+        yield one
+
+
+def _require_arguments(replicates: int, source: str, seed: int) -> None:
+    if replicates < FEWEST_REPLICATES:
+        raise InvalidInput(
+            "replicates of the coverage",
+            value=replicates,
+            expected=f"at least {FEWEST_REPLICATES}",
+            remedy="200 are a good start; more make the bands narrower.",
+        )
+    if source not in SOURCES:
+        raise InvalidInput(
+            "source of the true inputs", value=source, expected=" or ".join(SOURCES), remedy="Choose one of them."
+        )
+    require_seed(seed, "the coverage")
+
+
+def _require_good(quality: FieldQuality, source: str) -> None:
+    if quality.good:
+        return
+    hidden, median, left_out = (TO_MICROMETRES * mm for mm in (quality.hidden, quality.median, quality.left_out))
+    everywhere = "Make more runs over the whole prior, design: {sobol: {runs: …}}, or take --from posterior."
+    raise InvalidStudy(
+        f"the surrogate of the interface is not accurate enough over the {source}",
+        value=f"errors above {TOLERATED * hidden:.3g} µm at {100 * quality.beyond:.0f} % of the draws "
+        f"(median {median:.3g} µm; at left-out runs {left_out:.3g} µm)",
+        expected=f"at most {100 * TOLERATED_SHARE:.0f} %, since the local noise hides shifts of {hidden:.3g} µm only",
+        remedy=everywhere if source == "prior" else "Make more runs where the posterior lies: an active design does.",
+    )
+
+
+def _stated(one: Noise | PointErrors | UnknownErrors) -> str:
+    """Return all that is stated about a noise."""
+    return repr(one) if isinstance(one, PointErrors | UnknownErrors) else f"{type(one).__qualname__}: {one.facts}"
+
+
+def _key(study: Study, measure: str, seed: int, posterior: Posterior | None) -> str:
+    """Return a digest of everything that a replicate depends on, apart from its number."""
+    return digest_of(
+        study,
+        measure,
+        seed,
+        noise=[_stated(one) for one in (study.noise, *study.noises.values())],
+        conditions=list(study.noises),
+        observed={name: points_digest(seen) for name, seen in observations_of(study).items()},
+        posterior=None if posterior is None else posterior_digest(posterior),
+    )
+
+
+def _described(
+    study: Study,
+    found: CoverageFound,
+    experiment: Experiment,
+    quality: FieldQuality,
+    *,
+    source: str,
+    seed: int,
+    measure: str,
+) -> dict[str, Any]:
+    """Return the content of coverage.json."""
+    return {
+        **facts_of(study, seed),
+        "source": source,
+        "replicates": len(found.replicates),
+        "measure": measure,
+        "noise": _noise(study, experiment),
+        "surrogate": {
+            **facts_of_surrogate(experiment.surrogate.runs, quality),
+            "left_out_error_um": TO_MICROMETRES * quality.left_out,
+        },
+        "calibrated": found.calibrated,
+        "remarks": list(found.remarks),
+        "inputs": _inputs(study, found),
+        "log_likelihood": {
+            "inside": found.fit_band.inside,
+            "p_value": found.fit_band.p_value,
+            "regions": [_share(one, 0) for one in found.regions],
+            "ranks": found.fit_ranks.tolist(),
+            "band": _band(found.fit_band),
+        },
+        "sampling": {
+            "importance": sum(one.by == "importance" for one in found.replicates),
+            "smc": sum(one.by == "smc" for one in found.replicates),
+            "effective": float(np.median([one.effective for one in found.replicates])),
+        },
+    }
+
+
+def _inputs(study: Study, found: CoverageFound) -> dict[str, Any]:
+    ratios, means, spreads = found.of_limit, found.z.mean(axis=0), found.z.std(axis=0, ddof=1)
+    return {
+        parameter.name: {
+            "label": parameter.shown,
+            "unit": parameter.unit,
+            "inside": band.inside,
+            "p_value": band.p_value,
+            "intervals": [_share(one, i) for one in found.intervals],
+            "z_mean": float(means[i]),
+            "z_sd": float(spreads[i]),
+            "sd": float(found.sd[i]),
+            "of_limit": float(ratios[i]),
+            "ranks": found.ranks[:, i].tolist(),
+            "band": _band(band),
+        }
+        for i, (parameter, band) in enumerate(zip(study.space, found.bands, strict=True))
+    }
+
+
+def _share(one: Coverage, i: int) -> dict[str, float]:
+    return {"level": one.level, **{part: float(getattr(one, part)[i]) for part in ("found", "low", "high")}}
+
+
+def _band(band: Band) -> dict[str, list[float]]:
+    return {part: getattr(band, part).tolist() for part in ("places", "found", "low", "high")}
+
+
+def _noise(study: Study, experiment: Experiment) -> list[dict[str, Any]]:
+    return [
+        {
+            "condition": name,
+            "stated": isinstance(study.noise_of(name), PointErrors),
+            "drawn": errors.facts,
+            "analysed": dict(experiment.noises[name].facts),
+            "in_words": _in_words(errors, study.noise_of(name)),
+        }
+        for name, errors in experiment.errors.items()
+    ]
+
+
+def _in_words(errors: PointErrors | CoordinateErrors, noise: Noise | PointErrors | UnknownErrors) -> str:
+    sd = f"{TO_MICROMETRES * errors.sd:.3g} µm"
+    if isinstance(errors, CoordinateErrors):
+        return f"independent errors of all coordinates, sd {sd}"
+    if isinstance(noise, PointErrors):
+        return f"errors of the points as study.yaml states them, sd {sd}"
+    if isinstance(noise, UnknownErrors):
+        return f"errors of the points as inferred from the real observation, sd {sd}"
+    return f"independent errors of the points along the normals, sd {sd}, for which the stated σ_N² is right"
+
+
+def _answer(content: dict[str, Any], found: CoverageFound, folder: Path) -> Answer[CoverageFound]:
+    """Return what coverage.json says, in words and tables."""
+    sentence, *remarks = content["remarks"]
+    return Answer(
+        name="coverage",
+        title=f"{content['study']}: coverage",
+        lead=f"Would the intervals contain the truth as often as they say? {content['replicates']} replicates, truths "
+        f"from the {content['source']}.",
+        sentence=sentence,
+        remarks=remarks,
+        good=content["calibrated"],
+        parts=[_of_inputs(content), _how(content)],
+        content=content,
+        found=found,
+        page=folder / "coverage.html",
+    )
+
+
+def _of_inputs(content: Mapping[str, Any]) -> Part:
+    head = "input", "unit", "p of the ranks", "50 % intervals", "90 % intervals", "mean z", "sd of z", "mean sd"
+    rows = [
+        (
+            *label_and_unit(item),
+            digits(item["p_value"], 2),
+            *map(_in_percent, item["intervals"]),
+            f"{item['z_mean']:+.2f}",
+            *(digits(item[part], 3) for part in ("z_sd", "sd", "of_limit")),
+        )
+        for item in content["inputs"].values()
+    ]
+    fit = content["log_likelihood"]
+    best = f"""The truth is among the 50 % and the 90 % of the draws that fit best in
+        {" and ".join(map(_in_percent, fit["regions"]))} of the replicates; p of these ranks
+        {digits(fit["p_value"], 2)}."""
+    note = """p of the ranks: how often ranks of a right posterior are as uneven. Intervals: share that contain the
+        truth, with its 95 % interval. z: truth minus posterior mean, in posterior standard deviations; its standard
+        deviation is 1 if widths are right, more if they are too small. The limit is that of Cramér and Rao for the
+        same errors and a Gaussian prior of the same covariance: a measure that wastes information is wider; a prior
+        that cuts the posterior off makes it narrower."""
+    return Part("The inputs", Table((*head, "sd / limit"), rows), notes=[best, note])
+
+
+def _in_percent(one: Mapping[str, float]) -> str:
+    return f"{one['found']:.1%} ({one['low']:.1%} to {one['high']:.1%})"
+
+
+def _how(content: Mapping[str, Any]) -> Part:
+    surrogate, sampling = content["surrogate"], content["sampling"]
+    prior = ", with the posterior of the real observation as its prior" if content["source"] == "posterior" else ""
+    drawn = f"""{content["replicates"]} times, with seed {content["seed"]}: true inputs were drawn from the
+        {content["source"]}, the interface there was predicted by the surrogate, observed at the same places as the
+        real one, and disturbed. The posterior followed from the measure
+        {content["measure"].replace("_", " ")}{prior}. No forward run was made."""
+    errors = f"""{surrogate_note(surrogate, "at the truths")} Errors of the simulator and of the surrogate
+        themselves do not show here: `strandline posterior check` looks for the latter."""
+    sampled = f"""{sampling["importance"]} posteriors by importance sampling, {sampling["smc"]} by tempering, with
+        {digits(sampling["effective"], 3)} effective draws in the median."""
+    noise = [f"{one['condition'] or 'Drawn with'}: {one['in_words']}." for one in content["noise"]]
+    return Part("How it was tested", lines=noise, notes=[drawn, errors, sampled])

@@ -1,0 +1,333 @@
+"""What an experiment can be expected to teach: the mutual information of inputs and observation.
+
+The observation of a candidate is s = z(x) + ε with standard normal ε: `signals_of` brings predicted interfaces
+into this form. Its expected information gain (Lindley 1956) is
+
+    E[log p(s | x) - log p(s)],   p(s) = ∫ p(s | x) p(x) dx,
+
+over draws of the present distribution p(x) of the inputs, which is a posterior or the prior. Nested Monte Carlo takes
+the same draws for both expectations (Ryan 2003); Laplace's approximation takes the Fisher information at each draw
+(Long et al. 2013), which is right where the experiment teaches so much that few draws are near each other in s.
+
+Which model is right: under model m with inputs x, the observation is s = z_m(x) + ε, in the same coordinates for all
+models. What it tells about the model is the mutual information of m and s,
+
+    Σ_m P(m) E[log p(s | m) - log Σ_k P(k) p(s | k)],   p(s | m) = ∫ p(s | x, m) p(x | m) dx,
+
+(Box and Hill 1967; Cavagnaro et al. 2010), by nested Monte Carlo over draws of the models' present posteriors.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.special import logsumexp
+
+from strandline.posterior.weighted import Weighted
+
+FEWEST = 30.0
+"""Median number of draws that a possible observation must leave with weight; else nested Monte Carlo is not offered."""
+LEAST_LOG_DET = -1e3
+"""Logarithm of the smallest determinant of a covariance; that of equal draws is 0."""
+BLOCK = 256
+"""Observations that are weighed at the same time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gain:
+    """What an experiment is expected to teach.
+
+    Args:
+        nats: Expected information gain.
+        error: Its standard error by the number of draws.
+        sd: Expected posterior standard deviation of each input, shape (dim,).
+        of_interest: Expected gain about the inputs of interest alone, by the determinants of their covariances; exact
+            for normal distributions. Observations that leave too few draws for a determinant do not count.
+        left: Median number of draws that a possible observation leaves with weight.
+    """
+
+    nats: float
+    error: float
+    sd: Float[np.ndarray, " dim"]
+    of_interest: float
+    left: float
+
+    @property
+    def reliable(self) -> bool:
+        """Whether enough draws are left for nested Monte Carlo."""
+        return self.left >= FEWEST
+
+
+def expected_gain(
+    now: Weighted,
+    signals: Float[np.ndarray, "draw signal"],
+    random: np.random.Generator,
+    *,
+    interest: Sequence[int] | None = None,
+) -> Gain:
+    """Return the expected information gain of an experiment, by nested Monte Carlo.
+
+    Each draw in turn is the truth; all others, with their weights, are the distribution of the inputs. What their
+    finite number adds to the gain is removed to first order: half the variance of the estimated log p(s).
+
+    Args:
+        now: Draws of the present distribution of the inputs, all different.
+        signals: What the experiment shows for each of them, in standard deviations of independent errors.
+        random: Generator of the errors; the same state for all candidates makes their differences more certain.
+        interest: Columns of the inputs of interest; all by default.
+    """
+    noise = random.standard_normal(signals.shape)
+    columns = np.arange(now.draws.shape[1]) if interest is None else np.asarray(interest)
+    parts = [*_weighed(now, signals, noise, columns)]
+    logs, left, sds, log_dets = (np.concatenate(one) for one in zip(*parts, strict=True))
+    # The squared errors have a known mean, so they serve as the control of their own sampling error.
+    squares = 0.5 * (noise**2).sum(axis=1)
+    gains = -squares - logs - 0.5 * (1.0 / left - float(np.sum(now.weights**2)))
+    mean, error = _controlled(gains, squares - 0.5 * signals.shape[1], now.weights)
+    before = np.linalg.slogdet(now.covariance[np.ix_(columns, columns)])[1]
+    counted = now.weights * (left > len(columns) + 1)  # fewer draws have no covariance: its determinant is near 0
+    after = counted @ np.maximum(log_dets, LEAST_LOG_DET) / max(float(counted.sum()), 1e-300)
+    return Gain(
+        nats=mean,
+        error=error,
+        sd=np.asarray(now.weights @ sds),
+        of_interest=float(0.5 * (before - after)),
+        left=float(np.median(left)),
+    )
+
+
+def _controlled(
+    values: Float[np.ndarray, " draw"], control: Float[np.ndarray, " draw"], weights: Float[np.ndarray, " draw"]
+) -> tuple[float, float]:
+    """Return the mean of `values` and its standard error, given a control of known mean 0."""
+    both = Weighted(np.column_stack([values, control]), weights)
+    covariance = both.covariance
+    slope = covariance[0, 1] / covariance[1, 1] if covariance[1, 1] > 0 else 0.0
+    variance = max(float(covariance[0, 0] - slope * covariance[0, 1]), 0.0)
+    return float(both.mean[0] - slope * both.mean[1]), math.sqrt(variance * float(np.sum(weights**2)))
+
+
+_Weighed = tuple[Float[np.ndarray, " _"], Float[np.ndarray, " _"], Float[np.ndarray, "_ dim"], Float[np.ndarray, " _"]]
+
+
+def _weighed(
+    now: Weighted,
+    signals: Float[np.ndarray, "draw signal"],
+    noise: Float[np.ndarray, "draw signal"],
+    columns: Int[np.ndarray, " interest"],
+) -> Iterator[_Weighed]:
+    """Yield what follows from the observation of each draw, a block of them at a time.
+
+    This is log p(s), the effective number of draws, the posterior's sds, and log det of the covariance of `columns`.
+    """
+    squares, log_weights, dim = 0.5 * (signals**2).sum(axis=1), np.log(now.weights), now.draws.shape[1]
+    scaled = (now.draws - now.mean) / np.maximum(now.sd, 1e-300)
+    moments = np.hstack([scaled, (scaled[:, :, None] * scaled[:, None, :]).reshape(len(scaled), -1)])
+    scale = 2 * np.log(np.maximum(now.sd, 1e-300))[columns].sum()
+    for first in range(0, len(signals), BLOCK):
+        rows = np.arange(first, min(first + BLOCK, len(signals)))
+        seen = signals[rows] + noise[rows]
+        logs = log_weights + seen @ signals.T - squares - 0.5 * (seen**2).sum(axis=1)[:, None]
+        logs[np.arange(len(rows)), rows] = -np.inf  # the truth itself would count as a draw that fits perfectly
+        total = logsumexp(logs, axis=1)
+        weights = np.exp(logs - total[:, None])
+        found = weights @ moments
+        means = found[:, :dim]
+        covariances = found[:, dim:].reshape(-1, dim, dim) - means[:, :, None] * means[:, None, :]
+        sds = now.sd * np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
+        log_dets = np.linalg.slogdet(covariances[:, columns[:, None], columns])[1] + scale
+        yield total - np.log1p(-now.weights[rows]), 1.0 / (weights**2).sum(axis=1), sds, log_dets
+
+
+def linear_gain(
+    covariance: Float[np.ndarray, "dim dim"],
+    informations: Sequence[Float[np.ndarray, "dim dim"]],
+    *,
+    interest: Sequence[int] | None = None,
+) -> float:
+    """Return the mean of ½ log |Σ| / |(Σ⁻¹ + F)⁻¹|.
+
+    It is exact for a normal distribution of the inputs and an interface that is linear in them.
+
+    Args:
+        covariance: Covariance Σ of the inputs.
+        informations: Fisher informations F at draws of the inputs.
+        interest: Columns of the inputs whose part of the two matrices counts; all by default.
+    """
+    columns = np.arange(len(covariance)) if interest is None else np.asarray(interest)
+    part = np.ix_(columns, columns)
+    before = np.linalg.slogdet(covariance[part])[1]
+    after = [np.linalg.slogdet(_left(covariance, one)[part])[1] for one in informations]
+    return float(0.5 * np.mean(before - np.array(after)))
+
+
+def linear_sd(
+    covariance: Float[np.ndarray, "dim dim"], informations: Sequence[Float[np.ndarray, "dim dim"]]
+) -> Float[np.ndarray, " dim"]:
+    """Return the mean posterior standard deviation of each input by the same formula, shape (dim,)."""
+    return np.asarray(np.mean([np.sqrt(np.diag(_left(covariance, one))) for one in informations], axis=0))
+
+
+def _left(
+    covariance: Float[np.ndarray, "dim dim"], information: Float[np.ndarray, "dim dim"]
+) -> Float[np.ndarray, "dim dim"]:
+    """Return (Σ⁻¹ + F)⁻¹, in inputs scaled by their standard deviations."""
+    sd = np.sqrt(np.diag(covariance))
+    before = np.linalg.inv(covariance / np.outer(sd, sd))
+    return np.asarray(np.linalg.inv(before + information * np.outer(sd, sd)) * np.outer(sd, sd))
+
+
+By = Literal["nested Monte Carlo", "linearised"]
+_Informations = Sequence[Float[np.ndarray, "dim dim"]]
+
+
+@dataclass(frozen=True, eq=False)
+class Outlook:
+    """What an experiment can be expected to teach.
+
+    Args:
+        gain: Expected information gain about the inputs of interest, nats.
+        error: Its standard error by the number of draws; 0 if linearised.
+        sd: Expected posterior standard deviation of each input, shape (dim,).
+        by: How it was computed.
+    """
+
+    gain: float
+    error: float
+    sd: Float[np.ndarray, " dim"]
+    by: By
+
+
+def expected_outlook(
+    now: Weighted,
+    signals: Float[np.ndarray, "draw signal"],
+    informations: Callable[[], _Informations],
+    *,
+    interest: Sequence[int],
+    seed: int,
+) -> Outlook:
+    """Return the outlook by nested Monte Carlo; linearised if too few draws are left for that.
+
+    Args:
+        now: Draws of the present distribution of the inputs.
+        signals: What the experiment shows for each of them, in standard deviations of independent errors.
+        informations: Function that returns the Fisher information at some of the draws.
+        interest: Columns of the inputs of interest; if there are others, gains are those of normal distributions.
+        seed: Seed of the errors.
+    """
+    found = expected_gain(now, signals, np.random.default_rng(seed), interest=interest)
+    if not found.reliable:
+        return linear_outlook(now.covariance, informations(), interest=interest)
+    everything = len(interest) == now.draws.shape[1]
+    return Outlook(found.nats if everything else found.of_interest, found.error, found.sd, "nested Monte Carlo")
+
+
+def linear_outlook(
+    covariance: Float[np.ndarray, "dim dim"], informations: _Informations, *, interest: Sequence[int]
+) -> Outlook:
+    """Return the outlook from Fisher informations at draws of the inputs; `interest` are columns of the inputs."""
+    gain = linear_gain(covariance, informations, interest=interest)
+    return Outlook(gain, 0.0, linear_sd(covariance, informations), "linearised")
+
+
+CLEAR = 3.0
+"""ln of the posterior odds from which a model is clearly better, strong evidence."""
+FEWEST_OF_MODEL = 10.0
+"""Median number of draws of the right model that an observation must leave with weight."""
+
+
+@dataclass(frozen=True)
+class Discrimination:
+    """What an experiment is expected to tell about which model is right.
+
+    Args:
+        nats: Expected information about the model, from 0 to ln of the number of models.
+        error: Standard error of it by the number of draws.
+        clear: Probability that the right model will lead every other one by `CLEAR` nats of posterior odds.
+        wrong: Probability that another model will lead by as much.
+        left: Median number of draws of the right model that a possible observation leaves with weight.
+    """
+
+    nats: float
+    error: float
+    clear: float
+    wrong: float
+    left: float
+
+    def __repr__(self) -> str:
+        return f"<Discrimination: {self.nats:.3g} ± {self.error:.2g} nats, clear in {self.clear:.0%}>"
+
+    @property
+    def reliable(self) -> bool:
+        """Whether enough draws are left for nested Monte Carlo."""
+        return self.left >= FEWEST_OF_MODEL
+
+
+def expected_discrimination(
+    signals: Sequence[Float[np.ndarray, "_ signal"]],
+    probabilities: Sequence[float],
+    random: np.random.Generator,
+) -> Discrimination:
+    """Return what an experiment is expected to tell about which model is right.
+
+    Each draw of each model in turn is the truth; it is left out where the density of its own observation is computed.
+
+    Args:
+        signals: What the experiment shows under each model, in standard deviations of independent errors, for equally
+            likely draws of its inputs: shape (draw, signal) for each model.
+        probabilities: Present probabilities of the models, whose sum is 1.
+        random: Generator of the errors; the same state for all candidates makes their differences more certain.
+    """
+    log_prior, nats, variance, clear, wrong = np.log(probabilities), 0.0, 0.0, 0.0, 0.0
+    left: list[Float[np.ndarray, " truth"]] = []
+    for k, (truths, share) in enumerate(zip(signals, probabilities, strict=True)):
+        seen = truths + random.standard_normal(truths.shape)
+        columns, effective = zip(
+            *(_log_densities(seen, draws, own=k == m) for m, draws in enumerate(signals)), strict=True
+        )
+        odds = log_prior + np.stack(columns, axis=1)
+        posterior = odds - logsumexp(odds, axis=1, keepdims=True)
+        told = posterior[:, k] - log_prior[k]
+        nats, variance = nats + share * float(told.mean()), variance + share**2 * float(told.var()) / len(told)
+        best_other = np.delete(odds, k, axis=1).max(axis=1)
+        clear += share * float(np.mean(odds[:, k] - best_other >= CLEAR))
+        wrong += share * float(np.mean(_lead(odds, k) >= CLEAR))
+        left.append(effective[k])
+    return Discrimination(max(nats, 0.0), math.sqrt(variance), clear, wrong, float(np.median(np.concatenate(left))))
+
+
+def _lead(odds: Float[np.ndarray, "truth model"], right: int) -> Float[np.ndarray, " truth"]:
+    """Return by how much the best wrong model leads every other one; negative if it does not lead."""
+    out = np.full(len(odds), -np.inf)
+    for m in range(odds.shape[1]):
+        if m != right:
+            out = np.maximum(out, odds[:, m] - np.delete(odds, m, axis=1).max(axis=1))
+    return out
+
+
+def _log_densities(
+    seen: Float[np.ndarray, "truth signal"], draws: Float[np.ndarray, "draw signal"], *, own: bool
+) -> tuple[Float[np.ndarray, " truth"], Float[np.ndarray, " truth"]]:
+    """Return log p(s | model), without the constant of the errors, and the effective number of draws behind it.
+
+    Args:
+        seen: Observations.
+        draws: Signals of the model's draws.
+        own: Whether observation i comes from draw i, which is then left out.
+    """
+    squares, logs, left = 0.5 * (draws**2).sum(axis=1), np.empty(len(seen)), np.empty(len(seen))
+    for first in range(0, len(seen), BLOCK):
+        rows = np.arange(first, min(first + BLOCK, len(seen)))
+        some = seen[rows]
+        values = some @ draws.T - squares - 0.5 * (some**2).sum(axis=1)[:, None]
+        if own:
+            values[np.arange(len(rows)), rows] = -np.inf
+        total = logsumexp(values, axis=1)
+        left[rows] = np.exp(2 * total - logsumexp(2 * values, axis=1))
+        # The logarithm of a mean of few draws is too low: by half its relative variance, to first order.
+        number = len(draws) - own
+        logs[rows] = total - math.log(number) + 0.5 * (1.0 / left[rows] - 1.0 / number)
+    return logs, left

@@ -1,0 +1,164 @@
+"""The posteriors of many specimens, shared by several processes; each is the same to the bit in any of them.
+
+A process that helps is a fresh interpreter: it reads the surrogate and its share of the specimens from its input, and
+writes one posterior after the other to its output.
+"""
+
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from queue import SimpleQueue
+from typing import IO, Any
+
+from strandline.discrepancy import Discrepancy
+from strandline.errors import InvalidInput, NumericsError
+from strandline.interface import Observation
+from strandline.numerics.threads import one_thread, use_double
+from strandline.questions.specimen import SpecimenPosterior, posterior_of
+from strandline.questions.start import Start
+from strandline.runs.executors import usable_cores
+
+__all__ = ["RefusedSpecimen", "Task", "posteriors_of"]
+
+WORTH_HELP = 60
+"""Specimens per process from which it is worth the seconds that its start takes."""
+MOST_PROCESSES = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A specimen to analyse.
+
+    Args:
+        name: Its name.
+        observations: Its outline with its noise.
+        given: Its known inputs by name.
+    """
+
+    name: str
+    observations: tuple[Observation, ...]
+    given: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class RefusedSpecimen:
+    """A specimen that cannot be analysed.
+
+    Args:
+        name: Its name.
+        why: The reason, on one line.
+    """
+
+    name: str
+    why: str
+
+
+def posteriors_of(
+    begin: Start, measure: Discrepancy, tasks: Sequence[Task], *, seed: int = 1, processes: int | None = None
+) -> Iterator[SpecimenPosterior | RefusedSpecimen]:
+    """Yield the posterior of each specimen as it is finished; no forward run is made.
+
+    Args:
+        begin: Surrogate of the interface.
+        measure: The measure d².
+        tasks: The specimens.
+        seed: Seed of all random numbers.
+        processes: Processes that share them; by default one per core, fewer for few specimens.
+    """
+    wanted = processes or min(usable_cores(), len(tasks) // WORTH_HELP, MOST_PROCESSES)
+    number = min(wanted, len(tasks))
+    packed = _packed(begin, measure, seed) if number > 1 else None
+    if packed is None:
+        use_double()
+        with one_thread():
+            yield from (_answered(begin, measure, task, seed) for task in tasks)
+        return
+    yield from _by_helpers(packed, [list(tasks[k::number]) for k in range(number)])
+
+
+def _answered(begin: Start, measure: Discrepancy, task: Task, seed: int) -> SpecimenPosterior | RefusedSpecimen:
+    try:
+        return posterior_of(begin.with_given(task.given), task.observations, measure, name=task.name, seed=seed)
+    except (InvalidInput, NumericsError) as error:
+        return RefusedSpecimen(task.name, " ".join(str(error).split()))
+
+
+def _packed(begin: Start, measure: Discrepancy, seed: int) -> bytes | None:
+    """Return what a helper needs; None if it cannot be sent to another interpreter."""
+    try:
+        packed = pickle.dumps((begin, measure, seed))
+    except Exception:  # a measure or a prior of the user may hold anything
+        return None
+    return None if b"__main__" in packed else packed
+
+
+def _by_helpers(packed: bytes, shares: Sequence[Sequence[Task]]) -> Iterator[SpecimenPosterior | RefusedSpecimen]:
+    answers: SimpleQueue[Any] = SimpleQueue()
+    helpers = [_launched() for _ in shares]
+    with ThreadPoolExecutor(len(shares)) as pool:
+        try:
+            for helper, share in zip(helpers, shares, strict=True):
+                pool.submit(_asked, helper, packed, share, answers)
+            left = len(shares)
+            while left:
+                one = answers.get()
+                if isinstance(one, BaseException):
+                    raise one
+                left -= one is None
+                if one is not None:
+                    yield one
+        finally:
+            for helper in helpers:
+                helper.kill()
+                helper.wait()
+                for pipe in (helper.stdin, helper.stdout):
+                    _closed(pipe)
+
+
+def _closed(pipe: IO[bytes] | None) -> None:
+    """Close a pipe to a process that has ended; what it did not read is lost."""
+    with suppress(BrokenPipeError):
+        if pipe is not None:
+            pipe.close()
+
+
+def _launched() -> "subprocess.Popen[bytes]":
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    environment = {**os.environ, **threads, "JAX_NUM_CPU_DEVICES": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", "from strandline.questions.many import serve; serve()"]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
+
+
+def _asked(
+    helper: "subprocess.Popen[bytes]", packed: bytes, share: Sequence[Task], answers: "SimpleQueue[Any]"
+) -> None:
+    """Send a helper its share and pass its answers on: None at the end, an exception if it ends too early."""
+    try:
+        assert helper.stdin is not None
+        assert helper.stdout is not None
+        with helper.stdin as to:
+            pickle.dump((packed, share), to)
+        for _ in share:
+            answers.put(pickle.load(helper.stdout))
+        answers.put(None)
+    except Exception as error:  # whatever it is: the caller waits for an answer
+        message = "a process that analyses specimens ended early. Run the command again: what is finished is kept."
+        answers.put(NumericsError(f"{message} ({type(error).__name__})"))
+
+
+def serve() -> None:
+    """Answer the specimens that come in on standard input; what a helper process runs."""
+    output = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # whatever else prints must not reach the answers
+    use_double()
+    packed, share = pickle.load(sys.stdin.buffer)
+    begin, measure, seed = pickle.loads(packed)
+    with one_thread(), output:
+        for task in share:
+            pickle.dump(_answered(begin, measure, task, seed), output)
+            output.flush()

@@ -1,0 +1,338 @@
+"""Which experiment to make next: candidates of a study ranked by what they can be expected to teach."""
+
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from strandline.calibration import Observer
+from strandline.calibration.in_notebook import observer_or_default
+from strandline.design.candidates import Candidate
+from strandline.errors import InvalidInput, InvalidStudy
+from strandline.interface import UnknownErrors
+from strandline.numerics.threads import one_thread, use_double
+from strandline.questions.answer import TO_MICROMETRES, Answer, Part, Symbol, Table, digits, facts_of
+from strandline.questions.identifiability import Direction, in_words
+from strandline.questions.knowledge import require_seed
+from strandline.questions.next_from_posterior import answers_from_posterior
+from strandline.questions.next_from_prior import answers_from_prior
+from strandline.questions.next_runs import Answers, CandidateAnswer, ranked
+from strandline.runs import Executor
+from strandline.studies.check import finished_posterior
+from strandline.studies.folder import POSTERIOR, require_writable
+from strandline.studies.progress import results_of
+from strandline.studies.study import Study
+from strandline.typeset import unit_text
+
+__all__ = ["next_experiment"]
+
+SOURCES = ("prior", "posterior")
+FEWEST_RUNS, FEWEST_DRAWS, MOST_DRAWS = 4, 200, 4000
+
+
+def next_experiment(
+    study: Study,
+    *,
+    source: str | None = None,
+    draws: int = 1000,
+    runs: int = 8,
+    seed: int = 1,
+    executor: Executor | None = None,
+    observer: Observer | None = None,
+) -> Answer[Answers]:
+    """Rank the candidates that study.yaml lists under `next` by what they can be expected to teach.
+
+    After an experiment, each candidate that the surrogate of the interface does not cover costs one run with
+    sensitivities, or one run for each input and one more without; the gains come from nested Monte Carlo. Before any
+    data, each candidate is run at a few draws of the prior, and the gains are linearised. Runs go to next.sqlite and
+    are not made again. Writes next.json, next.html and its figures.
+
+    Args:
+        study: The study, from `load_study`.
+        source: Where to begin: from the ``posterior`` of a finished study, or from the ``prior``; by default the
+            posterior if there is one.
+        draws: Number of draws of the posterior, from 200 to 4000.
+        runs: Number of draws of the prior at which each candidate is run, at least 4.
+        seed: Seed of all random numbers, 0 or above.
+        executor: Where runs are made; the study's by default.
+        observer: Receives the progress.
+
+    Raises:
+        InvalidInput: An argument is out of its range, no errors of the points have the stated σ_N², or a part of the
+            interface has too few points.
+        InvalidStudy: The study has no posterior to plan from, lists no candidates, or its folder cannot be written to.
+        LedgerError: A ledger is locked, damaged, or belongs to another model.
+        TooFewRuns: The planned experiment failed at every draw of the prior.
+    """
+    _require_arguments(source, draws, runs, seed)
+    begun, tell = time.perf_counter(), observer_or_default(observer)
+    executor = executor or study.executor
+    after = source == "posterior" or (source is None and _has_posterior(study))
+    if source == "posterior":
+        finished_posterior(study, purpose="plan from")
+    candidates = _candidates(study, after=after)
+    require_writable(study.folder)
+    use_double()
+    with one_thread():
+        if after:
+            found = answers_from_posterior(study, candidates, draws=draws, seed=seed, executor=executor, observer=tell)
+        else:
+            found = answers_from_prior(study, candidates, runs=runs, executor=executor, observer=tell)
+    tell.stage("report")
+    content = _described(study, found, seed=seed, seconds=time.perf_counter() - begun)
+    return _answer(content, found, study.folder).written(draft=study.settings.draft)
+
+
+def _has_posterior(study: Study) -> bool:
+    return results_of(study) == "current" and (study.folder / POSTERIOR).is_file()
+
+
+def _candidates(study: Study, *, after: bool) -> tuple[Candidate, ...]:
+    """Return the candidates; before any data there may be none, since the planned experiment is one."""
+    if study.candidates or not after:
+        return study.candidates
+    known = next(iter(study.fixed), None)
+    raise InvalidStudy(
+        "study.yaml lists no candidates for the next experiment",
+        value=None,
+        expected=f"e.g. `next: {{{known}: [{study.fixed[known]:g}, {2 * study.fixed[known]:g}]}}`"
+        if known
+        else "e.g. `next: {part: [[0, 0.5], [0.5, 1]]}`",
+        remedy="Add them; the results of the study stay as they are.",
+    )
+
+
+def _require_arguments(source: str | None, draws: int, runs: int, seed: int) -> None:
+    if source is not None and source not in SOURCES:
+        raise InvalidInput(
+            "source of the next experiment", value=source, expected=" or ".join(SOURCES), remedy="Choose one of them."
+        )
+    if not FEWEST_DRAWS <= draws <= MOST_DRAWS:
+        raise InvalidInput(
+            "draws of the posterior",
+            value=draws,
+            expected=f"from {FEWEST_DRAWS} to {MOST_DRAWS}",
+            remedy="1000 are a good start; more make the gains more certain.",
+        )
+    if runs < FEWEST_RUNS:
+        raise InvalidInput(
+            "runs of each candidate", value=runs, expected=f"at least {FEWEST_RUNS}", remedy="8 are a good start."
+        )
+    require_seed(seed, "the next experiment")
+
+
+AGAIN = {"prior": "as planned", "posterior": "the same again"}
+"""Words for an experiment with the study's own settings."""
+NOTHING = 0.1
+"""Gain, nats, below which the advice says that an experiment teaches little."""
+AS_GOOD = 0.05
+"""Difference, nats, within which the advice calls two candidates equally good."""
+RISKY = 0.2
+"""Probability of failure from which the advice mentions it."""
+UNKNOWN, PARTLY = 0.85, 0.5
+"""Shares of the prior's standard deviation above which a direction is not determined, or only roughly."""
+
+
+def _described(study: Study, found: Answers, *, seed: int, seconds: float) -> dict[str, Any]:
+    """Return the content of next.json; candidates come in the order of their worth, single experiments first."""
+    answers = ranked(found.answers)
+    sd = found.now.sd
+    return {
+        **facts_of(study, seed),
+        "source": found.source,
+        "draws": len(found.now.draws),
+        "inputs": {
+            one.name: {
+                "label": one.shown,
+                "unit": one.unit,
+                "mean": float(found.now.mean[k]),
+                "sd": float(sd[k]),
+                "calibrated": not one.nuisance,
+            }
+            for k, one in enumerate(study.space)
+        },
+        "noise": [_noise(study, found, name) for name in found.errors],
+        "advice": _advice(study, found, answers),
+        "candidates": [_candidate(study, one, AGAIN[found.source], sd) for one in answers],
+        "directions": [_direction(study, one) for one in found.directions],
+        "identifiability": _identifiability(study, found),
+        "runs": {"new": found.new, "reused": found.reused},
+        "seconds": seconds,
+    }
+
+
+def _noise(study: Study, found: Answers, condition: str) -> dict[str, Any]:
+    """Return the errors of the points of a condition; before any data, unknown ones are a guess."""
+    guessed = found.source == "prior" and isinstance(study.noise_of(condition), UnknownErrors)
+    sd = TO_MICROMETRES * found.errors[condition].sd
+    words = f"standard deviation of each point {sd:.3g} µm"
+    if guessed:
+        words += ", a guess: the study does not know its noise"
+    return {"condition": condition, "sd_um": sd, "guessed": guessed, "in_words": words}
+
+
+def _candidate(study: Study, one: CandidateAnswer, again: str, sd: np.ndarray) -> dict[str, Any]:
+    names, outlook, look = study.space.names, one.outlook, one.candidate.look
+    gained: dict[str, Any] = {"gain": None, "error": None, "by": None, "sd": None, "sd_ratio": None}
+    if outlook is not None:
+        gained = {
+            "gain": outlook.gain,
+            "error": outlook.error,
+            "by": outlook.by,
+            "sd": dict(zip(names, outlook.sd.tolist(), strict=True)),
+            "sd_ratio": dict(zip(names, (outlook.sd / sd).tolist(), strict=True)),
+        }
+    return {
+        "label": one.candidate.label(again),
+        "settings": [dict(setting) for setting in one.candidate.settings],
+        "conditions": list(look.conditions),
+        "part": list(look.part),
+        "points": look.points,
+        "sd_of_points_mm": look.sd,
+        **gained,
+        "worth": None if outlook is None else one.worth,
+        "failing": one.failing,
+        "displacement_in_sd": one.displacement,
+        "problem": one.problem,
+    }
+
+
+def _direction(study: Study, one: Direction) -> dict[str, Any]:
+    weights = dict(zip(study.space.names, one.weights.tolist(), strict=True))
+    return {"weights": weights, "left": one.left, "in_words": in_words(one, study.space.names)}
+
+
+def _identifiability(study: Study, found: Answers) -> list[str]:
+    """Return which combinations of the inputs the picture cannot determine, in words."""
+    after = found.source == "posterior"
+    picture, leaves, determines, cannot = (
+        ("The picture", "leaves", "determines", "cannot determine")
+        if after
+        else ("The planned picture", "would leave", "would determine", "could not determine")
+    )
+    lines = []
+    for one in found.directions:
+        what, left = in_words(one, study.space.names), f"it {leaves} {100 * one.left:.0f} % of the prior's width"
+        if one.left > UNKNOWN:
+            lines.append(f"{picture} {cannot} {what}: {left}.")
+        elif one.left > PARTLY:
+            lines.append(f"{picture} {determines} {what} only roughly: {left}.")
+    if not lines:
+        worst = found.directions[0]
+        what, left = in_words(worst, study.space.names), f"it {leaves} {100 * worst.left:.0f} % of the prior's width"
+        lines.append(f"{picture} {determines} all combinations of the inputs, {what} least well: {left}.")
+    return lines
+
+
+def _advice(study: Study, found: Answers, answers: Sequence[CandidateAnswer]) -> str:
+    """Return what to do next in a few sentences: the best experiment, and the best of several together."""
+    numbers = sorted({len(one.candidate.settings) for one in answers})
+    return " ".join(
+        _best(study, found, [one for one in answers if len(one.candidate.settings) == number], number)
+        for number in numbers
+    )
+
+
+def _best(study: Study, found: Answers, answers: Sequence[CandidateAnswer], number: int) -> str:
+    """Return the best of candidates with the same number of experiments, in words."""
+    again, best = AGAIN[found.source], answers[0]
+    of = f"Of {number} experiments together: " if number > 1 else ""
+    if best.outlook is None:
+        return f"{of}Every candidate's run failed."
+    label = _words(best.candidate, again)
+    if best.outlook.gain < NOTHING:
+        return f"{of}None of the candidates teaches much; the best is {label} with {best.outlook.gain:.2f} nats."
+    now, names = found.now.sd, study.space.names
+    ratios = {names[k]: best.outlook.sd[k] / now[k] for k in study.space.calibrated}
+    least = min(ratios, key=lambda name: ratios[name])
+    fall = f"the standard deviation of {least} is expected to fall by {100 * (1 - ratios[least]):.0f} %."
+    words = f"Choose {label}" if number == 1 and len(answers) > 1 else label
+    text = f"{of}{words[0].upper() if not of else words[0]}{words[1:]}: {best.outlook.gain:.2f} nats; {fall}"
+    if best.failing is not None and best.failing > RISKY:
+        text += f" It fails with a probability of {100 * best.failing:.0f} %, though."
+    close = [_words(one.candidate, again) for one in answers[1:] if one.worth > best.worth - AS_GOOD]
+    if close:
+        text += f" Equally good, within {AS_GOOD} nats: {'; '.join(close[:3])}{', …' if len(close) > 3 else ''}."
+    return text
+
+
+def _words(candidate: Candidate, again: str) -> str:
+    return candidate.label(again if again != "as planned" else "the planned experiment")
+
+
+def _answer(content: dict[str, Any], found: Answers, folder: Path) -> Answer[Answers]:
+    """Return what next.json says, in words and tables."""
+    after, runs = content["source"] == "posterior", content["runs"]
+    made = f"{runs['new']} new forward runs, {runs['reused']} known; {digits(content['seconds'], 3)} s"
+    return Answer(
+        name="next",
+        title=f"{content['study']}: the next experiment",
+        lead="What further experiments would teach, given the posterior."
+        if after
+        else "What experiments would teach, before any data (linearised).",
+        sentence=content["advice"],
+        remarks=(),
+        good=True,
+        parts=[
+            _of_candidates(content, after=after),
+            Part(
+                f"What {'the picture determines' if after else 'the planned picture would determine'}",
+                lines=content["identifiability"],
+            ),
+            Part(
+                "How it was computed",
+                lines=[*(f"{one['condition'] or 'Noise'}: {one['in_words']}." for one in content["noise"]), made],
+                notes=[_how(content, after=after)],
+            ),
+        ],
+        content=content,
+        found=found,
+        page=folder / "next.html",
+    )
+
+
+def _of_candidates(content: Mapping[str, Any], *, after: bool) -> Part:
+    inputs = content["inputs"]
+    units = [unit_text(item["unit"]) for item in inputs.values()]
+    within = [f" [{unit}]" if unit else "" for unit in units]
+    sds = [Symbol(f"sd{unit} of {item['label']}") for item, unit in zip(inputs.values(), within, strict=True)]
+    now = ("(now)", "", *(digits(item["sd"], 3) for item in inputs.values()), "", "", "")
+    rows = [now, *(_row(one, list(inputs)) for one in content["candidates"])]
+    calibrated = "" if all(item["calibrated"] for item in inputs.values()) else "calibrated "
+    note = f"""Gain: expected information about the {calibrated}inputs (Lindley 1956), the mean of log (posterior /
+        {"present posterior" if after else "prior"}); ½ log 2 = 0.35 nats make the width of one input 1.4 times
+        smaller. sd: expected standard deviation after the experiment. Fails: probability that the specimen folds or
+        the simulation fails. Moved: displacement from the undeformed state, in standard deviations of the points'
+        errors."""
+    return Part(
+        "The candidates", Table(("candidate", "gain, nats", *sds, "fails", "moved, sd", "by"), rows), notes=[note]
+    )
+
+
+def _row(one: Mapping[str, Any], names: Sequence[str]) -> tuple[str, ...]:
+    if one["gain"] is None:
+        return one["label"], one["problem"]
+    error = f" ± {one['error']:.2f}" if one["error"] else ""
+    return (
+        one["label"],
+        f"{one['gain']:.2f}{error}",
+        *(digits(one["sd"][name], 3) for name in names),
+        "–" if one["failing"] is None else f"{one['failing']:.0%}",
+        "–" if one["displacement_in_sd"] is None else digits(one["displacement_in_sd"], 3),
+        one["by"],
+    )
+
+
+def _how(content: Mapping[str, Any], *, after: bool) -> str:
+    if after:
+        return f"""By nested Monte Carlo with {content["draws"]} draws of the posterior and seed {content["seed"]};
+            linearised where the table says so. Candidates that the surrogate of the interface covers cost no run.
+            For each other setting, the interface was extrapolated from one run at the posterior mean. The gain
+            assumes that all points of the outline are used in the best way; a measure that wastes information
+            learns less."""
+    return """Each experiment was run at a few draws of the prior, with sensitivities or with a run beside for each
+        input. The gains are linearised: they assume that the interface is linear in the inputs near each draw, and
+        that the prior is normal. Use them to rank the candidates; after the first experiment, this command starts
+        from the posterior."""

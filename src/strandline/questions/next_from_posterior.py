@@ -1,0 +1,354 @@
+"""What each candidate can be expected to show and to teach, from a study's posterior and a run of each candidate."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.calibration import Observer
+from strandline.calibration.coverage import repeatable
+from strandline.calibration.experiment import Experiment, errors_behind
+from strandline.calibration.footprint import footprint
+from strandline.calibration.source import Source, posterior_source
+from strandline.design.active import Knowledge, training_of
+from strandline.design.candidates import Candidate, Look, Setting, key_of
+from strandline.errors import NoCommonPoints
+from strandline.interface import Interface
+from strandline.models.protocol import declared_conditions, undeformed_interface
+from strandline.posterior import systematic_indices
+from strandline.posterior.weighted import Weighted
+from strandline.questions.forecast import (
+    Fails,
+    Fields,
+    crossing_share,
+    field_of,
+    learn_failure_by_size,
+    slopes_of_field,
+    slopes_of_points,
+    transfer,
+    with_known,
+)
+from strandline.questions.identifiability import Direction, directions_of, scale_of
+from strandline.questions.information import expected_outlook
+from strandline.questions.knowledge import field_knowledge, runs_to_learn_from
+from strandline.questions.next_runs import Answers, CandidateAnswer, PointRuns, Runs, problem_of, runs_at
+from strandline.questions.observing import Nodes, Observing, View, focused
+from strandline.runs import Executor, RunRecord
+from strandline.studies.check import finished_posterior
+from strandline.studies.study import Study
+from strandline.surrogate.field import FieldSurrogate, fit_field
+
+STEP = 0.5
+"""Step of runs beside a point, in standard deviations of the posterior."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prospects:
+    """What all candidates of a study can be expected to show.
+
+    Args:
+        present: What is known after the experiment of the study.
+        by_setting: Predicted interfaces by the key of a setting.
+        new: Number of forward runs made now.
+        reused: Number of runs that were known.
+    """
+
+    present: "AfterExperiment"
+    by_setting: Mapping[str, "Prospect"]
+    new: int
+    reused: int
+
+    def of(self, candidate: Candidate) -> list["Prospect"]:
+        """Return the predicted interfaces of each experiment of a candidate."""
+        return [self.by_setting[key_of(one)] for one in candidate.settings]
+
+
+def prospects_of(
+    study: Study, candidates: Sequence[Candidate], *, draws: int, seed: int, executor: Executor, observer: Observer
+) -> Prospects:
+    """Return what candidates can be expected to show, given so many draws of the posterior of a finished study.
+
+    Raises:
+        InvalidStudy: The study has no posterior, or no surrogate of the interface can be learnt.
+        InvalidInput: No independent errors of the points have the stated σ_N², or a part has too few points.
+    """
+    posterior = finished_posterior(study, purpose="plan from")
+    observer.stage("surrogate")
+    knowledge = field_knowledge(study, next(iter(study.discrepancies)), purpose="planning the next experiment")
+    source = posterior_source(knowledge, posterior)
+    conditions = {name for one in candidates for name in one.look.conditions}
+    surrogate = _surrogate(study, knowledge, conditions)
+    present = AfterExperiment(study, source, surrogate, repeatable(source), _drawn(source, draws, seed))
+    for look in {candidate.look for candidate in candidates}:  # refuses a part with too few points before any run
+        present.observing(present.surrogate.modes.fields(present.surrogate.mean(present.now.mean[None]))[0], look)
+    observer.stage("candidates")
+    settings = list({key_of(one): one for candidate in candidates for one in candidate.settings}.values())
+    runs = _runs(present, settings, executor, observer)
+    present = replace(present, succeeded=_succeeded(present, runs))
+    points = iter(runs.points)
+    found = {key_of(one): present.prospect(one, next(points) if present.unknown(one) else None) for one in settings}
+    return Prospects(present, found, runs.new, runs.reused)
+
+
+@dataclass(frozen=True, eq=False)
+class Prospect:
+    """The predicted interfaces of an experiment.
+
+    Args:
+        forecast: The field as a function of the inputs; None if a run failed.
+        fields: Fields at the draws, shape (draw, value), mm.
+        failing: Probability that it fails; None if nothing is known about it.
+        problem: Why there is no forecast.
+    """
+
+    forecast: Fields | None
+    fields: Float[np.ndarray, "draw value"]
+    failing: float | None
+    problem: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class AfterExperiment:
+    """What is known after the experiment of the study.
+
+    Args:
+        study: The study.
+        source: Its posterior.
+        surrogate: Surrogate of the interface in all conditions that a candidate observes.
+        experiment: Places and errors of the observed points.
+        now: Draws of the posterior.
+        succeeded: Fields of candidates' runs that succeeded, mm.
+    """
+
+    study: Study
+    source: Source
+    surrogate: FieldSurrogate
+    experiment: Experiment
+    now: Weighted
+    succeeded: Float[np.ndarray, "run value"] | None = None
+
+    @property
+    def directions(self) -> tuple[Direction, ...]:
+        """The combinations of the inputs, from the least to the best known."""
+        scaled = scale_of(self.study.space).of(self.now.draws)
+        return directions_of(Weighted(scaled, self.now.weights).covariance)
+
+    def known(self, setting: Setting) -> dict[int, float]:
+        """Return the values of uncertain inputs that an experiment sets, by column."""
+        names = self.study.space.names
+        return {names.index(name): value for name, value in setting.items() if name in names}
+
+    def unknown(self, setting: Setting) -> bool:
+        """Return whether an experiment sets a quantity to a value that the surrogate does not cover."""
+        fixed = self.study.fixed
+        return any(name in fixed and fixed[name] != value for name, value in setting.items())
+
+    @cached_property
+    def undeformed(self) -> Float[np.ndarray, " value"] | None:
+        """The undeformed interface as a field; None if the model does not know it."""
+        found, surrogate = undeformed_interface(self.study.model), self.surrogate
+        if found is None:
+            return None
+        try:
+            return field_of(surrogate, dict.fromkeys(surrogate.layouts, found))
+        except NoCommonPoints:
+            return None
+
+    @cached_property
+    def by_size(self) -> Fails | None:
+        """Probability of failure by the size of the displacement."""
+        known = self.source.knowledge
+        if self.undeformed is None:
+            return None
+        others = self.undeformed[None, :][:0] if self.succeeded is None else self.succeeded
+        return learn_failure_by_size(self.surrogate, known.x, known.ok, self.undeformed, others)
+
+    def prospect(self, setting: Setting, runs: PointRuns | None) -> Prospect:
+        """Return the predicted interfaces of an experiment."""
+        surrogate, known = self.surrogate, self.known(setting)
+        if runs is not None and runs.failed is not None:
+            return Prospect(None, np.zeros((0, 0)), None, problem_of(runs.failed))
+        carried = None if runs is None else self._carried(runs, known)
+
+        def forecast(points: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "point value"]:
+            points = with_known(points, known)
+            return surrogate.modes.fields(surrogate.mean(points)) if carried is None else carried(points)
+
+        fields = forecast(self.now.draws)
+        failing = None
+        if carried is None:
+            failing = 1 - np.exp(self.source.knowledge.log_feasibility(with_known(self.now.draws, known)))
+        elif self.by_size is not None:
+            failing = self.by_size(fields)
+        templates = {name: layout.template for name, layout in surrogate.layouts.items()}
+        crossing = crossing_share(surrogate.by_condition(fields), templates)
+        if failing is None:
+            return Prospect(forecast, fields, crossing if crossing > 0 else None)
+        return Prospect(forecast, fields, 1 - (1 - float(self.now.weights @ failing)) * (1 - crossing))
+
+    def _carried(self, runs: PointRuns, known: Mapping[int, float]) -> Fields:
+        """Return the field of another experiment, carried over from its runs at a point."""
+        field = field_of(self.surrogate, runs.run.interfaces)
+        at = with_known(runs.x[None], known)[0]
+        return transfer(self.surrogate, at, field, _slopes(self, runs, field), self.now.covariance)
+
+    def _whole(self, name: str, nodes: Float[np.ndarray, "node xyz"]) -> View:
+        """Return how a condition is observed; of one that was not observed yet, all nodes are."""
+        experiment = self.experiment
+        if name in experiment.footprints:
+            return View(experiment.footprints[name], experiment.errors[name])
+        simulated = self.surrogate.layouts[name].with_points(nodes)
+        measure = next(iter(self.study.discrepancies.values()))
+        errors = errors_behind(self.study.observation(simulated, name), measure, len(nodes))
+        return View(footprint(simulated, simulated), errors)
+
+    def nodes(self, fields: Float[np.ndarray, "draw value"]) -> Nodes:
+        """Return fields as nodes of interfaces by condition."""
+        return self.surrogate.by_condition(fields)
+
+    def observing(
+        self, field: Float[np.ndarray, " value"], look: Look, *, along: Mapping[str, Interface] | None = None
+    ) -> Observing:
+        """Return how interfaces near this field are observed.
+
+        Args:
+            field: The field, mm.
+            look: What of them is observed.
+            along: Whole interfaces of another model by condition whose arc lengths count; by default its own.
+        """
+        reference = {name: one[0] for name, one in self.nodes(field[None]).items()}
+        views = {}
+        for name in look.conditions or self.experiment.footprints:
+            views[name] = focused(
+                self._whole(name, reference[name]),
+                reference[name],
+                part=look.part,
+                points=look.points,
+                sd=look.sd,
+                along=None if along is None else along[name],
+            )
+        return Observing(views, reference)
+
+    def seen(self, field: Float[np.ndarray, " value"], look: Look) -> dict[str, Interface]:
+        """Return what would be observed of the whole interfaces of this field, by condition of a look."""
+        nodes = self.nodes(field[None])
+        names = look.conditions or self.experiment.footprints
+        return {name: self._whole(name, nodes[name][0]).seen(nodes[name][0]) for name in names}
+
+
+def _surrogate(study: Study, knowledge: Knowledge, conditions: Collection[str]) -> FieldSurrogate:
+    """Return the surrogate of the study, or one of all conditions if some were not observed yet."""
+    if all(name in knowledge.surrogate.layouts for name in conditions):
+        return knowledge.surrogate
+    records = runs_to_learn_from(study)
+    x = np.array([[record.inputs[name] for name in study.space.names] for record in records], float)
+    return fit_field(training_of(x, records, study.space, declared_conditions(study.model)))
+
+
+def _runs(present: AfterExperiment, settings: Sequence[Setting], executor: Executor, observer: Observer) -> Runs:
+    """Return the runs of all experiments that the surrogate does not cover, at the posterior mean."""
+    wanted = [(one, present.now.mean) for one in settings if present.unknown(one)]
+    surrogate, names = present.surrogate, present.study.space.names
+
+    def usable(record: RunRecord) -> bool:
+        return slopes_of_field(surrogate, record.sensitivities, names) is not None
+
+    if not wanted:
+        return Runs((), 0, 0)
+    return runs_at(present.study, wanted, STEP * present.now.sd, usable=usable, executor=executor, observer=observer)
+
+
+def _succeeded(present: AfterExperiment, runs: Runs) -> Float[np.ndarray, "run value"] | None:
+    """Return the fields of all runs that succeeded; None if there are none."""
+    surrogate = present.surrogate
+    good = [record for one in runs.points for record in (one.run, *one.others) if record.ok]
+    return np.array([field_of(surrogate, record.interfaces) for record in good]) if good else None
+
+
+def _slopes(
+    present: AfterExperiment, runs: PointRuns, field: Float[np.ndarray, " value"]
+) -> Float[np.ndarray, "value dim"]:
+    """Return the derivatives of the field at the point, from sensitivities or from the runs beside it."""
+    surrogate = present.surrogate
+    if not runs.others:
+        found = slopes_of_field(surrogate, runs.run.sensitivities, present.study.space.names)
+        assert found is not None
+        return found
+    moved = np.array([field_of(surrogate, one.interfaces) for one in runs.others])
+    return np.asarray(((moved - field) / np.diag(runs.beside - runs.x)[:, None]).T)
+
+
+def _drawn(source: Source, number: int, seed: int) -> Weighted:
+    """Return draws of the posterior, each once, with their weights."""
+    weights = np.exp(source.log_weights)
+    chosen = systematic_indices(weights / weights.sum(), number, np.random.default_rng(seed))
+    places, counts = np.unique(chosen, return_counts=True)
+    return Weighted(source.points[places], counts / counts.sum())
+
+
+INFORMATIONS = 16
+"""Draws at which the Fisher information is taken where a gain is linearised."""
+
+
+def answers_from_posterior(
+    study: Study, candidates: Sequence[Candidate], *, draws: int, seed: int, executor: Executor, observer: Observer
+) -> Answers:
+    """Return what each candidate can be expected to teach, given the posterior of a finished study.
+
+    Raises:
+        InvalidStudy, InvalidInput: As `prospects_of`.
+    """
+    found = prospects_of(study, candidates, draws=draws, seed=seed, executor=executor, observer=observer)
+    observer.stage("gains")
+    return Answers(
+        source="posterior",
+        now=found.present.now,
+        errors=found.present.experiment.errors,
+        answers=tuple(_answer(found.present, candidate, found.of(candidate), seed) for candidate in candidates),
+        directions=found.present.directions,
+        new=found.new,
+        reused=found.reused,
+    )
+
+
+def _answer(present: AfterExperiment, candidate: Candidate, made: Sequence[Prospect], seed: int) -> CandidateAnswer:
+    """Return what one candidate can be expected to teach."""
+    problem = next((one.problem for one in made if one.problem), "")
+    if problem:
+        return CandidateAnswer(candidate, None, None, None, problem)
+    now = present.now
+    observing = [present.observing(now.weights @ one.fields, candidate.look) for one in made]
+    pairs = list(zip(observing, made, strict=True))
+    signals = np.hstack([seen.signals(present.nodes(one.fields)) for seen, one in pairs])
+
+    def informations() -> list[Float[np.ndarray, "dim dim"]]:
+        some = now.draws[np.linspace(0, len(now.draws) - 1, INFORMATIONS).astype(int)]
+        return [np.sum([_information(present, one, candidate.look, x) for one in made], axis=0) for x in some]
+
+    outlook = expected_outlook(now, signals, informations, interest=present.study.space.calibrated, seed=seed)
+    failing = [one.failing for one in made]
+    known = [1 - one for one in failing if one is not None]
+    sizes = [] if present.undeformed is None else [_displacement(present, seen) for seen in observing]
+    return CandidateAnswer(
+        candidate,
+        outlook,
+        1 - float(np.prod(known)) if len(known) == len(failing) else None,
+        max(sizes) if sizes else None,
+    )
+
+
+def _information(
+    present: AfterExperiment, one: Prospect, look: Look, x: Float[np.ndarray, " dim"]
+) -> Float[np.ndarray, "dim dim"]:
+    assert one.forecast is not None
+    return present.observing(one.forecast(x[None])[0], look).fisher(
+        slopes_of_points(one.forecast, x, present.surrogate)
+    )
+
+
+def _displacement(present: AfterExperiment, observing: Observing) -> float:
+    assert present.undeformed is not None
+    nodes = present.nodes(present.undeformed[None])
+    return observing.displacement({name: points[0] for name, points in nodes.items()})

@@ -1,0 +1,193 @@
+"""Forward runs of candidates, with sensitivities if the model offers them; they have their own ledger, next.sqlite."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from strandline.calibration import Observer
+from strandline.calibration.experiment import Errors
+from strandline.design.candidates import Candidate
+from strandline.errors import InvalidInput
+from strandline.models.fidelities import WithCheaper
+from strandline.models.protocol import with_sensitivities
+from strandline.posterior.weighted import Weighted
+from strandline.questions.identifiability import Direction
+from strandline.questions.information import Outlook
+from strandline.runs import Executor, Ledger, RunRecord, run_campaign, run_key
+from strandline.studies.folder import NEXT_LEDGER
+from strandline.studies.study import Study
+from strandline.studies.study_runs import settled
+
+
+@dataclass(frozen=True, eq=False)
+class PointRuns:
+    """The runs at one point: one there, and without usable sensitivities one beside it for each input.
+
+    Args:
+        x: The point, shape (dim,).
+        beside: Points beside it, shape (dim, dim).
+        run: Record of the run at the point.
+        others: Records of the runs beside it; empty if the run has sensitivities.
+    """
+
+    x: Float[np.ndarray, " dim"]
+    beside: Float[np.ndarray, "dim dim"]
+    run: RunRecord
+    others: tuple[RunRecord, ...]
+
+    @property
+    def failed(self) -> RunRecord | None:
+        """The first run that failed; None if all succeeded."""
+        return next((one for one in (self.run, *self.others) if not one.ok), None)
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """Runs at several points, and how many of them were made now or known."""
+
+    points: tuple[PointRuns, ...]
+    new: int
+    reused: int
+
+
+def runs_at(
+    study: Study,
+    points: Sequence[tuple[Mapping[str, float], Float[np.ndarray, " dim"]]],
+    steps: Float[np.ndarray, " dim"],
+    usable: Callable[[RunRecord], bool],
+    executor: Executor,
+    observer: Observer,
+) -> Runs:
+    """Return the runs at points; a run that next.sqlite holds is not made again.
+
+    Args:
+        study: The study.
+        points: Quantities that differ from the study's, and the inputs, of each point.
+        steps: Distance in each input of the runs beside a point, if there are any.
+        usable: Whether the sensitivities of a run can be used.
+        executor: Where runs are made.
+        observer: Receives the progress.
+    """
+    model, identity = _sensitive(study), study.runs.identity
+    beside = [_beside(study, x, steps) for _, x in points]
+    at_points = [_inputs(study, setting, x) for setting, x in points]
+    around = [[_inputs(study, setting, row) for row in rows] for (setting, _), rows in zip(points, beside, strict=True)]
+    with Ledger.open(study.folder / NEXT_LEDGER, model=identity, description=f"{study.name}, next") as ledger:
+        campaign = _Campaign(ledger, executor, observer, identity)
+        records = campaign.run(model, at_points)
+        if any(one.failure_kind == "no_sensitivities" for one in records):
+            model = _plain(study)
+            records = campaign.run(model, at_points)
+        bare = [one.ok and not usable(one) for one in records]
+        entries = [entry for some, is_bare in zip(around, bare, strict=True) if is_bare for entry in some]
+        others = iter(campaign.run(model, entries))
+    found = tuple(
+        PointRuns(x, rows, record, tuple(next(others) for _ in rows) if is_bare else ())
+        for (_, x), rows, record, is_bare in zip(points, beside, records, bare, strict=True)
+    )
+    return Runs(found, campaign.new, campaign.reused)
+
+
+@dataclass
+class _Campaign:
+    """Campaigns in one ledger, with a count of the runs."""
+
+    ledger: Ledger
+    executor: Executor
+    observer: Observer
+    identity: str
+    new: int = 0
+    reused: int = 0
+
+    def run(self, model: Any, inputs: Sequence[Mapping[str, float]]) -> tuple[RunRecord, ...]:
+        """Return the record of each entry."""
+        if not inputs:
+            return ()
+        keys = {run_key(self.identity, entry) for entry in inputs}
+        known = len(settled(self.ledger, keys, sensitivities=getattr(model, "sensitivities", False) is True))
+        self.new, self.reused = self.new + len(keys) - known, self.reused + known
+        return run_campaign(model, inputs, ledger=self.ledger, executor=self.executor, on_record=self.observer.run)
+
+
+def _inputs(study: Study, setting: Mapping[str, float], x: Float[np.ndarray, " dim"]) -> dict[str, float]:
+    return {**study.fixed, **study.space.as_mapping(x), **setting}
+
+
+def _beside(study: Study, x: Float[np.ndarray, " dim"], steps: Float[np.ndarray, " dim"]) -> np.ndarray:
+    """Return points beside x, one step away in one input each, inside the box."""
+    return np.asarray(x + np.diag(np.where(x + steps > study.space.high, -steps, steps)))
+
+
+def _plain(study: Study) -> Any:
+    return study.model.model if isinstance(study.model, WithCheaper) else study.model
+
+
+def _sensitive(study: Study) -> Any:
+    """Return the model with sensitivities if it offers them."""
+    try:
+        return with_sensitivities(_plain(study))
+    except InvalidInput:
+        return _plain(study)
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateAnswer:
+    """What one candidate can be expected to teach.
+
+    Args:
+        candidate: The candidate.
+        outlook: What it can be expected to teach; None if its run failed.
+        failing: Probability that the specimen folds or the run fails; None if nothing is known about it.
+        displacement: Displacement of the interface from its undeformed state, in standard deviations of the points'
+            errors; None if the model does not know that state.
+        problem: Why there is no outlook; empty if there is one.
+    """
+
+    candidate: Candidate
+    outlook: Outlook | None
+    failing: float | None
+    displacement: float | None
+    problem: str = ""
+
+    @property
+    def worth(self) -> float:
+        """Expected information gain, nats, with nothing learnt where the experiment fails."""
+        return -np.inf if self.outlook is None else self.outlook.gain * (1 - (self.failing or 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """What the candidates can be expected to teach.
+
+    Args:
+        source: What is known before: the ``prior`` or the ``posterior``.
+        now: Draws of it.
+        errors: Errors of the observed points by condition.
+        answers: Answers, one for each candidate.
+        directions: Combinations of the inputs in prior standard deviations, from the least to the best known: after
+            the present experiment, or before any data after the planned one.
+        new: Number of forward runs made now.
+        reused: Number of runs that were known.
+    """
+
+    source: str
+    now: Weighted
+    errors: Mapping[str, Errors]
+    answers: tuple[CandidateAnswer, ...]
+    directions: tuple[Direction, ...]
+    new: int
+    reused: int
+
+
+def ranked(answers: Sequence[CandidateAnswer]) -> tuple[CandidateAnswer, ...]:
+    """Return the answers in the order of their worth, single experiments before several together."""
+    return tuple(sorted(answers, key=lambda one: (len(one.candidate.settings), -one.worth)))
+
+
+def problem_of(record: RunRecord) -> str:
+    """Return why a run failed, in a line."""
+    said = (record.message or "").partition("\n")[0]
+    return f"its run failed: {record.failure_kind or record.state}{f': {said}' if said else ''}"

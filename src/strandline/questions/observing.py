@@ -1,0 +1,257 @@
+"""Where on the interface an experiment looks, how finely, with which errors, and what it shows of predictions."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import cholesky
+
+from strandline.calibration.experiment import CoordinateErrors, Errors
+from strandline.calibration.footprint import Footprint
+from strandline.design.candidates import FEWEST_POINTS, WHOLE
+from strandline.discrepancy import NormalOffset
+from strandline.errors import InvalidInput
+from strandline.interface import ErrorModel, Interface, Observation, PointErrors, steady_normals
+from strandline.likelihood.joint_errors import error_model
+from strandline.likelihood.shared_errors import shared_errors
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Observed places on a simulated interface, with the errors of the points.
+
+    Args:
+        footprint: The places.
+        errors: Errors of the observed points.
+    """
+
+    footprint: Footprint
+    errors: Errors
+
+    def seen(self, nodes: Float[np.ndarray, "node xyz"]) -> Interface:
+        """Return what would be observed of a simulated interface without errors."""
+        return Interface(self.footprint.on(nodes), self.footprint.cells)
+
+    def points(self, nodes: Float[np.ndarray, "move node xyz"]) -> Float[np.ndarray, "move point xyz"]:
+        """Return the observed points of simulated interfaces, or displacements of the points given those of nodes."""
+        return np.asarray(np.einsum("pc,mpcx->mpx", self.footprint.weights, nodes[:, self.footprint.corners]))
+
+    def along(self, seen: Interface, moves: Float[np.ndarray, "move point xyz"]) -> Float[np.ndarray, "move row"]:
+        """Return displacements of the observed points as rows whose errors are known.
+
+        With errors along the normals there is one row for each point, else one for each of its coordinates.
+
+        Args:
+            seen: The observed interface whose normals count.
+            moves: Displacements of its points, mm, or slopes.
+        """
+        if isinstance(self.errors, CoordinateErrors):
+            return np.asarray(moves.reshape(len(moves), -1))
+        return np.asarray(np.einsum("mpx,px->mp", moves, steady_normals(seen)))
+
+    def rows(
+        self, reference: Float[np.ndarray, "node xyz"], moves: Float[np.ndarray, "move node xyz"]
+    ) -> Float[np.ndarray, "move row"]:
+        """Return displacements of the nodes, or slopes, as rows in the same way.
+
+        Args:
+            reference: Nodes of the simulated interface whose normals count.
+            moves: Displacements of the nodes from there, mm, or slopes.
+        """
+        return self.along(self.seen(reference), self.points(moves))
+
+
+def focused(
+    view: View,
+    nodes: Float[np.ndarray, "node xyz"],
+    *,
+    part: tuple[float, float] = WHOLE,
+    points: int | None = None,
+    sd: float | None = None,
+    along: Interface | None = None,
+) -> View:
+    """Return the view of a part of the interface, with another number of points, or with another error of each.
+
+    Args:
+        view: The view of the whole interface.
+        nodes: Nodes of a simulated interface, whose arc length counts.
+        part: Where the part begins and ends, as shares of the observed arc length.
+        points: Number of points, at equal distances along the part; by default those of the view that lie in it.
+        sd: Standard deviation of each point, mm; that of the view by default.
+        along: Interface with the points of the view whose arc length counts instead, for views that must correspond.
+
+    Raises:
+        InvalidInput: Fewer than 3 points in the part, or a part or a number of points on a surface.
+    """
+    if sd is not None:
+        view = View(view.footprint, _with_sd(view.errors, sd))
+    if part == WHOLE and points is None:
+        return view
+    seen = view.seen(nodes) if along is None else along
+    if seen.dim == 3:
+        raise InvalidInput(
+            "part, or number of points, of a surface",
+            value=f"part {list(part)}, points {points}",
+            expected="the whole surface, with its points",
+            remedy="Remove `part` and `points`.",
+        )
+    if points is not None:
+        return _resampled(view, seen, part, points)
+    return _cut(view, seen, part)
+
+
+def _with_sd(errors: Errors, sd: float) -> Errors:
+    return CoordinateErrors(sd) if isinstance(errors, CoordinateErrors) else replace(errors, sd=sd)
+
+
+def _cut(view: View, seen: Interface, part: tuple[float, float]) -> View:
+    """Return the view of those points that lie in a part."""
+    chain, shares = _along(seen)
+    chain = chain[(shares >= part[0] - 1e-9) & (shares <= part[1] + 1e-9)]
+    if len(chain) < FEWEST_POINTS:
+        raise InvalidInput(
+            "part of the interface to look at",
+            value=f"{list(part)}, which has {len(chain)} of the {len(seen.points)} observed points",
+            expected=f"at least {FEWEST_POINTS} points",
+            remedy="Make it longer, or add `points`.",
+        )
+    here = view.footprint
+    errors = view.errors
+    if isinstance(errors, PointErrors) and errors.shares:
+        errors = replace(errors, shares=tuple(errors.shares[number] for number in chain))
+    return View(Footprint(here.corners[chain], here.weights[chain], _chained(len(chain))), errors)
+
+
+def _resampled(view: View, seen: Interface, part: tuple[float, float], points: int) -> View:
+    """Return the view with points at equal distances along a part, each between two points of the present view."""
+    chain, shares = _along(seen)
+    end = part[0] == 0 and part[1] == 1 and seen.closed
+    places = np.linspace(*part, points, endpoint=not end)
+    after = np.clip(np.searchsorted(shares, places, side="right"), 1, len(chain) - 1)
+    share = np.clip((places - shares[after - 1]) / (shares[after] - shares[after - 1]), 0.0, 1.0)[:, None]
+    here, first, second = view.footprint, chain[after - 1], chain[after]
+    corners = np.hstack([here.corners[first], here.corners[second]])
+    weights = np.hstack([(1 - share) * here.weights[first], share * here.weights[second]])
+    errors = view.errors
+    if isinstance(errors, PointErrors):
+        errors = replace(errors, shares=())
+    return View(Footprint(corners, weights, _chained(points, closed=end)), errors)
+
+
+def _along(seen: Interface) -> tuple[np.ndarray, Float[np.ndarray, " corner"]]:
+    """Return the numbers of the points along a polyline, and the share of its length before each of them."""
+    chain = np.append(seen.cells[:, 0], seen.cells[-1, 1])
+    lengths = np.concatenate([[0.0], np.cumsum(seen.lengths)])
+    return chain, np.asarray(lengths / lengths[-1])
+
+
+def _chained(number: int, *, closed: bool = False) -> np.ndarray:
+    first = np.arange(number if closed else number - 1)
+    return np.stack([first, (first + 1) % number], axis=1)
+
+
+KEPT = 1e-3
+"""Directions in which no displacement exceeds this share of the errors are left out."""
+
+
+def signals_of(
+    displacements: Float[np.ndarray, "draw point"],
+    information: Callable[[Float[np.ndarray, "point some"]], Float[np.ndarray, "some some"]],
+) -> Float[np.ndarray, "draw signal"]:
+    """Return displacements as signals z, so that an observation of draw i is z_i + ε with standard normal ε.
+
+    With errors of covariance C, what an observation tells about the displacements V c, which lie in a few directions V,
+    is normal with mean c and covariance (Vᵀ C⁻¹ V)⁻¹.
+
+    Args:
+        displacements: Displacements of the observed points along their normals, for each draw of the inputs, mm.
+        information: Function that returns Vᵀ C⁻¹ V of any directions V, 1/mm².
+    """
+    centred = displacements - displacements.mean(axis=0)
+    _, sizes, directions = np.linalg.svd(centred, full_matrices=False)
+    number = int((sizes > 1e-12 * max(float(sizes[0]), 1e-300)).sum())
+    if number == 0:
+        return np.zeros((len(centred), 1))
+    basis = directions[:number].T
+    root = cholesky(information(basis))
+    signals = centred @ basis @ root.T
+    # Rotate to the directions that the draws differ in most; the errors stay independent.
+    _, spreads, axes = np.linalg.svd(signals, full_matrices=False)
+    kept = spreads > KEPT * np.sqrt(len(signals))
+    return np.asarray(signals @ axes[kept].T) if kept.any() else np.zeros((len(signals), 1))
+
+
+Nodes = Mapping[str, Float[np.ndarray, "_ _ _"]]
+"""Nodes of simulated interfaces by condition, one interface a row, mm."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observing:
+    """The views of an experiment, and the interfaces about which the displacements are small.
+
+    Args:
+        views: Views by condition.
+        reference: Nodes of a simulated interface by condition, mm.
+    """
+
+    views: Mapping[str, View]
+    reference: Mapping[str, Float[np.ndarray, "_ _"]]
+
+    def signals(self, nodes: Nodes) -> Float[np.ndarray, "draw signal"]:
+        """Return what would be observed of interfaces, in standard deviations of independent errors."""
+        rows = [view.rows(self.reference[n], nodes[n] - self.reference[n]) for n, view in self.views.items()]
+        return signals_of(np.hstack(rows), self.information)
+
+    def fisher(self, slopes: Mapping[str, Float[np.ndarray, "_ xyz dim"]]) -> Float[np.ndarray, "dim dim"]:
+        """Return the Fisher information of the inputs.
+
+        Args:
+            slopes: Derivatives of the nodes in the inputs by condition, mm per unit of the input.
+        """
+        rows = [view.rows(self.reference[n], np.moveaxis(slopes[n], -1, 0)) for n, view in self.views.items()]
+        return self.information(np.hstack(rows).T)
+
+    def information(self, directions: Float[np.ndarray, "row some"]) -> Float[np.ndarray, "some some"]:
+        """Return Vᵀ C⁻¹ V for displacements V of all observed points and the covariance C of their errors, 1/mm²."""
+        model = self._model
+        if model is not None:
+            return model.information(directions)
+        total, first = np.zeros((directions.shape[1], directions.shape[1])), 0
+        for name, view in self.views.items():
+            errors, number = view.errors, len(view.footprint.corners)
+            if isinstance(errors, CoordinateErrors):
+                rows = directions[first : first + number * self.reference[name].shape[1]]
+                total += rows.T @ rows / errors.sd**2
+            else:
+                rows = directions[first : first + number]
+                total += errors.model(view.seen(self.reference[name])).information(rows)
+            first += len(rows)
+        return total
+
+    @cached_property
+    def _model(self) -> ErrorModel | None:
+        """Covariance of all errors together; None if an interface has errors of coordinates."""
+        seen, known = [], []
+        for name, view in self.views.items():
+            if not isinstance(view.errors, PointErrors):
+                return None
+            seen.append(Observation(view.seen(self.reference[name]), view.errors, name))
+            known.append(view.errors)
+        joint = shared_errors(seen, NormalOffset())
+        return error_model(seen, known) if joint is None else joint.model
+
+    def displacement(self, undeformed: Mapping[str, Float[np.ndarray, "_ _"]]) -> float:
+        """Return the displacement of the reference from other nodes, root mean square, in standard deviations.
+
+        Args:
+            undeformed: Nodes of the undeformed interface by condition, mm.
+        """
+        squares = []
+        for name, view in self.views.items():
+            here = view.seen(self.reference[name])
+            rows = view.rows(self.reference[name], (self.reference[name] - undeformed[name])[None])[0]
+            sds = view.errors.sds(here) if isinstance(view.errors, PointErrors) else np.array(view.errors.sd)
+            squares.append((rows / sds) ** 2)
+        return float(np.sqrt(np.concatenate(squares).mean()))

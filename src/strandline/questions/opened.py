@@ -1,0 +1,220 @@
+"""A study opened for many specimens: the surrogate is learnt once, and serves one outline after another."""
+
+import json
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from strandline.discrepancy import Discrepancy
+from strandline.errors import InvalidInput
+from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
+from strandline.numerics.threads import one_thread, use_double
+from strandline.parameters import ParameterSpace
+from strandline.questions.answer import LineFile
+from strandline.questions.certificate import Certified
+from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require_seed
+from strandline.questions.many import Task
+from strandline.questions.specimen import SpecimenPosterior, posterior_of
+from strandline.questions.specimen_files import SpecimenFiles, noise_of_outline, require_one_condition, specimen_files
+from strandline.questions.start import Start
+from strandline.runs import Ledger, RunRecord
+from strandline.studies.folder import SPECIMENS_LEDGER, SPECIMENS_LINES
+from strandline.studies.observed import require_plausible
+from strandline.studies.study import Study
+from strandline.studies.study_runs import settled
+
+__all__ = ["Specimens", "open_specimens"]
+
+ARRAYS = ("mean", "covariance", "quantiles", "draws")
+
+
+@dataclass(frozen=True)
+class SpecimenLines:
+    """A file of posteriors, one a line, each with the digest of all that it depends on.
+
+    Args:
+        lines: The file.
+        space: All inputs of the study.
+    """
+
+    lines: LineFile
+    space: ParameterSpace
+
+    def held(self) -> AbstractContextManager[None]:
+        """Keep other commands from writing to the file."""
+        return self.lines.held("strandline specimens", "posteriors")
+
+    def read(self) -> dict[str, SpecimenPosterior]:
+        """Return the posteriors by digest."""
+        return {str(one["of"]): self._posterior(one) for one in self.lines.entries() if self._ours(one)}
+
+    def append(self, one: SpecimenPosterior, of: str) -> None:
+        """Add a posterior, with the digest of all that it depends on."""
+        entry = {
+            "of": of,
+            "specimen": one.name,
+            "given": dict(one.given),
+            "inputs": list(one.space.names),
+            **{name: getattr(one, name).tolist() for name in ARRAYS},
+            "effective": one.effective,
+            "by": one.by,
+            "shift": one.certified.shift,
+            "surprise": one.certified.surprise,
+        }
+        self.lines.append(entry)
+
+    def _ours(self, entry: Mapping[str, Any]) -> bool:
+        names = entry.get("inputs")
+        return "of" in entry and isinstance(names, list) and set(names) <= set(self.space.names)
+
+    def _posterior(self, entry: Mapping[str, Any]) -> SpecimenPosterior:
+        arrays: dict[str, Any] = {name: np.array(entry[name], float) for name in ARRAYS}
+        return SpecimenPosterior(
+            name=entry["specimen"],
+            given=entry["given"],
+            space=ParameterSpace(tuple(self.space[name] for name in entry["inputs"])),
+            effective=entry["effective"],
+            by=entry["by"],
+            certified=Certified(entry["shift"], entry["surprise"]),
+            **arrays,
+        )
+
+
+def lines_of(study: Study) -> SpecimenLines:
+    """Return the file of a study's specimens."""
+    return SpecimenLines(LineFile(study.folder / SPECIMENS_LINES), study.space)
+
+
+@dataclass(frozen=True, eq=False)
+class Specimens:
+    """A study that is ready to analyse outlines, without a forward run.
+
+    Args:
+        study: The study.
+        measure: Name of the measure.
+        seed: Seed of all random numbers.
+        begin: Surrogate of the interface, with draws of the prior.
+        further: Further runs, made for specimens, that it was learnt from too.
+    """
+
+    study: Study
+    measure: str
+    seed: int
+    begin: Start
+    further: tuple[RunRecord, ...]
+
+    def __repr__(self) -> str:
+        return f"<Specimens of {self.study.name}: surrogate of {self.begin.knowledge.surrogate.runs} runs>"
+
+    @property
+    def discrepancy(self) -> Discrepancy:
+        """The measure d²."""
+        return self.study.discrepancies[self.measure]
+
+    @cached_property
+    def files(self) -> SpecimenFiles:
+        """The files that study.yaml names.
+
+        Raises:
+            InvalidStudy: It names none, or they cannot be used.
+        """
+        return specimen_files(self.study)
+
+    def posterior(
+        self,
+        interface: Interface,
+        *,
+        given: Mapping[str, float] | None = None,
+        noise: Noise | PointErrors | UnknownErrors | None = None,
+        name: str = "specimen",
+    ) -> SpecimenPosterior:
+        """Return the posterior of the inputs for one outline.
+
+        Args:
+            interface: The outline, mm.
+            given: Known inputs by name.
+            noise: Noise of the outline; by default the study's.
+            name: Name of the specimen; with the seed, it decides all random numbers.
+
+        Raises:
+            InvalidInput: The outline cannot be compared, or a known input lies outside its box.
+        """
+        stated = noise_of_outline(self.study, interface) if noise is None else noise
+        task = Task(name, (self._observation(interface, stated, name),), given or {})
+        use_double()
+        with one_thread():
+            begin = self.begin.with_given(task.given)
+            return posterior_of(begin, task.observations, self.discrepancy, name=name, seed=self.seed)
+
+    def task(self, path: Path) -> tuple[Task, str]:
+        """Return the specimen in a file, and the digest of all that its posterior depends on.
+
+        Raises:
+            InvalidInput: The file cannot be read, or the specimen's known inputs are missing.
+        """
+        name = self.files.name(path)
+        outline, given = self.files.read(path), self.files.given_of(name)
+        seen = self._observation(outline.interface, outline.noise, name)
+        read = self.files.source.model_dump_json()
+        facts = [self._key, name, outline.digest, sorted(given.items()), repr(outline.noise), read]
+        return Task(name, (seen,), given), sha256(json.dumps(facts).encode()).hexdigest()
+
+    def _observation(self, interface: Interface, noise: Noise | PointErrors | UnknownErrors, name: str) -> Observation:
+        """Return an outline in the direction of the runs."""
+        template = self.begin.knowledge.surrogate.layouts[""].template
+        if interface.dim != template.dim:
+            raise InvalidInput(
+                f"outline of {name}",
+                value=f"{interface.dim} dimensions",
+                expected=f"{template.dim}, as the runs have",
+                remedy="Check the file.",
+            )
+        require_plausible(f"outline of {name}", interface, template)
+        seen = Observation(interface, noise)
+        return seen.reversed() if interface.runs_against(template) else seen
+
+    @cached_property
+    def _key(self) -> str:
+        """Digest of everything that all posteriors depend on."""
+        return digest_of(self.study, self.measure, self.seed, further=sorted(record.key for record in self.further))
+
+
+def open_specimens(study: Study, *, seed: int = 1, measure: str | None = None) -> Specimens:
+    """Learn the interface from the runs of a finished study, to analyse many outlines with it.
+
+    Args:
+        study: A finished study, from `load_study`.
+        seed: Seed of all random numbers, 0 or above.
+        measure: Name of a measure of the study; its first by default.
+
+    Raises:
+        InvalidInput: An argument is out of its range.
+        InvalidStudy: The study is not finished, or its model has several conditions.
+        LedgerError: The ledger is damaged, or belongs to another model.
+        TooFewRuns: Too few runs succeeded to learn the interface.
+    """
+    name = chosen_measure(study, measure, "the specimens")
+    require_seed(seed, "the specimens")
+    require_one_condition(study)
+    study.runs.require_finished()
+    use_double()
+    further = further_runs(study)
+    with one_thread():
+        knowledge = field_knowledge(study, name, purpose="the analysis of many specimens", more=further)
+    return Specimens(study, name, seed, Start(knowledge, study.space), further)
+
+
+def further_runs(study: Study) -> tuple[RunRecord, ...]:
+    """Return the runs that were made for specimens of a study, in the order of their keys."""
+    path = study.folder / SPECIMENS_LEDGER
+    if not path.is_file():
+        return ()
+    with Ledger.open(path, model=study.runs.identity, read_only=True) as ledger:
+        keys = {record.key for record in ledger}
+        return tuple(sorted(settled(ledger, keys), key=lambda record: record.key))

@@ -1,0 +1,317 @@
+"""The posterior of one specimen through the surrogate of the interface that all specimens share.
+
+Adaptive importance sampling begins with draws of the prior whose predicted interfaces are kept, so that no specimen
+costs a forward run. The last draws come from a shifted Sobol sequence (Cranley and Patterson 1976), whose mean is more
+accurate than that of independent draws. If importance sampling fails, tempering takes over.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from hashlib import sha256
+from typing import Literal
+
+import jax
+import numpy as np
+from jaxtyping import Float
+from scipy.special import gammaincinv, ndtri
+
+from strandline.calibration.importance_sampler import (
+    ENOUGH,
+    FREEDOM,
+    Pool,
+    StudentMixture,
+    effective_size,
+    fitted,
+    followed,
+)
+from strandline.calibration.log_densities import Densities, only_inside
+from strandline.design import sobol
+from strandline.design.refinement import SAMPLING
+from strandline.discrepancy import Discrepancy
+from strandline.interface import Observation
+from strandline.likelihood import FieldLikelihood, OnHost
+from strandline.likelihood.nearby import Nearby
+from strandline.likelihood.parabolas import log_gain
+from strandline.parameters import ParameterSpace
+from strandline.posterior import systematic_indices
+from strandline.posterior.weighted import Weighted
+from strandline.questions.certificate import Certified, certify
+from strandline.questions.start import Start
+from strandline.smc import sample
+from strandline.surrogate.field import FieldPrediction
+from strandline.text import with_sd
+
+__all__ = ["SpecimenPosterior", "posterior_of"]
+
+TINY = 1e-300
+
+
+def matched(of: Float[np.ndarray, "dim dim"], wanted: Float[np.ndarray, "dim dim"]) -> Float[np.ndarray, "dim dim"]:
+    """Return the matrix that gives row vectors of covariance `of` the covariance `wanted`; the unit one if singular."""
+    scale = np.sqrt(np.maximum(np.diag(wanted), TINY))
+    try:
+        first = np.linalg.cholesky(of / np.outer(scale, scale))
+        second = np.linalg.cholesky(wanted / np.outer(scale, scale))
+    except np.linalg.LinAlgError:
+        return np.eye(len(scale))
+    return np.asarray(np.linalg.solve(first.T, second.T) * scale / scale[:, None])
+
+
+LAST = 2048
+"""Draws of the last round, whose mean is the most accurate."""
+LED = 150.0
+"""Effective sample size to reach with the likelihood nearby: enough to fit a mixture for the last round."""
+PARTICLES = 2000
+"""Particles of the tempered sampler."""
+SPECIMEN_DRAWS = 64
+"""Equally weighted draws that are kept of each posterior."""
+
+By = Literal["importance", "smc"]
+Points = Float[np.ndarray, "point dim"]
+Values = Float[np.ndarray, " point"]
+
+
+@dataclass(frozen=True, eq=False)
+class SpecimenPosterior:
+    """What is known about one specimen, from its own outline alone.
+
+    Args:
+        name: Name of the specimen.
+        given: Its known inputs, by name.
+        space: Its unknown inputs.
+        mean: Posterior means, shape (dim,).
+        covariance: Posterior covariance, shape (dim, dim).
+        quantiles: Quantiles of 5, 50 and 95 %, shape (3, dim).
+        draws: Equally weighted draws with this mean and covariance, shape (draw, dim).
+        effective: Effective sample size.
+        by: How the posterior was sampled.
+        certified: Whether the surrogate is good enough for it.
+    """
+
+    name: str
+    given: Mapping[str, float]
+    space: ParameterSpace
+    mean: Float[np.ndarray, " dim"]
+    covariance: Float[np.ndarray, "dim dim"]
+    quantiles: Float[np.ndarray, "three dim"]
+    draws: Float[np.ndarray, "draw dim"]
+    effective: float
+    by: By
+    certified: Certified
+
+    def __repr__(self) -> str:
+        pairs = zip(self.space.names, self.mean, self.sd, strict=True)
+        shown = ", ".join(f"{name} = {with_sd(mean, sd)}" for name, mean, sd in pairs)
+        return f"<SpecimenPosterior of {self.name}: {shown}; {self.certified.verdict}>"
+
+    @property
+    def sd(self) -> Float[np.ndarray, " dim"]:
+        """Posterior standard deviations, shape (dim,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+def random_of(seed: int, name: str) -> np.random.Generator:
+    """Return the random numbers of a specimen: they depend on the seed and its name alone."""
+    return np.random.default_rng([seed, *sha256(name.encode()).digest()])
+
+
+def posterior_of(
+    begin: Start, observations: tuple[Observation, ...], measure: Discrepancy, *, name: str = "", seed: int = 1
+) -> SpecimenPosterior:
+    """Return the posterior of one specimen; no forward run is made.
+
+    Args:
+        begin: Surrogate of the interface, with the known inputs of the specimen.
+        observations: Its outline, with its noise; one for each condition.
+        measure: The measure d².
+        name: Name of the specimen; with the seed, it decides all random numbers.
+        seed: Seed of all random numbers, 0 or above.
+    """
+    random = random_of(seed, name)
+    likelihood = FieldLikelihood(begin.knowledge.surrogate, observations, measure)
+    found, by = _sampled(_Target(begin, likelihood), random)
+    draws = _few_draws(found, random, begin.unknown)
+    return SpecimenPosterior(
+        name=name,
+        given=dict(begin.given),
+        space=begin.unknown,
+        mean=found.mean,
+        covariance=found.covariance,
+        quantiles=_quantiles(found),
+        draws=draws,
+        effective=float(1 / np.sum(found.weights**2)),
+        by=by,
+        certified=certify(begin, likelihood, draws),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Target:
+    """The posterior density of a specimen.
+
+    Args:
+        begin: Surrogate and prior.
+        likelihood: Likelihood of the specimen's outline.
+        near: The likelihood nearby in place of the measure, at the mean field alone: a fraction of the time, and close
+            enough to lead the last round.
+    """
+
+    begin: Start
+    likelihood: FieldLikelihood
+    near: Nearby | None = None
+
+    def at_first(self) -> Values:
+        """Return the log-likelihood at the kept draws of the prior."""
+        predicted = self.begin.predicted
+        return self._of(predicted) if self.near is None else self.near.log_likelihood(predicted.mean)
+
+    def at(self, x: Points) -> Values:
+        """Return the log-likelihood at points inside the box."""
+        return self._of(self.begin.predict(x)) if self.near is None else self.near.log_likelihood(self.begin.mean(x))
+
+    def _of(self, predicted: FieldPrediction) -> Values:
+        """Return log E[L] over the fields that the surrogate considers possible."""
+        plain = self.likelihood.at(predicted.mean)
+        around = self.likelihood.parabola.parabolas(predicted.mean)
+        return np.asarray(plain + log_gain(around, predicted.variance, plain))
+
+    def log_densities(self, x: Points) -> tuple[Values, Values]:
+        """Return log densities of the prior and of the posterior, -∞ outside the box."""
+        return only_inside(self.begin.inside, self._inside)(x)
+
+    def _inside(self, x: Points) -> tuple[Values, Values]:
+        """Return log densities of the prior and of the posterior of points inside the box."""
+        return np.asarray(self.begin.unknown.log_prior(x)), self.begin.log_density(x) + self.at(x)
+
+
+def _sampled(target: _Target, random: np.random.Generator) -> tuple[Weighted, By]:
+    """Return weighted draws of the posterior, and how they were made."""
+    near = target.likelihood.nearby
+    if near is not None:
+        led = followed(*_begun(replace(target, near=near)), random, enough=LED)
+        if led is not None:
+            found = _last_round(target, fitted(led.x, led.log_weights, random), random)
+            if effective_size(found.log_weights) >= ENOUGH:
+                return found.weighted, "importance"
+    pool = followed(*_begun(target), random)
+    if pool is None:
+        return _by_smc(target, random), "smc"
+    found = _last_round(target, fitted(pool.x, pool.log_weights, random), random, pool)
+    return found.weighted, "importance"
+
+
+def _begun(target: _Target) -> tuple[Pool, Densities]:
+    """Return the kept draws of the prior with their posterior density, and the densities of others."""
+    begin = target.begin
+    pool = Pool(
+        x=begin.points,
+        log_counts=np.zeros(len(begin.points)),
+        log_first=np.asarray(begin.unknown.log_prior(begin.points)),
+        log_target=begin.log_densities + target.at_first(),
+        number=len(begin.points),
+    )
+    return pool, target.log_densities
+
+
+def _last_round(
+    target: _Target, mixture: StudentMixture, random: np.random.Generator, pool: Pool | None = None
+) -> Pool:
+    """Return draws of a mixture with their weights, beside those of a pool if there is one."""
+    x = _spread_draws(mixture, random)
+    first, log_target = target.log_densities(x)
+    if pool is not None:
+        return pool.extended(mixture, x, first, log_target)
+    return Pool(x, np.zeros(len(x)), mixture.log_density(x), log_target, len(x))
+
+
+def _spread_draws(mixture: StudentMixture, random: np.random.Generator) -> Float[np.ndarray, "draw dim"]:
+    """Return draws of a mixture from a Sobol sequence with a random shift."""
+    dim = mixture.means.shape[1]
+    u = (_sequence(dim + 2) + random.random(dim + 2)) % 1.0
+    u = np.clip(u, 1e-12, 1 - 1e-12)
+    which = np.minimum(np.searchsorted(np.cumsum(mixture.shares), u[:, 0]), len(mixture.shares) - 1)
+    stretch = np.sqrt(0.5 * FREEDOM / gammaincinv(0.5 * FREEDOM, u[:, 1]))
+    steps = np.einsum("dij,dj->di", mixture.factors[which], ndtri(u[:, 2:]))
+    return np.asarray(mixture.means[which] + stretch[:, None] * steps)
+
+
+@lru_cache(maxsize=8)
+def _sequence(dim: int) -> Float[np.ndarray, "draw dim"]:
+    return sobol(LAST, dim, scramble=0)
+
+
+def _by_smc(target: _Target, random: np.random.Generator) -> Weighted:
+    """Sample the posterior by tempering, from its prior."""
+    space = target.begin.unknown
+
+    def log_likelihood(x: Points) -> Values:
+        feasible = target.begin.log_density(x) - np.asarray(space.log_prior(x))
+        return np.asarray(feasible + target.at(x))
+
+    initial = space.prior_quantiles(random.random((PARTICLES, space.dim)))
+    key = jax.random.key(int(random.integers(2**32)))
+    found = sample(key, OnHost(log_likelihood), space.log_prior, initial, settings=SAMPLING)
+    return Weighted(found.positions, np.exp(found.log_weights))
+
+
+def _quantiles(found: Weighted) -> Float[np.ndarray, "three dim"]:
+    """Return the quantiles of 5, 50 and 95 % of each input."""
+    columns = []
+    for x in found.draws.T:
+        order = np.argsort(x, kind="stable")
+        below = np.cumsum(found.weights[order]) - 0.5 * found.weights[order]
+        columns.append(np.interp([0.05, 0.5, 0.95], below, x[order]))
+    return np.stack(columns, axis=1)
+
+
+def _few_draws(found: Weighted, random: np.random.Generator, space: ParameterSpace) -> Float[np.ndarray, "draw dim"]:
+    """Return a few draws, spread along the longest axis of the posterior, moved to its mean and covariance.
+
+    The move is left out where it would leave the box.
+    """
+    scale = np.maximum(found.sd, 1e-300)
+    vectors = np.linalg.eigh(found.covariance / np.outer(scale, scale))[1]
+    order = np.argsort((found.draws / scale) @ vectors[:, -1], kind="stable")
+    draws = found.draws[order][systematic_indices(found.weights[order], SPECIMEN_DRAWS, random)]
+    of = np.atleast_2d(np.cov(draws.T, bias=True))
+    moved = found.mean + (draws - draws.mean(axis=0)) @ matched(of, found.covariance)
+    inside = (moved >= space.low) & (moved <= space.high)
+    return np.asarray(np.where(inside, moved, draws))
+
+
+OF_EACH, MOST = 8, 400
+"""Largest number of draws of each posterior, and of all together, that are considered."""
+LEAST_FEASIBLE = 0.5
+"""Least probability that a run succeeds, relative to the safest one."""
+
+
+def runs_for(begin: Start, specimens: Sequence[SpecimenPosterior], number: int) -> Float[np.ndarray, "run dim"]:
+    """Return inputs of at most `number` runs at posterior draws, which most reduce the variance of the field there."""
+    of_each = max(min(OF_EACH, MOST // max(len(specimens), 1)), 1)
+    step = max(len(specimens) * of_each // MOST, 1)
+    places = [_places(begin, one, of_each) for one in specimens[::step]]
+    x = np.concatenate(places) if places else np.empty((0, begin.space.dim))
+    x = x[np.exp(begin.knowledge.log_feasibility(x)) >= LEAST_FEASIBLE] if len(x) else x
+    if not len(x):
+        return x
+    surrogate = begin.knowledge.surrogate
+    z = surrogate.warping.standardise(x)
+    covariances = np.array([process.covariance(z, z) for process in surrogate.processes])
+    nuggets = surrogate.scatter_variances
+    chosen: list[int] = []
+    while len(chosen) < min(number, len(x)):
+        variances = np.einsum("mpp->mp", covariances) + nuggets[:, None] + 1e-15
+        gains = (covariances**2).sum(axis=1) / variances
+        total = gains.sum(axis=0)
+        total[chosen] = -1.0
+        best = int(np.argmax(total))
+        chosen.append(best)
+        row = covariances[:, best]
+        covariances = covariances - row[:, :, None] * row[:, None, :] / variances[:, best, None, None]
+    return np.asarray(x[chosen])
+
+
+def _places(begin: Start, one: SpecimenPosterior, number: int) -> Float[np.ndarray, "some dim"]:
+    draws = one.draws[:: max(len(one.draws) // number, 1)][:number]
+    return begin.with_given(one.given).whole(draws)

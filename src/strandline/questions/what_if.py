@@ -1,0 +1,300 @@
+"""How the posterior of a finished study changes with other assumptions, without a forward run."""
+
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from strandline.calibration import Observer
+from strandline.calibration.alternative import Alternative, Present, present
+from strandline.calibration.in_notebook import observer_or_default
+from strandline.calibration.usual_alternatives import usual_alternatives
+from strandline.calibration.what_if import LEAST_RATIO, LEAST_SHIFT, answered
+from strandline.calibration.what_if import Answer as Changed
+from strandline.design.active import Knowledge
+from strandline.errors import InvalidInput, InvalidStudy, TooFewRuns
+from strandline.numerics.threads import one_thread, use_double
+from strandline.posterior.weighted import Weighted
+from strandline.questions.alternatives import alternative_of, asked_in, require_asked
+from strandline.questions.answer import (
+    Answer,
+    Part,
+    Symbol,
+    Table,
+    digits,
+    facts_of,
+    facts_of_surrogate,
+    surrogate_note,
+)
+from strandline.questions.knowledge import field_knowledge, require_seed
+from strandline.runs import Progress
+from strandline.studies.check import finished_posterior
+from strandline.studies.folder import require_writable
+from strandline.studies.keys.study_file import WhatIf
+from strandline.studies.study import Study
+from strandline.text import listed
+
+__all__ = ["what_if"]
+
+
+def what_if(
+    study: Study,
+    alternatives: Sequence[Mapping[str, Any]] | None = None,
+    *,
+    seed: int = 1,
+    observer: Observer | None = None,
+) -> Answer[tuple[Changed, ...]]:
+    """Return how the posterior of a finished study changes with its assumptions, without a forward run.
+
+    Writes what-if.json, what-if.html and a figure.
+
+    Args:
+        study: A finished study, from `load_study`.
+        alternatives: Other assumptions, each with the keys of `what_if` in study.yaml; by default those of study.yaml
+            and the usual ones.
+        seed: Seed of all random numbers, 0 or above.
+        observer: Receives the progress.
+
+    Raises:
+        InvalidInput: A negative seed, or an empty list of alternatives.
+        InvalidStudy: The study is not finished, its folder cannot be written to, or an alternative does not fit it.
+        LedgerError: The ledger is damaged, or belongs to another model.
+    """
+    require_seed(seed, "what-if")
+    if alternatives is not None and not alternatives:
+        raise InvalidInput(
+            "alternatives", value="none", expected="at least one", remedy="Leave them out to ask the usual questions."
+        )
+    asked = asked_in(study) if alternatives is None else tuple(require_asked(one) for one in alternatives)
+    posterior = finished_posterior(study, purpose="compare with")
+    require_writable(study.folder)
+    use_double()
+    tell = observer_or_default(observer)
+    with one_thread():
+        tell.stage("surrogate")
+        knowledge, why_not = _known(study)
+        now = present(posterior, knowledge, why_not=why_not)
+        tried = list(_alternatives(study, now, asked, usual=alternatives is None))
+        tell.stage("alternatives")
+        answers = in_order(tuple(_answers(now, tried, seed, tell)))
+    tell.stage("report")
+    return _answer(_described(study, now, answers, seed), answers, study.folder).written(draft=study.settings.draft)
+
+
+def _known(study: Study) -> tuple[Knowledge | None, str]:
+    """Return the surrogate of the interface with the study's likelihood, or why there is none."""
+    try:
+        return field_knowledge(study, next(iter(study.discrepancies)), purpose="what-if"), ""
+    except (InvalidStudy, TooFewRuns) as error:
+        return None, f"there is no surrogate of the interface ({error.value})"
+
+
+def _alternatives(study: Study, now: Present, asked: Sequence[WhatIf], *, usual: bool) -> Iterator[Alternative]:
+    """Yield the alternatives that are asked for, then the usual ones."""
+    for one in asked:
+        yield alternative_of(one, study, now)
+    if usual:
+        yield from usual_alternatives(now, study.discrepancies)
+
+
+def _answers(now: Present, tried: Sequence[Alternative], seed: int, tell: Observer) -> Iterator[Changed]:
+    begun = time.monotonic()
+    for number, one in enumerate(tried, start=1):
+        yield answered(now, one, seed=seed)
+        tell.part(Progress(len(tried), number, number, 0, 0, time.monotonic() - begun))
+
+
+LEVELS = (0.05, 0.95)
+"""Probabilities below the ends of the 90 % intervals."""
+CUT = 1e-3
+"""Prior probability outside the box from which it is reported."""
+PRIOR = "the prior of "
+LARGE = 0.05
+"""Distance between the stored posterior and that of the surrogate of the interface, in sd, from which it is said."""
+
+
+def in_order(answers: Sequence[Changed]) -> tuple[Changed, ...]:
+    """Return the answers that move, the largest first, then the questions without an answer, then the others."""
+    return tuple(sorted(answers, key=lambda one: (0 if one.moves else 1 if one.by is None else 2, -one.size)))
+
+
+def _described(study: Study, now: Present, answers: Sequence[Changed], seed: int) -> dict[str, Any]:
+    """Return the content of what-if.json."""
+    return {
+        **facts_of(study, seed),
+        "conclusion": _conclusion(answers),
+        "remarks": _remarks(study, now, answers),
+        "limits": {"shift": LEAST_SHIFT, "sd_ratio": LEAST_RATIO},
+        "surrogate": _surrogate(now),
+        "present": {
+            "log_evidence": now.log_evidence,
+            "effective": float(1 / np.sum(now.weighted.weights**2)),
+            "inputs": {
+                one.name: {"label": one.shown, "unit": one.unit, **_moments(now.weighted, i)}
+                for i, one in enumerate(now.space)
+            },
+        },
+        "alternatives": [_alternative(one) for one in answers],
+    }
+
+
+def _conclusion(answers: Sequence[Changed]) -> str:
+    """Return what the posterior depends on, in a sentence."""
+    if all(one.by is None for one in answers):
+        return "None of the alternatives can be computed without new runs."
+    subjects = list(dict.fromkeys(one.alternative.about for one in answers if one.moves))
+    if not subjects:
+        return (
+            f"The posterior depends on nothing that was tried: no mean moves by more than {LEAST_SHIFT:g} sd, and no "
+            f"sd changes by more than a factor of {LEAST_RATIO:g}."
+        )
+    words = listed(_with_priors_together(subjects))
+    comma = "," if " and " in words else ""
+    return f"The posterior depends on {words}{comma} and on nothing else that was tried."
+
+
+def _with_priors_together(subjects: Sequence[str]) -> list[str]:
+    """Return the subjects, with those that are priors as one, in the place of the first."""
+    names = [one.removeprefix(PRIOR) for one in subjects if one.startswith(PRIOR) and " and " not in one]
+    if len(names) < 2:
+        return list(subjects)
+    together = f"the priors of {listed(names)}"
+    return list(dict.fromkeys(together if one.removeprefix(PRIOR) in names else one for one in subjects))
+
+
+def _remarks(study: Study, now: Present, answers: Sequence[Changed]) -> list[str]:
+    out = []
+    number = sum(one.by is None for one in answers)
+    if number:
+        out.append(
+            f"{number} of {len(answers)} alternatives cannot be computed without new runs. Copy the study, make the "
+            f"change in its study.yaml with `reuse: [../{study.folder.resolve().name}]`, and run it."
+        )
+    if now.knowledge is None:
+        out.append(f"Only other priors were tried: {now.why_not}.")
+    elif now.shift > LARGE:
+        out.append(
+            f"Through the surrogate of the interface, the posterior is {now.shift:.2g} sd away from that of the study, "
+            "which learns the log-likelihood. Both sides of each comparison use the surrogate."
+        )
+    if now.space.nuisance:
+        out.append("The posterior is the joint one, in which the data inform the nuisance inputs too.")
+    return out
+
+
+def _surrogate(now: Present) -> dict[str, Any] | None:
+    """Return how good the surrogate of the interface is at the present posterior; None if it was not used."""
+    quality = now.quality
+    if now.knowledge is None or quality is None:
+        return None
+    return {**facts_of_surrogate(now.knowledge.surrogate.runs, quality), "shift": now.shift}
+
+
+def _alternative(one: Changed) -> dict[str, Any]:
+    asked = one.alternative
+    cut = {parameter.name: parameter.mass_cut for parameter in asked.space if parameter.mass_cut > CUT}
+    return {
+        "name": asked.name,
+        "kind": asked.kind,
+        "about": asked.about,
+        "detail": asked.detail,
+        "mass_cut": cut,
+        "by": one.by,
+        "k_hat": one.k_hat if math.isfinite(one.k_hat) else None,
+        "effective": one.effective,
+        "log_evidence_change": one.log_evidence_change,
+        "beyond": None if one.quality is None else one.quality.beyond,
+        "moves": one.moves,
+        "why_not": one.why_not,
+        "inputs": {} if one.draws is None else _inputs(one, one.draws),
+    }
+
+
+def _inputs(one: Changed, draws: Weighted) -> dict[str, Any]:
+    return {
+        name: {
+            **_moments(draws, i),
+            "shift": float(one.shift[i]),
+            "shift_error": float(one.shift_error[i]),
+            "sd_ratio": float(one.sd_ratio[i]),
+            "moves": name in one.moved,
+        }
+        for i, name in enumerate(one.present.space.names)
+        if name not in one.alternative.fixed
+    }
+
+
+def _moments(draws: Weighted, i: int) -> dict[str, float]:
+    """Return mean, standard deviation and 90 % interval of an input."""
+    low, high = np.quantile(draws.draws[:, i], LEVELS, weights=draws.weights, method="inverted_cdf")
+    return {"mean": float(draws.mean[i]), "sd": float(draws.sd[i]), "low": float(low), "high": float(high)}
+
+
+def _answer(content: dict[str, Any], found: tuple[Changed, ...], folder: Path) -> Answer[tuple[Changed, ...]]:
+    """Return what what-if.json says, in words and tables."""
+    some, inputs, limits = content["alternatives"], content["present"]["inputs"], content["limits"]
+    symbols = [Symbol(item["label"]) for item in inputs.values()]
+    table = Table(
+        ("what changed", *symbols, "log-evidence", "by", "k̂", "effective draws", "moves"),
+        [_row(one, list(inputs)) for one in some],
+    )
+    meaning = f"""Each entry: shift of the mean in present standard deviations, and the ratio of the standard
+        deviations. An input moves by more than {limits["shift"]:g} sd, or by a ratio outside
+        {digits(1 / limits["sd_ratio"], 2)} to {digits(limits["sd_ratio"], 3)}. The change of the log-evidence is
+        given where data, noise and measure stay the same."""
+    return Answer(
+        name="what-if",
+        title=f"{content['study']}: what if",
+        lead=f"How would the posterior change with other assumptions? {len(some)} alternative{'s' * (len(some) != 1)}, "
+        "no forward run.",
+        sentence=content["conclusion"],
+        remarks=content["remarks"],
+        good=not any(one["moves"] for one in some),
+        parts=[Part("The alternatives", table, notes=[" ".join(_details(some)), meaning]), _how(content)],
+        content=content,
+        found=found,
+        page=folder / "what-if.html",
+    )
+
+
+def _row(one: Mapping[str, Any], names: Sequence[str]) -> tuple[str, ...]:
+    k_hat = "–" if one["k_hat"] is None else f"{one['k_hat']:.2f}"
+    if one["by"] is None:
+        return one["name"], f"needs new runs: {one['why_not']} (k̂ {k_hat}, {one['effective']:.0f} effective draws)"
+    known = [one["inputs"].get(name) for name in names]
+    return (
+        one["name"],
+        *("known" if item is None else f"{item['shift']:+.2f} sd ×{item['sd_ratio']:.2f}" for item in known),
+        "–" if one["log_evidence_change"] is None else f"{one['log_evidence_change']:+.2f}",
+        "reweighting" if one["by"] == "reweighting" else "new draws",
+        k_hat,
+        f"{one['effective']:.0f}",
+        ", ".join(name for name, item in one["inputs"].items() if item["moves"]) or "–",
+    )
+
+
+def _details(some: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Yield what was changed in numbers, and how much of a prior is lost outside the box."""
+    for one in some:
+        cut = [f"{share:.1%} of the prior of {name} is outside the box" for name, share in one["mass_cut"].items()]
+        if one["detail"] or cut:
+            yield f"{one['name']}: {'; '.join([one['detail']] * bool(one['detail']) + cut)}."
+
+
+def _how(content: Mapping[str, Any]) -> Part:
+    surrogate = content["surrogate"]
+    notes = [
+        f"""By reweighting: each draw of the posterior gets the ratio of the new density to the old one as its
+        weight. The shape k̂ of the largest weights and the effective number of draws show whether these suffice.
+        Where they do not, or where an input is taken as known, the posterior is sampled again through the surrogate
+        of the interface (seed {content["seed"]}). No forward run was made."""
+    ]
+    if surrogate is not None:
+        where = "over the present posterior"
+        notes.append(
+            f"{surrogate_note(surrogate, where)} Where it is too coarse for an alternative, new runs are needed."
+        )
+    return Part("How it was computed", notes=notes)
