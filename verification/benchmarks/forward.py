@@ -195,7 +195,7 @@ def pace_figures(mesh: str, solver: str, *, installed: bool) -> Iterator[Figure]
 
 def anchored_figures(mesh: str, case: str, cold: Pace, *, points: int = POINTS) -> Iterator[Figure]:
     """Yield solves per minute from anchors on disk, what these cost once, and how many runs they served."""
-    model = Biofilm.from_options(mesh=mesh, anchors={"E": E_BOX, "nu": NU_BOX, "V_in": INFLOW})
+    model = Biofilm(mesh=mesh, anchors=(("E", *E_BOX), ("nu", *NU_BOX), ("V_in", INFLOW, INFLOW)))
     with TemporaryDirectory() as folder, patch.dict(os.environ, {"XDG_CACHE_HOME": folder}):
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
             yield Figure("solving the anchors, once", case, pool.submit(preparation, model).result(), "s")

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from strandline.models.command.model import CommandModel
+from strandline.readers import Reading
 from strandline.runs import Ledger, LocalProcesses, RunRecord, run_campaign
 
 TIMEOUT, GRACE = 3.0, 0.5
@@ -128,7 +129,7 @@ def study(folder: Path, marker: str) -> CommandModel:
         templates={"input.j2": "input.txt"},
         files=["simulator.py"],
         environment={MARKER: f"{marker}-{{{{ fault | int }}}}-"},
-        result={"file": "interface.csv", "unit": "mm", "count": 5},
+        result=Reading("interface.csv", "mm", count=5),
         timeout=TIMEOUT,
         grace=GRACE,
         keep="all",

@@ -5,14 +5,17 @@ Run it with:  python -m verification.validation.generality
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from verification.validation.energies import FURTHER
 from verification.validation.tables import Cell, Table
 
+from strandline.models.biofilm.flow import Fluid
 from strandline.models.biofilm.materials import LAWS, further_parameters
 from strandline.models.biofilm.model import Biofilm
+from strandline.models.biofilm.outline import Channel, Outline
 
 __all__ = ["developed_flow_errors", "law_inputs", "layer", "sensitivity_errors", "tables", "velocities"]
 
@@ -69,8 +72,15 @@ def _scale(name: str, value: float) -> float:
 def layer(length: float = 2.0, **options: Any) -> Biofilm:
     """Return a flat layer on the floor of a channel."""
     channel = {"length": length} | options.pop("channel", {})
-    outline = {"points": [[0, BOTTOM], [length / 2, BOTTOM], [length, BOTTOM]], "spline": False, "nodes": 21}
-    return Biofilm.from_options(mesh="coarse", material="neo_hookean", outline=outline, channel=channel, **options)
+    points = ((0.0, BOTTOM), (length / 2, BOTTOM), (length, BOTTOM))
+    return _biofilm("coarse", outline={"points": points, "spline": False, "nodes": 21}, channel=channel, **options)
+
+
+def _biofilm(mesh: str, **options: Any) -> Biofilm:
+    """Return a neo-Hookean biofilm; options of its parts are mappings."""
+    kinds: dict[str, Any] = {"channel": Channel, "outline": Outline, "fluid": Fluid}
+    made = {name: kinds[name](**value) if name in kinds else value for name, value in options.items()}
+    return Biofilm(mesh=mesh, material="neo_hookean", **made)
 
 
 def velocities(model: Biofilm, drive: Mapping[str, float], x: float) -> tuple[np.ndarray, np.ndarray]:
@@ -116,10 +126,7 @@ def _flow_cells(mesh: str) -> dict[str, tuple[Biofilm, dict[str, float]]]:
     unknown = dict.fromkeys(("viscosity", "density", "force_x", "force_y"), "unknown")
     values = {"viscosity": 1.5e-3, "density": 900.0, "force_x": 100.0, "force_y": -200.0}
     solid = {"E": 400.0, "nu": 0.3}
-
-    def neo_hookean(**options: Any) -> Biofilm:
-        return Biofilm.from_options(mesh=mesh, material="neo_hookean", **options)
-
+    neo_hookean = partial(_biofilm, mesh)
     return cells | {
         "fluid": (neo_hookean(fluid=unknown), {**solid, "V_in": 100.0, **values}),
         "pressure drop": (neo_hookean(inflow="pressure"), {**solid, "p_drop": 10.0}),

@@ -1,21 +1,18 @@
 """Pixel coordinates ↔ coordinates of the model, in mm."""
 
 import math
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from strandline.imaging.registration import Registration
-from strandline.readers.checked import keys_of, number, numbers, unfit, word
+from strandline.readers.checked import number, numbers
 
 SIGN_X = {"right": 1.0, "left": -1.0}
 SIGN_Y = {"up": -1.0, "down": 1.0}
 """Direction of an axis of the model in the picture → its sign; y of pixels points down."""
-ORIGIN = "the pixel [x, y] of the model's (0, 0)"
-EXAMPLE = "{origin: [212, 640], x: right, y: up, rotation: 0.0}"
 
 
 @dataclass(frozen=True)
@@ -33,29 +30,20 @@ class Frame:
         rotation: Angle by which the model is turned in the picture, degrees, from its x axis towards its y axis.
 
     Raises:
-        InvalidInput: A direction that does not exist, or another number that is not finite.
+        InvalidInput: A number that is not finite, or out of its range.
     """
 
     origin: tuple[float, float]
     pixel: tuple[float, float]
-    x: str = "right"
-    y: str = "up"
+    x: Literal["right", "left"] = "right"
+    y: Literal["up", "down"] = "up"
     rotation: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, check in CHECKS.items():
-            check(getattr(self, name), f"frame.{name}")
-        for size in numbers(self.pixel, 2, "frame.pixel", "two lengths in mm"):
-            number(size, "frame.pixel", "two lengths above 0, in mm", low=5e-324)
-
-    @classmethod
-    def from_options(cls, options: object, place: str, *, pixel: tuple[float, float]) -> "Frame":
-        """Return the frame that a study file gives at `place`, for a picture with this size of a pixel, mm.
-
-        Raises:
-            InvalidInput: An option is missing, unknown or cannot be used.
-        """
-        return cls(pixel=pixel, **frame_options(options, CHECKS, place, ORIGIN, EXAMPLE))
+        numbers(self.origin, 2, "origin", "the pixel [x, y] of the model's (0, 0)")
+        number(self.rotation, "rotation", "an angle from -360 to 360 degrees", -360.0, 360.0)
+        for size in numbers(self.pixel, 2, "pixel", "two lengths in mm"):
+            number(size, "pixel", "two lengths above 0, in mm", low=5e-324)
 
     @property
     def mirrors(self) -> bool:
@@ -82,22 +70,3 @@ class Frame:
     def to_pixels(self, points: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, "point 2"]:
         """Return points of the model, mm, shape (point, 2), as pixel coordinates (x, y); the inverse of `to_mm`."""
         return np.asarray(points @ np.linalg.inv(self.matrix).T + np.array(self.origin))
-
-
-def frame_options(
-    options: object, checks: Mapping[str, Callable[[Any, str], Any]], place: str, origin: str, example: str
-) -> dict[str, Any]:
-    """Return the options of a frame that a study file gives at `place`, after a check of each; refuse no origin."""
-    given = keys_of(options, checks, place, example)
-    if given.get("origin") is None:
-        raise unfit(f"{place}.origin", None, origin, f"Add it, e.g. {example}.")
-    return {name: checks[name](value, f"{place}.{name}") for name, value in given.items() if value is not None}
-
-
-CHECKS: dict[str, Callable[[Any, str], Any]] = {
-    "origin": lambda value, place: numbers(value, 2, place, ORIGIN),
-    "x": lambda value, place: word(value, SIGN_X, place),
-    "y": lambda value, place: word(value, SIGN_Y, place),
-    "rotation": lambda value, place: number(value, place, "an angle from -360 to 360 degrees", -360.0, 360.0),
-}
-"""Option → check (value, place) that returns the value."""

@@ -1,11 +1,10 @@
 """How to read a picture: the options of `observation.image` that concern the file."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
-from strandline.readers.checked import keys_of, number, unfit, word
+from strandline.readers.checked import number, unfit
 from strandline.readers.contents import refused
 from strandline.readers.options import TO_MM
 from strandline.registry import imported
@@ -21,7 +20,6 @@ SCALES = ("intensity", "amplitude", "log10", "dB", "sRGB")
 CHANNELS = ("grey", "red", "green", "blue")
 INDICES = (1.0, 4.0)
 """Smallest and largest refractive index that is accepted."""
-EXAMPLE = "{pixel: {x: 6.0, y: 4.0, unit: um}, scale: intensity}"
 
 
 @dataclass(frozen=True)
@@ -49,30 +47,44 @@ class PixelSize:
                 expected = f"a length from {SMALLEST:g} to {LARGEST:g} mm"
                 raise unfit(f"pixel size from {self.source}", f"{size:g} mm", expected, "Correct the size or its unit.")
 
-    @classmethod
-    def from_options(cls, options: object, place: str) -> "PixelSize":
-        """Return the size that a study file gives at `place`.
-
-        Raises:
-            InvalidInput: An option is missing, unknown, or not a length above 0.
-        """
-        given = keys_of(options, ("x", "y", "z", "size", "unit"), place, EXAMPLE_OF_SIZE)
-        if given.get("unit") is None:
-            raise unfit(f"{place}.unit", None, f"one of {', '.join(UNITS)}", f"Add `unit: um` to {place}.")
-        factor = UNITS[word(given["unit"], UNITS, f"{place}.unit")]
-        if given.keys() - {"unit", "z"} not in ({"size"}, {"x", "y"}):
-            raise unfit(place, dict(given), f"x and y, or size: {EXAMPLE_OF_SIZE}")
-        sizes = {
-            name: factor * number(value, f"{place}.{name}", "a length above 0", low=5e-324)
-            for name, value in given.items()
-            if name != "unit"
-        }
-        square = sizes.get("size", 0.0)
-        return cls(sizes.get("x", square), sizes.get("y", square), sizes.get("z"))
-
     def __str__(self) -> str:
         known = [size for size in (self.x, self.y, self.z) if size is not None]
         return " × ".join(f"{1e3 * size:.6g}" for size in known) + " µm"
+
+
+@dataclass(frozen=True)
+class StatedSize:
+    """The size of a pixel or voxel as a study states it: `size`, or x and y; and z of a stack.
+
+    Args:
+        unit: Unit of the lengths.
+        size: Size of a square pixel.
+        x: Size along a row.
+        y: Size along a column.
+        z: Distance of the planes of a stack.
+
+    Raises:
+        InvalidInput: Not one of `size` and x with y, or a length that is not above 0.
+    """
+
+    unit: Literal["nm", "um", "µm", "mm", "m"]
+    size: float | None = None
+    x: float | None = None
+    y: float | None = None
+    z: float | None = None
+
+    def __post_init__(self) -> None:
+        lengths = {name: value for name in ("size", "x", "y", "z") if (value := getattr(self, name)) is not None}
+        for name, value in lengths.items():
+            number(value, name, "a length above 0", low=5e-324)
+        if lengths.keys() - {"z"} not in ({"size"}, {"x", "y"}):
+            raise unfit("x and y, or size", lengths or None, EXAMPLE_OF_SIZE)
+
+    @property
+    def in_mm(self) -> PixelSize:
+        """The size in mm."""
+        mm, square = UNITS[self.unit], self.size or 0.0
+        return PixelSize(mm * (self.x or square), mm * (self.y or square), None if self.z is None else mm * self.z)
 
 
 def agreed(study: PixelSize | None, header: PixelSize | None, name: str) -> PixelSize:
@@ -119,75 +131,24 @@ class PictureReading:
     average: bool = False
     pixel: PixelSize | None = None
     index: float | None = None
-    scale: str | None = None
+    scale: Literal["intensity", "amplitude", "log10", "dB", "sRGB"] | None = None
     dataset: str | None = None
-    channel: str | None = None
+    channel: Literal["grey", "red", "green", "blue"] | None = None
     reader: str | None = None
 
     def __post_init__(self) -> None:
-        _checked({name: value for name, value in self.given.items() if name != "pixel"}, "image")
-
-    @classmethod
-    def from_options(cls, options: object, place: str) -> "PictureReading":
-        """Return the reading that a study file asks for at `place`.
-
-        Raises:
-            InvalidInput: An option is unknown or cannot be used.
-        """
-        given = keys_of(options, [f.name for f in dataclasses.fields(cls)], place, EXAMPLE)
-        return cls(**_checked({name: value for name, value in given.items() if value is not None}, place))
+        if self.average and self.page is not None:
+            raise unfit("page and average", "both", "one of the two", "Remove one of them.")
+        if self.page is not None and self.page < 0:
+            raise unfit("page", self.page, "the number of a frame, from 0")
+        if self.index is not None:
+            low, high = INDICES
+            expected = f"a refractive index from {low:g} to {high:g}, e.g. 1.333 for water"
+            number(self.index, "index", expected, low, high)
+        if self.reader is not None and not callable(imported(self.reader, "reader")):
+            raise unfit("reader", self.reader, "a function (path, how, name) -> PictureFile")
 
     @property
     def given(self) -> dict[str, Any]:
         """The options that differ from their defaults."""
         return {f.name: v for f in dataclasses.fields(self) if (v := getattr(self, f.name)) != f.default}
-
-
-def _checked(values: Mapping[str, Any], place: str) -> dict[str, Any]:
-    """Return the options after a check of each."""
-    if values.get("average") is True and "page" in values:
-        raise unfit(place, "page and average", "one of the two", f"Remove one of them from {place}.")
-    return {name: CHECKS[name](value, f"{place}.{name}") for name, value in values.items()}
-
-
-def _page(value: object, place: str) -> int:
-    if type(value) is int and value >= 0:
-        return value
-    raise unfit(place, value, "the number of a frame, from 0")
-
-
-def _average(value: object, place: str) -> bool:
-    if isinstance(value, bool):
-        return value
-    raise unfit(place, value, "true or false")
-
-
-def _index(value: object, place: str) -> float:
-    low, high = INDICES
-    return number(value, place, f"a refractive index from {low:g} to {high:g}, e.g. 1.333 for water", low, high)
-
-
-def _text(value: object, place: str) -> str:
-    if isinstance(value, str) and value:
-        return value
-    raise unfit(place, value, "a text")
-
-
-def _reader(value: object, place: str) -> str:
-    name = _text(value, place)
-    if not callable(imported(name, place)):
-        raise unfit(place, name, "a function (path, how, name) -> PictureFile")
-    return name
-
-
-CHECKS: dict[str, Callable[[object, str], Any]] = {
-    "page": _page,
-    "average": _average,
-    "pixel": PixelSize.from_options,
-    "index": _index,
-    "scale": lambda value, place: word(value, SCALES, place),
-    "dataset": _text,
-    "channel": lambda value, place: word(value, CHANNELS, place),
-    "reader": _reader,
-}
-"""Option → check (value, place) that returns the value."""

@@ -76,11 +76,3 @@ def numbers(value: object, count: int, place: str, expected: str, limit: float =
     if not (isinstance(value, list | tuple) and len(value) == count):
         raise unfit(place, value, expected)
     return tuple(number(one, place, expected, -limit, limit) for one in value)
-
-
-def word(value: object, known: Collection[str], place: str) -> str:
-    """Return one of the known words; the refusal of another one suggests the closest."""
-    if isinstance(value, str) and value in known:
-        return value
-    text = next((name for name in known if name.lower() == str(value).lower()), str(value))
-    raise unfit(place, value, f"one of {', '.join(known)}", suggestion(text, known, f"Correct {place}."))

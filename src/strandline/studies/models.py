@@ -22,7 +22,7 @@ from strandline.runs.overview import Overview
 from strandline.studies.folder import SUMMARY, read_json
 from strandline.studies.keys import StudyFile
 from strandline.studies.observed import read_points
-from strandline.studies.parse import made, open_entry, require_parts
+from strandline.studies.parse import made, open_entry, refused_at, require_parts
 from strandline.studies.pictures.undeformed import Undeformed, undeformed_in, without_picture
 
 
@@ -47,15 +47,17 @@ def build_model(
             expected="`sensitivities: true` as a key of the study",
             remedy="Move the key to the top level of study.yaml.",
         )
-    factory = open_entry(MODELS, name, "model", "a forward model")
+    factory, place = open_entry(MODELS, name, "model", "a forward model"), f"model.{name}"
     if wants_folder(factory):
-        model: ForwardModel = made(factory, options, f"model.{name}", folder=folder)
+        model: ForwardModel = made(factory, options, place, folder=folder)
     else:
         options = {key: _with_points(key, value, folder) for key, value in (options or {}).items()}
         undeformed = undeformed or undeformed_in(choice, folder)
         if undeformed is not None:
             options["outline"] = {**without_picture(options["outline"]), **undeformed.options}
-        model = made(factory, options, f"model.{name}")
+        found = made(factory, options, place)
+        with refused_at(place):
+            model = found.forward_model() if hasattr(found, "forward_model") else found
     return _sensitive(model) if sensitivities else model
 
 

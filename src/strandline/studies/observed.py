@@ -15,7 +15,7 @@ from strandline.interface import Interface, PointErrors
 from strandline.models.protocol import ForwardModel, declared_conditions, undeformed_interface
 from strandline.readers import Reading, read_interface, read_point_sds
 from strandline.studies.keys.observation import ConditionFile, ObservationFile
-from strandline.studies.parse import refused_at
+from strandline.studies.parse import made, refused_at
 from strandline.studies.pictures.photographed import Photographed, photographed
 from strandline.studies.pictures.scanned import Scanned, scanned
 
@@ -73,7 +73,7 @@ def read_points(
         options: How to read the file, see `strandline.readers.Reading`.
     """
     try:
-        reading = Reading.from_options({**(options or {}), "file": path.name, "unit": unit}, what)
+        reading = made(Reading, {**(options or {}), "file": path.name, "unit": unit}, what)
         return read_interface(path, reading, name=f"{what} {path.name}")
     except InvalidInput as error:
         raise InvalidStudy(
@@ -88,7 +88,7 @@ def read_sds(path: Path, unit: str, *, options: Mapping[str, Any]) -> Float[np.n
     """Return the standard deviations of observed points, mm; None if `options` name no column with them."""
     if options.get("sd") is None:
         return None
-    reading = Reading.from_options({**options, "file": path.name, "unit": unit}, "observation")
+    reading = made(Reading, {**options, "file": path.name, "unit": unit}, "observation")
     with refused_at():
         return read_point_sds(path, reading, name=f"observation {path.name}")
 

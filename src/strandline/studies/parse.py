@@ -4,7 +4,6 @@ import dataclasses
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -116,8 +115,8 @@ def first_problem(error: ValidationError, schema: Any = StudyFile, within: str =
     if unknown:
         known, name = _known_keys(schema, first["loc"][:-1]), str(first["loc"][-1])
         return InvalidStudy(
-            f"{file}unknown key",
-            value=place,
+            f"{place.rpartition('.')[0]}: unknown option" if within else f"{STUDY}: unknown key",
+            value=name if within else place,
             expected=f"one of {', '.join(known)}" if known else "no such key",
             remedy=suggestion(name, known, f"Remove {place}.") + more,
         )
@@ -126,7 +125,7 @@ def first_problem(error: ValidationError, schema: Any = StudyFile, within: str =
         f"{file}{place}",
         value=None if first["type"] == "missing" else first["input"],
         expected=" or ".join(dict.fromkeys(_expectation(one) for one in same)),
-        remedy=("Add it." if first["type"] == "missing" else f"Correct {place}.") + more,
+        remedy=_remedy(first, place) + more,
     )
 
 
@@ -173,8 +172,22 @@ def _expectation(finding: Mapping[str, Any]) -> str:
         least, most = limits.get("min_length"), limits.get("max_length")
         return f"at least {least} entries" if kind == "too_short" else f"at most {most} entries"
     text = str(finding["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
+    if words := _words(finding):
+        return f"one of {', '.join(words)}"
     said = WORDS.get(kind, text[:1].lower() + text[1:])
     return f"a number {said}" if kind.startswith(("greater_than", "less_than")) else said
+
+
+def _remedy(finding: Mapping[str, Any], place: str) -> str:
+    """Return what to do next: add a missing key, or take the word that was probably meant."""
+    words, given = _words(finding), str(finding["input"])
+    meant = next((word for word in words if word.lower() == given.lower()), given)
+    return "Add it." if finding["type"] == "missing" else suggestion(meant, words, f"Correct {place}.")
+
+
+def _words(finding: Mapping[str, Any]) -> list[str]:
+    """Return the words that a key may have; none if it may have others."""
+    return re.findall("'([^']+)'", finding["ctx"]["expected"]) if finding["type"] == "literal_error" else []
 
 
 def checked(schema: type[T], value: Any, within: str = "") -> T:
@@ -191,7 +204,7 @@ def checked(schema: type[T], value: Any, within: str = "") -> T:
         raise first_problem(error, schema, within) from None
 
 
-def made(kind: type, options: Mapping[str, Any] | None, place: str, **others: Any) -> Any:
+def made(kind: type[T], options: Mapping[str, Any] | None, place: str, **others: Any) -> T:
     """Return an object of a dataclass, made from its options in the study file.
 
     Args:
@@ -200,20 +213,16 @@ def made(kind: type, options: Mapping[str, Any] | None, place: str, **others: An
         place: Place in the study file.
         others: Further arguments, which are no options.
     """
-    values = stated(checked(_section(kind, frozenset(others)), {} if options is None else options, place))
+    section = Options(kind, without=others, plain=PLAIN).section
+    values = stated(checked(section, {} if options is None else options, place))
     try:
         with refused_at(place):
-            return getattr(kind, "from_options", kind)(**values, **others)
+            return kind(**values, **others)
     except InvalidStudy:
         raise
     except (TypeError, ValueError) as error:
         expected, remedy = " ".join(str(error).split()), f"Correct the options of {place}."
         raise InvalidStudy(place, value=options, expected=expected, remedy=remedy) from None
-
-
-@cache
-def _section(kind: type, without: frozenset[str]) -> type[BaseModel]:
-    return Options(kind, without, plain=PLAIN).section
 
 
 @contextmanager
@@ -227,7 +236,7 @@ def refused_at(place: str = "") -> Iterator[None]:
 
 def _refused(error: InvalidInput, place: str) -> InvalidStudy:
     within = "." if re.match(r"[a-z_.]+(:|$)", error.what) else ": "
-    what = f"{place}{within}{error.what}" if place else error.what
+    what = f"{place}{within}{error.what}" if place and error.what else place or error.what
     return InvalidStudy(what, value=error.value, expected=error.expected, remedy=error.remedy)
 
 

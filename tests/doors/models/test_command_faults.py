@@ -17,6 +17,7 @@ from verification.validation.command_faults import FAULTS, MARKER, left_after, p
 from strandline.models.command.model import CommandModel
 from strandline.models.command.process import LOG_LIMIT
 from strandline.runs import Counts, InProcess, Ledger, LocalProcesses, RunRequest, run_campaign
+from strandline.studies.parse import made
 from strandline.testing.studies import write_study
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked for in /proc")
@@ -96,7 +97,7 @@ REQUEST = RunRequest("key", {"E": 1.0})
 
 
 def test_the_executors_own_timeout_leaves_nothing(tmp_path, marker):
-    model = CommandModel(**hanging(tmp_path, marker), folder=tmp_path)
+    model = made(CommandModel, hanging(tmp_path, marker), "model.command", folder=tmp_path)
     (record,) = LocalProcesses(workers=1, timeout=1.0)(model, [REQUEST])
     assert (record.state, record.failure_kind) == ("timeout", "timeout")
     assert left_after(marker, patience=5.0)[0] == 0
@@ -112,7 +113,7 @@ list({executor}(pickle.loads({model!r}), [pickle.loads({request!r})]))
 
 @pytest.mark.parametrize("executor", ["LocalProcesses(workers=1)", "InProcess()"])
 def test_nothing_outlives_a_driver_that_is_killed(tmp_path, marker, executor):
-    model = CommandModel(**hanging(tmp_path, marker), folder=tmp_path, grace=0.2)
+    model = made(CommandModel, hanging(tmp_path, marker) | {"grace": 0.2}, "model.command", folder=tmp_path)
     pickled = {"model": pickle.dumps(model), "request": pickle.dumps(REQUEST)}
     script = DRIVER.format(path=sys.path, executor=executor, **pickled)
     driver = subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.DEVNULL)
@@ -162,7 +163,8 @@ def test_a_signal_ends_the_run_of_a_study_and_all_its_children(tmp_path, marker,
 
 def shell(folder, script, **options):
     (folder / "run.sh").write_text(script)
-    return CommandModel(command=["/bin/sh", "run.sh"], files=["run.sh"], result=RESULT, folder=folder, **options)
+    given = {"command": ["/bin/sh", "run.sh"], "files": ["run.sh"], "result": RESULT, **options}
+    return made(CommandModel, given, "model.command", folder=folder)
 
 
 KILLED_ONCE = """

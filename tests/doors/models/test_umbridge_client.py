@@ -20,6 +20,7 @@ from strandline.models.umbridge import client as client_module
 from strandline.models.umbridge.answers import ServedModel, answer
 from strandline.models.umbridge.model import UMBridge
 from strandline.runs import RunRequest, attempt
+from strandline.studies.parse import made
 from strandline.testing.models import Cantilever, TwoLoads
 
 BEAM = Cantilever(nodes=3)
@@ -84,7 +85,9 @@ def hostile(reply):
 
 
 def model(url, **options):
-    return UMBridge.from_options(**{"url": url, "name": "beam", "inputs": ["E", "load"]} | options)
+    return made(
+        UMBridge, {"url": url, "name": "beam", "inputs": ["E", "load"]} | options, "model.umbridge"
+    ).forward_model()
 
 
 def run(forward, modulus=400.0):

@@ -11,6 +11,7 @@ from strandline.models import MODELS
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.command.model import CommandModel
 from strandline.models.python import PythonModel
+from strandline.readers import Reading
 from strandline.testing.models import Cantilever
 from strandline.testing.simulators import CHECKS
 
@@ -35,7 +36,7 @@ def simulator(request, tmp_path):
         assert request.param == "command", f"no example of `{request.param}` here: add one"
         (tmp_path / "echo.py").write_text(ECHO)
         command = [sys.executable, "echo.py", "{{ E }}", "{{ load }}"]
-        result = {"file": "command.log", "unit": "mm"}
+        result = Reading("command.log", "mm")
         yield CommandModel(command=command, result=result, files=["echo.py"], folder=tmp_path), BEAM
 
 

@@ -11,13 +11,13 @@ import tifffile
 
 from strandline.errors import InvalidInput
 from strandline.imaging.read import read_picture
-from strandline.imaging.reading import PictureReading
+from strandline.studies.pictures.photographed import picture_reading
 
 SQUARE = {"size": 2.0, "unit": "um"}
 
 
 def reading(**options):
-    return PictureReading.from_options(options, "observation.image")
+    return picture_reading(options)
 
 
 def read(path, **options):

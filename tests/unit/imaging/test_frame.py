@@ -10,6 +10,7 @@ from tests.unit.imaging.pictures import grid
 from strandline.errors import InvalidInput
 from strandline.imaging import registered
 from strandline.imaging.frame import Frame
+from strandline.studies.parse import made
 
 PIXEL = (0.006, 0.003)
 PLACES = [
@@ -25,7 +26,7 @@ PLACES = [
 
 def test_known_places():
     for options, pixels, mm in PLACES:
-        frame = Frame.from_options({"origin": [100, 50], **options}, "frame", pixel=PIXEL)
+        frame = made(Frame, {"origin": [100, 50], **options}, "frame", pixel=PIXEL)
         assert frame.mirrors == (np.linalg.det(frame.matrix) < 0)
         np.testing.assert_allclose(frame.to_mm(np.array([pixels, [100.0, 50.0]])), [mm, [0, 0]], atol=1e-15)
         np.testing.assert_allclose(frame.to_pixels(np.array([mm])), [pixels], rtol=1e-13)
@@ -35,7 +36,7 @@ def test_known_places():
 
 MISTAKES = [
     ({}, r"observation\.frame\.origin: got nothing"),
-    ({"origin": [1, "a"]}, r"observation\.frame\.origin: got a"),
+    ({"origin": [1, "a"]}, r"observation\.frame\.origin\.1: got a"),
     ({"origin": [1, 2], "rotation": 400}, r"observation\.frame\.rotation: got 400"),
     ({"origin": [1, 2], "rotaton": 3}, "Did you mean rotation"),
 ]
@@ -44,7 +45,7 @@ MISTAKES = [
 def test_mistakes_are_one_line():
     for options, said in MISTAKES:
         with pytest.raises(InvalidInput, match=said) as caught:
-            Frame.from_options(options, "observation.frame", pixel=PIXEL)
+            made(Frame, options, "observation.frame", pixel=PIXEL)
         assert "\n" not in str(caught.value)
 
 

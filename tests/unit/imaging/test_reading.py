@@ -35,7 +35,7 @@ def saved_frames(folder):
 MISTAKES = [
     ({"pagee": 1}, "unknown option: got pagee;.*Did you mean page"),
     ({"page": -1}, r"observation\.image\.page: got -1"),
-    ({"average": True, "page": 0}, "page and average; expected one of the two"),
+    ({"average": True, "page": 0}, "page and average: got both; expected one of the two"),
     ({"index": 0.5}, r"observation\.image\.index: got 0\.5"),
     ({"scale": "db"}, "expected one of intensity, amplitude, log10, dB, sRGB. Did you mean dB"),
     ({"pixel": {"size": 3.0}}, r"observation\.image\.pixel\.unit: got nothing"),

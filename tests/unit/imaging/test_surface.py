@@ -13,11 +13,12 @@ from verification.validation.rendered_stacks import Blob, Microscope
 
 from strandline.errors import InvalidInput
 from strandline.imaging import Stack
-from strandline.imaging.surfaces import StackFrame, find_surface, region_of
+from strandline.imaging.surfaces import StackFrame, StatedRegion, find_surface
 from strandline.imaging.surfaces.levels import _noise, two_levels
 from strandline.imaging.surfaces.mesh import Mesh, cut, thinned
 from strandline.imaging.surfaces.surface import _outside
 from strandline.interface import Interface
+from strandline.studies.parse import made
 
 V = 1e-3
 CENTRE = (0.0242, 0.0235, 0.0238)
@@ -151,11 +152,15 @@ FRAME = StackFrame(tuple(one / V for one in CENTRE), CUBES.voxel, z="last")
 BALL = {"ball": [0, 0, -14], "radius": 6, "unit": "um"}
 
 
+def region(options):
+    return made(StatedRegion, options, "exclude[0]").within(FRAME)
+
+
 def test_a_region_is_left_out_with_all_that_it_does():
     """A bright lump on the sphere is gone, and what is left is as good, and knows it, as without the lump."""
     values = stack("sphere")
     values[8:13, 22:27, 22:27] = values.max()
-    whole, part = (surface_of(values, exclude=regions) for regions in ([], [region_of(BALL, "exclude[0]", FRAME)]))
+    whole, part = (surface_of(values, exclude=regions) for regions in ([], [region(BALL)]))
     assert np.abs(off("sphere", whole)).max() > 1.0
     assert np.abs(off("sphere", part)).max() < 0.4
     assert len(part.mesh.cells) + part.left_out == len(whole.mesh.cells)
@@ -170,19 +175,19 @@ def test_the_places_of_regions():
     model = FRAME.to_mm(voxels) / V
     np.testing.assert_allclose(model, voxels - np.array(CENTRE) / V, atol=1e-9)
     in_box = (np.abs(model[:, :2]) <= 9).all(axis=1) & (model[:, 2] <= -9) & (model[:, 2] >= -20)
-    for region, inside in (
+    for options, inside in (
         ({"box": [[9, 9, -9], [-9, -9, -20]], "unit": "um"}, in_box),
         ({**BALL, "ball": [1, 0, -10], "radius": 9}, np.linalg.norm(model - [1, 0, -10], axis=1) <= 9),
         ({"voxels": [[0, 0, 0], [48, 30, 14]]}, (voxels[:, 1] <= 30) & (voxels[:, 2] <= 14)),
     ):
-        np.testing.assert_array_equal(region_of(region, "exclude[0]", FRAME)(voxels), inside)
-    for region, said in (
-        ({"voxels": [[0, 0, 0], [1, 1, 1]], "unit": "um"}, "voxels.*unit"),
+        np.testing.assert_array_equal(region(options)(voxels), inside)
+    for options, said in (
+        ({"voxels": [[0, 0, 0], [1, 1, 1]], "unit": "um"}, "unit.*voxels"),
         ({"ball": [0, 0], "radius": 1, "unit": "um"}, r"exclude\[0\]\.ball"),
     ):
         with pytest.raises(InvalidInput, match=said):
-            region_of(region, "exclude[0]", FRAME)
-    everything = region_of({"voxels": [[0, 0, 0], [48, 48, 48]]}, "exclude[0]", FRAME)
+            region(options)
+    everything = region({"voxels": [[0, 0, 0], [48, 48, 48]]})
     with pytest.raises(InvalidInput, match=r"triangles outside of the regions.*got 0.*at least 10"):
         surface_of(stack("sphere"), exclude=[everything])
 

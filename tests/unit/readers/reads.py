@@ -3,10 +3,11 @@
 import pytest
 
 from strandline.readers import Reading, Unreadable, read_interface
+from strandline.studies.parse import made
 
 
 def read(path, **options):
-    return read_interface(path, Reading.from_options({"file": path.name, "unit": "mm", **options}, "result"))
+    return read_interface(path, made(Reading, {"file": path.name, "unit": "mm", **options}, "result"))
 
 
 def refused(words, path, kind="result_unreadable", **options):

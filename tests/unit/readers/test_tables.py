@@ -9,6 +9,7 @@ from tests.unit.readers.reads import read, refused
 
 from strandline.errors import InvalidInput
 from strandline.readers import Reading, Unreadable, read_interface, read_point_sds
+from strandline.studies.parse import made
 
 POINTS = np.array([[0.0, 0.0], [0.5, 0.25], [1.0, -0.125]])
 TABLE = "node, x coord, U1, y coord, U2\n7,0,0,0,0\n8,500,1,250,2\n9,1000,3,-125,4\n"
@@ -237,7 +238,7 @@ OPTIONS = [
 def test_options_that_cannot_be():
     for file, more, words in OPTIONS:
         with pytest.raises(InvalidInput) as caught:
-            Reading.from_options({"file": file, "unit": "mm", **more}, "result")
+            made(Reading, {"file": file, "unit": "mm", **more}, "result")
         assert words in str(caught.value)
         assert str(caught.value).startswith("result")
 
@@ -255,7 +256,7 @@ def test_standard_deviations_have_the_unit_of_the_points(tmp_path):
     np.save(path, table)
     np.savetxt(tmp_path / "a.csv", table, delimiter=",")
     for name in ("a.npy", "a.csv"):
-        how = Reading.from_options({"file": name, "unit": "um", "sd": 3, "columns": [1, 2]}, "result")
+        how = made(Reading, {"file": name, "unit": "um", "sd": 3, "columns": [1, 2]}, "result")
         np.testing.assert_allclose(read_point_sds(tmp_path / name, how), [0.002, 0.003, 0.004])
         np.testing.assert_allclose(read(tmp_path / name, sd=3, columns=[1, 2]).points, table[:, :2])
 

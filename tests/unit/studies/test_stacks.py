@@ -91,7 +91,7 @@ def test_what_the_command_writes_is_the_same_each_time(tmp_path, capsys):
     for words in ("stack of 40 planes, 1 µm apart, from the study", "at voxel (20.2, 19.5, 19.8) from the study"):
         assert words in shown
     study = load_study(folder)
-    how = Reading.from_options({"file": "surface.vtu", "unit": "mm"}, "surface")
+    how = Reading("surface.vtu", "mm")
     read = read_interface(folder / "image" / "surface.vtu", how)
     np.testing.assert_allclose(read.points, study.observed[""].points, rtol=1e-6, atol=1e-10)
     content = json.loads(files["surface.json"])

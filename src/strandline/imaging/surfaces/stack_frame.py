@@ -1,19 +1,18 @@
 """Voxel coordinates ↔ coordinates of the model, in mm, and regions of a stack in which the surface is not used."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 from functools import partial
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from strandline.imaging.frame import frame_options
 from strandline.imaging.reading import UNITS
 from strandline.imaging.surfaces.mesh import Mesh
 from strandline.interface import Interface
-from strandline.readers.checked import keys_of, number, numbers, unfit, word
+from strandline.readers.checked import number, numbers, unfit
 
 SIGNS: dict[str, dict[str, float]] = {
     "x": {"right": 1.0, "left": -1.0},
@@ -21,9 +20,8 @@ SIGNS: dict[str, dict[str, float]] = {
     "z": {"last": 1.0, "first": -1.0},
 }
 """Axis of the model → where it points in the stack → its sign."""
-ORIGIN = "the voxel [x, y, z] of the model's (0, 0, 0)"
 ANGLES = "angles [x, y, z] from -360 to 360 degrees, about the axes of the model"
-EXAMPLE = "{origin: [128, 128, 64], y: down, z: last}"
+Point = tuple[float, float, float]
 Region = Callable[[Float[np.ndarray, "point 3"]], Bool[np.ndarray, " point"]]
 """Points (x, y, z) in voxel coordinates → which of them are left out."""
 REGIONS = (
@@ -48,28 +46,19 @@ class StackFrame:
             that about z from x towards y, that about x from y towards z, that about y from z towards x.
 
     Raises:
-        InvalidInput: A direction that does not exist, or another number that is not finite.
+        InvalidInput: A number that is not finite, or out of its range.
     """
 
     origin: tuple[float, float, float]
     voxel: tuple[float, float, float]
-    x: str = "right"
-    y: str = "down"
-    z: str = "last"
+    x: Literal["right", "left"] = "right"
+    y: Literal["down", "up"] = "down"
+    z: Literal["last", "first"] = "last"
     rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        for name, check in CHECKS.items():
-            check(getattr(self, name), f"frame.{name}")
-
-    @classmethod
-    def from_options(cls, options: object, place: str, *, voxel: tuple[float, float, float]) -> "StackFrame":
-        """Return the frame that a study file gives at `place`, for a stack with this size of a voxel, mm.
-
-        Raises:
-            InvalidInput: An option is missing, unknown or cannot be used.
-        """
-        return cls(voxel=voxel, **frame_options(options, CHECKS, place, ORIGIN, EXAMPLE))
+        numbers(self.origin, 3, "origin", "the voxel [x, y, z] of the model's (0, 0, 0)")
+        numbers(self.rotation, 3, "rotation", ANGLES, 360.0)
 
     @property
     def matrix(self) -> Float[np.ndarray, "3 3"]:
@@ -89,38 +78,41 @@ class StackFrame:
         return Interface(self.to_mm(mesh.points), np.ascontiguousarray(cells))
 
 
-CHECKS: dict[str, Callable[[Any, str], Any]] = {
-    "origin": lambda value, place: numbers(value, 3, place, ORIGIN),
-    "x": lambda value, place: word(value, SIGNS["x"], place),
-    "y": lambda value, place: word(value, SIGNS["y"], place),
-    "z": lambda value, place: word(value, SIGNS["z"], place),
-    "rotation": lambda value, place: numbers(value, 3, place, ANGLES, 360.0),
-}
-"""Option → check (value, place) that returns the value."""
-
-
-def region_of(options: object, place: str, frame: StackFrame) -> Region:
-    """Return the region that a study file gives at `place`.
+@dataclass(frozen=True)
+class StatedRegion:
+    """A region as a study states it: a box or a ball in the model's coordinates with a unit, or a box of voxels.
 
     Args:
-        options: A box or a ball in the model's coordinates with a unit, or a box of voxels.
-        place: Place in the study file.
-        frame: Where the model lies in the stack.
+        box: Two opposite corners, in `unit`.
+        ball: Centre of a ball, in `unit`.
+        radius: Radius of the ball, in `unit`.
+        voxels: Two opposite corners, in voxels.
+        unit: Unit of length.
 
     Raises:
-        InvalidInput: Options that are missing, unknown or cannot be used.
+        InvalidInput: Options that do not fit together.
     """
-    given = keys_of(options, ("box", "ball", "radius", "voxels", "unit"), place, REGIONS)
-    if set(given) == {"voxels"}:
-        return partial(_in_box, corners=_corners(given["voxels"], f"{place}.voxels"), frame=None)
-    if set(given) not in ({"box", "unit"}, {"ball", "radius", "unit"}):
-        raise unfit(place, dict(given), f"one of {REGIONS}")
-    mm = UNITS[word(given["unit"], UNITS, f"{place}.unit")]
-    if "box" in given:
-        return partial(_in_box, corners=mm * _corners(given["box"], f"{place}.box"), frame=frame)
-    centre = mm * np.array(numbers(given["ball"], 3, f"{place}.ball", "the centre [x, y, z] of the ball"))
-    radius = mm * number(given["radius"], f"{place}.radius", "a length above 0", low=5e-324)
-    return partial(_in_ball, centre=centre, radius=radius, frame=frame)
+
+    box: tuple[Point, Point] | None = None
+    ball: Point | None = None
+    radius: float | None = None
+    voxels: tuple[Point, Point] | None = None
+    unit: Literal["nm", "um", "µm", "mm", "m"] | None = None
+
+    def __post_init__(self) -> None:
+        stated = {f.name for f in fields(self) if getattr(self, f.name) is not None}
+        if stated not in ({"voxels"}, {"box", "unit"}, {"ball", "radius", "unit"}):
+            raise unfit("region of a stack", ", ".join(sorted(stated)) or None, f"one of {REGIONS}")
+        number(self.radius or 1.0, "radius", "a length above 0", low=5e-324)
+
+    def within(self, frame: StackFrame) -> Region:
+        """Return the region in voxels of a stack in which the model lies as `frame` says."""
+        if self.voxels is not None:
+            return partial(_in_box, corners=np.array(self.voxels), frame=None)
+        mm = UNITS[str(self.unit)]
+        if self.box is not None:
+            return partial(_in_box, corners=mm * np.array(self.box), frame=frame)
+        return partial(_in_ball, centre=mm * np.array(self.ball), radius=mm * float(self.radius or 0.0), frame=frame)
 
 
 def _in_box(
@@ -135,11 +127,3 @@ def _in_ball(
     points: Float[np.ndarray, "point 3"], centre: Float[np.ndarray, " 3"], radius: float, frame: StackFrame
 ) -> Bool[np.ndarray, " point"]:
     return np.asarray(np.linalg.norm(frame.to_mm(points) - centre, axis=1) <= radius)
-
-
-def _corners(value: object, place: str) -> Float[np.ndarray, "2 3"]:
-    """Return two opposite corners."""
-    expected = "two opposite corners [[x, y, z], [x, y, z]]"
-    if not (isinstance(value, Sequence) and not isinstance(value, str) and len(value) == 2):
-        raise unfit(place, value, expected)
-    return np.array([numbers(one, 3, place, expected) for one in value])

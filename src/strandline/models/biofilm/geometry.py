@@ -4,7 +4,7 @@ The figure is cut into polygons that share vertices: fluid, and one or more part
 the mesh's name says, and smaller where a narrow gap or a sharp bend of the outline requires it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -16,7 +16,7 @@ from ngsolve import Mesh
 
 from strandline.interface import Interface
 from strandline.models import refused
-from strandline.models.biofilm.outline import ON_WALL, Channel, Pairs, bodies, finite
+from strandline.models.biofilm.outline import ON_WALL, Channel, Pairs, bodies
 
 FLUID = "fluid"
 NARROW = 0.5
@@ -140,16 +140,6 @@ Partition.PRESETS["three_parts"] = Partition(
     markers=((0.65, 0.25), (1.00, 0.30), (0.90, 0.05)),
 )
 """The heterogeneous specimen of the study (S6): part 2 the largest, part 3 on the ground; for the study's outline."""
-
-
-def check_partition(lines: Sequence[object] = (), markers: Sequence[object] = ()) -> None:
-    """Refuse lists from a study file that are not the lines and markers of a partition."""
-    for what, given, shape, example in (
-        ("lines", lines, (2, 2), "pairs of points in mm, e.g. [[[0.4, 0.1], [1.5, 0.1]]]"),
-        ("markers", markers, (2,), "points in mm, e.g. [[0.6, 0.2], [0.9, 0.05]]"),
-    ):
-        if not (isinstance(given, list | tuple) and all(finite(item).shape == shape for item in given)):
-            raise refused(f"{what} of the partition", given, f"a list of {example}")
 
 
 @dataclass(frozen=True)

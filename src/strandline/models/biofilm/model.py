@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import hashlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, cast
@@ -36,17 +36,16 @@ from strandline.models.biofilm.memory import Branch, branch_inputs
 from strandline.models.biofilm.options import (
     SolidInputs,
     as_inflow,
-    as_loads,
+    as_inflow_rates,
+    as_pressure_drops,
     check_budget,
     check_course,
     check_loads,
-    converted,
 )
 from strandline.models.biofilm.outline import (
     Channel,
     Outline,
     Pairs,
-    as_stretches,
     check_clamped,
     check_inside,
     check_outline,
@@ -69,8 +68,7 @@ class Biofilm:
     """Quasi-steady fluid–structure interaction of a soft solid on the floor of a channel, plane strain.
 
     Water enters with a parabolic profile of volume rate V_in and leaves on the other side. The output is the deformed
-    interface, mm, at the nodes of the outline from left to right. The result is reproducible to the bit. `from_options`
-    takes plain mappings and lists, as in a study file.
+    interface, mm, at the nodes of the outline from left to right. The result is reproducible to the bit.
 
     Args:
         mesh: ``coarse`` (488 elements with the study's outline), ``default`` (1194) or ``fine`` (3454).
@@ -94,7 +92,7 @@ class Biofilm:
         failure_budget: Number of Jacobians after which a run gives up its search for a steady state, so that a failure
             costs about three median runs; 0: no limit, every failed run is followed around its limit point (about
             five).
-        anchors: (name, lowest, highest value) of each input; `from_options` takes a mapping. Runs in the box start from
+        anchors: (name, lowest, highest value) of each input; Runs in the box start from
             states that are solved beforehand, see `anchored_cell`, and most need no Jacobian. The states are kept on
             disk for later campaigns.
 
@@ -113,15 +111,15 @@ class Biofilm:
     outline: Outline = Outline()
     partition: Partition = Partition()
     fluid: Fluid = WATER
-    inflow: str | Pairs = PARABOLA
+    inflow: str | Pairs = field(default=PARABOLA, metadata={"read": as_inflow})
     clamped: Pairs = ()
-    inflow_rates: tuple[tuple[str, float], ...] = ()
-    pressure_drops: tuple[tuple[str, float], ...] = ()
-    course: Course | None = None
+    inflow_rates: tuple[tuple[str, float], ...] = field(default=(), metadata={"read": as_inflow_rates})
+    pressure_drops: tuple[tuple[str, float], ...] = field(default=(), metadata={"read": as_pressure_drops})
+    course: Course | None = field(default=None, metadata={"read": Course.of})
     branches: int = 0
     sensitivities: bool = False
     failure_budget: int = 5
-    anchors: Ranges = ()
+    anchors: Ranges = field(default=(), metadata={"read": as_ranges})
     failure_kinds: ClassVar[tuple[str, ...]] = (
         "limit_point", "continuation_stalled", "newton_stalled", "newton_maxit", "inverted_elements", "unbalanced",
         "nonfinite_residual", "linear_solve", "mesh", "time_step",
@@ -144,28 +142,6 @@ class Biofilm:
         if self.inflow != PRESSURE:
             entering(self.inflow, inlet_bottom(reference, self.channel), self.channel.height)
         linear_solver()
-
-    @classmethod
-    def from_options(cls, **options: Any) -> "Biofilm":
-        """Return the model made from plain options: mappings for channel, outline, partition; inflow rates by name.
-
-        `partition` may also be ``three_parts``, the heterogeneous specimen of the study.
-        """
-        for name, kind in (("channel", Channel), ("outline", Outline), ("partition", Partition), ("fluid", Fluid)):
-            if name in options:
-                options[name] = converted(name, options[name], kind)
-        if "inflow" in options:
-            options["inflow"] = as_inflow(options["inflow"])
-        if "clamped" in options:
-            options["clamped"] = as_stretches(options["clamped"])
-        for name in ("inflow_rates", "pressure_drops"):
-            if name in options:
-                options[name] = as_loads(name, options[name])
-        if (anchors := options.pop("anchors", None)) is not None:
-            options["anchors"] = as_ranges(anchors)
-        if options.get("course") is not None:
-            options["course"] = Course.of(options["course"])
-        return cls(**options)
 
     @property
     def inputs(self) -> tuple[ModelInput, ...]:
@@ -205,9 +181,9 @@ class Biofilm:
         effect for the outline, so the ledgers of other outlines, including the study's, stay valid.
         """
         chosen = [
-            f"{field.name}={getattr(self, field.name)!r}"
-            for field in dataclasses.fields(self)
-            if field.name not in ("mesh", "sensitivities") and getattr(self, field.name) != field.default
+            f"{one.name}={getattr(self, one.name)!r}"
+            for one in dataclasses.fields(self)
+            if one.name not in ("mesh", "sensitivities") and getattr(self, one.name) != one.default
         ]
         if _is_adapted(self.outline, self.mesh, self.channel):
             chosen.append(f"sizes={SIZES}")

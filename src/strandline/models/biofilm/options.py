@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,7 @@ from strandline.errors import InvalidInput
 from strandline.interface import is_condition
 from strandline.models import refused
 from strandline.models.biofilm.course import QUASI_STATIC, TRANSIENT, Course
-from strandline.models.biofilm.flow import DROP, PRESSURE, PROFILES, RATE, Fluid, as_pairs
-from strandline.models.biofilm.geometry import Partition, check_partition
+from strandline.models.biofilm.flow import DROP, PRESSURE, PROFILES, RATE, as_pairs
 from strandline.models.biofilm.materials import Law, further_parameters
 from strandline.models.biofilm.memory import MOST_BRANCHES
 from strandline.models.protocol import ModelInput
@@ -24,7 +23,6 @@ SMALL_STRAIN = (
 )
 _SMALLEST_BUDGET = 3
 LEAVE_OUT = "Leave one of the two out."
-_FROM_FILE = {"outline": "; in a study file also file with its unit in place of points, which are in mm"}
 _LOADS = {"inflow_rates": ("inflow rate", RATE, "mm^2/s", 50), "pressure_drops": ("pressure drop", DROP, "Pa", 5)}
 """Option → what it gives for each condition, the input in whose place it is, its unit as text, an example."""
 
@@ -67,30 +65,6 @@ def _of_part(item: ModelInput, number: str) -> ModelInput:
     return dataclasses.replace(item, name=item.name + number, meaning=f"{item.meaning} of part {number}")
 
 
-def converted(name: str, value: object, kind: Any) -> Any:
-    """Return `value` as the record `kind`, made from a plain mapping or a named preset."""
-    if isinstance(value, kind):
-        return value
-    if isinstance(value, str) and value in getattr(kind, "PRESETS", {}):
-        return kind.PRESETS[value]
-    known = {field.name for field in dataclasses.fields(kind)}
-    if not isinstance(value, Mapping) or not set(value) <= known:
-        unknown = sorted(set(value) - known) if isinstance(value, Mapping) else []
-        close = get_close_matches(str(unknown[0]), known, n=1) if unknown else []
-        expected = f"a mapping with keys among {', '.join(sorted(known))}{_FROM_FILE.get(name, '')}"
-        remedy = f"Did you mean {close[0]}?" if close else "Correct it."
-        raise _refused(name, ", ".join(map(str, unknown)) or value, expected, remedy)
-    if kind is Fluid:
-        return Fluid(**{key: float(v) if _is_number(v) else v for key, v in value.items()})
-    if kind is Partition:
-        check_partition(**value)
-    lengths = {field.name for field in dataclasses.fields(kind) if field.type is float}
-    for key in lengths & set(value):
-        if not _is_number(value[key]):
-            raise refused(f"{key} of the {name}", value[key], "a number in mm, without a unit")
-    return kind(**{key: float(v) if key in lengths else _as_tuples(v) for key, v in value.items()})
-
-
 def as_inflow(value: Any) -> Any:
     """Return the name of a profile, or the pairs of ``{table: …}`` as tuples."""
     if isinstance(value, Mapping) and set(value) == {"table"}:
@@ -99,13 +73,6 @@ def as_inflow(value: Any) -> Any:
         return value
     names = ", ".join([*PROFILES, PRESSURE])
     raise _refused("inflow", value, f"one of {names}, module:name, or {{table: [[y, v], …]}} with y in mm")
-
-
-def _as_tuples(value: Any) -> Any:
-    """Return nested lists as nested tuples of numbers, which can be compared and hashed."""
-    if not isinstance(value, list | tuple):
-        return value
-    return tuple(float(item) if _is_number(item) else _as_tuples(item) for item in value)
 
 
 def _is_number(value: object) -> bool:
@@ -121,6 +88,10 @@ def as_loads(option: str, loads: Any) -> tuple[tuple[str, float], ...]:
     for name, load in loads.items():
         _check_load(option, name, load)
     return tuple((name, float(load)) for name, load in loads.items())
+
+
+as_inflow_rates = partial(as_loads, "inflow_rates")
+as_pressure_drops = partial(as_loads, "pressure_drops")
 
 
 def check_budget(budget: object) -> None:

@@ -133,24 +133,17 @@ def named_by(errors: Mapping[str, str], folder: Path, error: ForwardModelError) 
     return error
 
 
-def readings_of(result: object, results: object) -> dict[str, Reading]:
+def readings_of(result: Reading | None, results: Mapping[str, Reading] | None) -> dict[str, Reading]:
     """Return how to read the result of each condition; "" names a single unnamed condition."""
     if (result is None) == (results is None):
         found = "`result` and `results`" if result is not None else None
         expected = "either result: {file: …, unit: …}, or results: {CONDITION: {file: …, unit: …}, …}"
         raise refused("result", found, expected, "Name the file that holds the interface.")
-    if results is None:
-        given: Mapping[object, object] = {"": result}
-    elif isinstance(results, Mapping) and results and all(isinstance(name, str) and name for name in results):
-        given = results
-    else:
+    if results is not None and (not results or "" in results):
         raise refused("results", results, "{CONDITION: {file: …, unit: …}, …}")
-    readings = {}
-    for condition, options in given.items():
-        place = f"results.{condition}" if condition else "result"
-        reading = Reading.from_options(options, place)
-        relative_name(reading.file, f"{place}.file")
-        readings[str(condition)] = reading
+    readings = dict(results or {}) if result is None else {"": result}
+    for condition, reading in readings.items():
+        relative_name(reading.file, f"results.{condition}.file" if condition else "result.file")
     return readings
 
 

@@ -75,8 +75,8 @@ class CommandModel:
     """
 
     command: Any
-    result: Any = None
-    results: Any = None
+    result: Reading | None = None
+    results: Mapping[str, Reading] | None = None
     templates: Any = field(default_factory=dict)
     files: Any = field(default_factory=list)
     shell: Any = False
@@ -89,7 +89,7 @@ class CommandModel:
     errors: Any = field(default_factory=dict)
     keep: str = "failed"
     version: str = ""
-    inputs: tuple[ModelInput, ...] = ()
+    inputs: tuple[ModelInput, ...] = field(default=(), metadata={"read": declared_by})
     folder: Path = Path()
     failure_kinds: ClassVar[tuple[str, ...]] = (
         "exit_code", "simulator_killed", "command_not_found", "no_success", "result_missing", "result_old",
@@ -101,11 +101,6 @@ class CommandModel:
         object.__setattr__(self, "folder", self.folder.resolve())
         object.__setattr__(self, "_parts", _Parts.of(self))
         object.__setattr__(self, "failure_kinds", (*type(self).failure_kinds, *self._parts.errors))
-
-    @classmethod
-    def from_options(cls, **options: Any) -> "CommandModel":
-        """Return the model that a study file describes."""
-        return cls(**{**options, "inputs": declared_by(options.get("inputs", {}))})
 
     @property
     def conditions(self) -> tuple[str, ...]:

@@ -47,14 +47,6 @@ class BlockLayout:
             if not right:
                 raise _wrong_option(name, value)
 
-    @classmethod
-    def from_options(cls, options: object) -> "BlockLayout":
-        """Return the layout of ``{shape: points, dim: 2, closed: false}``, each key optional."""
-        given = {} if options is None else options
-        if not isinstance(given, Mapping) or not set(given) <= {"shape", "dim", "closed"}:
-            raise _wrong_option("", options)
-        return cls(**given)
-
     @property
     def coordinate_blocks(self) -> int:
         """Number of output blocks that hold coordinates; a surface's triangles are in the next one."""
@@ -99,7 +91,7 @@ def flattened(interface: Interface) -> list[list[float]]:
 
 def _wrong_option(name: str, value: object) -> InvalidInput:
     expected = "{shape: points or columns, dim: 2 or 3, closed: true or false (polylines only)}"
-    return refused(f"interface.{name}".rstrip("."), value, expected)
+    return refused(name, value, expected)
 
 
 def _unfit(blocks: Sequence[Any], expected: str) -> ForwardModelError:
@@ -109,7 +101,7 @@ def _unfit(blocks: Sequence[Any], expected: str) -> ForwardModelError:
 
 @dataclass(frozen=True)
 class UMBridge:
-    """The options of ``model: {umbridge: …}`` in a study file; `from_options` makes the model from them.
+    """The options of ``model: {umbridge: …}`` in a study file; `forward_model` makes the model from them.
 
     Args:
         url: URL of the server.
@@ -129,7 +121,7 @@ class UMBridge:
     url: str
     name: str
     inputs: Any
-    interface: Any = None
+    interface: BlockLayout | None = None
     unit: str = "mm"
     config: Any = None
     timeout: float = 600.0
@@ -137,23 +129,21 @@ class UMBridge:
     sensitivities: bool = False
     at_once: int = 1
 
-    @classmethod
-    def from_options(cls, **options: Any) -> "UMBridgeModel":
+    def forward_model(self) -> "UMBridgeModel":
         """Return the model; nothing is sent to the server yet."""
-        given = cls(**options)
         if importlib.util.find_spec("httpx") is None:
             what, remedy = "the package httpx, which calls the server", 'Install it: pip install "strandline[umbridge]"'
             raise refused(what, "not installed", "the extra `umbridge`", remedy)
-        names, units = _named_blocks(given.inputs)
+        names, units = _named_blocks(self.inputs)
         return UMBridgeModel(
-            Client(given.url, given.name, _config(given.config), given.timeout),
+            Client(self.url, self.name, _config(self.config), self.timeout),
             names,
             units,
-            BlockLayout.from_options(given.interface),
-            given.unit,
-            "" if given.version is None else str(given.version),
-            given.sensitivities,
-            given.at_once,
+            self.interface or BlockLayout(),
+            self.unit,
+            "" if self.version is None else str(self.version),
+            self.sensitivities,
+            self.at_once,
         )
 
 

@@ -14,14 +14,16 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, create_model
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler, create_model
 from pydantic.fields import FieldInfo
-from pydantic_core import CoreSchema, core_schema
+from pydantic_core import CoreSchema, PydanticUseDefault, core_schema
 
 from strandline.studies.keys.scalars import Number, Section, Size, Switch, Text, Whole
 
 READ = "read"
 """In the metadata of a field: function that turns a value of the study file into one of the field."""
+PRESETS = "PRESETS"
+"""Attribute of a class with objects that the study file may name."""
 PLAIN: dict[Any, Any] = {float: Number, int: Whole, str: Annotated[str, Field(strict=True)], bool: Switch}
 """Types of fields → types of values in the study file."""
 BOUNDED: dict[Any, Any] = {**PLAIN, int: Size, str: Text}
@@ -70,26 +72,30 @@ class Options:
     def _read(self, value: Any, checked: Callable[[Any], BaseModel]) -> Any:
         if self.make and isinstance(value, self.of):
             return value
+        if isinstance(value, str) and value in getattr(self.of, PRESETS, {}):
+            return getattr(self.of, PRESETS)[value]
         section = checked(value)
         return self.of(**stated(section)) if self.make else section.model_dump(exclude_none=True)
 
     def _key(self, one: "dataclasses.Field[Any]", hint: Any) -> tuple[Any, Any]:
-        kind = Annotated[Any, _Read(one.metadata[READ])] if READ in one.metadata else self._type(hint)
-        if one.default_factory is not dataclasses.MISSING:
-            return kind | None, one.default_factory()
-        return (kind, ...) if one.default is dataclasses.MISSING else (kind | None, one.default)
+        """Return type and default of a key; null stands for the default, unless the field may be None."""
+        read = one.metadata.get(READ)
+        kind = self._type(hint) if read is None else Annotated[Any, AfterValidator(read)]
+        default = one.default if one.default_factory is dataclasses.MISSING else one.default_factory()
+        if default is dataclasses.MISSING:
+            return kind, ...
+        optional = read is None and (hint is Any or type(None) in get_args(hint))
+        return kind | None if optional else Annotated[kind, BeforeValidator(_left_out)], default
 
     def _type(self, hint: Any) -> Any:
         """Return the type of a value in the study file for a field of this type; Any leaves it to the class."""
         origin, arguments = get_origin(hint), get_args(hint)
-        if hasattr(self.of, "from_options"):
-            kinds = [kind for kind in arguments if kind is not type(None)]
-            return self.plain.get(kinds[0] if len(kinds) == 1 and len(arguments) == 2 else hint, Any)
         if isinstance(hint, type) and dataclasses.is_dataclass(hint):
             return Annotated[Any, Options(hint, plain=self.plain, make=True)]
         if origin in (Union, types.UnionType):
             kinds = [self._type(kind) for kind in arguments if kind is not type(None)]
-            return Any if Any in kinds else Union[tuple(kinds)]  # noqa: UP007
+            undecided = Any in kinds or {int, float} <= {*arguments}
+            return Any if undecided else Union[tuple(kinds)]  # noqa: UP007
         if origin is tuple:
             return cast(Any, tuple)[tuple(one if one is ... else self._type(one) for one in arguments)]
         if isinstance(origin, type) and issubclass(origin, Mapping):
@@ -103,19 +109,15 @@ class _Described(Section):
     model_config = ConfigDict(use_attribute_docstrings=False)
 
 
-@dataclass(frozen=True)
-class _Read:
-    """A mark for a value that a function reads."""
-
-    read: Callable[[Any], Any]
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_plain_validator_function(self.read)
+def _left_out(value: Any) -> Any:
+    if value is None:
+        raise PydanticUseDefault
+    return value
 
 
 def stated(section: BaseModel) -> dict[str, Any]:
-    """Return the options by name, except those left to the class."""
-    return {name: value for name, value in section if name in section.model_fields_set and value is not None}
+    """Return the options that were given, by name."""
+    return {name: value for name, value in section if name in section.model_fields_set}
 
 
 def _hints(kind: type) -> dict[str, Any]:

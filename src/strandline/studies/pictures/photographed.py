@@ -30,11 +30,11 @@ from strandline.imaging import (
     typed_path,
 )
 from strandline.imaging.markov_path import MarkovPath
-from strandline.imaging.reading import SAME, PixelSize
+from strandline.imaging.reading import SAME, PixelSize, StatedSize
 from strandline.imaging.surfaces import StackFrame
 from strandline.interface import Interface, PointErrors
 from strandline.studies.keys.observation import ConditionFile, ImageFile, ObservationFile
-from strandline.studies.parse import refused_at
+from strandline.studies.parse import made, refused_at
 
 UNDEFORMED = "undeformed"
 """Name, in files and results, of the picture that gives the model its outline."""
@@ -164,7 +164,7 @@ def photographed(folder: Path, given: ImageFile, undeformed: Interface | None) -
 
 def _ignored(given: ImageFile, clicks: Clicks) -> Iterator[str]:
     """Yield a sentence on a scale bar, and on an origin, that were marked and differ from what the study states."""
-    size, stated = clicks.pixel_mm, PictureReading.from_options(given.reading, PLACE).pixel
+    size, stated = clicks.pixel_mm, picture_reading(given.reading).pixel
     if size is not None and stated is not None and any(abs(one / size - 1) > SAME for one in (stated.x, stated.y)):
         yield (
             f"the scale bar in {given.path} gives pixels of {1e3 * size:.4g} µm, and is ignored, because the study "
@@ -196,6 +196,13 @@ def _repeated(
         return errors_from_frames(frames, edge, number=picture.frames, exclude=exclude), ()
     except InvalidInput as error:
         return None, (f"no errors from the frames, for {error.what}: {error.value}",)
+
+
+def picture_reading(options: Mapping[str, Any], place: str = PLACE) -> PictureReading:
+    """Return how to read a picture, from the options in the study file."""
+    rest = {name: value for name, value in options.items() if name != "pixel"}
+    size = None if options.get("pixel") is None else made(StatedSize, options["pixel"], f"{place}.pixel").in_mm
+    return made(PictureReading, rest, place, pixel=size)
 
 
 def clicked(folder: Path, given: ImageFile) -> Clicks | None:
@@ -238,7 +245,7 @@ def reference_of(given: ImageFile) -> ImageFile:
 def read_only_picture(folder: Path, given: ImageFile) -> tuple[Picture, bool]:
     """Return the picture alone, and whether study or header state the size of its pixels; else it is 1 mm."""
     paths = [folder / name for name in given.files]
-    how = PictureReading.from_options(given.reading, PLACE)
+    how = picture_reading(given.reading)
     try:
         with refused_at():
             return read_picture(paths, how), True
@@ -255,7 +262,7 @@ def _reading(given: ImageFile, clicks: Clicks | None, name: str | None = None) -
     A bar shows the size along itself only: pixels are taken as square, and the note says so. It says too if the study
     states another size than the bar, which does not count then.
     """
-    how = PictureReading.from_options(given.reading, PLACE)
+    how = picture_reading(given.reading)
     size = None if clicks is None else clicks.pixel_mm
     if size is None:
         return how
@@ -304,9 +311,9 @@ def _frame(given: ImageFile, clicks: Clicks | None, picture: Picture, marks: str
     options: Mapping[str, Any] | Any = {} if given.frame is None else given.frame
     marked = None if clicks is None or clicks.origin is None else list(clicks.origin)
     if isinstance(options, Mapping) and "origin" not in options and marked is not None:
-        frame = Frame.from_options({**options, "origin": marked}, f"{PLACE}.frame", pixel=picture.pixel)
+        frame = made(Frame, {**options, "origin": marked}, f"{PLACE}.frame", pixel=picture.pixel)
         return frame, f"the marks in {marks}"
-    frame, source = Frame.from_options(options, f"{PLACE}.frame", pixel=picture.pixel), "the study"
+    frame, source = made(Frame, options, f"{PLACE}.frame", pixel=picture.pixel), "the study"
     if marked is not None and math.dist(frame.origin, marked) > SAME_PLACE:
         source += f", not ({marked[0]:.6g}, {marked[1]:.6g}) from the marks in {marks}"
     return frame, source

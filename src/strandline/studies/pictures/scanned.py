@@ -5,12 +5,12 @@ from pathlib import Path
 
 from strandline.errors import InvalidStudy
 from strandline.imaging import PictureReading, Stack, read_stack
-from strandline.imaging.reading import PixelSize
-from strandline.imaging.surfaces import StackFrame, Surface, find_surface, region_of
+from strandline.imaging.reading import StatedSize
+from strandline.imaging.surfaces import StackFrame, StatedRegion, Surface, find_surface
 from strandline.interface import Interface, PointErrors
 from strandline.studies.keys.observation import StackFile
-from strandline.studies.parse import refused_at
-from strandline.studies.pictures.photographed import frame_note
+from strandline.studies.parse import made, refused_at
+from strandline.studies.pictures.photographed import frame_note, picture_reading
 
 PLACE = "observation.stack"
 
@@ -62,8 +62,10 @@ def scanned(folder: Path, given: StackFile) -> Scanned:
     """Return the surface in a stack of a study."""
     with refused_at():
         stack = read_stack([folder / name for name in given.files], _reading(given))
-        frame = StackFrame.from_options(given.frame or {}, f"{PLACE}.frame", voxel=stack.voxel)
-        exclude = [region_of(one, f"{PLACE}.exclude[{k}]", frame) for k, one in enumerate(given.exclude)]
+        frame = made(StackFrame, given.frame or {}, f"{PLACE}.frame", voxel=stack.voxel)
+        exclude = [
+            made(StatedRegion, one, f"{PLACE}.exclude[{k}]").within(frame) for k, one in enumerate(given.exclude)
+        ]
         surface = find_surface(
             stack, solid=given.solid, triangles=given.triangles, smooth=given.smooth, exclude=exclude
         )
@@ -74,11 +76,11 @@ def _reading(given: StackFile) -> PictureReading:
     """Return how to read the stack."""
     names = ("index", "scale", "channel", "dataset", "reader")
     options = {name: value for name in names if (value := getattr(given, name)) is not None}
-    how = PictureReading.from_options(options, PLACE)
+    how = picture_reading(options, PLACE)
     if given.voxel is None:
         return how
     if isinstance(given.voxel, dict) and given.voxel.get("size") is not None:
         raise InvalidStudy(
             f"{PLACE}.voxel", value=given.voxel, expected="x, y and z", remedy="Write {x: 6, y: 6, z: 10, unit: um}."
         )
-    return PictureReading(**how.given, pixel=PixelSize.from_options(given.voxel, f"{PLACE}.voxel"))
+    return PictureReading(**how.given, pixel=made(StatedSize, given.voxel, f"{PLACE}.voxel").in_mm)

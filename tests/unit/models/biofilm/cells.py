@@ -12,6 +12,7 @@ from strandline.models.biofilm.geometry import MESHES, Partition
 from strandline.models.biofilm.materials import LAWS
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.biofilm.outline import Channel, Outline
+from strandline.studies.parse import made
 
 SOLID = {"E": 400.0, "nu": 0.3}
 INPUTS = SOLID | {"V_in": 100.0}
@@ -70,7 +71,7 @@ def rough_cell(law="saint_venant_kirchhoff") -> FlowCell:
 
 def coarse(**options) -> Biofilm:
     """Return the model on the coarse mesh with the options of a study file."""
-    return Biofilm.from_options(**{"mesh": "coarse", **options})
+    return made(Biofilm, {"mesh": "coarse", **options}, "model.biofilm")
 
 
 def rough(**options) -> Biofilm:

@@ -53,7 +53,7 @@ def test_developed_flow_is_that_of_its_pressure_gradient(options, drive, profile
 
 
 def test_plug_table_and_function_enter_with_the_given_rate(own):
-    table = {"table": [[0.0, 5.0], [BOTTOM, 0.0], [1.0, 8.0], [1.5, 8.0]]}
+    table = ((0.0, 5.0), (BOTTOM, 0.0), (1.0, 8.0), (1.5, 8.0))
     for inflow in (table, f"{own}:profile"):
         y, found = velocities(layer(inflow=inflow), {"V_in": 30.0}, 0.0)
         expected = 30.0 * 2 * (y - BOTTOM) / (1 - BOTTOM) ** 2

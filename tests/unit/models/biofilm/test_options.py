@@ -10,6 +10,7 @@ from strandline.errors import InvalidInput
 from strandline.models.biofilm.materials import law_named
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.fingerprint import fingerprint
+from strandline.studies.parse import made
 
 TWO = {"channel": {"length": 4.0}, "outline": {"points": PAIR}}
 RANGES = {"E": [100, 800], "nu": [-0.8, 0.5], "V_in": 100}
@@ -42,7 +43,7 @@ REFUSED = {
     "mesh and channel": [
         ({"mesh": "corse"}, "coarse, default, fine"),
         ({"failure_budget": 2}, "failure_budget"),
-        ({"channel": {"height": "1.5 mm"}}, "height of the channel: got 1.5 mm"),
+        ({"channel": {"height": "1.5 mm"}}, "channel.height: got 1.5 mm; expected a number"),
     ],
     "outline": [
         (outline((0.5, 0.1), (1.0, 0.5), (1.5, 0.0)), r"end of the outline.*\(0.5, 0.1\)"),
@@ -50,7 +51,7 @@ REFUSED = {
         (outline((0.5, 0.0), (1.2, 0.5), (1.2, 0.2), (0.7, 0.4), (1.5, 0.0)), r"cross.*\(0.930769, 0.307692\)"),
         (outline((1.5, 0.0), (1.0, 0.5), (0.5, 0.0)), r"direction.*\(1.5, 0\)"),
         (outline((0.5, 0.0), (1.0, 0.5), (2.0, 0.0)), r"\(2, 0\)"),
-        ({"outline": "hill.csv"}, "also file with its unit"),
+        ({"outline": "hill.csv"}, "outline: got hill.csv; expected keys with values"),
         (outline((0.3, 0), (0.5, 0.3), (0.7, 0), (1, 0.3), (1.3, 0)), "two neighbouring points on the floor"),
         (outline((0.3, 0), (0.5, 0.3), (0.7, 0), (0.8, 0), (0.9, 0), (1.3, 0)), r"got 1 point\(s\) from \(0.8, 0\) mm"),
     ],
@@ -175,7 +176,7 @@ def test_all_that_changes_results_counts(own, tmp_path):
 def test_the_rule_for_element_sizes_counts_where_it_acts(monkeypatch):
     bump = {"points": [[0.5, 0.0], [0.8, 0.12], [1.0, 0.14], [1.5, 0.0]]}
     for options, acts in (({"outline": bump}, False), ({"channel": {"length": 3.0}, "outline": LAYER}, True)):
-        model = Biofilm.from_options(**options)
+        model = made(Biofilm, options, "model.biofilm")
         with monkeypatch.context() as patch:
             patch.setattr("strandline.models.biofilm.model._is_adapted", lambda *_: False)
             without = model.fingerprint

@@ -1,6 +1,7 @@
 """A study folder with a template of one number and a simulator that writes it as a deflection."""
 
 from strandline.models.command.model import CommandModel
+from strandline.studies.parse import made
 from strandline.testing.studies import write_study
 
 ECHO = "cat input.txt; printf 'x,y\\n0,0\\n1,%s\\n' \"$(cat input.txt)\" > out.csv"
@@ -23,7 +24,7 @@ def filled(folder):
 def model(folder, **changes):
     """Return the model of a folder; None takes an option away."""
     options = {name: value for name, value in (OPTIONS | changes).items() if value is not None}
-    return CommandModel.from_options(folder=folder, **options)
+    return made(CommandModel, options, "model.command", folder=folder)
 
 
 def study(tmp_path, executor=None, **changes):

@@ -16,6 +16,7 @@ from strandline.models.protocol import with_sensitivities
 from strandline.models.umbridge.answers import Rejected, ServedModel, answer
 from strandline.models.umbridge.model import BlockLayout, UMBridge
 from strandline.models.umbridge.server import Access
+from strandline.studies.parse import made
 from strandline.testing.umbridge import CHECKS, ModelUnderTest
 
 
@@ -124,7 +125,8 @@ def test_a_token_is_needed_as_bearer_or_as_the_password_of_the_address():
 
 
 def model(**options):
-    return UMBridge.from_options(**{"url": "http://127.0.0.1:1", "name": "beam", "inputs": ["E", "load"]} | options)
+    given = {"url": "http://127.0.0.1:1", "name": "beam", "inputs": ["E", "load"]} | options
+    return made(UMBridge, given, "model.umbridge").forward_model()
 
 
 def test_the_address_is_no_part_of_the_fingerprint_and_what_changes_results_is():
@@ -158,7 +160,7 @@ def test_wrong_options_are_refused_before_anything_is_sent():
     for options, what in WRONG:
         with pytest.raises(InvalidInput) as caught:
             model(**options)
-        assert caught.value.what == what
+        assert caught.value.what.removeprefix("model.umbridge.") == what
 
 
 TRIANGLES = np.array([0.0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3])
