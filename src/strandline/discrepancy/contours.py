@@ -70,9 +70,7 @@ def restored(covariance: Float[np.ndarray, " lag"], removed: Float[np.ndarray, "
     c(k) + S q(k) is added up to its first zero, or to where the removed part has taken half. S is in this sum too; it
     grows with every lag at which the sum's new term is above 0, so one pass finds both.
 
-    Args:
-        covariance: Autocovariance of the residuals, mm², which differ from 0.
-        removed: Factors q(k) of what was removed from the errors; 0 if nothing was.
+    The residuals differ from 0. Factors q(k) are 0 if nothing was removed.
     """
     sums = covariance[0] + 2 * np.concatenate([[0.0], np.cumsum(covariance[1:])])
     shares = removed[0] + 2 * np.concatenate([[0.0], np.cumsum(removed[1:])])

@@ -143,16 +143,8 @@ def choose(
 ) -> Float[np.ndarray, "run dim"]:
     """Return the inputs of the next runs, each chosen as if the ones before it had been made.
 
-    Args:
-        state: The posterior so far.
-        space: The inputs.
-        number: Number of runs to choose.
-        explore: Share of all runs that explore the point of the Sobol sequence about which least is known.
-        first: Number of runs made so far; the share is kept over all batches.
-        criterion: Name in `CRITERIA`, or ``module:name``.
-        seed: Seed of the draws.
-        losses: Runs lost where they fail, if only safe ones may be chosen.
-        near: Whether to choose among draws of the posterior, not of π_γ.
+    A share `explore` of all runs, of which `first` were made before, explores where least is known. With `losses`, only
+    safe inputs are chosen; with `near`, draws of the posterior, not of π_γ.
     """
     weights = np.exp(state.log_weights if near else state.log_weights_tempered)
     candidates = state.positions[subset(weights, CANDIDATES, seed)]

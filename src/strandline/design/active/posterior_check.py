@@ -109,11 +109,7 @@ class SimulatorNoise:
     def prevents(self, *, draws: int, shift: float, effective: float, observed: float | None) -> bool:
         """Return whether a check of a right posterior fails for the scatter alone.
 
-        Args:
-            draws: Number of draws.
-            shift: Tolerated shift of a mean, in standard deviations.
-            effective: Share of draws that must be effective.
-            observed: Typical variance of the log ratios of the check; None: none was made.
+        `shift` and `effective` are tolerated, `observed` is the typical variance of the log ratios of a check, if any.
         """
         if observed is not None and not self.explains(observed):
             return False

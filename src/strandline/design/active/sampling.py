@@ -64,13 +64,8 @@ def posterior_state(
 ) -> State:
     """Return the posterior that `knowledge` leads to; the same arguments give the same result to the bit.
 
-    Args:
-        knowledge: Knowledge from the runs.
-        space: The inputs with their priors.
-        seed: Seed of the random numbers, one or more integers.
-        before: An earlier posterior to go on from, if the new one is near; None: sample from the prior.
-        on_step: Called after every tempering step.
-        particles: Number of particles; by default as many as the number of inputs needs.
+    It goes on from the posterior `before`, if that is near; else it is sampled from the prior. By default, there are as
+    many particles as the number of inputs needs.
     """
     rng = np.random.default_rng([*seed, STREAM])
     number = particles or PARTICLES.get(space.dim, MANY_INPUTS_PARTICLES)

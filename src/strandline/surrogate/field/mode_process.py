@@ -48,11 +48,8 @@ def covariance(
 ) -> Float[np.ndarray, "row column"]:
     """Return the covariance of unit variance between observations at `u` and at `v`.
 
-    Args:
-        u: inputs in length scales.
-        v: inputs in length scales.
-        rows: whether derivatives at `u` with respect to the scaled coordinates follow the values.
-        columns: the same at `v`.
+    With `rows`, the values at `u` are followed by derivatives with respect to the scaled coordinates; with `columns`,
+    those at `v`.
     """
     (n, dim), m = u.shape, len(v)
     k = np.asarray(np.exp(-0.5 * cdist(u, v, "sqeuclidean")))

@@ -76,13 +76,7 @@ def decompose(
 ) -> Modes:
     """Return the fewest modes that leave a root mean square of the fields below `tolerance`, mm.
 
-    Args:
-        fields: Fields (run, value), mm.
-        weights: Share of the interface that each value stands for.
-        derivatives: Derivatives of the fields with respect to the standardised inputs (run, value, dim), whose
-            directions the modes span too; None: there are none.
-        tolerance: Largest root mean square of the remainder, mm.
-        most: Largest number of modes.
+    The modes span the directions of the derivatives with respect to the standardised inputs, too.
     """
     mean, roots = fields.mean(axis=0), np.sqrt(weights)
     centred = (fields - mean) * roots
