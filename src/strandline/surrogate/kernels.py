@@ -211,7 +211,7 @@ class Isotropic(_Named):
             )
         columns = np.ascontiguousarray((x / unit).T)
         return TiledPairs(
-            lambda tile, inverse: differences(columns, tile, inverse) ** 2,
+            lambda tile, inverse: differences(columns, tile, inverse, np.square),
             lambda squares: self.correlation(np.sqrt(squares.sum(axis=0))),
             lambda squares: (-self.slope(np.sqrt(squares.sum(axis=0))), squares),
         )
@@ -265,13 +265,21 @@ class Product(_Named):
         """Return the columns of x / unit: a matrix of distances for each input would not fit in memory."""
         columns = np.ascontiguousarray((x / unit).T)
         return TiledPairs(
-            lambda tile, inverse: np.abs(differences(columns, tile, self.rate * inverse)),
+            lambda tile, inverse: differences(columns, tile, self.rate * inverse, np.abs),
             self._correlation,
-            lambda t: (self._correlation(t), self.decline(t) * t * t),
+            self._slopes,
         )
 
     def _correlation(self, t: Float[np.ndarray, "..."], axis: int = 0) -> Float[np.ndarray, "..."]:
-        return np.asarray(np.prod(self.polynomial(t), axis=axis) * np.exp(-t.sum(axis=axis)))
+        decay = np.asarray(-t.sum(axis=axis))
+        return np.asarray(np.prod(self.polynomial(t), axis=axis) * np.exp(decay, out=decay))
+
+    def _slopes(self, t: Float[np.ndarray, "dim column row"]) -> tuple[Float[np.ndarray, "column row"], Any]:
+        """Return c and t² q(t): their product is ∂c/∂log l, input by input."""
+        growth = self.decline(t)
+        growth *= t  # in place: a tile stays in the cache
+        growth *= t
+        return self._correlation(t), growth
 
     def _relative_slope(self, offset: Float[np.ndarray, "*shape dim"]) -> Float[np.ndarray, "*shape dim"]:
         """Return ∇c / c."""

@@ -72,11 +72,12 @@ class TiledPairs:
 
 
 def differences(
-    columns: Float[np.ndarray, "dim run"], tile: Tile, scale: Float[np.ndarray, " dim"]
+    columns: Float[np.ndarray, "dim run"], tile: Tile, scale: Float[np.ndarray, " dim"], size: np.ufunc
 ) -> Float[np.ndarray, "dim column row"]:
-    """Return the differences of all pairs of a tile, input by input, times `scale`."""
+    """Return the size (`np.abs`, `np.square`) of the differences of all pairs of a tile, times `scale`, by input."""
     down, across = (columns[:, some] * scale[:, None] for some in tile)
-    return np.asarray(across[:, :, None] - down[:, None])
+    offset = across[:, :, None] - down[:, None]
+    return np.asarray(size(offset, out=offset))
 
 
 def over_tiles(number: int, task: Callable[[Tile], T]) -> list[T]:
