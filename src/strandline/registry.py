@@ -9,7 +9,7 @@ from typing import Any
 
 from strandline.errors import InvalidInput
 
-__all__ = ["imported", "lookup", "suggestion"]
+__all__ = ["imported", "lookup", "of_extra", "suggestion"]
 
 
 def lookup(registry: Mapping[str, Any], name: str, what: str) -> Any:
@@ -59,6 +59,21 @@ def imported(target: str, what: str) -> Any:
     if found is None:
         raise _refused(what, target, f"a name defined in {module}")
     return found
+
+
+def of_extra(module: str, extra: str, what: str) -> Any:
+    """Return a module that comes with an extra of the package.
+
+    Raises:
+        InvalidInput: It is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        remedy = f'Install it: pip install "strandline[{extra}]"'
+        raise InvalidInput(
+            what, value=f"no module {error.name}", expected=f"the extra `{extra}`", remedy=remedy
+        ) from None
 
 
 def suggestion(name: str, known: Iterable[str], otherwise: str) -> str:

@@ -1,7 +1,6 @@
 """Files that meshio reads: STL, PLY, legacy VTK, meshes of gmsh and Medit; and those of FreeFEM."""
 
 import contextlib
-import importlib
 import io
 import re
 import tempfile
@@ -13,11 +12,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from strandline.errors import InvalidInput
 from strandline.readers.cells import dimension
 from strandline.readers.contents import Block, Contents
 from strandline.readers.options import Reading
 from strandline.readers.vtk_xml import POLYGON, POLYLINE, STRIP, Allowance, beside, blocks_of, chosen_time
+from strandline.registry import of_extra
 
 MODULES = {".stl": "stl", ".ply": "ply", ".vtk": "vtk", ".msh": "gmsh"}
 MEDIT = re.compile(rb"(Dimension|Vertices|Edges|Triangles|Quadrilaterals|Tetrahedra|Prisms|Pyramids|Hexah?edra)\b")
@@ -30,7 +29,7 @@ TYPES = {"float": "f4", "double": "f8", "unsigned_char": "u1", "int": "i4", "vtk
 
 def read_by_meshio(path: Path, how: Reading, name: str) -> Contents:
     """Return the contents of a file with a single time."""
-    meshio = imported(name)
+    meshio = of_extra("meshio", "vtu", name)
     if how.suffix == ".stl":
         _require_end(path.read_bytes())
     with contextlib.redirect_stdout(io.StringIO()):
@@ -40,7 +39,7 @@ def read_by_meshio(path: Path, how: Reading, name: str) -> Contents:
 
 def read_medit(path: Path, how: Reading, name: str) -> Contents:
     """Return a mesh of Medit in double precision, without what FreeFEM and bamg add, at which meshio stops."""
-    meshio, content = imported(name), path.read_bytes()
+    meshio, content = of_extra("meshio", "vtu", name), path.read_bytes()
     if not content.rstrip().endswith(b"End"):
         raise EOFError("the file is cut off")
     sections = re.split(rb"(?m)^\s*(?=[A-Za-z])", content)
@@ -92,23 +91,6 @@ class _WholeFile(io.BytesIO):
         if self.at_end > READS_AT_END:
             raise EOFError("the file is cut off")
         return found
-
-
-def imported(name: str) -> Any:
-    """Return meshio.
-
-    Raises:
-        InvalidInput: it is not installed.
-    """
-    try:
-        return importlib.import_module("meshio")
-    except ModuleNotFoundError:
-        raise InvalidInput(
-            f"{name} needs meshio",
-            value="no package of this name",
-            expected="the extra `vtu`",
-            remedy="Install it: pip install 'strandline[vtu]'",
-        ) from None
 
 
 def converted(mesh: Any) -> Contents:
@@ -198,7 +180,7 @@ def _line(file: BufferedReader) -> bytes:
 
 def read_xdmf(path: Path, how: Reading, name: str) -> Contents:
     """Return the contents of an XDMF file, or of one of its times; each function may have a series of its own."""
-    meshio = imported(name)
+    meshio = of_extra("meshio", "vtu", name)
     root = ElementTree.fromstring(path.read_bytes())
     _require_own_data(path, root)
     if not any("CollectionType" in grid.attrib for grid in root.iter("Grid")):

@@ -13,7 +13,8 @@ from typing import Any, ClassVar
 
 from strandline.errors import InvalidInput
 from strandline.models.protocol import ForwardModel
-from strandline.runs.executors.dask_cluster import JOB_OPTIONS, imported, opened
+from strandline.registry import of_extra
+from strandline.runs.executors.dask_cluster import EXTRA, JOB_OPTIONS, opened
 from strandline.runs.executors.dask_driver import DaskDispatcher
 from strandline.runs.executors.local import usable_cores
 from strandline.runs.executors.shared import (
@@ -88,7 +89,7 @@ class DaskCluster:
                 reached; the extra ``dask`` is not installed.
         """
         require_posix()
-        imported("distributed")
+        of_extra("distributed", *EXTRA)
         return self._run(packed_model(model), requests)
 
     def _run(self, setup: bytes, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:

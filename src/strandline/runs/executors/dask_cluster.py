@@ -1,7 +1,6 @@
 """Starting, reaching and ending Dask clusters."""
 
 import contextlib
-import importlib
 import logging
 import os
 import tempfile
@@ -11,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from strandline.errors import InvalidInput
+from strandline.registry import of_extra
 from strandline.runs.worker import require_not_loading
 from strandline.runs.worker_slot import interrupts_held_back
 
 JOB_OPTIONS = ("cores", "memory", "walltime", "queue", "account", "interface", "extra", "prologue")
+EXTRA = ("dask", "the executor dask")
 REACH_SECONDS = 20.0
 LOOPBACK = "127.0.0.1:0"
 """Where Dask serves the dashboard of a cluster, which shows what runs and needs no key: any free port, local only."""
@@ -159,7 +160,7 @@ def _started(kind: str, workers: int, jobs: Mapping[str, Any], submissions: Subm
     from distributed.security import Security
 
     require_not_loading()
-    imported("cryptography")
+    of_extra("cryptography", *EXTRA)
     security: Any = Security.temporary()  # type: ignore[no-untyped-call]
     with interrupts_held_back():
         return _local(workers, security) if submissions is None else _queued(kind, workers, jobs, submissions, security)
@@ -195,7 +196,7 @@ def _queued(kind: str, workers: int, jobs: Mapping[str, Any], submissions: Submi
     """
     import dask.config
 
-    queues: Any = imported("dask_jobqueue")
+    queues: Any = of_extra("dask_jobqueue", *EXTRA)
     options = {name: value for name, value in jobs.items() if name not in ("extra", "prologue")}
     cluster_type = {"slurm": queues.SLURMCluster, "pbs": queues.PBSCluster}[kind]
     arguments = dask.config.get(f"jobqueue.{kind}.worker-extra-args", None) or []
@@ -248,20 +249,3 @@ def _shared_folder(kind: str) -> str:
             remedy=f"Name one in Dask's configuration: jobqueue.{kind}.shared-temp-directory.",
         ) from None
     return str(folder)
-
-
-def imported(module: str) -> Any:
-    """Return a module of the extra ``dask``.
-
-    Raises:
-        InvalidInput: the module is not installed.
-    """
-    try:
-        return importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        raise InvalidInput(
-            "the executor dask",
-            value=f"no module {error.name}",
-            expected="the extra `dask`",
-            remedy='Install it: pip install "strandline[dask]"',
-        ) from None
