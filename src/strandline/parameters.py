@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from strandline.errors import InvalidInput
 from strandline.priors import Prior, Truncated, require_span, truncate
@@ -202,6 +202,12 @@ class ParameterSpace:
     def log_prior(self, x: Any) -> Any:
         """Return the joint log prior of physical points (…, dim) → (…); NumPy or JAX, independent inputs."""
         return sum(p.truncated_prior.log_density(x[..., i]) for i, p in enumerate(self.parameters))
+
+    def inside(self, x: Float[np.ndarray, "point dim"]) -> Bool[np.ndarray, " point"]:
+        """Return which points lie in the design box and have a prior density above 0."""
+        out = np.asarray(((x >= self.low) & (x <= self.high)).all(axis=1))
+        out[out] = np.isfinite(np.asarray(self.log_prior(x[out])))
+        return out
 
     def prior_quantiles(self, p: Float[np.ndarray, "particle dim"]) -> Float[np.ndarray, "particle dim"]:
         """Map uniform numbers to draws from the prior through the quantile functions, input by input."""

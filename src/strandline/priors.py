@@ -56,8 +56,17 @@ class Prior(Protocol):
         ...
 
 
+class _Bounded:
+    low: float
+    high: float
+
+    @property
+    def support(self) -> tuple[float, float]:
+        return self.low, self.high
+
+
 @dataclass(frozen=True)
-class Uniform:
+class Uniform(_Bounded):
     """Uniform on [low, high]."""
 
     low: float
@@ -67,22 +76,15 @@ class Uniform:
     def __post_init__(self) -> None:
         _require_interval("uniform", self.low, self.high)
 
-    @property
-    def support(self) -> tuple[float, float]:
-        return self.low, self.high
-
     def log_density(self, x: Array) -> Array:
-        """Return -log(high - low) inside, -inf outside."""
         xp = _namespace(x)
         inside = (x >= self.low) & (x <= self.high)
         return xp.where(inside, -math.log(self.high - self.low), -xp.inf)
 
     def cdf(self, x: Array) -> Array:
-        """Return the cumulative distribution."""
         return np.clip((np.asarray(x) - self.low) / (self.high - self.low), 0.0, 1.0)
 
     def quantile(self, p: Array) -> Array:
-        """Return the quantile function."""
         return self.low + np.asarray(p) * (self.high - self.low)
 
 
@@ -95,24 +97,21 @@ class Normal:
     fields: ClassVar[str] = "[mean, sd]"
 
     def __post_init__(self) -> None:
-        _require_finite("normal", "mean", self.mean)
-        _require_positive("normal", "sd", self.sd, least=LEAST)
+        _require_number("normal", "mean", self.mean)
+        _require_number("normal", "sd", self.sd, least=LEAST)
 
     @property
     def support(self) -> tuple[float, float]:
         return -math.inf, math.inf
 
     def log_density(self, x: Array) -> Array:
-        """Return the normal log density."""
         z = (x - self.mean) / self.sd
         return -0.5 * z * z - math.log(self.sd) - 0.5 * math.log(2 * math.pi)
 
     def cdf(self, x: Array) -> Array:
-        """Return the cumulative distribution."""
         return special.ndtr((np.asarray(x) - self.mean) / self.sd)
 
     def quantile(self, p: Array) -> Array:
-        """Return the quantile function."""
         return self.mean + self.sd * special.ndtri(np.asarray(p))
 
 
@@ -125,8 +124,10 @@ class LogNormal:
     fields: ClassVar[str] = "[mu, sigma]"
 
     def __post_init__(self) -> None:
-        _require_finite("lognormal", "mu", self.mu, most=MOST_MU, hint=" (mu is the mean of log x, not of x)")
-        _require_positive("lognormal", "sigma", self.sigma, least=LEAST_SHARE, most=MOST_SIGMA)
+        _require_number(
+            "lognormal", "mu", self.mu, least=-MOST_MU, most=MOST_MU, hint=" (mu is the mean of log x, not of x)"
+        )
+        _require_number("lognormal", "sigma", self.sigma, least=LEAST_SHARE, most=MOST_SIGMA)
 
     @property
     def support(self) -> tuple[float, float]:
@@ -142,16 +143,14 @@ class LogNormal:
         return xp.where(positive, value, -xp.inf)
 
     def cdf(self, x: Array) -> Array:
-        """Return the cumulative distribution."""
         return stats.lognorm.cdf(x, s=self.sigma, scale=math.exp(self.mu))
 
     def quantile(self, p: Array) -> Array:
-        """Return the quantile function."""
         return np.exp(self.mu + self.sigma * special.ndtri(np.asarray(p)))
 
 
 @dataclass(frozen=True)
-class LogUniform:
+class LogUniform(_Bounded):
     """Uniform in the logarithm on [low, high], both above 0: the density is proportional to 1/x."""
 
     low: float
@@ -160,11 +159,7 @@ class LogUniform:
 
     def __post_init__(self) -> None:
         _require_interval("loguniform", self.low, self.high)
-        _require_positive("loguniform", "low", self.low, least=LEAST)
-
-    @property
-    def support(self) -> tuple[float, float]:
-        return self.low, self.high
+        _require_number("loguniform", "low", self.low, least=LEAST)
 
     @property
     def _span(self) -> float:
@@ -177,16 +172,14 @@ class LogUniform:
         return xp.where(inside, -xp.log(xp.where(inside, x, self.low)) - math.log(self._span), -xp.inf)
 
     def cdf(self, x: Array) -> Array:
-        """Return the cumulative distribution."""
         return np.log(np.clip(x, self.low, self.high) / self.low) / self._span
 
     def quantile(self, p: Array) -> Array:
-        """Return the quantile function."""
         return np.clip(self.low * np.exp(self._span * np.asarray(p)), self.low, self.high)
 
 
 @dataclass(frozen=True)
-class ScaledBeta:
+class ScaledBeta(_Bounded):
     """Beta(a, b) stretched to [low, high]."""
 
     a: float
@@ -196,16 +189,11 @@ class ScaledBeta:
     fields: ClassVar[str] = "[a, b, low, high]"
 
     def __post_init__(self) -> None:
-        _require_positive("beta", "a", self.a, least=1 / MOST_SHAPE, most=MOST_SHAPE)
-        _require_positive("beta", "b", self.b, least=1 / MOST_SHAPE, most=MOST_SHAPE)
+        _require_number("beta", "a", self.a, least=1 / MOST_SHAPE, most=MOST_SHAPE)
+        _require_number("beta", "b", self.b, least=1 / MOST_SHAPE, most=MOST_SHAPE)
         _require_interval("beta", self.low, self.high)
 
-    @property
-    def support(self) -> tuple[float, float]:
-        return self.low, self.high
-
     def log_density(self, x: Array) -> Array:
-        """Return the log density; -inf outside the interval."""
         xp = _namespace(x)
         t = (x - self.low) / (self.high - self.low)
         inside = (t >= 0) & (t <= 1)
@@ -217,12 +205,10 @@ class ScaledBeta:
         return xp.where(inside, value - norm, -xp.inf)
 
     def cdf(self, x: Array) -> Array:
-        """Return the cumulative distribution."""
         t = np.clip((np.asarray(x) - self.low) / (self.high - self.low), 0.0, 1.0)
         return special.betainc(self.a, self.b, t)
 
     def quantile(self, p: Array) -> Array:
-        """Return the quantile function."""
         return self.low + (self.high - self.low) * special.betaincinv(self.a, self.b, np.asarray(p))
 
 
@@ -261,18 +247,15 @@ class Truncated:
         return max(low, self.low), min(high, self.high)
 
     def log_density(self, x: Array) -> Array:
-        """Return the log density of `base`, normalised to the interval."""
         xp = _namespace(x)
         inside = (x >= self.low) & (x <= self.high)
         return xp.where(inside, self.base.log_density(x) - math.log(self.mass), -xp.inf)
 
     def cdf(self, x: Array) -> Array:
-        """Return the cumulative distribution."""
         below = self.base.cdf(self.low)
         return np.clip((self.base.cdf(np.clip(x, self.low, self.high)) - below) / self.mass, 0, 1)
 
     def quantile(self, p: Array) -> Array:
-        """Return the quantile function."""
         below = self.base.cdf(self.low)
         return np.clip(self.base.quantile(below + np.asarray(p) * self.mass), self.low, self.high)
 
@@ -325,21 +308,14 @@ def _require_interval(name: str, low: float, high: float) -> None:
     require_span(f"bounds of the {name} prior", low, high)
 
 
-def _require_finite(name: str, field: str, value: float, *, most: float = LARGEST, hint: str = "") -> None:
-    if not (math.isfinite(value) and abs(value) <= most):
-        raise InvalidInput(
-            f"{field} of the {name} prior",
-            value=value,
-            expected=f"a finite number from {-most:g} to {most:g}{hint}",
-            remedy=f"Correct {field}.",
-        )
-
-
-def _require_positive(name: str, field: str, value: float, *, least: float, most: float = LARGEST) -> None:
+def _require_number(
+    name: str, field: str, value: float, *, least: float = -LARGEST, most: float = LARGEST, hint: str = ""
+) -> None:
     if not (math.isfinite(value) and least <= value <= most):
+        above = " above 0," if least > 0 else ""
         raise InvalidInput(
             f"{field} of the {name} prior",
             value=value,
-            expected=f"a finite number above 0, from {least:g} to {most:g}",
+            expected=f"a finite number{above} from {least:g} to {most:g}{hint}",
             remedy=f"Correct {field}.",
         )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.densities import banana, gaussian, linear_exponential, truncated_gaussian
 
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import Weighted
 from strandline.smc import STUDY, SMCSettings, metropolis, sample
 
 NUMBER, STEPS, LIMIT = 40_000, 5, 4.5

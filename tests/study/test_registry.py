@@ -67,7 +67,7 @@ def test_a_study_of_entries_that_are_all_somebody_elses(tmp_path: Path) -> None:
     others = {"fixed": {}, "observation": {"synthetic": {"E": 450.0}}, "draft": True, "report": "none"}
     study = load_study(write_study(tmp_path / "own", **own, **small, **others))
     assert (study.model, study.space["E"].prior) == (Loaded(1e-5), Mine(300.0, 800.0))
-    assert next(iter(study.discrepancies.values())) == Doubled(factor=2.0)
+    assert study.measure == Doubled(factor=2.0)
     found = run_study(study)
     assert (tmp_path / "note").read_text() == "12"
     assert 300.0 < found.calibration.posterior.mean[0] < 800.0

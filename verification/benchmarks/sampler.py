@@ -131,7 +131,7 @@ def mean_beside(task: Task, peer: Log, what: str, repeats: int) -> Figure:
     import jax
 
     from strandline.numerics.compiled import WIDEST
-    from strandline.smc.devices import spread
+    from strandline.smc.sampler import spread
 
     compiled, points = jax.jit(task.mean, compiler_options=WIDEST), spread(jax.numpy.asarray(task.initial))
 

@@ -74,9 +74,9 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
         "Loses at most a last value whose weight is below the rounding of the others."
     ),
     ("likelihood/joint_errors.py", "True", "(False)"): "Only refuses lists of different lengths, which never come.",
-    ("likelihood/nearby.py", "True", "(False)"): "Only refuses lists of different lengths, which never come.",
+    ("likelihood/local_likelihood.py", "True", "(False)"): "Only refuses lists of different lengths, which never come.",
     ("surrogate/field/warping.py", "True", "(False)"): "The same sum in another order, which takes longer.",
-    ("likelihood/learnt.py", "log_density if is_on_host(log_density) else jax.jit(log_density)", "(log_density)"): (
+    ("likelihood/field.py", "log_density if is_on_host(log_density) else jax.jit(log_density)", "(log_density)"): (
         "The same function, not compiled."
     ),
     ("likelihood/noise_rule.py", "values[:dim] - values[dim:]", "(values[dim:] - values[:dim])"): (
@@ -87,7 +87,7 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
         "Only products of two of them count."
     ),
     ("surrogate/field/mode_process.py", "0", "(1)"): "Fills rows that are not there.",
-    ("smc/resampling.py", *_OF_SHARES): "The last cumulative share is 1 to rounding.",
+    ("smc/steps.py", *_OF_SHARES): "The last cumulative share is 1 to rounding.",
     ("surrogate/field/projection.py", "1e-12", "(2e-12)"): "Only holds parts without a rim, however weakly.",
     ("discrepancy/comparison.py", *_OF_MIDDLES): "Only its length counts.",
     ("discrepancy/measurement_lines.py", "np.abs(lines).max()", "(np.abs(lines).min())"): (
@@ -109,7 +109,7 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
         "Many draws are all taken, few are drawn again: nearly the same bandwidth, but slower."
     ),
     ("posterior/netcdf.py", "np.clip(uniform, 1e-12, 1 - 1e-12)", "(uniform)"): "No number is so near 0 or 1.",
-    ("smc/carried.py", "scouts - mean", "(mean - scouts)"): "Only its size counts.",
+    ("smc/combined.py", "scouts - mean", "(mean - scouts)"): "Only its size counts.",
     ("surrogate/field/mode_process.py", "1e-300", "(2e-300)"): "Only a floor that keeps a ratio finite.",
     (
         "surrogate/field/projection.py",
@@ -205,7 +205,7 @@ EXPLAINED_ON_LINE: dict[tuple[str, str, str, str], str] = {
         "Left-out errors are compared by their cubes: the order changes in close cases only."
     ),
     ("surrogate/field/mode_process.py", "rows = len(observed.z) *", *_OF_ROWS): "More starts are tried: slower.",
-    ("posterior/uniformity.py", "np.random.default_rng(0)", "0", "(1)"): "Other random numbers; any will do.",
+    ("posterior/rank_tests.py", "np.random.default_rng(0)", "0", "(1)"): "Other random numbers; any will do.",
     ("discrepancy/measurement_lines.py", "beyond(-side, 0.0)", "0.0", "(1.0)"): "More segments are tried: slower.",
     ("discrepancy/kernel_integrals.py", "reach = width * math.sqrt(2", "1.0", "(2.0)"): (
         "Pairs are kept that are too far apart to count: slower."
@@ -223,9 +223,14 @@ EXPLAINED_ON_LINE: dict[tuple[str, str, str, str], str] = {
         "Levels that begin one value of the grid earlier."
     ),
     ("likelihood/interfaces.py", "Counter(self.conditions).most_common(1)", "1", "(2)"): "The first one is taken.",
-    ("likelihood/near_field.py", "if model.shared.any() else 0", "0", "(1)"): "Without shared errors they stay 0.",
-    ("likelihood/near_field.py", "away = np.where(apart", "1.0", "(2.0)"): "Divides what is replaced then.",
-    ("likelihood/near_field.py", "t *= np.where((t * chord)", "1.0", "(2.0)"): (
+    (
+        "likelihood/linearised_residuals.py",
+        "if model.shared.any() else 0",
+        "0",
+        "(1)",
+    ): "Without shared errors they stay 0.",
+    ("likelihood/linearised_residuals.py", "away = np.where(apart", "1.0", "(2.0)"): "Divides what is replaced then.",
+    ("likelihood/linearised_residuals.py", "t *= np.where((t * chord)", "1.0", "(2.0)"): (
         "Only where the closest point is a corner that bends by more than a right angle."
     ),
     (

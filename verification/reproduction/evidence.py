@@ -258,7 +258,7 @@ def _between(table: FieldTable, number: int) -> Float[np.ndarray, "run 3"]:
 
 def _likelihood(outcome: Outcome) -> InterfaceLikelihood:
     problem = outcome.calibration.problem
-    return InterfaceLikelihood(problem.observations, next(iter(problem.discrepancies.values())))
+    return InterfaceLikelihood(problem.observations, problem.measure)
 
 
 def _design(outcome: Outcome) -> NestedDesign:

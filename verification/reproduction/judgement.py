@@ -10,8 +10,7 @@ from jaxtyping import Float
 from scipy.signal import find_peaks
 
 from strandline.parameters import Parameter
-from strandline.posterior import GaussianApproximation, KernelDensity, Posterior, histogram
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import GaussianApproximation, KernelDensity, Posterior, Weighted, histogram
 
 __all__ = [
     "Claim",

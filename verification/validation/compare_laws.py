@@ -25,13 +25,12 @@ from scipy.special import logsumexp, softmax
 from verification.validation.tables import Table, put_into_page
 
 import strandline as sl
-from strandline.calibration.evidence import evidence_of, integrated
-from strandline.calibration.model_comparison import ModelComparison, averaged
+from strandline.calibration.evidence import ModelComparison, averaged, evidence_of, integrated
 from strandline.design import sobol
 from strandline.design.active import Knowledge, learn
 from strandline.likelihood import FieldLikelihood
 from strandline.numerics.threads import one_thread, use_double
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import Weighted
 
 LAWS = ("saint_venant_kirchhoff", "neo_hookean")
 RATES = ({"v100": 100.0}, {"v50": 50.0, "v100": 100.0}, {"v50": 50.0, "v100": 100.0, "v125": 125.0})

@@ -24,10 +24,10 @@ from strandline.interface import Interface, Observation, PointErrors, UnknownErr
 from strandline.likelihood import FieldLikelihood
 from strandline.likelihood.compared import with_variance
 from strandline.likelihood.joint_errors import JointErrors, error_model
-from strandline.likelihood.linearised import linearise
+from strandline.likelihood.linearised_residuals import linearise
 from strandline.models.biofilm.model import Biofilm
 from strandline.numerics.threads import use_double
-from strandline.posterior.uniformity import coverage_of, uniformity
+from strandline.posterior.rank_tests import coverage_of, uniformity
 from strandline.runs import Ledger, LocalProcesses, run_campaign
 from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
 

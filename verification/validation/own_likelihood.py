@@ -20,12 +20,11 @@ from verification.validation.tables import Table
 
 from strandline.calibration.coverage import CoverageFound, repeatable, replicated
 from strandline.calibration.experiment import Experiment
-from strandline.calibration.field_quality import field_quality
 from strandline.calibration.learning import known_field
-from strandline.calibration.source import prior_source
+from strandline.calibration.source import field_quality, prior_source
 from strandline.discrepancy import NormalOffset
 from strandline.interface import GaussianNoise, PointErrors
-from strandline.likelihood.set_aside import Judge
+from strandline.likelihood.set_aside import RunFilter
 from strandline.numerics.threads import one_thread, use_double
 from strandline.questions.knowledge import runs_to_learn_from
 from strandline.studies import Study, load_study
@@ -55,7 +54,7 @@ def rows(
     """Yield a row for each input with the noise's likelihood, the study's own, and planted mistakes of this name."""
     (name, measure), noise = next(iter(study.discrepancies.items())), study.noise
     own = replace(study, noise=ERRORS, discrepancies={"normal_offset": NormalOffset()})
-    judge = Judge(own.observations(observations_of(study)), own.discrepancies, study.settings.failures)
+    judge = RunFilter(own.observations(observations_of(study)), own.discrepancies, study.settings.failures)
     records = runs_to_learn_from(study)
     points = np.array([[record.inputs[name] for name in study.space.names] for record in records], float)
     with one_thread():

@@ -27,7 +27,7 @@ from strandline.imaging.edge import EDGES, Edge, find_edge
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood import FieldLikelihood
 from strandline.numerics.threads import use_double
-from strandline.posterior.uniformity import coverage_of, uniformity
+from strandline.posterior.rank_tests import coverage_of, uniformity
 from strandline.surrogate.field import FieldSurrogate
 
 MARGIN = 20

@@ -1,5 +1,6 @@
 """A posterior whose sensitivity is examined, and alternatives to its assumptions."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -9,36 +10,34 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import log_softmax, logsumexp
 
-from strandline.calibration.field_quality import FieldQuality, quality_at
-from strandline.calibration.importance_sampler import effective_size
+from strandline.calibration.importance_sampler import effective_size, importance_or_smc, prior_and_posterior, prior_pool
+from strandline.calibration.source import FieldQuality, quality_at
 from strandline.design.active import Knowledge
 from strandline.errors import InvalidInput
 from strandline.likelihood import FieldLikelihood
 from strandline.parameters import ParameterSpace
-from strandline.posterior import Posterior
-from strandline.posterior.weighted import Weighted
-
-__all__ = ["Alternative", "Kind", "Present", "present"]
+from strandline.posterior import Posterior, Weighted, systematic_indices
 
 Kind = Literal["prior", "fix", "noise", "measure", "without", "model_error", "several"]
-
+Points = Float[np.ndarray, "point dim"]
 FEWEST = 100.0
 """Smallest effective number of the posterior's draws under the likelihood through the surrogate of the interface."""
+FIRST = 2048
+"""Draws of the prior that sampling begins with."""
+ENOUGH = 1000.0
+"""Effective draws at which sampling ends."""
+DRAWS = 2000
+"""Equally weighted draws that are kept."""
 
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Another assumption.
+    """Another assumption: `name` in words, `kind` of what differs from the study, `about` what the posterior depends on
+    if it moves, e.g. ``the prior of E``.
 
-    Args:
-        name: The assumption in words.
-        kind: What differs from the study.
-        about: What the posterior depends on if it moves, e.g. ``the prior of E``.
-        space: All inputs, with the priors that are assumed.
-        likelihood: Likelihood that is assumed; None for the one of the study.
-        fixed: Values of the inputs that are taken as known.
-        detail: The assumption in numbers; empty if the name has them.
-        by_prior_alone: Whether data, noise and measure are those of the study.
+    `likelihood` is None for the one of the study, `fixed` has values of inputs that are taken as known, `detail` the
+    assumption in numbers unless the name has them. With `by_prior_alone`, data, noise and measure are those of the
+    study.
     """
 
     name: str
@@ -69,10 +68,9 @@ class Alternative:
 
     @cached_property
     def free_space(self) -> ParameterSpace:
-        """The inputs that are not fixed."""
         return ParameterSpace(tuple(self.space.parameters[i] for i in self.free))
 
-    def whole(self, x: Float[np.ndarray, "point free"]) -> Float[np.ndarray, "point dim"]:
+    def whole(self, x: Float[np.ndarray, "point free"]) -> Points:
         """Return points with the fixed inputs among the others."""
         out = np.empty((len(x), self.space.dim))
         out[:, list(self.free)] = x
@@ -82,20 +80,13 @@ class Alternative:
 
 
 @dataclass(frozen=True, eq=False)
-class Present:
-    """A posterior, with the likelihood through the surrogate of the interface by which alternatives differ from it.
+class Baseline:
+    """A posterior as weighted draws, with the likelihood through the surrogate of the interface by which alternatives
+    differ.
 
-    Args:
-        space: All inputs.
-        draws: Draws, shape (draw, dim).
-        log_weights: Their normalised log weights, shape (draw,).
-        log_likelihood: Log-likelihood at the draws, shape (draw,).
-        log_prior: Log prior density at the draws, shape (draw,).
-        log_evidence: Log-evidence.
-        knowledge: Surrogate of the interface and its likelihood; None if only priors can be changed.
-        quality: How good this surrogate is at the draws; None without one.
-        why_not: Why only priors can be changed; empty if there is a surrogate.
-        shift: Largest difference of a mean from the stored posterior, in standard deviations.
+    Without a surrogate, `knowledge` and `quality`, how good it is at the draws, are None: only priors can be changed,
+    and `why_not` says why. `shift` is the largest difference of a mean from the stored posterior, in standard
+    deviations.
     """
 
     space: ParameterSpace
@@ -115,7 +106,6 @@ class Present:
 
     @cached_property
     def weighted(self) -> Weighted:
-        """The draws with their weights."""
         return Weighted(self.draws, np.exp(self.log_weights))
 
     @cached_property
@@ -129,20 +119,16 @@ class Present:
         return self.weighted.sd
 
 
-def present(posterior: Posterior, knowledge: Knowledge | None, *, why_not: str = "") -> Present:
+def baseline(posterior: Posterior, knowledge: Knowledge | None, *, why_not: str = "") -> Baseline:
     """Return a posterior as alternatives are compared with it.
 
     With a surrogate of the interface, the draws get the weights of its likelihood: of a study that learns the
     interface, these are the stored ones; of one that learns the log-likelihood, both sides of each comparison then have
-    the same errors. If too few draws remain effective, or the surrogate is too coarse, only priors can be changed.
-
-    Args:
-        posterior: The stored posterior.
-        knowledge: Surrogate of the interface with the study's likelihood; None if there is none.
-        why_not: Why there is none.
+    the same errors. If too few draws remain effective, or the surrogate is too coarse, only priors can be changed;
+    without one, `why_not` says why there is none.
     """
     known = np.isfinite(posterior.log_weights) & np.isfinite(posterior.log_likelihood)
-    stored = Present(
+    stored = Baseline(
         space=posterior.space,
         draws=posterior.draws[known],
         log_weights=np.asarray(log_softmax(posterior.log_weights[known])),
@@ -178,4 +164,30 @@ def _too_coarse(quality: FieldQuality) -> str:
     return (
         f"the surrogate of the interface is too coarse at {100 * quality.beyond:.0f} % of the posterior's draws: it "
         f"errs by {error:.2g} µm, and the local noise hides {hidden:.2g} µm"
+    )
+
+
+def interim_posterior(knowledge: Knowledge, space: ParameterSpace, *, seed: int) -> Baseline:
+    """Return the posterior of the likelihood expected over the interfaces that the surrogate considers possible.
+
+    It is sampled with a closed form of this likelihood; the draws are then weighted by the likelihood itself.
+    """
+    random = np.random.default_rng(seed)
+    densities = prior_and_posterior(space, knowledge.nearly_expected)
+    pool = prior_pool(space, densities, FIRST)
+    found = importance_or_smc(pool, densities, space, knowledge.nearly_expected, random, enough=ENOUGH)
+    draws = found.x[systematic_indices(np.exp(found.log_weights), DRAWS, random)]
+    nearly = knowledge.nearly_expected(draws)
+    values = knowledge.expected(draws, plug_in=knowledge.plug_in(draws))
+    ratios = values - nearly
+    log_weights = np.asarray(log_softmax(ratios))
+    return Baseline(
+        space=space,
+        draws=draws,
+        log_weights=log_weights,
+        log_likelihood=values,
+        log_prior=np.asarray(space.log_prior(draws)),
+        log_evidence=found.log_evidence + float(logsumexp(ratios)) - math.log(DRAWS),
+        knowledge=knowledge,
+        quality=quality_at(knowledge.likelihood, draws, np.exp(log_weights)),
     )

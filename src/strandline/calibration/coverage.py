@@ -9,30 +9,21 @@ log-likelihood among those of the draws, which shows mistakes that are spread ov
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
 from strandline.calibration.experiment import Experiment, experiment_behind
-from strandline.calibration.importance_sampler import Pool, followed
-from strandline.calibration.log_densities import only_inside
+from strandline.calibration.importance_sampler import By, Points, Pool, Sampled, Values, importance_or_smc, only_inside
 from strandline.calibration.source import Source
-from strandline.design.refinement import SAMPLING
-from strandline.likelihood import FieldLikelihood, OnHost
-from strandline.posterior.uniformity import Band, Coverage, coverage_of, region_coverage_of, uniformity, weighted_ranks
-from strandline.posterior.weighted import Weighted
-from strandline.smc import sample
-
-__all__ = ["LEVELS", "CoverageFound", "Replicate", "repeatable", "replicated"]
+from strandline.likelihood import FieldLikelihood
+from strandline.posterior import Weighted
+from strandline.posterior.rank_tests import Band, Coverage, coverage_of, region_coverage_of, uniformity, weighted_ranks
 
 LEVELS = (0.5, 0.9)
 """Probabilities of the intervals whose coverage is counted."""
 BAND = 0.95
 """Probability that all ranks stay inside their bands if the posteriors are right."""
-PARTICLES = 2000
-"""Particles of the tempered sampler, which takes over where importance sampling does not get there."""
 CERTAIN = 3.0
 """Standard errors from which a mean z-score shows a shift."""
 ENOUGH = 100
@@ -40,23 +31,14 @@ ENOUGH = 100
 WIDTH = 0.15
 """How far the standard deviation of shifted z-scores must exceed 1 to show that the width is wrong too."""
 
-By = Literal["importance", "smc"]
-
 
 @dataclass(frozen=True, eq=False)
 class Replicate:
-    """One repetition of the experiment.
+    """One repetition of the experiment; its number and the seed decide all its random numbers.
 
-    Args:
-        number: Its number; with the seed, it decides all its random numbers.
-        truth: The true inputs, shape (dim,).
-        ranks: Posterior probability below the truth in each input, shape (dim,).
-        fit_rank: Posterior probability of inputs whose log-likelihood is below that of the truth.
-        mean: Posterior means, shape (dim,).
-        sd: Posterior standard deviations, shape (dim,).
-        limit: Standard deviations at the Cramér–Rao limit of the errors with the prior as a Gaussian, shape (dim,).
-        effective: Effective sample size of the posterior's draws.
-        by: How the posterior was sampled.
+    `ranks` are posterior probabilities below the truth in each input, `fit_rank` that of inputs whose log-likelihood is
+    below that of the truth. `limit` are standard deviations at the Cramér–Rao limit of the errors with the prior as a
+    Gaussian.
     """
 
     number: int
@@ -87,40 +69,35 @@ def replicated(experiment: Experiment, source: Source, *, seed: int, number: int
     truth = source.draw(random)
     truths = experiment.truths(truth)
     likelihood = experiment.likelihood(experiment.observed(truths, random))
-    found = _posterior(likelihood, source, truth, random)
-    draws, fit = found.draws, found.log_likelihood[:, None]
+    found, of_truth = _posterior(likelihood, source, truth, random)
+    draws, fit = Weighted(found.x, np.exp(found.log_weights)), found.log_likelihood[:, None]
     return Replicate(
         number=number,
         truth=truth,
         ranks=weighted_ranks(draws.draws, draws.weights, truth),
-        fit_rank=float(weighted_ranks(fit, draws.weights, np.array([found.of_truth]))[0]),
+        fit_rank=float(weighted_ranks(fit, draws.weights, np.array([of_truth]))[0]),
         mean=draws.mean,
         sd=draws.sd,
         limit=_limit(experiment.information(truth, truths), source.covariance),
-        effective=float(1 / np.sum(draws.weights**2)),
+        effective=draws.ess,
         by=found.by,
     )
 
 
-class _Sampled(NamedTuple):
-    """Draws of a posterior, with log L of each and of the truth."""
-
-    draws: Weighted
-    log_likelihood: Float[np.ndarray, " draw"]
-    of_truth: float
-    by: By
-
-
 def _posterior(
     likelihood: FieldLikelihood, source: Source, truth: Float[np.ndarray, " dim"], random: np.random.Generator
-) -> _Sampled:
-    """Sample the posterior; the truth itself is not among the draws that sampling begins with."""
+) -> tuple[Sampled, float]:
+    """Sample the posterior, and return log L of the truth, which is not among the draws that sampling begins with."""
 
-    def both(x: Float[np.ndarray, "point dim"]) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
+    def both(x: Points) -> tuple[Values, Values]:
         """Return the log densities of the source and of the posterior of points inside the box."""
         coefficients = likelihood.surrogate.mean(x)
         first = source.log_density(x, coefficients)
         return first, first + likelihood.at(coefficients)
+
+    def from_prior(x: Points) -> Values:
+        """Return what leads from the prior of the study to the posterior."""
+        return np.asarray(both(x)[1] - np.asarray(source.space.log_prior(x)))
 
     own = (source.points == truth).all(axis=1)
     of_truth, *others = likelihood.at(np.vstack([likelihood.surrogate.mean(truth[None]), source.coefficients]))
@@ -131,28 +108,11 @@ def _posterior(
         log_target=source.log_densities + np.array(others),
         number=source.number,
     )
-    found = followed(pool, only_inside(source.inside, both), random)
-    if found is None:
-        draws = _by_smc(likelihood, source, random)
-        return _Sampled(draws, likelihood.at(likelihood.surrogate.mean(draws.draws)), of_truth, "smc")
-    inside = np.isfinite(found.log_first)
-    values = np.where(inside, found.log_target - np.where(inside, found.log_first, 0.0), -np.inf)
-    return _Sampled(found.weighted, values, of_truth, "importance")
-
-
-def _by_smc(likelihood: FieldLikelihood, source: Source, random: np.random.Generator) -> Weighted:
-    """Sample the posterior by tempering, from the prior of the study."""
     space = source.space
-
-    def log_likelihood(x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
-        coefficients = likelihood.surrogate.mean(x)
-        before = source.log_density(x, coefficients) - np.asarray(space.log_prior(x))
-        return np.asarray(before + likelihood.at(coefficients))
-
-    initial = space.prior_quantiles(random.random((PARTICLES, space.dim)))
-    key = jax.random.key(int(random.integers(2**32)))
-    found = sample(key, OnHost(log_likelihood), space.log_prior, initial, settings=SAMPLING)
-    return Weighted(found.positions, np.exp(found.log_weights))
+    found = importance_or_smc(pool, only_inside(space.inside, both), space, from_prior, random)
+    if found.by == "smc":
+        found = found._replace(log_likelihood=likelihood.at(likelihood.surrogate.mean(found.x)))
+    return found, float(of_truth)
 
 
 def _limit(
@@ -167,12 +127,7 @@ def _limit(
 
 @dataclass(frozen=True, eq=False)
 class CoverageFound:
-    """What the replicates show.
-
-    Args:
-        names: Names of the inputs.
-        replicates: The replicates.
-    """
+    """What the replicates show."""
 
     names: tuple[str, ...]
     replicates: tuple[Replicate, ...]
@@ -182,12 +137,10 @@ class CoverageFound:
 
     @cached_property
     def ranks(self) -> Float[np.ndarray, "replicate dim"]:
-        """Ranks of the truths."""
         return np.array([one.ranks for one in self.replicates])
 
     @cached_property
     def fit_ranks(self) -> Float[np.ndarray, " replicate"]:
-        """Ranks of the truths' log-likelihoods."""
         return np.array([one.fit_rank for one in self.replicates])
 
     @cached_property
@@ -236,7 +189,6 @@ class CoverageFound:
 
     @property
     def verdict(self) -> str:
-        """The verdict in a sentence."""
         return self.remarks[0]
 
     @cached_property

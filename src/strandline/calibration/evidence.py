@@ -9,49 +9,43 @@ of the prior, and of mixtures that are fitted to the posterior. Three errors add
 """
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float
 from scipy.special import logsumexp
 
-from strandline.calibration.importance_sampler import Pool, effective_size, fitted
-from strandline.calibration.log_densities import prior_and_posterior
-from strandline.design import sobol
+from strandline.calibration.importance_sampler import Pool, effective_size, fitted, prior_and_posterior, prior_pool
 from strandline.design.active import Knowledge
+from strandline.errors import InvalidInput
 from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace
-from strandline.posterior import systematic_indices
-from strandline.posterior.weighted import Weighted
-
-__all__ = ["Evidence", "evidence_of", "integrated", "log_evidence", "surrogate_error"]
+from strandline.posterior import Weighted, systematic_indices
+from strandline.text import listed
 
 FIRST, DRAWS = 512, 1000
 """Draws of the prior, and of each mixture."""
 ENOUGH, ROUNDS = 1500.0, 5
 """Effective sample size at which sampling ends, and the most mixtures that are drawn from."""
-SCRAMBLE = 0
-"""Seed that scrambles the Sobol sequence of the prior's draws."""
 KEPT, FIELDS = 100, 32
 """Draws of the posterior at which possible fields are drawn, and number of these fields."""
-
 TINY = 1e-300
 """Keeps logarithms of weights finite."""
-
 Points = Float[np.ndarray, "point dim"]
 Values = Float[np.ndarray, " point"]
+SCALE = ((1.0, "positive"), (3.0, "strong"), (5.0, "very strong"))
+"""Least |ln B| of each word."""
+ERRORS = 2.0
+"""Smallest |ln B| of a decision, in standard errors of ln B."""
+CANNOT_TELL = "cannot tell"
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """A log-evidence with its errors, all in nats.
-
-    Args:
-        log: Natural logarithm of the evidence.
-        sampling: Standard error due to the finite number of draws.
-        surrogate: Standard deviation due to the uncertainty of the surrogate.
-        failing: Error due to not knowing exactly where runs fail.
-    """
+    """A log-evidence, and its errors from the number of draws, the surrogate, and where runs fail; all in nats."""
 
     log: float
     sampling: float = 0.0
@@ -72,11 +66,7 @@ def log_evidence(
 ) -> Evidence:
     """Return the log-evidence that the surrogate of the interface gives.
 
-    Args:
-        knowledge: Surrogate of the interface, its likelihood, and where runs succeed.
-        space: All inputs with their priors, which are normalised.
-        posterior: Draws of the posterior, which show where to integrate; their weights need not be exact.
-        random: Random numbers.
+    Draws of the posterior show where to integrate; their weights need not be exact.
     """
     with one_thread():
         return evidence_of(knowledge, integrated(knowledge, space, posterior, random), random)
@@ -105,23 +95,15 @@ def surrogate_error(
 ) -> float:
     """Return the standard deviation of the log-evidence over the interfaces that the surrogate considers possible.
 
-    Z of a possible field f is that of the expected likelihood times the posterior mean of L_f / E[L].
-
-    Args:
-        knowledge: Surrogate of the interface and its likelihood.
-        x: Draws of the posterior, all different.
-        shares: Their weights, whose sum is 1.
-        random: Random numbers that the fields are drawn with.
+    Z of a possible field f is that of the expected likelihood times the posterior mean of L_f / E[L], over different
+    draws x of the posterior with weights `shares`.
     """
     expected = knowledge.nearly_expected(x) - knowledge.log_feasibility(x)
-    fields = np.stack(
-        [
-            process.mean(z) + random.standard_normal((FIELDS, len(x))) @ _root(process.covariance(z, z)).T
-            for z in [knowledge.surrogate.warping.standardise(x)]
-            for process in knowledge.surrogate.processes
-        ],
-        axis=2,
-    )
+    z, drawn = knowledge.surrogate.warping.standardise(x), []
+    for process in knowledge.surrogate.processes:
+        root = _root(process.covariance(z, z))
+        drawn.append(process.mean(z) + random.standard_normal((FIELDS, len(x))) @ root.T)
+    fields = np.stack(drawn, axis=2)
     values = knowledge.likelihood.at(fields.reshape(-1, fields.shape[2])).reshape(FIELDS, len(x))
     return float(np.std(logsumexp(values - expected + np.log(shares), axis=1), ddof=1))
 
@@ -133,18 +115,9 @@ def _root(covariance: Float[np.ndarray, "draw draw"]) -> Float[np.ndarray, "draw
 
 
 def integrated(knowledge: Knowledge, space: ParameterSpace, posterior: Weighted, random: np.random.Generator) -> Pool:
-    """Return draws of the prior and of mixtures that are fitted to the posterior, until enough of them count.
-
-    Args:
-        knowledge: Surrogate of the interface, its likelihood, and where runs succeed.
-        space: All inputs with their priors, which are normalised.
-        posterior: Draws of the posterior, which the first mixture is fitted to; their weights need not be exact.
-        random: Random numbers.
-    """
+    """Return draws of the prior and of mixtures that are fitted to the posterior, until enough of them count."""
     log_densities = prior_and_posterior(space, knowledge.nearly_expected)
-    x = space.prior_quantiles(sobol(FIRST, space.dim, scramble=SCRAMBLE))
-    first, target = log_densities(x)
-    pool = Pool(x=x, log_counts=np.zeros(len(x)), log_first=first, log_target=target, number=len(x))
+    pool = prior_pool(space, log_densities, FIRST)
     mixture = fitted(posterior.draws, np.log(np.maximum(posterior.weights, TINY)), random)
     for _ in range(ROUNDS):
         x = mixture.draw(DRAWS, random)
@@ -154,3 +127,143 @@ def integrated(knowledge: Knowledge, space: ParameterSpace, posterior: Weighted,
             break
         mixture = fitted(pool.x, log_weights, random)
     return pool
+
+
+def in_words(ln: float, error: float) -> str:
+    """Return how strong the evidence is for ln B, in nats; ``cannot tell`` below 1, or below two standard errors of it.
+
+    The words are those of Kass and Raftery (1995), who scale 2 ln B.
+    """
+    size = abs(ln)
+    if not (size >= SCALE[0][0] and size >= ERRORS * error):  # also if one of them is not a number
+        return CANNOT_TELL
+    return next(word for least, word in reversed(SCALE) if size >= least)
+
+
+@dataclass(frozen=True)
+class BayesFactor:
+    """The ratio of the evidences of two models, that of the larger one first: its logarithm, at least 0, and error, in
+    nats.
+    """
+
+    of: str
+    over: str
+    ln: float
+    error: float
+
+    def __repr__(self) -> str:
+        return f"<BayesFactor of {self.of} over {self.over}: ln B = {self.ln:.3g} ± {self.error:.2g}, {self.words}>"
+
+    @property
+    def words(self) -> str:
+        """Strength of the evidence on the scale, or ``cannot tell``."""
+        return in_words(self.ln, self.error)
+
+    @property
+    def decided(self) -> bool:
+        return self.words != CANNOT_TELL
+
+
+@dataclass(frozen=True)
+class ModelComparison:
+    """Evidences of models of the same data, with prior odds of the models, above 0; equal if omitted.
+
+    Raises:
+        InvalidInput: Fewer than two models, or odds that are not finite numbers above 0, one for each model.
+    """
+
+    evidences: Mapping[str, Evidence]
+    odds: Mapping[str, float] | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.evidences) < 2:
+            raise InvalidInput(
+                "models to compare", value=len(self.evidences), expected="at least 2", remedy="Give another one."
+            )
+        if self.odds is not None:
+            require_odds([self.odds.get(name, math.nan) for name in self.evidences], len(self.evidences))
+
+    def __repr__(self) -> str:
+        return f"<ModelComparison: {self.verdict}>"
+
+    @cached_property
+    def order(self) -> tuple[str, ...]:
+        """Names of the models, that with the largest evidence first."""
+        return tuple(sorted(self.evidences, key=lambda name: -self.evidences[name].log))
+
+    @cached_property
+    def factors(self) -> tuple[BayesFactor, ...]:
+        """The Bayes factor of each pair of models, those of the best one first."""
+        return tuple(self._factor(one, other) for one, other in combinations(self.order, 2))
+
+    @property
+    def prior(self) -> dict[str, float]:
+        odds = self.odds or dict.fromkeys(self.evidences, 1.0)
+        whole = sum(odds[name] for name in self.evidences)
+        return {name: odds[name] / whole for name in self.evidences}
+
+    @cached_property
+    def probabilities(self) -> dict[str, float]:
+        """Posterior probabilities of the models, if one of them is right."""
+        logs = np.array([self.evidences[name].log + math.log(share) for name, share in self.prior.items()])
+        weights = np.exp(logs - logs.max())
+        return dict(zip(self.prior, (weights / weights.sum()).tolist(), strict=True))
+
+    @property
+    def favoured(self) -> str | None:
+        """The model that is preferred to every other one; None if there is none."""
+        best = self.order[0]
+        return best if all(one.decided for one in self._of_best) else None
+
+    @property
+    def tied(self) -> tuple[str, ...]:
+        """The models between which the data cannot tell: the best one and those that it is not preferred to."""
+        return (self.order[0], *(one.over for one in self._of_best if not one.decided))
+
+    @property
+    def verdict(self) -> str:
+        if self.favoured is not None:
+            second = self._of_best[0]
+            return f"The data favour {second.of} over {second.over}: ln B = {_shown(second)}, {second.words} evidence."
+        nearest = next(one for one in self._of_best if not one.decided)
+        found = f"ln B = {_shown(nearest)} of {nearest.of} over {nearest.over}"
+        if nearest.ln < SCALE[0][0]:
+            return f"The data cannot tell {listed(self.tied)} apart: {found}, below 1."
+        return (
+            f"The data cannot tell {listed(self.tied)} apart: {found}, less than {ERRORS:g} errors. "
+            "More runs, or more particles, make the error smaller."
+        )
+
+    @property
+    def _of_best(self) -> tuple[BayesFactor, ...]:
+        return self.factors[: len(self.order) - 1]
+
+    def _factor(self, one: str, other: str) -> BayesFactor:
+        first, second = self.evidences[one], self.evidences[other]
+        return BayesFactor(one, other, first.log - second.log, math.hypot(first.error, second.error))
+
+
+def require_odds(odds: Sequence[float], number: int) -> None:
+    """Refuse prior odds that are not numbers above 0, one for each model.
+
+    Raises:
+        InvalidInput: They are not.
+    """
+    if len(odds) != number or not all(math.isfinite(one) and one > 0 for one in odds):
+        raise InvalidInput(
+            "prior odds of the models",
+            value=":".join(f"{one:g}" for one in odds),
+            expected=f"{number} numbers above 0, one for each model",
+            remedy="Give them in the order of the models, e.g. 2:1.",
+        )
+
+
+def averaged(posteriors: Sequence[Weighted], probabilities: Sequence[float]) -> Weighted:
+    """Return the mixture of the posteriors of several models, each with the probability of its model."""
+    draws = np.concatenate([one.draws for one in posteriors])
+    weights = [share * one.weights for one, share in zip(posteriors, probabilities, strict=True)]
+    return Weighted(draws, np.concatenate(weights))
+
+
+def _shown(one: BayesFactor) -> str:
+    return f"{one.ln:.2f} ± {one.error:.2f}"

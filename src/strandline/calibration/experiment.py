@@ -6,48 +6,112 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from strandline.calibration.footprint import Footprint, footprint
 from strandline.discrepancy import Discrepancy, NormalOffset, TrackedPoints
+from strandline.discrepancy.nearest import closest_points
 from strandline.errors import InvalidInput
-from strandline.interface import (
-    Interface,
-    Noise,
-    Observation,
-    PointErrors,
-    UnknownErrors,
-    steady_normals,
-)
-from strandline.likelihood import FieldLikelihood, compared, errors_of
+from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors, steady_normals
+from strandline.likelihood import FieldLikelihood, compared
 from strandline.likelihood.compared import with_variance
-from strandline.likelihood.residual_noise import stated_errors
-from strandline.likelihood.shared_errors import shared_errors
+from strandline.likelihood.joint_errors import shared_errors
+from strandline.likelihood.noise_rule import stated_errors
 from strandline.surrogate.field import FieldSurrogate
 
-__all__ = ["CoordinateErrors", "Errors", "Experiment", "errors_behind", "experiment_behind"]
-
+WHOLE = 0.8
+"""Share of a polyline from which an observation of as many points consists of its nodes."""
 STEP = 1e-3
 """Step of finite differences of the predicted interface, as a share of the box."""
 
 
+@dataclass(frozen=True, eq=False)
+class Footprint:
+    """The observed points as weighted means of the nodes of a simulated interface; others are observed there too.
+
+    A polyline is followed by its arc length, so that noise along it moves no point past its neighbour. The points of a
+    surface keep their place within its triangles. `corners` are the numbers of the nodes around each observed point.
+    """
+
+    corners: Int[np.ndarray, "point corner"]
+    weights: Float[np.ndarray, "point corner"]
+    cells: Int[np.ndarray, "cell end"]
+
+    def on(self, nodes: Float[np.ndarray, "node xyz"]) -> Float[np.ndarray, "point xyz"]:
+        """Return the observed points on a simulated interface with these nodes; it is linear in them."""
+        return np.asarray(np.einsum("pc,pcx->px", self.weights, nodes[self.corners]))
+
+
+def footprint(observed: Interface, simulated: Interface) -> Footprint:
+    """Return where the points of `observed` lie on `simulated`, an interface near it that runs the same way."""
+    same = observed.points.shape == simulated.points.shape and np.array_equal(observed.cells, simulated.cells)
+    if same and (observed.dim == 3 or _covers(observed, simulated)):
+        numbers = np.arange(len(observed.points))[:, None]
+        return Footprint(numbers, np.ones(numbers.shape), observed.cells)
+    return _on_surface(observed, simulated) if observed.dim == 3 else _on_polyline(observed, simulated)
+
+
+def _covers(observed: Interface, simulated: Interface) -> bool:
+    begin, end = _part(observed, simulated)
+    return end - begin >= WHOLE * float(simulated.lengths.sum())
+
+
+def _on_polyline(observed: Interface, simulated: Interface) -> Footprint:
+    begin, end = _part(observed, simulated)
+    along = _arc_lengths(observed)
+    chain = np.append(observed.cells[:, 0], observed.cells[-1, 1])
+    places = np.zeros(len(observed.points))
+    places[chain[::-1]] = begin + (end - begin) * along[::-1] / along[-1]
+    bounds, lengths = _arc_lengths(simulated), simulated.lengths
+    places = places % bounds[-1] if simulated.closed else np.clip(places, 0.0, bounds[-1])
+    cells = np.clip(np.searchsorted(bounds, places, side="right") - 1, 0, len(lengths) - 1)
+    share = np.clip((places - bounds[cells]) / lengths[cells], 0.0, 1.0)
+    return Footprint(simulated.cells[cells], np.stack([1 - share, share], axis=1), observed.cells)
+
+
+def _part(observed: Interface, simulated: Interface) -> tuple[float, float]:
+    """Return the arc lengths on `simulated` between which `observed` lies, mm.
+
+    The second exceeds the whole length if the part goes past the point where a closed polyline begins.
+    """
+    whole = float(simulated.lengths.sum())
+    ends = observed.points[[observed.cells[0, 0], observed.cells[-1, 1]]]
+    found = closest_points(ends, simulated)
+    on_cell = np.linalg.norm(found.points - simulated.starts[found.cells], axis=1)
+    begin, end = (_arc_lengths(simulated)[found.cells] + on_cell).tolist()
+    if observed.closed:
+        return (begin, begin + whole) if simulated.closed else (0.0, whole)
+    if simulated.closed:
+        return begin, end if end > begin else end + whole
+    return (begin, end) if end > begin else (0.0, whole)
+
+
+def _arc_lengths(polyline: Interface) -> Float[np.ndarray, " corner"]:
+    return np.concatenate([[0.0], np.cumsum(polyline.lengths)])
+
+
+def _on_surface(observed: Interface, simulated: Interface) -> Footprint:
+    """Return the places by the areas opposite to the corners of the closest triangles."""
+    found = closest_points(observed.points, simulated)
+    corners = simulated.cells[found.cells]
+    a, b, c = (simulated.points[corners[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    size = np.einsum("px,px->p", normal, normal)
+    first = np.einsum("px,px->p", np.cross(b - found.points, c - found.points), normal) / size
+    second = np.einsum("px,px->p", np.cross(c - found.points, a - found.points), normal) / size
+    return Footprint(corners, np.stack([first, second, 1 - first - second], axis=1), observed.cells)
+
+
 @dataclass(frozen=True)
 class CoordinateErrors:
-    """Independent errors of all coordinates of tracked points.
-
-    Args:
-        sd: Standard deviation, mm.
-    """
+    """Independent errors of all coordinates of tracked points, with this standard deviation, mm."""
 
     sd: float
 
     @property
     def facts(self) -> dict[str, float]:
-        """The standard deviation, mm."""
         return {"coordinate_sd": self.sd}
 
     def draw(self, true: Interface, random: np.random.Generator) -> Interface:
-        """Return `true` as it might be observed."""
         return Interface(true.points + self.sd * random.standard_normal(true.points.shape), true.cells)
 
 
@@ -57,14 +121,8 @@ Errors = PointErrors | CoordinateErrors
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """What was observed, how wrong it may be, and how it is analysed, by condition.
-
-    Args:
-        surrogate: Surrogate of the interface.
-        footprints: Where on the simulated interfaces the observed points lie.
-        errors: Errors with which observations are drawn.
-        noises: Noise with which they are analysed.
-        measure: The measure d² of the analysis.
+    """Where on the simulated interfaces the observed points lie, the errors they are drawn with, and the noise and the
+    measure of the analysis, by condition.
     """
 
     surrogate: FieldSurrogate
@@ -88,7 +146,6 @@ class Experiment:
         return tuple(Observation(seen, self.noises[name], name) for name, seen in drawn.items())
 
     def likelihood(self, observations: tuple[Observation, ...]) -> FieldLikelihood:
-        """Return the likelihood of the inputs."""
         return FieldLikelihood(self.surrogate, observations, self.measure)
 
     def information(
@@ -127,14 +184,10 @@ class Experiment:
 
 
 def experiment_behind(likelihood: FieldLikelihood, near: Float[np.ndarray, " mode"]) -> Experiment:
-    """Return the experiment behind the observations of a likelihood.
+    """Return the experiment behind the observations of a likelihood, with predicted interfaces `near` them, mm.
 
     Observations are drawn with the errors of the points if these are stated, else with independent errors for which the
     stated σ_N² is right: of all coordinates of tracked points, of other points along the normals.
-
-    Args:
-        likelihood: Likelihood of the real observations.
-        near: Coefficients of predicted interfaces that are near them, mm.
 
     Raises:
         InvalidInput: No independent errors have this σ_N².
@@ -153,18 +206,13 @@ def experiment_behind(likelihood: FieldLikelihood, near: Float[np.ndarray, " mod
 
 
 def errors_behind(seen: Observation, measure: Discrepancy, nodes: int) -> Errors:
-    """Return errors of the observed points for which the noise of an observation is right.
-
-    Args:
-        seen: The observed interface with its noise; of errors that are unknown, the first guess is taken.
-        measure: The measure d².
-        nodes: Number of nodes of the simulated interfaces.
+    """Return errors of the observed points for which the noise is right; of unknown errors, the first guess.
 
     Raises:
         InvalidInput: No independent errors have the stated σ_N².
     """
     one = compared(seen, measure, nodes)
-    if isinstance(measure, TrackedPoints) and errors_of(seen) is None:
+    if isinstance(measure, TrackedPoints) and seen.errors is None:
         return CoordinateErrors(math.sqrt(one.noise.scale))
     try:
         return stated_errors(seen, measure, nodes).errors

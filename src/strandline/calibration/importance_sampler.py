@@ -9,15 +9,19 @@ as long as only a few of them count, to a power of the weights that lets enough 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
+import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.linalg import solve_triangular
-from scipy.special import gammaln
+from scipy.special import gammaln, log_softmax
 
-from strandline.posterior.weighted import Weighted
-
-__all__ = ["ENOUGH", "FREEDOM", "Pool", "StudentMixture", "effective_size", "fitted", "followed"]
+from strandline.design import sobol
+from strandline.design.refinement import SAMPLING
+from strandline.parameters import ParameterSpace
+from strandline.posterior import Weighted
+from strandline.smc import BatchedLogDensity, OnHost, SMCResult, sample
 
 ENOUGH = 400.0
 """Effective sample size at which sampling ends."""
@@ -37,26 +41,49 @@ FLOOR = 1e-9
 """Smallest variance of a part, relative to that of the points it is fitted to."""
 NEGLIGIBLE = 1e-9
 """Weight, relative to the largest, below which a point is left out of a fit."""
-
+PARTICLES = 2000
+"""Particles of the tempered sampler, which takes over where importance sampling does not get there."""
+SCRAMBLE = 0
+"""Seed that scrambles the Sobol sequence of the prior's draws; the plain one begins at a corner."""
+By = Literal["importance", "smc"]
 Points = Float[np.ndarray, "point dim"]
 Values = Float[np.ndarray, " point"]
+Densities = Callable[[Points], tuple[Values, Values]]
+"""Function that returns the log densities of the prior and of the posterior, each of shape (point,)."""
+
+
+def only_inside(inside: Callable[[Points], Bool[np.ndarray, " point"]], densities: Densities) -> Densities:
+    """Return densities that are evaluated where `inside` says so, and are -∞ elsewhere."""
+
+    def log_densities(x: Points) -> tuple[Values, Values]:
+        first, target = np.full(len(x), -np.inf), np.full(len(x), -np.inf)
+        some = inside(x)
+        if some.any():
+            first[some], target[some] = densities(x[some])
+        return first, target
+
+    return log_densities
+
+
+def prior_and_posterior(space: ParameterSpace, log_likelihood: Callable[[Points], Values]) -> Densities:
+    """Return the log densities of the prior, and of likelihood times prior, which count where the prior is above 0."""
+
+    def both(x: Points) -> tuple[Values, Values]:
+        first = np.asarray(space.log_prior(x))
+        return first, first + log_likelihood(x)
+
+    return only_inside(space.inside, both)
 
 
 @dataclass(frozen=True, eq=False)
 class StudentMixture:
-    """A mixture of multivariate Student distributions.
-
-    Args:
-        shares: Probability of each part, shape (part,).
-        means: Centres, shape (part, dim).
-        factors: Lower Cholesky factors of their scale matrices, shape (part, dim, dim).
-    """
+    """A mixture of multivariate Student distributions, with lower Cholesky factors of their scale matrices."""
 
     shares: Float[np.ndarray, " part"]
     means: Float[np.ndarray, "part dim"]
     factors: Float[np.ndarray, "part dim dim"]
 
-    def squares(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "part point"]:
+    def squares(self, x: Points) -> Float[np.ndarray, "part point"]:
         """Return the squared distance of each point from each centre, in the scale of the part."""
         parts = zip(self.means, self.factors, strict=True)
         scaled = [solve_triangular(factor, (x - mean).T, lower=True, check_finite=False) for mean, factor in parts]
@@ -70,12 +97,10 @@ class StudentMixture:
         tails = 0.5 * (FREEDOM + dim) * np.log1p(squares / FREEDOM)
         return np.asarray((np.log(self.shares) + norm - sizes)[:, None] - tails)
 
-    def log_density(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
-        """Return the log density."""
+    def log_density(self, x: Points) -> Values:
         return _log_sum(self.log_parts(self.squares(x)))
 
     def draw(self, number: int, random: np.random.Generator) -> Float[np.ndarray, "draw dim"]:
-        """Return draws."""
         which = random.choice(len(self.shares), size=number, p=self.shares)
         normal = random.standard_normal((number, self.means.shape[1]))
         stretch = np.sqrt(FREEDOM / random.chisquare(FREEDOM, number))
@@ -85,26 +110,22 @@ class StudentMixture:
 
 @dataclass(frozen=True, eq=False)
 class Pool:
-    """All points drawn so far: the first sample, then those of each mixture.
+    """All points drawn so far: the first sample, then those of each mixture, with the number of its draws.
 
-    Args:
-        x: Points, shape (point, dim).
-        log_counts: Logarithms of how many draws each point stands for; -inf leaves it out.
-        log_first: Normalised log density of the distribution that the first sample represents.
-        log_target: Log density of the target, up to a constant.
-        number: Number of draws that the first sample stands for.
-        mixtures: Mixtures drawn from since, with the number of draws from each.
+    `log_counts` are logarithms of how many draws each point stands for; -inf leaves it out. `log_first` is the
+    normalised log density of the distribution that the first sample represents, as `number` draws; `log_target` has an
+    unknown constant.
     """
 
-    x: Float[np.ndarray, "point dim"]
-    log_counts: Float[np.ndarray, " point"]
-    log_first: Float[np.ndarray, " point"]
-    log_target: Float[np.ndarray, " point"]
+    x: Points
+    log_counts: Values
+    log_first: Values
+    log_target: Values
     number: int
     mixtures: tuple[tuple[StudentMixture, int], ...] = ()
 
     @property
-    def log_ratios(self) -> Float[np.ndarray, " point"]:
+    def log_ratios(self) -> Values:
         """Log weights of the target before they are normalised: the sum of the weights estimates its integral."""
         drawn = [math.log(n) + mixture.log_density(self.x) for mixture, n in self.mixtures]
         together = _log_sum(np.stack([math.log(self.number) + self.log_first, *drawn]))
@@ -116,18 +137,22 @@ class Pool:
         return float(_log_sum(self.log_ratios))
 
     @property
-    def log_weights(self) -> Float[np.ndarray, " point"]:
+    def log_weights(self) -> Values:
         """Normalised log weights of the target."""
         ratios = self.log_ratios
         return np.asarray(ratios - _log_sum(ratios))
 
     @property
+    def log_likelihood(self) -> Values:
+        """Log density of the target less that of the first sample, -∞ where this is 0."""
+        inside = np.isfinite(self.log_first)
+        return np.where(inside, self.log_target - np.where(inside, self.log_first, 0.0), -np.inf)
+
+    @property
     def weighted(self) -> Weighted:
-        """The points with their weights."""
         return Weighted(self.x, np.exp(self.log_weights))
 
     def extended(self, mixture: StudentMixture, x: Points, log_first: Values, log_target: Values) -> "Pool":
-        """Return the pool with draws from a mixture."""
         return replace(
             self,
             x=np.concatenate([self.x, x]),
@@ -138,21 +163,60 @@ class Pool:
         )
 
 
-def followed(
+class Sampled(NamedTuple):
+    """Draws of a posterior with their normalised log weights and log-likelihoods, its log-evidence, and its sampler."""
+
+    x: Points
+    log_weights: Values
+    log_likelihood: Values
+    log_evidence: float
+    by: By
+
+
+def prior_pool(space: ParameterSpace, log_densities: Densities, number: int) -> Pool:
+    """Return a number of draws of the prior with their log densities."""
+    x = space.prior_quantiles(sobol(number, space.dim, scramble=SCRAMBLE))
+    return Pool(x, np.zeros(number), *log_densities(x), number)
+
+
+def importance_or_smc(
     pool: Pool,
-    log_densities: Callable[[Points], tuple[Values, Values]],
+    log_densities: Densities,
+    space: ParameterSpace,
+    log_likelihood: Callable[[Points], Values],
     random: np.random.Generator,
     *,
     enough: float = ENOUGH,
-) -> Pool | None:
-    """Return a pool with an effective sample size of `enough` draws of the target; None if that is not reached.
+) -> Sampled:
+    """Return draws of a posterior by importance; by tempering from the prior of `space` if that does not get there.
 
-    Args:
-        pool: The first sample.
-        log_densities: Function that returns `log_first` and `log_target` of points, -inf outside the prior.
-        random: Random numbers.
-        enough: Effective sample size to reach.
+    `log_likelihood` leads from this prior to the posterior; other arguments are those of `followed`.
     """
+    found = followed(pool, log_densities, random, enough=enough)
+    if found is not None:
+        return Sampled(found.x, found.log_weights, found.log_likelihood, found.log_integral, "importance")
+    drawn = tempered(
+        log_likelihood, space.log_prior, space.prior_quantiles(random.random((PARTICLES, space.dim))), random
+    )
+    values = np.asarray(drawn.log_likelihood)
+    return Sampled(drawn.positions, np.asarray(log_softmax(drawn.log_weights)), values, drawn.log_evidence, "smc")
+
+
+def tempered(
+    log_likelihood: Callable[[Points], Values],
+    log_prior: BatchedLogDensity,
+    initial: Points,
+    random: np.random.Generator,
+) -> SMCResult:
+    """Return particles of a posterior by tempering from draws of the prior."""
+    key = jax.random.key(int(random.integers(2**32)))
+    return sample(key, OnHost(log_likelihood), log_prior, initial, settings=SAMPLING)
+
+
+def followed(
+    pool: Pool, log_densities: Densities, random: np.random.Generator, *, enough: float = ENOUGH
+) -> Pool | None:
+    """Return a pool with an effective sample size of `enough` draws of the target; None if that is not reached."""
     draws = DRAWS if pool.x.shape[1] <= 3 else MANY_INPUTS_DRAWS
     for rounds_left in range(ROUNDS, -1, -1):
         log_weights = pool.log_weights
@@ -165,7 +229,7 @@ def followed(
     return None
 
 
-def effective_size(log_weights: Float[np.ndarray, " point"]) -> float:
+def effective_size(log_weights: Values) -> float:
     """Return (Σ w)² / Σ w²."""
     top = log_weights.max()
     if top == -np.inf:

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -19,43 +20,29 @@ from strandline.design.active.sampling import DRAFT_PARTICLES
 from strandline.design.active.settings import LARGEST_BATCH
 from strandline.design.refinement import Learnt, Refinement, Round, refine
 from strandline.errors import NoCommonPoints, NumericsError, TooFewRuns
-from strandline.interface import UnknownErrors
-from strandline.likelihood.set_aside import Judge, SetAside
+from strandline.likelihood.set_aside import RunFilter, SetAside
 from strandline.models.fidelities import WithCheaper, first_runs
 from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior
-from strandline.runs import (
-    Executor,
-    Ledger,
-    RunRecord,
-    run_batches,
-    run_campaign,
-)
+from strandline.runs import Executor, Ledger, RunRecord, run_batches, run_campaign
 from strandline.runs.executors import usable_cores
 from strandline.runs.failures import counted
 from strandline.surrogate import LogLikelihoodSurrogate, fit_log_likelihood, fit_named, fit_of_the_user
 
-__all__ = ["Given", "Learning", "Lesson", "known_field"]
-
 Given = Float[np.ndarray, "run dim"] | Sequence[Mapping[str, float]]
 """The unknown inputs of runs, shape (run, dim), or all inputs of each by name."""
-
 ROUNDS_INSTEAD = 4
 """Rounds of refinement that make the second half of an active design's runs if there can be no field."""
 
 
 @dataclass(frozen=True, eq=False)
-class Lesson:
+class TrainedSurrogate:
     """What was learnt from all forward runs.
 
-    Args:
-        learnt: Runs, and surrogates of the log-likelihood; with a field, these are for comparison.
-        rounds: Rounds of refinement.
-        knowledge: What is known about the field; None if the surrogate is one of the log-likelihood.
-        certificate: Certificate of an active design; None for a fixed design.
-        no_field: Why there is no surrogate of the field although the settings ask for one.
-        set_aside: Runs that ended ok and were not used.
+    With a field, `knowledge`, the surrogates of the log-likelihood in `learnt` are for comparison; else it is None, and
+    `no_field` says why if the settings ask for one. `certificate` is that of an active design, `set_aside` are runs
+    that ended ok and were not used.
     """
 
     learnt: Learnt
@@ -75,36 +62,34 @@ class Lesson:
 
     def misfit(self, problem: Problem, posterior: Posterior, *, effort: Effort, seed: int) -> Misfit:
         """Return whether the model explains the observations within the noise, whatever the inputs."""
-        observations, measure = problem.observations, next(iter(problem.discrepancies.values()))
-        explained, fitted = None, False
+        observations, learnt, explained, fitted = problem.observations, self.learnt, None, False
         with one_thread():
             if self.knowledge is not None:
                 prediction, inferred = by_field(self.knowledge.surrogate), self.knowledge.likelihood.inferred
                 if inferred is not None:
-                    fitted = any(isinstance(o.noise, UnknownErrors) and not o.noise.stated for o in observations)
+                    fitted = any(o.unknown and not o.unknown.stated for o in observations)
                     observations, explained = inferred.at_median(observations), inferred.explained
             else:
-                learnt, runs = self.learnt, [record for record in self.learnt.records if record.ok]
-                values = learnt.log_likelihood
-                known_runs = learnt.training, runs, values, problem.space, observations, measure
-                prediction = by_runs(*known_runs, most=effort.runs)
-            known = tuple(problem.fixed)
-            how: dict[str, Any] = {"fixed": known, "explained": explained, "fitted": fitted}
-            return misfit_of(prediction, observations, measure, posterior, **how, effort=effort, seed=seed)
+                runs = learnt.training, [record for record in learnt.records if record.ok], learnt.log_likelihood
+                prediction = by_runs(*runs, problem.space, observations, problem.measure, most=effort.runs)
+            return misfit_of(
+                prediction,
+                observations,
+                problem.measure,
+                posterior,
+                fixed=tuple(problem.fixed),
+                explained=explained,
+                fitted=fitted,
+                effort=effort,
+                seed=seed,
+            )
 
     @property
     def found(self) -> dict[str, Any]:
         """What a `Calibration` reports about the runs, by the names of its fields."""
-        learnt = self.learnt
-        return {
-            "records": learnt.records,
-            "made": learnt.made,
-            "training": learnt.training,
-            "log_likelihoods": learnt.log_likelihoods,
-            "surrogates": learnt.surrogates,
-            "rounds": self.rounds,
-            "no_field": self.no_field,
-            "set_aside": self.set_aside,
+        of_runs = ("records", "made", "training", "log_likelihoods", "surrogates")
+        return {name: getattr(self.learnt, name) for name in of_runs} | {
+            name: getattr(self, name) for name in ("rounds", "no_field", "set_aside")
         }
 
 
@@ -120,16 +105,11 @@ class Learning:
     watch: Stopwatch
 
     @cached_property
-    def judge(self) -> Judge:
-        """The judge that decides which runs can be used."""
-        return Judge(self.problem.observations, self.problem.discrepancies, self.settings.failures)
+    def judge(self) -> RunFilter:
+        return RunFilter(self.problem.observations, self.problem.discrepancies, self.settings.failures)
 
-    def lesson(self, given: Given | None) -> Lesson:
-        """Make all forward runs and learn from them, with the surrogate that the settings name if possible.
-
-        Args:
-            given: Inputs of finished runs to begin with, in place of the Sobol design.
-        """
+    def train(self, given: Given | None) -> TrainedSurrogate:
+        """Make all forward runs and learn from them, with the surrogate that the settings name if possible."""
         begin, runs = self._begin(given)
         if self.settings.surrogate == "log_likelihood":
             return self._refined(begin, self.settings.refine)
@@ -139,14 +119,14 @@ class Learning:
         try:
             learnt, knowledge = self._by_field(runs, choosing)
         except NoCommonPoints as error:
-            if any(isinstance(seen.noise, UnknownErrors) for seen in self.problem.observations):
+            if any(seen.unknown for seen in self.problem.observations):
                 raise  # only a surrogate of the interface can infer the noise
             self.judge.forget_exceptions()
             asked = begin if choosing is None else choosing.asked
             return replace(self._instead(asked), no_field=str(error.value))
         certificate = None if choosing is None else choosing.certificate
         aside = self.judge.set_aside(learnt.records)
-        return Lesson(learnt, knowledge=knowledge, certificate=certificate, set_aside=aside)
+        return TrainedSurrogate(learnt, knowledge=knowledge, certificate=certificate, set_aside=aside)
 
     def _begin(self, given: Given | None) -> tuple[Float[np.ndarray, "run dim"], list[dict[str, float]]]:
         """Return the unknown inputs of the first runs, each once, and all inputs of these runs."""
@@ -163,7 +143,7 @@ class Learning:
         space = self.problem.space
         return space.to_physical(sobol(number, space.dim, scramble=self.settings.scramble))
 
-    def _refined(self, first: Float[np.ndarray, "run dim"], refinement: Refinement) -> Lesson:
+    def _refined(self, first: Float[np.ndarray, "run dim"], refinement: Refinement) -> TrainedSurrogate:
         learnt, rounds = refine(
             self.extend(None, first),
             self.extend,
@@ -173,9 +153,9 @@ class Learning:
             seed=self.settings.seed,
             stage=lambda: self.watch("refinement", self.tell),
         )
-        return Lesson(learnt, rounds, set_aside=self.judge.set_aside(learnt.records))
+        return TrainedSurrogate(learnt, rounds, set_aside=self.judge.set_aside(learnt.records))
 
-    def _instead(self, asked: Float[np.ndarray, "run dim"]) -> Lesson:
+    def _instead(self, asked: Float[np.ndarray, "run dim"]) -> TrainedSurrogate:
         """Learn the log-likelihood from the runs `asked` for so far and those that an active design may still make.
 
         Half of all runs are spread over the box; the others are made where the posterior lies.
@@ -194,14 +174,7 @@ class Learning:
         with self.watch("forward", self.tell):
             if known is not None:
                 self.tell.draws(self._inputs(points))
-            records = run_campaign(
-                self.problem.model,
-                self._inputs(points),
-                ledger=self.ledger,
-                executor=self.executor,
-                on_record=self.tell.run,
-                policy=self.settings.failures,
-            )
+            records = self._run(self._inputs(points), None)
         if known is not None:
             points, records = np.concatenate([known.design, points]), (*known.records, *records)
         with self.watch("surrogate", self.tell):
@@ -231,17 +204,16 @@ class Learning:
             else:
                 knowledge, records = choosing.design.state.knowledge, self.judge.usable(records)
             training, log_likelihoods = _training_set(self.judge, points, records)
-            surrogates = {} if self.settings.draft else _to_compare(training, log_likelihoods, self.settings)
+            surrogates = {}
+            if not self.settings.draft:
+                with suppress(NumericsError, TooFewRuns):
+                    surrogates = _trained(training, log_likelihoods, self.settings)
         return Learnt(points, records, training, log_likelihoods, surrogates, made), knowledge
 
     def _run(self, first: Sequence[Mapping[str, float]], choosing: ActiveRuns | None) -> tuple[RunRecord, ...]:
         model, inputs = self.problem.model, [dict(entry) for entry in first]
-        common: dict[str, Any] = {
-            "ledger": self.ledger,
-            "executor": self.executor,
-            "on_record": self.tell.run,
-            "policy": self.settings.failures,
-        }
+        common: dict[str, Any] = {"ledger": self.ledger, "executor": self.executor, "on_record": self.tell.run}
+        common["policy"] = self.settings.failures
         if choosing is None:
             return run_campaign(model, inputs, **common)
 
@@ -260,7 +232,7 @@ class Learning:
         return ActiveRuns(
             active=active,
             space=self.problem.space,
-            discrepancy=next(iter(self.problem.discrepancies.values())),
+            discrepancy=self.problem.measure,
             batch=active.batch or min(max(workers, 2), LARGEST_BATCH),
             seed=self.settings.seed,
             scramble=self.settings.scramble,
@@ -278,15 +250,10 @@ class Learning:
 
 
 def known_field(
-    points: Float[np.ndarray, "run dim"], records: Sequence[RunRecord], judge: Judge, space: ParameterSpace
+    points: Float[np.ndarray, "run dim"], records: Sequence[RunRecord], judge: RunFilter, space: ParameterSpace
 ) -> tuple[Knowledge, tuple[RunRecord, ...]]:
-    """Learn the field; also return the records, with those that it was not learnt from marked invalid.
-
-    Args:
-        points: Inputs of all runs, shape (run, dim).
-        records: Their records, in the same order.
-        judge: Judge that decides which runs can be used; its first measure is that of the likelihood.
-        space: The unknown inputs.
+    """Learn the field for the judge's first measure; also return the records, those that it was not learnt from as
+    invalid.
 
     Raises:
         TooFewRuns: Too few runs can be used.
@@ -306,31 +273,18 @@ def _trained(
     training: Float[np.ndarray, "ok dim"], log_likelihoods: Mapping[str, Float[np.ndarray, " ok"]], settings: Settings
 ) -> dict[str, LogLikelihoodSurrogate]:
     """Return a surrogate for each measure, except those after the first that can compare too few runs."""
-    found = {}
-    fit = partial(fit_log_likelihood, kernel=settings.kernel)
+    found, fit = {}, partial(fit_log_likelihood, kernel=settings.kernel)
     if settings.fit is not None:
         fit = partial(fit_of_the_user, fit=fit_named(settings.fit))
     for name, values in log_likelihoods.items():
         usable = np.isfinite(values)
-        if usable.all():
-            found[name] = fit(training, values)
-        elif usable.sum() >= training.shape[1] + 2:
+        if usable.all() or usable.sum() >= training.shape[1] + 2:
             found[name] = fit(training[usable], values[usable])
     return found
 
 
-def _to_compare(
-    training: Float[np.ndarray, "ok dim"], log_likelihoods: Mapping[str, Float[np.ndarray, " ok"]], settings: Settings
-) -> dict[str, LogLikelihoodSurrogate]:
-    """Return the surrogates of the log-likelihood, none if one cannot be trained."""
-    try:
-        return _trained(training, log_likelihoods, settings)
-    except (NumericsError, TooFewRuns):
-        return {}
-
-
 def _training_set(
-    judge: Judge, design: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]
+    judge: RunFilter, design: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]
 ) -> tuple[Float[np.ndarray, "ok dim"], dict[str, Float[np.ndarray, " ok"]]]:
     """Return the inputs of the usable runs and their log-likelihood under each measure, NaN if a run has none."""
     succeeded = [i for i, record in enumerate(records) if record.ok]
@@ -340,8 +294,7 @@ def _training_set(
 
 
 def _require_enough(succeeded: int, records: Sequence[RunRecord], dim: int) -> None:
-    needed = dim + 2
-    if succeeded >= needed:
+    if succeeded >= dim + 2:
         return
     kinds = Counter(record.failure_kind or record.state for record in records if not record.ok)
     shown = counted(dict(kinds.most_common(3))) or "none failed"
@@ -349,8 +302,6 @@ def _require_enough(succeeded: int, records: Sequence[RunRecord], dim: int) -> N
     raise TooFewRuns(
         "every forward run failed" if succeeded == 0 else "too few successful forward runs",
         value=f"{succeeded} of {len(records)} ({shown}{'; e.g. ' + last.splitlines()[0] if last else ''})",
-        expected=f"at least {needed} for {dim} input{'s' * (dim > 1)}",
-        remedy="Enlarge the design, or look at the failures with `strandline status`."
-        if kinds
-        else "Enlarge the design.",
+        expected=f"at least {dim + 2} for {dim} input{'s' * (dim > 1)}",
+        remedy="Enlarge the design" + (", or look at the failures with `strandline status`." if kinds else "."),
     )

@@ -17,13 +17,12 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibration.cut_posterior import LARGEST_DIM, under_uncertainty
-from strandline.calibration.in_notebook import observer_or_default
 from strandline.calibration.learning import Given, Learning
 from strandline.calibration.misfit import DRAFT, Effort
 from strandline.calibration.problem import Calibration, Observer, Problem, Settings, Stopwatch
+from strandline.calibration.progress import observer_or_default
 from strandline.calibration.sampler_check import compare_halves
-from strandline.calibration.targets import Target
+from strandline.calibration.targets import LARGEST_DIM, Target, under_uncertainty
 from strandline.likelihood.inferred_noise import require_inferable
 from strandline.models.protocol import require_conditions
 from strandline.numerics.threads import use_double
@@ -31,8 +30,6 @@ from strandline.parameters import ParameterSpace
 from strandline.posterior import GaussianApproximation, SobolIndices, laplace, log_prior_hessian, sobol_indices
 from strandline.runs import Executor, InProcess, Ledger
 from strandline.smc import RandomKey, SMCResult, carried_over, in_halves, sample
-
-__all__ = ["calibrate"]
 
 CARRIED = 1
 """Keeps the random numbers that carry particles over to the exact likelihood apart from those before."""
@@ -72,12 +69,11 @@ def calibrate(
     use_double()
     require_conditions((o.condition for o in problem.observations), problem.model)
     settings, executor, tell = settings or Settings(), executor or InProcess(), observer_or_default(observer)
-    measure = next(iter(problem.discrepancies.values()))
-    require_inferable(problem.observations, measure, by_field=settings.surrogate == "field")
+    require_inferable(problem.observations, problem.measure, by_field=settings.surrogate == "field")
     watch, space = Stopwatch(), problem.space
     learning = Learning(problem, settings, ledger, executor, tell, watch)
-    lesson = learning.lesson(given)
-    target = lesson.target(space)
+    trained = learning.train(given)
+    target = trained.target(space)
     with watch("sampling", tell), target.threads():
         sampling = _sample(target, space, settings, tell)
         posterior = target.posterior(sampling)
@@ -91,11 +87,11 @@ def calibrate(
         checks = target.checks(sampling, posterior, both.cut if both else None, seed=settings.seed)
         sensitivity = None if settings.draft else _sensitivity(space, target.values, settings.seed)
         problem = replace(problem, observations=learning.judge.observations)
-        misfit = lesson.misfit(problem, posterior, effort=DRAFT if settings.draft else Effort(), seed=settings.seed)
+        misfit = trained.misfit(problem, posterior, effort=DRAFT if settings.draft else Effort(), seed=settings.seed)
     return Calibration(
         problem=problem,
         settings=settings,
-        **lesson.found,
+        **trained.found,
         sampling=sampling,
         posterior=posterior,
         gaussian=GaussianApproximation(posterior.mean, posterior.covariance),
@@ -140,7 +136,7 @@ def _sample_from(
 ) -> SMCResult:
     options: dict[str, Any] = {"scouts": initial, "extents": space.high - space.low, "settings": settings.smc}
     found = None
-    for stage, one in enumerate((*target.leading, target.compiled)):
+    for stage, one in enumerate((*target.warm_up_densities, target.compiled)):
         if found is not None:
             key = jax.random.fold_in(chain, CARRIED + stage - 1)
             found = carried_over(key, found, one, space.log_prior, **options)

@@ -20,29 +20,13 @@ from strandline.interface import Observation
 from strandline.likelihood.set_aside import SetAside
 from strandline.models.protocol import ForwardModel
 from strandline.parameters import ParameterSpace
-from strandline.posterior import (
-    GaussianApproximation,
-    LaplaceApproximation,
-    Posterior,
-    SobolIndices,
-    UnderUncertainty,
-)
+from strandline.posterior import GaussianApproximation, LaplaceApproximation, Posterior, SobolIndices, UnderUncertainty
 from strandline.posterior.quadrature import QuadratureResult
-from strandline.runs import (
-    FailurePolicy,
-    Progress,
-    RunRecord,
-)
-from strandline.smc import (
-    SMCResult,
-    SMCSettings,
-    StepInfo,
-)
+from strandline.runs import FailurePolicy, Progress, RunRecord
+from strandline.smc import SMCResult, SMCSettings, StepInfo
 from strandline.surrogate import LogLikelihoodSurrogate, fit_named
 from strandline.surrogate.kernels import kernel_named
 from strandline.typeset import html_table
-
-__all__ = ["Calibration", "Observer", "Problem", "Settings", "Stopwatch"]
 
 
 @dataclass(frozen=True)
@@ -64,24 +48,29 @@ class Problem:
     discrepancies: Mapping[str, Discrepancy]
 
     def __post_init__(self) -> None:
-        _require("model of the problem", self.model, callable(self.model), "a function (inputs, workdir) or a model")
-        space = isinstance(self.space, ParameterSpace)
-        _require("inputs of the problem", self.space, space, "a ParameterSpace of Parameters")
-        fixed = isinstance(self.fixed, Mapping)
-        _require("known inputs of the problem", self.fixed, fixed, "numbers by name, e.g. {} or {'load': 1.0}")
-        seen = isinstance(self.observations, tuple | list)
-        seen = seen and all(isinstance(one, Observation) for one in self.observations)
-        _require("observations of the problem", self.observations, seen, "a tuple of Observations, one per condition")
-        named = isinstance(self.discrepancies, Mapping) and all(map(callable, self.discrepancies.values()))
-        _require("measures of the problem", self.discrepancies, named, "discrepancies by name, the main one first")
-        object.__setattr__(self, "observations", tuple(self.observations))
+        seen, measures = self.observations, self.discrepancies
+        all_seen = isinstance(seen, tuple | list) and all(isinstance(one, Observation) for one in seen)
+        named = isinstance(measures, Mapping) and all(map(callable, measures.values()))
+        for what, value, right, expected in (
+            ("model", self.model, callable(self.model), "a function (inputs, workdir) or a model"),
+            ("inputs", self.space, isinstance(self.space, ParameterSpace), "a ParameterSpace of Parameters"),
+            ("known inputs", self.fixed, isinstance(self.fixed, Mapping), "numbers by name, e.g. {} or {'load': 1.0}"),
+            ("observations", seen, all_seen, "a tuple of Observations, one per condition"),
+            ("measures", measures, named, "discrepancies by name, the main one first"),
+        ):
+            if not right:
+                raise InvalidInput(
+                    f"{what} of the problem",
+                    value=f"{type(value).__name__}: {value!r}",
+                    expected=expected,
+                    remedy=f"Give {expected}.",
+                )
+        object.__setattr__(self, "observations", tuple(seen))
 
-
-def _require(what: str, value: object, right: bool, expected: str) -> None:
-    if not right:
-        raise InvalidInput(
-            what, value=f"{type(value).__name__}: {value!r}", expected=expected, remedy=f"Give {expected}."
-        )
+    @property
+    def measure(self) -> Discrepancy:
+        """The measure that defines the posterior."""
+        return next(iter(self.discrepancies.values()))
 
 
 @dataclass(frozen=True)

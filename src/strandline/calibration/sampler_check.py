@@ -13,24 +13,19 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import kolmogorov, logsumexp, ndtr
 
-from strandline.posterior import Posterior
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import Posterior, Weighted
 from strandline.smc import SMCResult
-
-__all__ = ["LEVEL", "SamplerCheck", "Split", "compare_halves"]
 
 LEVEL = 0.01
 """Probability, corrected for the number of comparisons, below which a difference is not chance."""
 RELATED = 4.0
 """Particles that count as one independent draw, since copies of one particle stay related.
-
 Over seeds, the variance of a mean is 0.4 to 1.5 times sd²/ESS for Gaussian, cut and curved targets in four to seven
 inputs, and 3.3 times for the weights of two separate modes, which no move mixes. That of the log-evidence is 1.1 to 2.8
 times what the weights of the steps give.
 """
 MEAN, LOG_SD, SHARE, EVIDENCE = 0.1, 0.1, 0.05, 0.2
 """Smallest differences that matter: means in sd, logarithms of sds, shares of the mass, log-evidence.
-
 The posterior, the mean of the halves, is off by half as much.
 """
 SMALLEST = np.finfo(float).tiny
@@ -39,12 +34,8 @@ LIKELIHOOD = "log-likelihood"
 
 @dataclass(frozen=True)
 class Split:
-    """The two sides of a value: the share of the mass at or below it in each half.
-
-    Args:
-        of: Name of the input, or `log-likelihood`.
-        at: Value.
-        shares: Share of the mass at or below it, of either half.
+    """The two sides of a value of an input, or of the log-likelihood: the share of the mass at or below it in each
+    half.
     """
 
     of: str
@@ -53,7 +44,6 @@ class Split:
 
     @property
     def difference(self) -> float:
-        """Difference of the shares."""
         return abs(self.shares[0] - self.shares[1])
 
 
@@ -61,16 +51,9 @@ class Split:
 class SamplerCheck:
     """How far two independent halves of the particles differ, and how far by chance.
 
-    Args:
-        names: Names of the inputs.
-        effective: Effective sample sizes of the weights in either half.
-        mean_difference: First less second mean, in standard deviations (dim,).
-        mean_error: Standard deviation of this by chance (dim,).
-        log_sd_ratio: Logarithm of the first over the second standard deviation (dim,).
-        log_sd_error: Standard deviation of this by chance (dim,).
-        log_evidence: Log-evidence of either half.
-        log_evidence_error: Standard deviation of their difference by chance.
-        splits: Splits at which the shares of the mass differ most, of each input and of the log-likelihood.
+    `mean_difference` is the first less the second mean, in standard deviations, `log_sd_ratio` the logarithm of the
+    first over the second standard deviation; an `_error` is the standard deviation by chance. `splits` are those at
+    which the shares of the mass differ most, of each input and of the log-likelihood.
     """
 
     names: tuple[str, ...]
@@ -85,7 +68,6 @@ class SamplerCheck:
 
     @property
     def log_evidence_difference(self) -> float:
-        """First less second log-evidence."""
         return self.log_evidence[0] - self.log_evidence[1]
 
     @property
@@ -111,7 +93,6 @@ class SamplerCheck:
 
     @property
     def verdict(self) -> str:
-        """The result in words."""
         if self.agree:
             return (
                 "Two independent halves of the sampler's particles agree: means to "
@@ -164,11 +145,8 @@ class SamplerCheck:
 
 
 def compare_halves(sampling: SMCResult, posterior: Posterior) -> SamplerCheck | None:
-    """Return how the halves of the sampler agree; None if it ran as one.
-
-    Args:
-        sampling: Particles of the sampler.
-        posterior: Posterior of the same particles, whose weights may follow from another likelihood.
+    """Return how the halves of the sampler agree, with the weights of the posterior's likelihood; None if it ran as
+    one.
     """
     if sampling.halves is None:
         return None

@@ -10,42 +10,36 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.special import log_softmax, logsumexp
 
-from strandline.calibration.importance_sampler import effective_size
+from strandline.calibration.importance_sampler import SCRAMBLE, effective_size
 from strandline.design import sobol
 from strandline.design.active import Knowledge
 from strandline.errors import InvalidInput
+from strandline.likelihood import FieldLikelihood, noise_length
 from strandline.parameters import ParameterSpace
-from strandline.posterior import Posterior, systematic_indices
-from strandline.posterior.weighted import Weighted
-
-__all__ = ["POINTS", "Source", "posterior_source", "prior_source"]
+from strandline.posterior import Posterior, Weighted, systematic_indices
+from strandline.surrogate.field import FieldSurrogate
 
 POINTS = 4096
 """Draws of the distribution whose predicted interfaces are kept for all replicates."""
-SCRAMBLE = 0
-"""Seed that scrambles their Sobol sequence; the plain one begins at a corner."""
 FEWEST = 100.0
 """Smallest effective number of draws of a posterior that the surrogate of the interface agrees with."""
+TOLERATED = 0.5
+"""Error of the predicted interface that is tolerated, as a share of the shift that the noise hides."""
+TOLERATED_SHARE = 0.05
+"""Share of the draws at which a larger error is tolerated."""
+DRAWS = 512
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
     """A distribution of the inputs: that of the truths, and what each analysis takes as its prior.
 
-    A region where runs fail is part of it only as far as they succeed there.
-
-    Args:
-        knowledge: Surrogate of the interface, feasibility, and likelihood of the real observation.
-        space: All inputs.
-        points: Draws with weights, shape (point, dim).
-        log_weights: Their normalised log weights, shape (point,).
-        coefficients: Predicted coefficients of the modes at the draws, shape (point, mode), mm.
-        number: Number of equally weighted draws that they stand for.
-        log_norm: Logarithm of the integral of the density before it is normalised.
-        from_posterior: Whether the distribution is the posterior of the real observation.
+    A region where runs fail is part of it only as far as they succeed there. `points` are weighted draws that stand for
+    `number` equally weighted ones, with the coefficients of the modes predicted there, mm. `log_norm` is the logarithm
+    of the integral of the density before it is normalised.
     """
 
     knowledge: Knowledge
@@ -59,12 +53,10 @@ class Source:
 
     @cached_property
     def log_densities(self) -> Float[np.ndarray, " point"]:
-        """Normalised log density at the draws."""
         return self.log_density(self.points, self.coefficients)
 
     @cached_property
     def covariance(self) -> Float[np.ndarray, "dim dim"]:
-        """Covariance of the inputs."""
         return Weighted(self.points, np.exp(self.log_weights)).covariance
 
     def log_density(
@@ -73,13 +65,6 @@ class Source:
         """Return the normalised log density at points inside the prior, given the coefficients predicted there."""
         known = self.knowledge.log_feasibility(x) + np.asarray(self.space.log_prior(x)) - self.log_norm
         return np.asarray(known + self.knowledge.likelihood.at(coefficients) if self.from_posterior else known)
-
-    def inside(self, x: Float[np.ndarray, "some dim"]) -> Bool[np.ndarray, " some"]:
-        """Return which points lie inside the prior."""
-        within = ((x >= self.space.low) & (x <= self.space.high)).all(axis=1)
-        out = np.zeros(len(x), bool)
-        out[within] = np.isfinite(np.asarray(self.space.log_prior(x[within])))
-        return out
 
     def draw(self, random: np.random.Generator) -> Float[np.ndarray, " dim"]:
         """Return one draw: of the prior a new one, of a posterior one of `points`."""
@@ -108,13 +93,8 @@ def prior_source(knowledge: Knowledge, space: ParameterSpace, *, number: int = P
     )
 
 
-def posterior_source(knowledge: Knowledge, posterior: Posterior, *, number: int = POINTS) -> Source:
-    """Return the posterior, with weights by the log-likelihood of the predicted interface.
-
-    Args:
-        knowledge: Surrogate of the interface and its likelihood.
-        posterior: The stored posterior.
-        number: Number of equally weighted draws that represent it.
+def posterior_source(knowledge: Knowledge, posterior: Posterior) -> Source:
+    """Return the posterior, with weights by the log-likelihood of the predicted interface, as equally weighted draws.
 
     Raises:
         InvalidInput: Hardly any draws have weight, since the posterior was computed from another likelihood.
@@ -131,16 +111,71 @@ def posterior_source(knowledge: Knowledge, posterior: Posterior, *, number: int 
             remedy="Make more runs where the posterior lies, or draw the truths from the prior.",
         )
     weights = np.exp(log_softmax(log_weights))
-    drawn = systematic_indices(weights, number, np.random.default_rng(0))
+    drawn = systematic_indices(weights, POINTS, np.random.default_rng(0))
     chosen, counts = np.unique(drawn, return_counts=True)
     points = draws[chosen]
     return Source(
         knowledge=knowledge,
         space=posterior.space,
         points=points,
-        log_weights=np.log(counts / number),
+        log_weights=np.log(counts / POINTS),
         coefficients=knowledge.surrogate.mean(points),
-        number=number,
+        number=POINTS,
         log_norm=posterior.log_evidence + float(logsumexp(log_weights)),
         from_posterior=True,
     )
+
+
+@dataclass(frozen=True)
+class FieldQuality:
+    """Errors of the predicted interface, root mean square along it, at draws of a distribution; mm.
+
+    `hidden` is the shift of the observed interface that the noise hides, the smallest of all conditions; `median` and
+    `q95` are quantiles of the errors that the surrogate expects, `left_out` is the median error at runs predicted from
+    the others, and `beyond` the share of the draws with an error above `TOLERATED` times `hidden`.
+    """
+
+    hidden: float
+    median: float
+    q95: float
+    left_out: float
+    beyond: float
+
+    @property
+    def good(self) -> bool:
+        """Whether few enough of the draws have too large an error."""
+        return self.beyond <= TOLERATED_SHARE
+
+
+def field_quality(source: Source) -> FieldQuality:
+    """Return how good the surrogate is at draws of a distribution."""
+    return quality_at(source.knowledge.likelihood, source.points, np.exp(source.log_weights))
+
+
+def quality_at(
+    likelihood: FieldLikelihood, points: Float[np.ndarray, "point dim"], weights: Float[np.ndarray, " point"]
+) -> FieldQuality:
+    """Return how good the surrogate is at weighted points, for the noise of a likelihood.
+
+    The errors that it expects count more if those at left-out runs are larger than expected.
+    """
+    surrogate = likelihood.surrogate
+    hidden = min(noise_length(seen, likelihood.discrepancy) for seen in likelihood.known_observations)
+    chosen = np.random.default_rng(0).choice(len(weights), DRAWS, p=weights / weights.sum())
+    errors = max(1.0, _surprise(surrogate)) * surrogate.predicted_error(points[chosen])
+    median, q95 = np.quantile(errors, [0.5, 0.95]).tolist()
+    return FieldQuality(
+        hidden=hidden,
+        median=median,
+        q95=q95,
+        left_out=float(np.median(surrogate.left_out_error())),
+        beyond=float((errors > TOLERATED * hidden).mean()),
+    )
+
+
+def _surprise(surrogate: FieldSurrogate) -> float:
+    """Return the root mean square error at left-out runs over the expected one."""
+    left_out = [process.left_out() for process in surrogate.processes]
+    found = sum(float(np.sum(one.errors**2)) for one in left_out)
+    expected = sum(float(np.sum(one.variances)) for one in left_out)
+    return float(np.sqrt(found / expected)) if expected > 0 else 1.0

@@ -8,8 +8,6 @@ from jaxtyping import Float
 
 from strandline.interface import Interface
 
-__all__ = ["Steps", "steps_of"]
-
 ALIKE = 0.5
 """Share of the values of a run that other runs must meet too. Of smooth outputs, hardly any; 1 where few steps are."""
 ROUNDING = 1e-9
@@ -20,29 +18,19 @@ of a Sobol design are fractions, and so are simple functions of them."""
 
 
 @dataclass(frozen=True)
-class Steps:
-    """Steps of one coordinate of an interface.
-
-    Args:
-        condition: Name of the condition, "" if there is one.
-        axis: x, y or z.
-        step: Distance of neighbouring values, mm.
-    """
+class OutputSteps:
+    """The distance of neighbouring values, mm, of one coordinate of an interface: x, y or z."""
 
     condition: str
     axis: str
     step: float
 
 
-def steps_of(runs: Sequence[Mapping[str, Interface]], inputs: Float[np.ndarray, "run dim"]) -> list[Steps]:
+def steps_of(runs: Sequence[Mapping[str, Interface]], inputs: Float[np.ndarray, "run dim"]) -> list[OutputSteps]:
     """Return the coordinates that move from run to run but meet the same values again and again.
 
     Numbers that follow the inputs smoothly do not repeat. Nothing is found if the runs differ in their number of points
     or if the inputs repeat themselves, as those of a grid do.
-
-    Args:
-        runs: Interfaces by condition, mm.
-        inputs: Inputs of each run, shape (run, dim).
     """
     if any(len(np.unique(column)) < len(runs) for column in inputs.T):
         return []
@@ -55,7 +43,7 @@ def steps_of(runs: Sequence[Mapping[str, Interface]], inputs: Float[np.ndarray, 
             moving = values[:, np.ptp(values, axis=0) > 0]
             step = _step(moving)
             if step and _residual(moving, inputs) > SMOOTH * step:
-                found.append(Steps(condition, axis, step))
+                found.append(OutputSteps(condition, axis, step))
     return found
 
 

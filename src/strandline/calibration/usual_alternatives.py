@@ -3,57 +3,33 @@
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 
-from strandline.calibration.alternative import Alternative, Present
+from strandline.calibration.alternative import Alternative, Baseline, Kind
 from strandline.discrepancy import Discrepancy, NormalOffset
 from strandline.interface import GLOBAL, GaussianNoise, Noise, Observation, PointErrors, UnknownErrors
-from strandline.likelihood import FieldLikelihood
+from strandline.likelihood import FieldLikelihood, InferredNoise
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import PRIORS, LogNormal, LogUniform, Normal, Prior, ScaledBeta, Uniform
-
-__all__ = ["facts_of", "other_priors", "prior_in_words", "scaled_noise", "usual_alternatives", "with_prior"]
 
 LEAST_SHAPE_SUM = 1.0
 """a + b of a beta distribution below which it piles up at both ends."""
 LEVELS = (0.1587, 0.5, 0.8413)
 """Probabilities at which a normal distribution has its mean and one standard deviation on either side."""
-
 LENGTHS = ("point_sd", "least_point_sd", "largest_point_sd", "correlation_length", "shift_sd", "offset_sd")
 """Parameters of the noise that are lengths, mm."""
-
 Errors = Noise | PointErrors | UnknownErrors
 
 
-def usual_alternatives(now: Present, measures: Mapping[str, Discrepancy]) -> Iterator[Alternative]:
-    """Yield the usual alternatives to a study.
-
-    Args:
-        now: The present posterior.
-        measures: Measures of the study by name; the first one makes the present posterior.
-    """
+def usual_alternatives(now: Baseline, measures: Mapping[str, Discrepancy]) -> Iterator[Alternative]:
+    """Yield the usual alternatives to a study; the first of its measures makes the present posterior."""
     yield from _priors(now.space)
     yield from _fixed(now.space)
-    if now.knowledge is None:
-        return
-    likelihood, space = now.knowledge.likelihood, now.space
-    for factor, words in ((0.5, "half as large"), (2.0, "twice as large")):
-        other = _with_noise(likelihood, lambda seen, factor=factor: scaled_noise(seen.noise, factor))  # type: ignore[misc]
-        if other is not None:
-            yield Alternative(
-                f"noise {words}", "noise", "the noise", space, other, detail=facts_of(other), by_prior_alone=False
-            )
-    yield from _common_errors(likelihood, space)
-    without_error = _with_noise(likelihood, _without_model_error)
-    if without_error is not None:
-        yield Alternative(
-            "no model error", "model_error", "the model error", space, without_error, by_prior_alone=False
-        )
-    inferred = any(isinstance(seen.noise, UnknownErrors) for seen in likelihood.observations)
-    for name, measure in list(measures.items())[1:]:
-        if isinstance(measure, NormalOffset) or not inferred:
-            other = replace(likelihood, discrepancy=measure)
-            yield Alternative(f"measure {name}", "measure", "the measure", space, other, by_prior_alone=False)
-    yield from _without(likelihood, space)
+    if now.knowledge is not None:
+        likelihood = now.knowledge.likelihood
+        for name, kind, about, other in (*_other_noise(likelihood), *_other_data(likelihood, measures)):
+            detail = facts_of(other) if kind == "noise" else ""
+            yield Alternative(name, kind, about, now.space, other, detail=detail, by_prior_alone=False)
 
 
 def other_priors(parameter: Parameter) -> Iterator[tuple[str, Prior]]:
@@ -72,12 +48,7 @@ def other_priors(parameter: Parameter) -> Iterator[tuple[str, Prior]]:
 
 
 def with_prior(space: ParameterSpace, priors: Mapping[str, Prior]) -> ParameterSpace:
-    """Return the inputs with other priors, truncated to the same box.
-
-    Args:
-        space: The inputs.
-        priors: The other priors by name of the input.
-    """
+    """Return the inputs with other priors, by name, truncated to the same box."""
     changed = {name: replace(space[name], prior=prior, box=space[name].interval) for name, prior in priors.items()}
     return ParameterSpace(tuple(changed.get(one.name, one) for one in space))
 
@@ -165,71 +136,63 @@ def _fixed(space: ParameterSpace) -> Iterator[Alternative]:
         yield Alternative(name, "fix", about, space, fixed={one.name: median})
 
 
-def _with_noise(likelihood: FieldLikelihood, other: Callable[[Observation], Errors | None]) -> FieldLikelihood | None:
-    """Return the likelihood with other noise; None unless there is one for each observation."""
-    noises = [other(seen) for seen in _stated(likelihood)]
-    if any(noise is None for noise in noises):
-        return None
-    pairs = zip(likelihood.observations, noises, strict=True)
-    seen = tuple(Observation(one.interface, noise, one.condition) for one, noise in pairs if noise is not None)
-    return replace(likelihood, observations=seen)
+def _other_noise(likelihood: FieldLikelihood) -> Iterator[tuple[str, Kind, str, FieldLikelihood]]:
+    """Yield the noise, and each error that all points of an observation share, half and twice as large; no model error.
 
-
-def _common_errors(likelihood: FieldLikelihood, space: ParameterSpace) -> Iterator[Alternative]:
-    """Yield each error that all points of an observation share, such as a shift, half and twice as large."""
-    for name in GLOBAL:
-        if not any(getattr(seen.noise, name, 0.0) > 0 for seen in likelihood.observations):
-            continue
+    Each with its name, the kind of the alternative, and what the posterior depends on if it moves.
+    """
+    common = [name for name in GLOBAL if any(getattr(o.noise, name, 0.0) > 0 for o in likelihood.observations)]
+    changes: list[tuple[str, Callable[..., Errors | None]]] = [("noise", scaled_noise)]
+    changes += [(f"unknown {name}", partial(_scaled_common, name)) for name in common]
+    for named, change in changes:
         for factor, words in ((0.5, "half as large"), (2.0, "twice as large")):
-            other = _with_noise(likelihood, lambda seen, of=name, by=factor: _scaled_common(seen.noise, of, by))  # type: ignore[misc]
+            other = _with_noise(likelihood, partial(change, factor=factor))
             if other is not None:
-                named, about = f"unknown {name} {words}", f"the unknown {name}"
-                yield Alternative(named, "noise", about, space, other, detail=facts_of(other), by_prior_alone=False)
+                yield f"{named} {words}", "noise", f"the {named}", other
+    without = _with_noise(likelihood, _without_model_error)
+    if without is not None:
+        yield "no model error", "model_error", "the model error", without
 
 
-def _scaled_common(noise: Errors, name: str, factor: float) -> Errors | None:
+def _other_data(
+    likelihood: FieldLikelihood, measures: Mapping[str, Discrepancy]
+) -> Iterator[tuple[str, Kind, str, FieldLikelihood]]:
+    """Yield the other measures, and each condition left out if there are several; likewise."""
+    seen = likelihood.observations
+    inferred = any(one.unknown for one in seen)
+    for name, measure in list(measures.items())[1:]:
+        if isinstance(measure, NormalOffset) or not inferred:
+            yield f"measure {name}", "measure", "the measure", replace(likelihood, discrepancy=measure)
+    for left in seen if len(seen) > 1 else ():
+        rest, condition = tuple(one for one in seen if one is not left), f"condition {left.condition}"
+        yield f"without {condition}", "without", condition, replace(likelihood, observations=rest)
+
+
+def _with_noise(likelihood: FieldLikelihood, other: Callable[[Errors], Errors | None]) -> FieldLikelihood | None:
+    """Return the likelihood with other noise; None unless there is one for each observation."""
+    pairs = [(one, other(_known(one.noise, likelihood.inferred))) for one in likelihood.observations]
+    seen = tuple(Observation(one.interface, noise, one.condition) for one, noise in pairs if noise is not None)
+    return replace(likelihood, observations=seen) if len(seen) == len(pairs) else None
+
+
+def _scaled_common(name: str, noise: Errors, factor: float) -> Errors | None:
     """Return errors of points of which one that all share is `factor` times as large; None if it is other noise."""
     if isinstance(noise, PointErrors | UnknownErrors):
         return replace(noise, **{name: factor * getattr(noise, name)})
     return None
 
 
-def _stated(likelihood: FieldLikelihood) -> tuple[Observation, ...]:
-    """Return the observations; where the sd of the points is inferred, with its posterior median as a known one."""
-    if likelihood.inferred is None:
-        return likelihood.observations
-    medians = [seen.noise for seen in likelihood.inferred.at_median(likelihood.observations)]
-    return tuple(
-        Observation(seen.interface, _at_median(seen.noise, median), seen.condition)
-        for seen, median in zip(likelihood.observations, medians, strict=True)
-    )
-
-
-def _at_median(noise: Errors, median: Errors) -> Errors:
-    """Return noise that was inferred as a known one, except for the error of the model."""
-    if not (isinstance(noise, UnknownErrors) and isinstance(median, PointErrors)):
+def _known(noise: Errors, inferred: InferredNoise | None) -> Errors:
+    """Return noise that is inferred with its posterior median as a known one, except for the error of the model."""
+    if inferred is None or not isinstance(noise, UnknownErrors):
         return noise
-    if not (noise.model_error or noise.spread):
-        return median
-    return replace(noise, sd=median.sd, length=median.length)
+    median = inferred.median(noise)
+    return replace(noise, sd=median.sd, length=median.length) if noise.model_error or noise.spread else median
 
 
-def _without_model_error(seen: Observation) -> Errors | None:
-    noise = seen.noise
+def _without_model_error(noise: Errors) -> Errors | None:
     if not (isinstance(noise, UnknownErrors) and noise.model_error):
         return None
     if noise.spread or not (isinstance(noise.sd, float) and isinstance(noise.length, float)):
         return replace(noise, model_error=False)
     return noise.known(noise.sd, noise.length)
-
-
-def _without(likelihood: FieldLikelihood, space: ParameterSpace) -> Iterator[Alternative]:
-    """Yield each condition left out, if there are several."""
-    seen = likelihood.observations
-    if len(seen) < 2:
-        return
-    for left in seen:
-        rest = tuple(one for one in seen if one is not left)
-        words = f"without condition {left.condition}"
-        other = replace(likelihood, observations=rest)
-        yield Alternative(words, "without", f"condition {left.condition}", space, other, by_prior_alone=False)

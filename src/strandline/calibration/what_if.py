@@ -12,25 +12,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
-import jax
 import numpy as np
 from jaxtyping import Float
 from scipy.special import log_softmax, logsumexp
 
-from strandline.calibration.alternative import Alternative, Present
-from strandline.calibration.field_quality import FieldQuality, quality_at
-from strandline.calibration.importance_sampler import Pool, effective_size, followed
-from strandline.calibration.log_densities import prior_and_posterior
-from strandline.calibration.source import POINTS, SCRAMBLE
-from strandline.design import sobol
+from strandline.calibration.alternative import Alternative, Baseline
+from strandline.calibration.importance_sampler import effective_size, importance_or_smc, prior_and_posterior, prior_pool
+from strandline.calibration.source import POINTS, FieldQuality, quality_at
 from strandline.design.active import Knowledge
-from strandline.design.refinement import SAMPLING
-from strandline.likelihood import OnHost
-from strandline.posterior.pareto_smoothing import pareto_smoothed, reliability_threshold
-from strandline.posterior.weighted import Weighted
-from strandline.smc import sample
-
-__all__ = ["LEAST_RATIO", "LEAST_SHIFT", "Answer", "By", "answered", "reweighted"]
+from strandline.posterior import Weighted
+from strandline.posterior.importance import pareto_smoothed, reliability_threshold, shifted
 
 LEAST_SHIFT = 0.2
 """Shift of a mean, in present standard deviations, from which an input moves."""
@@ -40,11 +31,8 @@ FEWEST = 100.0
 """Effective draws that reweighting must leave."""
 ENOUGH = 1000.0
 """Effective draws at which the sampler stops."""
-PARTICLES = 2000
-"""Particles of the tempered sampler, which takes over where importance sampling does not get there."""
 COUNTS = 0.99
 """Share of the weight, on the draws with the largest ones, that gets the likelihood expected over possible fields."""
-
 By = Literal["reweighting", "importance", "smc"]
 Points = Float[np.ndarray, "point dim"]
 Values = Float[np.ndarray, " point"]
@@ -54,20 +42,13 @@ Values = Float[np.ndarray, " point"]
 class Answer:
     """The posterior under an alternative, beside the present one.
 
-    Args:
-        alternative: The alternative.
-        present: The present posterior.
-        by: How the posterior was found; None if that takes new runs.
-        draws: Draws with weights; None if there is no answer.
-        k_hat: Shape k̂ of the tail of the draws' weights, if they were tried.
-        effective: Effective number of draws.
-        log_evidence_change: Change of the log-evidence; None if the data or the measure differ.
-        quality: How good the surrogate is at the draws; None if it was not used.
-        why_not: Why there is no answer; empty if there is one.
+    `by` and `draws` are None if that takes new runs; `why_not` then says why. `k_hat` is the shape k̂ of the tail of
+    the present draws' weights, if they were tried. `log_evidence_change` is None if the data or the measure differ,
+    `quality`, how good the surrogate is at the draws, if it was not used.
     """
 
     alternative: Alternative
-    present: Present
+    present: Baseline
     by: By | None
     draws: Weighted | None
     k_hat: float
@@ -82,33 +63,23 @@ class Answer:
     @property
     def shift(self) -> Float[np.ndarray, " dim"]:
         """Shift of the means, in present standard deviations, shape (dim,); NaN without an answer or if fixed."""
-        if self.draws is None:
-            return np.full(self.present.space.dim, np.nan)
-        return self._unless_fixed((self.draws.mean - self.present.mean) / self.present.sd)
+        return self._of_draws(lambda draws: (draws.mean - self.present.mean) / self.present.sd)
 
     @property
     def sd_ratio(self) -> Float[np.ndarray, " dim"]:
         """Standard deviations over the present ones, shape (dim,); NaN likewise."""
-        if self.draws is None:
-            return np.full(self.present.space.dim, np.nan)
-        return self._unless_fixed(self.draws.sd / self.present.sd)
+        return self._of_draws(lambda draws: draws.sd / self.present.sd)
 
     @cached_property
     def shift_error(self) -> Float[np.ndarray, " dim"]:
-        """Standard error of `shift` from the finite number of draws; draws in common cancel.
+        """Standard error of `shift` from the finite number of draws, to first order; draws in common cancel."""
+        return self._of_draws(self._shift_error)
 
-        To first order in the influence of each draw.
-        """
-        if self.draws is None:
-            return np.full(self.present.space.dim, np.nan)
-        before, mean, sd = self.present.weighted, self.present.mean, self.present.sd
-        z = (before.draws - mean) / sd
-        shift = (self.draws.mean - mean) / sd
-        old = before.weights[:, None] * (z + 0.5 * shift * (z**2 - 1))
-        new = self.draws.weights[:, None] * ((self.draws.draws - mean) / sd - shift)
+    def _shift_error(self, draws: Weighted) -> Float[np.ndarray, " dim"]:
+        _, old, new = shifted(self.present.weighted, draws)
         if self.by == "reweighting":
-            return self._unless_fixed(np.sqrt(np.sum((new - old) ** 2, axis=0)))
-        return self._unless_fixed(np.sqrt(np.sum(new**2, axis=0) + np.sum(old**2, axis=0)))
+            return np.asarray(np.sqrt(np.sum((new - old) ** 2, axis=0)))
+        return np.asarray(np.sqrt(np.sum(new**2, axis=0) + np.sum(old**2, axis=0)))
 
     @property
     def moved(self) -> tuple[str, ...]:
@@ -118,7 +89,6 @@ class Answer:
 
     @property
     def moves(self) -> bool:
-        """Whether any input moves."""
         return bool(self.moved)
 
     @property
@@ -129,19 +99,14 @@ class Answer:
         shift, width = np.abs(self.shift) / LEAST_SHIFT, np.abs(np.log(self.sd_ratio)) / math.log(LEAST_RATIO)
         return float(np.nanmax([shift, width]))
 
-    def _unless_fixed(self, values: Float[np.ndarray, " dim"]) -> Float[np.ndarray, " dim"]:
-        fixed = [name in self.alternative.fixed for name in self.present.space.names]
-        return np.where(fixed, np.nan, values)
+    def _of_draws(self, figures: Callable[[Weighted], Float[np.ndarray, " dim"]]) -> Float[np.ndarray, " dim"]:
+        names, fixed = self.present.space.names, self.alternative.fixed
+        found = np.full(len(names), np.nan) if self.draws is None else figures(self.draws)
+        return np.where([name in fixed for name in names], np.nan, found)
 
 
-def answered(now: Present, alternative: Alternative, *, seed: int) -> Answer:
-    """Return the posterior under an alternative.
-
-    Args:
-        now: The present posterior.
-        alternative: The alternative.
-        seed: Seed of all random numbers, if it is sampled again.
-    """
+def reweight_or_resample(now: Baseline, alternative: Alternative, *, seed: int) -> Answer:
+    """Return the posterior under an alternative; the seed is for draws, if it is sampled again."""
     k_hat, effective = math.nan, 0.0
     if now.knowledge is None and not alternative.by_prior_alone:
         return Answer(alternative, now, None, None, k_hat, effective, why_not=now.why_not)
@@ -168,7 +133,7 @@ def _judged(answer: Answer) -> Answer:
     return replace(answer, by=None, draws=None, log_evidence_change=None, quality=quality, why_not=why)
 
 
-def _covered(now: Present, alternative: Alternative) -> bool:
+def _covered(now: Baseline, alternative: Alternative) -> bool:
     """Return whether the alternative allows inputs only where the present prior does."""
     for old, new in zip(now.space, alternative.space, strict=True):
         (low, high), (least, most) = old.truncated_prior.support, new.truncated_prior.support
@@ -178,13 +143,8 @@ def _covered(now: Present, alternative: Alternative) -> bool:
     return True
 
 
-def reweighted(now: Present, alternative: Alternative) -> Answer:
-    """Return the present draws with other weights, whether or not enough of them count.
-
-    Args:
-        now: The present posterior.
-        alternative: The alternative.
-    """
+def reweighted(now: Baseline, alternative: Alternative) -> Answer:
+    """Return the present draws with other weights, whether or not enough of them count."""
     log_ratios = np.asarray(alternative.space.log_prior(now.draws)) - now.log_prior
     if alternative.likelihood is not None and now.knowledge is not None:
         known = _with(now.knowledge, alternative)
@@ -205,12 +165,11 @@ def reweighted(now: Present, alternative: Alternative) -> Answer:
 
 
 def _with(knowledge: Knowledge, alternative: Alternative) -> Knowledge:
-    """Return what is known, with the likelihood of the alternative."""
     return knowledge if alternative.likelihood is None else replace(knowledge, likelihood=alternative.likelihood)
 
 
 def _sampled(
-    now: Present, knowledge: Knowledge, alternative: Alternative, k_hat: float, random: np.random.Generator
+    now: Baseline, knowledge: Knowledge, alternative: Alternative, k_hat: float, random: np.random.Generator
 ) -> Answer:
     """Sample an alternative's posterior by importance, beginning with its prior; by tempering if that fails."""
     known, space = _with(knowledge, alternative), alternative.free_space
@@ -218,44 +177,22 @@ def _sampled(
     def plug_in(x: Float[np.ndarray, "point free"]) -> Values:
         return known.plug_in(alternative.whole(x))
 
-    first = space.prior_quantiles(sobol(POINTS, space.dim, scramble=SCRAMBLE))
-    prior = np.asarray(space.log_prior(first))
-    pool = Pool(first, np.zeros(len(first)), prior, prior + plug_in(first), len(first))
-    by: By = "importance"
-    found = followed(pool, prior_and_posterior(space, plug_in), random, enough=ENOUGH)
-    if found is not None:
-        inside = np.isfinite(found.log_first)
-        values = np.where(inside, found.log_target - np.where(inside, found.log_first, 0.0), -np.inf)
-        x, log_weights, log_integral = found.x, found.log_weights, found.log_integral
-    else:
-        by = "smc"
-        x, log_weights, values, log_integral = _by_smc(alternative, plug_in, random)
-    whole = alternative.whole(x)
-    gained = _gained(known, whole, log_weights, values)
-    total = log_weights + gained
-    change = log_integral + float(logsumexp(total)) - now.log_evidence
+    densities = prior_and_posterior(space, plug_in)
+    pool = prior_pool(space, densities, POINTS)
+    found = importance_or_smc(pool, densities, space, plug_in, random, enough=ENOUGH)
+    whole = alternative.whole(found.x)
+    total = found.log_weights + _gained(known, whole, found.log_weights, found.log_likelihood)
+    change = found.log_evidence + float(logsumexp(total)) - now.log_evidence
     final = np.asarray(log_softmax(total))
     return Answer(
         alternative,
         now,
-        by,
+        found.by,
         Weighted(whole, np.exp(final)),
         k_hat=k_hat,
         effective=effective_size(final),
         log_evidence_change=change if alternative.by_prior_alone else None,
     )
-
-
-def _by_smc(
-    alternative: Alternative, plug_in: Callable[[Points], Values], random: np.random.Generator
-) -> tuple[Points, Values, Values, float]:
-    """Sample by tempering: particles, normalised log weights, log-likelihoods, log-evidence."""
-    space = alternative.free_space
-    initial = space.prior_quantiles(random.random((PARTICLES, space.dim)))
-    key = jax.random.key(int(random.integers(2**32)))
-    found = sample(key, OnHost(plug_in), space.log_prior, initial, settings=SAMPLING)
-    values = np.asarray(found.log_likelihood)
-    return np.asarray(found.positions), np.asarray(log_softmax(found.log_weights)), values, float(found.log_evidence)
 
 
 def _gained(known: Knowledge, x: Points, log_weights: Values, plug_in: Values) -> Values:

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 
 from strandline.calibration import Observer
 from strandline.calibration import Settings as Stated
-from strandline.calibration.progress_text import STAGES, part_note, run_note, step_note
+from strandline.calibration.progress import STAGES, part_note, run_note, step_note
 from strandline.design.active import BatchReport
 from strandline.errors import InvalidInput
 from strandline.runs import Executor, RunRecord

@@ -18,7 +18,7 @@ from scipy.special import log_softmax
 from strandline.errors import InvalidInput
 from strandline.likelihood import predicted
 from strandline.parameters import ParameterSpace
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import Weighted
 from strandline.runs import RunRecord
 from strandline.smc import SMCSettings, sample
 from strandline.surrogate import LogLikelihoodSurrogate

@@ -236,10 +236,25 @@ class Observation:
         object.__setattr__(self, "noise", noise)
         object.__setattr__(self, "condition", condition)
 
+    @property
+    def known(self) -> PointErrors | None:
+        """The errors of the points if they are stated; else None."""
+        return self.noise if isinstance(self.noise, PointErrors) else None
+
+    @property
+    def unknown(self) -> UnknownErrors | None:
+        """The errors of the points if they are to be inferred; else None."""
+        return self.noise if isinstance(self.noise, UnknownErrors) else None
+
+    @property
+    def errors(self) -> PointErrors | None:
+        """The errors of the points, a first guess if they are unknown; None if a noise model is stated."""
+        return self.known if self.unknown is None else self.unknown.typical(self.interface)
+
     def reversed(self) -> "Observation":
         """Return the same observation in the other direction; standard deviations of its points go with them."""
-        each = isinstance(self.noise, PointErrors) and self.interface.dim == 2
-        noise = self.noise.reversed() if each and isinstance(self.noise, PointErrors) else self.noise
+        turned = self.known is not None and self.interface.dim == 2  # a surface keeps the order of its points
+        noise = self.known.reversed() if turned and self.known else self.noise
         return Observation(self.interface.reversed(), noise, self.condition)
 
 

@@ -1,10 +1,10 @@
 """Likelihoods of the observed interfaces: of the model's runs, or of what a surrogate predicts."""
 
-from strandline.likelihood.compared import Compared, compared, errors_of
-from strandline.likelihood.field import FieldLikelihood, OnHost, noise_length, sd_of_distances
+from strandline.likelihood.compared import Compared, compared
+from strandline.likelihood.field import FieldLikelihood, evaluated, noise_length, predicted, sd_of_distances
 from strandline.likelihood.inferred_noise import InferredNoise, NoisePosterior, infer_noise
 from strandline.likelihood.interfaces import InterfaceLikelihood
-from strandline.likelihood.learnt import evaluated, predicted
+from strandline.smc import OnHost
 
 __all__ = [
     "Compared",
@@ -14,7 +14,6 @@ __all__ = [
     "NoisePosterior",
     "OnHost",
     "compared",
-    "errors_of",
     "evaluated",
     "infer_noise",
     "noise_length",

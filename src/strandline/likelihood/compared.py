@@ -7,38 +7,96 @@ latter follow the noise of each measure and, for a measure that can use it, the 
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import ClassVar, cast
 
 import numpy as np
 from jaxtyping import Float
 
-from strandline.discrepancy import AdaptsToErrors, Discrepancy, Whitens
+from strandline.discrepancy import AdaptsToErrors, Discrepancy, Whitens, squared_discrepancies
 from strandline.discrepancy.normal_offset import WhitenedOffset
 from strandline.discrepancy.protocol import MeasureKey, Snapshot
-from strandline.interface import GaussianNoise, Noise, Observation, PointErrors, UnknownErrors
-from strandline.likelihood.noise_rule import noise_variance
-from strandline.likelihood.registered import Registered, curvature_inverse
+from strandline.interface import GaussianNoise, Interface, Noise, Observation, PointErrors, UnknownErrors
+from strandline.likelihood.noise_rule import differences, noise_variance, second_differences
 
-__all__ = ["Compared", "FittedErrors", "WhitenedNoise", "adapted", "compared", "errors_of", "with_variance"]
+STEP = 0.5
+"""Step of the finite differences, in standard deviations of the global errors."""
+NEWTON = 2
+"""Newton's steps."""
+
+
+@dataclass(frozen=True, eq=False)
+class Registered:
+    """d²/σ_N² with the global errors of the observation integrated out; without a unit.
+
+    With g the global errors in their standard deviations, the likelihood is ∫ exp(-½ f(g)) dg with f(g) = d²(g)/σ_N² +
+    |g|², where the simulated interface has followed the observation by g. Signed distances of the observed points give
+    a first g, Newton's steps lead from there to the least f, and the likelihood is exp(-½ min f) but for a constant
+    (Laplace). The Hessian H of d²/σ_N² hardly changes and is computed once, `inverse` is (H + 2I)⁻¹; it also corrects
+    one-sided differences to the second order. Each evaluation takes 3 + 2k evaluations of the measure; k, the number of
+    global errors, is up to five in the plane.
+    """
+
+    measure: Discrepancy
+    variance: float
+    errors: PointErrors
+    inverse: Float[np.ndarray, "error error"]
+    unit: ClassVar[str] = "1"
+
+    def __call__(self, simulated: Interface, observed: Interface) -> float:
+        return float(self._values(simulated.points[None], simulated, observed)[0])
+
+    def many(
+        self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
+    ) -> Float[np.ndarray, " run"]:
+        return self._values(points, template, observed)
+
+    def _values(
+        self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
+    ) -> Float[np.ndarray, " run"]:
+        number = self.errors.global_errors(observed.dim)
+        middle = observed.points.mean(axis=0)
+
+        def f(g: Float[np.ndarray, "run error"]) -> Float[np.ndarray, " run"]:
+            moved = self.errors.followed(points, template, g, middle=middle)
+            squares = squared_discrepancies(self.measure, moved, template, observed)
+            return np.asarray(squares / self.variance + (g**2).sum(axis=1))
+
+        g = WhitenedOffset(self.errors).global_errors(points, template, observed)
+        least = here = f(g)
+        bend = 0.5 * STEP * np.diag(np.linalg.inv(self.inverse))
+        for _ in range(NEWTON):
+            slopes = np.array([(f(g + STEP * e) - here) / STEP for e in np.eye(number)]).T - bend
+            g = g - slopes @ self.inverse
+            here = f(g)
+            least = np.minimum(least, here)
+        return np.asarray(least)
+
+
+def curvature_inverse(
+    measure: Discrepancy, variance: float, errors: PointErrors, observed: Interface, nodes: int
+) -> Float[np.ndarray, "error error"]:
+    """Return (H + 2I)⁻¹ at the observation itself, as simulated interfaces with this number of nodes see it."""
+    moves = STEP * differences(errors.global_errors(observed.dim))
+    template = observed.resampled(nodes) if observed.dim == 2 else observed
+    points = np.repeat(template.points[None], len(moves), axis=0)
+    moved = errors.followed(points, template, moves, middle=observed.points.mean(axis=0))
+    squares = squared_discrepancies(measure, moved, template, observed)
+    values, vectors = np.linalg.eigh(second_differences(squares, moves.shape[1]) / (variance * STEP**2))
+    return np.asarray((vectors / (np.maximum(values, 0.0) + 2.0)) @ vectors.T)
 
 
 @dataclass(frozen=True)
 class WhitenedNoise:
-    """Noise of residuals whose covariance is in d² already: log L = -½ d².
-
-    Args:
-        log_det: Logarithm of the determinant of their covariance C, in mm².
-    """
+    """Noise of residuals whose covariance C, in mm², is in d² already: log L = -½ d²."""
 
     log_det: float
 
     @property
     def scale(self) -> float:
-        """1."""
         return 1.0
 
     @property
     def facts(self) -> dict[str, float]:
-        """σ_N² = 1."""
         return {"noise_variance": 1.0}
 
     def log_density(self, squared: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
@@ -52,11 +110,8 @@ class WhitenedNoise:
 
 @dataclass(frozen=True, eq=False)
 class FittedErrors(PointErrors):
-    """Errors of points for which the noise of one measure is known, and taken for similar observations too.
-
-    Args:
-        variance: σ_N² for the local errors, in the unit of d².
-        inverse: (H + 2I)⁻¹ of the global errors, see `Registered`.
+    """Errors of points for which the noise of one measure is known, and taken for similar observations too: σ_N² of the
+    local errors, in the unit of d², and (H + 2I)⁻¹ of the global ones, see `Registered`.
     """
 
     variance: float = 1.0
@@ -64,7 +119,6 @@ class FittedErrors(PointErrors):
 
     @property
     def facts(self) -> dict[str, float]:
-        """The parameters by name, lengths in mm, and σ_N²."""
         return {**super().facts, "noise_variance": self.variance}
 
 
@@ -77,14 +131,6 @@ class Compared:
     noise: Noise
 
 
-def errors_of(observation: Observation) -> PointErrors | None:
-    """Return the errors of the observed points, a first guess if they are unknown; None if a noise model is stated."""
-    errors = observation.noise
-    if isinstance(errors, UnknownErrors):
-        return errors.typical(observation.interface)
-    return errors if isinstance(errors, PointErrors) else None
-
-
 def with_variance(observation: Observation, measure: Discrepancy, nodes: int) -> Noise | PointErrors | UnknownErrors:
     """Return the noise of an observation such that σ_N² is not computed again for others like it."""
     noise = observation.noise
@@ -94,7 +140,7 @@ def with_variance(observation: Observation, measure: Discrepancy, nodes: int) ->
 
 
 def _fitted(observation: Observation, measure: Discrepancy, nodes: int) -> FittedErrors:
-    errors = errors_of(observation)
+    errors = observation.errors
     assert errors is not None
     return _kept(MeasureKey.of(adapted(measure, observation)), Snapshot.of(observation.interface), errors, nodes)
 
@@ -110,7 +156,7 @@ def _kept(key: MeasureKey, snapshot: Snapshot, errors: PointErrors, nodes: int) 
 
 def adapted(measure: Discrepancy, observation: Observation) -> Discrepancy:
     """Return the measure with options that suit the errors of the observed points, but for those that the user set."""
-    errors = errors_of(observation)
+    errors = observation.errors
     return measure.adapted(errors) if isinstance(measure, AdaptsToErrors) else measure
 
 
@@ -122,10 +168,9 @@ def compared(observation: Observation, measure: Discrepancy, nodes: int) -> Comp
     Raises:
         InvalidInput: The errors of the points are stated, and no noise variance of the measure fits them.
     """
-    errors, seen = errors_of(observation), observation.interface
+    errors, seen = observation.errors, observation.interface
     if errors is None:
-        assert not isinstance(observation.noise, PointErrors | UnknownErrors)
-        return Compared(observation, measure, observation.noise)
+        return Compared(observation, measure, cast(Noise, observation.noise))
     if not isinstance(measure, Whitens):
         fitted = errors if isinstance(errors, FittedErrors) else _fitted(observation, measure, nodes)
         measure = adapted(measure, observation)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, cast
 
+import jax
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.stats import qmc
@@ -13,14 +14,14 @@ from strandline.discrepancy import Discrepancy, HasTolerance, NormalOffset, coun
 from strandline.discrepancy.protocol import MeasureKey, Snapshot
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, Noise, Observation, PointErrors
-from strandline.likelihood.compared import compared, errors_of
+from strandline.likelihood.compared import compared
 from strandline.likelihood.inferred_noise import InferredNoise, infer_noise
-from strandline.likelihood.nearby import Nearby, OfMixture, nearby
+from strandline.likelihood.joint_errors import SharedErrors, shared_errors
+from strandline.likelihood.local_likelihood import Nearby, OfMixture, nearby
 from strandline.likelihood.parabolas import Around, FittedParabola, log_gain, mean_of_draws, numbers, share_gained
-from strandline.likelihood.shared_errors import SharedErrors, shared_errors
+from strandline.smc import BatchedLogDensity, OnHost, is_on_host
+from strandline.surrogate import GaussianProcess, Predictor, batched_mean
 from strandline.surrogate.field import FieldPrediction, FieldSurrogate
-
-__all__ = ["FieldLikelihood", "LeftOutLikelihood", "OnHost", "noise_length", "sd_of_distances"]
 
 DRAWS, NEAR_DRAWS = 16, 32
 """Fields drawn at each point for the expected likelihood, and for the one nearby; in pairs of opposite sign."""
@@ -34,26 +35,20 @@ ROUNDS, SHIFTS = 6, 16
 LEAST_SHIFT = 1e-12
 """Least shift of an interface that is tried, as a share of its extent."""
 _BLOCK = 8192  # interfaces predicted together
-
-
 Values = Float[np.ndarray, " point"]
 
 
 @dataclass(frozen=True, eq=False)
 class FieldLikelihood:
-    """log L of inputs, given a surrogate of the interface.
-
-    Args:
-        surrogate: Surrogate of the field.
-        observations: Observed interfaces, one for each condition that was observed.
-        discrepancy: The measure d².
+    """log L of inputs, given a surrogate of the interface, one observed interface for each condition, and the measure
+    d².
     """
 
     surrogate: FieldSurrogate
     observations: tuple[Observation, ...]
     discrepancy: Discrepancy
 
-    def plug_in(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+    def plug_in(self, x: Float[np.ndarray, "point dim"]) -> Values:
         """Return log L of the predicted interfaces as if they were exact."""
         return self.at(self.surrogate.mean(x))
 
@@ -64,23 +59,17 @@ class FieldLikelihood:
             return OfMixture(self.inferred.field, self.inferred.likelihood)
         return nearby(self.surrogate, self.observations, self.discrepancy, self._shared)
 
-    def at(self, coefficients: Float[np.ndarray, "point mode"]) -> Float[np.ndarray, " point"]:
+    def at(self, coefficients: Float[np.ndarray, "point mode"]) -> Values:
         """Return log L of the interfaces with these coefficients of the modes, mm: `plug_in` of known predictions."""
         blocks = [coefficients[k : k + _BLOCK] for k in range(0, len(coefficients), _BLOCK)]
         return np.concatenate([self._of(block, None) for block in blocks])
 
-    def expected(
-        self, x: Float[np.ndarray, "point dim"], *, plug_in: Float[np.ndarray, " point"] | None = None
-    ) -> Float[np.ndarray, " point"]:
+    def expected(self, x: Float[np.ndarray, "point dim"], *, plug_in: Values | None = None) -> Values:
         """Return log E[L] over the fields that the surrogate considers possible at each point.
 
         Draws of the fields weigh off what a parabola of log L misses, see `strandline.likelihood.parabolas`; their
-        standard normal numbers are the same at every point. For draws of the posterior, `nearby` may tell it, if it
-        agrees with the measure.
-
-        Args:
-            x: The points.
-            plug_in: `plug_in` of them, if they are draws of the posterior, or of a tempered one.
+        standard normal numbers are the same at every point. For draws of the posterior, or of a tempered one, give
+        their `plug_in`: then `nearby` may tell it, if it agrees with the measure.
         """
         if plug_in is not None and self.nearby is not None:
             found = self.surrogate.predict(x)
@@ -92,11 +81,8 @@ class FieldLikelihood:
         return np.concatenate([self._drawn(self.surrogate.predict(block)) for block in blocks])
 
     def gain(self, x: Float[np.ndarray, "point dim"], plug_in: Values) -> Values:
-        """Return log E[L] - log L of the predicted interfaces in closed form, by a parabola of log L.
-
-        Args:
-            x: The points.
-            plug_in: log L of the predicted interfaces, by `plug_in` or `nearby`.
+        """Return log E[L] - log L of the predicted interfaces, by `plug_in` or `nearby`, in closed form, by a parabola
+        of log L.
         """
         found = self.surrogate.predict(x)
         return log_gain(self.parabola.parabolas(found.mean), found.variance, plug_in)
@@ -135,7 +121,7 @@ class FieldLikelihood:
         exact = self._drawn(FieldPrediction(found.mean[some], found.variance[some]))
         return bool(np.abs(exact - values[some]).max() <= TOLERATED)
 
-    def variances(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+    def variances(self, x: Float[np.ndarray, "point dim"]) -> Values:
         """Return the variance of log L over the fields that the surrogate considers possible at each point.
 
         It is that of a parabola of log L: slopesᵀ V slopes + ½ tr (information V)².
@@ -155,14 +141,12 @@ class FieldLikelihood:
         found = FieldPrediction(mean[runs], np.stack([one.variances for one in left_out], axis=1)[runs])
         return LeftOutLikelihood(self._drawn(found), self._varied(found))
 
-    def _drawn(self, found: FieldPrediction) -> Float[np.ndarray, " point"]:
+    def _drawn(self, found: FieldPrediction) -> Values:
         parabolas = self.parabola.parabolas(found.mean)
         return mean_of_draws(self._of, parabolas, found, numbers(DRAWS, *self._sizes))
 
     def _of(
-        self,
-        coefficients: Float[np.ndarray, "draw mode"],
-        tail: Float[np.ndarray, "draw rest"] | None,
+        self, coefficients: Float[np.ndarray, "draw mode"], tail: Float[np.ndarray, "draw rest"] | None
     ) -> Float[np.ndarray, " draw"]:
         points = self.surrogate.points(coefficients, tail)
         templates = {name: layout.template for name, layout in self.surrogate.layouts.items()}
@@ -205,37 +189,15 @@ class FieldLikelihood:
 
     @property
     def _sizes(self) -> tuple[int, int]:
-        """How many modes there are, and how many fields outside them."""
         return len(self.surrogate.modes.basis), len(self.surrogate.modes.tail)
 
 
 @dataclass(frozen=True, eq=False)
 class LeftOutLikelihood:
-    """The likelihood of runs, each predicted from all others.
-
-    Args:
-        log_expected: log E[L] of each, shape (run,).
-        variances: Variance of log L over the fields possible there, shape (run,).
-    """
+    """log E[L] of runs, each predicted from all others, and the variance of log L over the fields possible there."""
 
     log_expected: Float[np.ndarray, " run"]
     variances: Float[np.ndarray, " run"]
-
-
-@dataclass(frozen=True)
-class OnHost:
-    """A function of NumPy arrays for the sampler, which does not compile it.
-
-    Args:
-        function: log L of points.
-    """
-
-    function: Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, " point"]]
-    on_host = True
-
-    def __call__(self, x: Any) -> Any:
-        """Return the function's values."""
-        return self.function(x)
 
 
 def noise_length(observation: Observation, discrepancy: Discrepancy) -> float:
@@ -244,28 +206,24 @@ def noise_length(observation: Observation, discrepancy: Discrepancy) -> float:
     This is the mean over shifts along the axes; half the interface's extent if no shift costs as much. Of stated errors
     of points, only the local ones count: a stated shift is marginalised and leaves the shape as well known.
     """
-    errors, noise = errors_of(observation), cast(Hashable, observation.noise)
+    errors, noise = observation.errors, cast(Hashable, observation.noise)
     known = MeasureKey.of(discrepancy), Snapshot.of(observation.interface)
     return _length_of(*known, noise if errors is None else errors.local_part)
 
 
 @lru_cache(maxsize=64)
 def _length_of(key: MeasureKey, snapshot: Snapshot, noise: Noise | PointErrors) -> float:
-    return _noise_length(Observation(snapshot.interface, noise), key.measure)
-
-
-def _noise_length(observation: Observation, discrepancy: Discrepancy) -> float:
-    seen = observation.interface
+    seen = snapshot.interface
     extent = float(np.ptp(seen.points, axis=0).max())
-    found = [_shift(observation, discrepancy, axis, extent) for axis in np.eye(seen.dim)]
-    return float(np.mean(found))
+    axes = np.eye(seen.dim)
+    return float(np.mean([_shift(Observation(seen, noise), key.measure, axis, extent) for axis in axes]))
 
 
 def sd_of_distances(observation: Observation, discrepancy: Discrepancy, simulated: Interface) -> float | None:
     """Return the standard deviation of a distance, mm, or of a point; None if d² is no sum of squared distances."""
     if count_of_distances(discrepancy, simulated, observation.interface) is None:
         return None
-    errors = errors_of(observation)
+    errors = observation.errors
     return errors.sd if errors is not None else float(np.sqrt(compared(observation, discrepancy, 0).noise.scale))
 
 
@@ -286,3 +244,17 @@ def _shift(
         first = int(np.argmax(above)) if above.any() else SHIFTS - 1
         low, high = float(tried[max(first - 1, 0)]), float(tried[first])
     return high
+
+
+def predicted(process: Predictor, *, power: float = 1.0) -> BatchedLogDensity:
+    """Return `power` times the mean, for the sampler: with JAX if it is a Gaussian process, else for NumPy arrays."""
+    if not isinstance(process, GaussianProcess):
+        return OnHost(lambda x: power * np.asarray(process.mean(x), float))
+    mean = batched_mean(process)
+    return mean if power == 1.0 else lambda x: power * mean(x)
+
+
+def evaluated(log_density: BatchedLogDensity) -> Callable[[Float[np.ndarray, "point dim"]], Any]:
+    """Return the same for NumPy arrays, compiled if possible."""
+    function: Callable[..., Any] = log_density if is_on_host(log_density) else jax.jit(log_density)
+    return function

@@ -10,11 +10,13 @@ of the noise at low frequencies matters, κ = s² coth(h/2ℓ). A model error, i
 its length to the grid.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import block_diag
 from scipy.special import logsumexp
 
 from strandline.discrepancy import Discrepancy, NormalOffset
@@ -23,20 +25,26 @@ from strandline.interface import (
     ErrorModel,
     Interface,
     Observation,
+    PointErrors,
     UnknownErrors,
     arc_lengths,
     spacings,
+    steady_lengths,
     summed_length,
 )
 from strandline.likelihood.joint_errors import JointErrors, error_model
-from strandline.likelihood.linearised import Linearised, linearise
-from strandline.likelihood.mixture import Mixture
-from strandline.likelihood.model_error import Cause, Causes, causes_of
-from strandline.likelihood.near_field import NearField
+from strandline.likelihood.linearised_residuals import Linearised, NearField, linearise
+from strandline.likelihood.local_likelihood import Mixture
 from strandline.surrogate.field import FieldSurrogate
 
-__all__ = ["InferredNoise", "NoisePosterior", "infer_noise", "posterior_of_noise", "require_inferable"]
-
+WAVES = 12
+"""Number of waves along the interface."""
+AMPLITUDES = np.geomspace(0.3, 10.0, 6)
+"""Amplitudes a compared, in root mean squares of the residuals."""
+OFFSET_LENGTHS = (0.05, 0.15, 0.5)
+"""Lengths L compared, as shares of the length of the interface."""
+SPREADS = (0.02, 0.05, 0.1, 0.25, 0.5)
+"""Standard deviations τ compared, as shares of that of a uniform prior over the box."""
 SDS, LENGTHS = 33, 15
 WIDER = 1.5
 """Factor by which the second grid exceeds what was found on the first."""
@@ -46,17 +54,87 @@ NEGLIGIBLE = 1e-7
 """Probability below which a pair of amplitude and length of the model error is left out."""
 
 
+@dataclass(frozen=True)
+class Cause:
+    """An error of the model: amplitude a of the offset, mm, its length as a share of the interface's, and τ.
+
+    All zero (but for the length) if the model is right.
+    """
+
+    amplitude: float = 0.0
+    share: float = 1.0
+    spread: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Causes:
+    """Errors of the model to compare, the first of which is none, and what they do to the residuals.
+
+    The offset is a Gaussian process of the arc length with the covariance a² exp(-t/L) (Kennedy and O'Hagan 2001),
+    written as cosine waves whose variances are its spectral density (Solin and Särkkä 2020). The posterior average over
+    a and L widens where the residuals ask for it, and only there. It also explains away what inputs could have
+    explained: what they do to the interface must differ from a smooth offset.
+
+    The embedded error is an input with a spread (Sargsyan et al. 2015): each condition has its own value, whose
+    standard deviation τ around the common one is unknown.
+
+    `columns` are what the waves, and deviations of inputs in each condition, do to the signed distances, mm; `scales`
+    are their standard deviations for each error.
+    """
+
+    compared: tuple[Cause, ...]
+    columns: Float[np.ndarray, "seen column"]
+    scales: Float[np.ndarray, "cause column"]
+
+
+def causes_of(lin: Linearised, observations: Sequence[Observation], unknown: UnknownErrors) -> Causes:
+    """Return the errors of the model that are to be considered."""
+    interfaces = [o.interface for o in observations]
+    rms = float(np.sqrt(np.mean(lin.residuals**2))) or 1e-9
+    offsets = [(a * rms, share) for a in AMPLITUDES for share in OFFSET_LENGTHS] if unknown.model_error else []
+    spreads = SPREADS if unknown.spread else ()
+    compared = [Cause(), *(Cause(a, share) for a, share in offsets), *(Cause(spread=tau) for tau in spreads)]
+    compared += [Cause(a, share, tau) for a, share in offsets for tau in spreads]
+    waves = block_diag(*[offset_waves(one) for one in interfaces]) if offsets else np.empty((len(lin.residuals), 0))
+    ends = np.cumsum([len(one.points) for one in interfaces])
+    chosen = lin.scaled[:, list(unknown.spread)]
+    each = block_diag(*np.split(chosen, ends[:-1])) if spreads else np.empty((len(lin.residuals), 0))
+    scales = [
+        np.concatenate(
+            [
+                *([offset_scales(one, cause.amplitude, cause.share) for one in interfaces] if offsets else []),
+                np.full(each.shape[1], cause.spread),
+            ]
+        )
+        for cause in compared
+    ]
+    return Causes(tuple(compared), np.hstack([waves, each]), np.array(scales))
+
+
+def offset_waves(seen: Interface) -> Float[np.ndarray, "point wave"]:
+    """Return waves cos(πjt) at the observed points, t the share of the arc length; on a closed one sines too."""
+    t = arc_lengths(seen) / float(steady_lengths(seen).sum())
+    if seen.closed:
+        angle = 2 * np.pi * t[:, None] * np.arange(WAVES // 2 + 1)
+        return np.concatenate([np.cos(angle), np.sin(angle[:, 1:])], axis=1)
+    return np.cos(np.pi * t[:, None] * np.arange(WAVES))
+
+
+def offset_scales(seen: Interface, amplitude: float, share: float) -> Float[np.ndarray, " wave"]:
+    """Return the standard deviation of each wave for an amplitude a, mm, and a length L, a share of the interface's."""
+    each = np.arange(WAVES // 2 + 1)
+    number = 2 * np.concatenate([each, each[1:]]) if seen.closed else np.arange(WAVES)
+    density = 2 * share / (1 + (math.pi * number * share) ** 2)
+    norm = np.where(number == 0, 1.0, 2.0)
+    return np.asarray(amplitude * np.sqrt(norm * density))
+
+
 @dataclass(frozen=True, eq=False)
 class NoisePosterior:
-    """Posterior of the noise on a grid: s, ℓ, and the model error.
+    """Posterior of the noise on a grid: s, mm, ℓ, mm, and the model error, of which the first is none.
 
-    Args:
-        sds: Values of s, mm.
-        lengths: Values of ℓ, mm.
-        causes: Errors of the model compared; the first is none.
-        weights: Probabilities, shape (cause, sd, length), whose sum is 1.
-        log_evidence: Log density of the residuals, averaged over the prior, or over the grid where no range is stated,
-            without the constant -½ n log 2π.
+    `weights` are probabilities, whose sum is 1. `log_evidence` is the log density of the residuals, averaged over the
+    prior, or over the grid where no range is stated, without the constant -½ n log 2π.
     """
 
     sds: Float[np.ndarray, " sd"]
@@ -103,14 +181,12 @@ class NoisePosterior:
 
 @dataclass(frozen=True, eq=False)
 class InferredNoise:
-    """The likelihood of the inputs with the noise marginalised, and the posterior of the noise.
+    """The likelihood of the inputs with the noise marginalised, and the posterior of the noise and of the model's
+    errors.
 
-    Args:
-        likelihood: The likelihood.
-        posterior: Posterior of the noise and of the model's errors.
-        explained: What these errors do to the residuals, in root mean square of the posterior, mm.
-        field: The residuals as a function of the field near the best fit, for the sums that the likelihood needs.
-        without: The likelihood of a model that does not err, with its own noise; None if no error was allowed.
+    `explained` is what these errors do to the residuals, in root mean square of the posterior, mm; `field` the
+    residuals as a function of the field near the best fit; `without` the likelihood of a model that does not err, with
+    its own noise, None if no error was allowed.
     """
 
     likelihood: Mixture
@@ -121,31 +197,25 @@ class InferredNoise:
 
     def at_median(self, observations: Sequence[Observation]) -> tuple[Observation, ...]:
         """Return the observations with the posterior medians of s and ℓ as if they were known."""
-        sd, length = (self.posterior.quantiles([0.5])[name][0] for name in ("sd", "length"))
-        return tuple(
-            Observation(o.interface, o.noise.known(sd, length), o.condition)
-            for o in observations
-            if isinstance(o.noise, UnknownErrors)
-        )
+        return tuple(replace(one, noise=self.median(one.unknown)) for one in observations if one.unknown)
+
+    def median(self, noise: UnknownErrors) -> PointErrors:
+        """Return the errors with the posterior medians of s and ℓ."""
+        return noise.known(*(self.posterior.quantiles([0.5])[name][0] for name in ("sd", "length")))
 
 
 def require_inferable(observations: Sequence[Observation], measure: Discrepancy, *, by_field: bool) -> None:
     """Refuse unknown noise where nothing can infer it: it would count with a first guess.
 
-    Args:
-        observations: The observations.
-        measure: The measure that defines the posterior.
-        by_field: Whether a surrogate learns the interface.
-
     Raises:
         InvalidInput: Measure, surrogate or observations do not fit unknown noise.
     """
-    unknown = [one.noise for one in observations if isinstance(one.noise, UnknownErrors)]
+    unknown = [one.unknown for one in observations if one.unknown]
     if not unknown:
         return
-    for one in observations:
-        if isinstance(one.noise, UnknownErrors):
-            one.noise.require_fits(one.interface)
+    for seen in observations:
+        if seen.unknown:
+            seen.unknown.require_fits(seen.interface)
     value, expected = "", "the measure NormalOffset() and Settings(surrogate='field')"
     if not isinstance(measure, NormalOffset):
         value = f"the measure {type(measure).__name__}"
@@ -166,7 +236,7 @@ def require_inferable(observations: Sequence[Observation], measure: Discrepancy,
 
 def infer_noise(surrogate: FieldSurrogate, observations: Sequence[Observation]) -> InferredNoise | None:
     """Return the likelihood with inferred noise; None if no observation states unknown errors."""
-    unknown = [o.noise for o in observations if isinstance(o.noise, UnknownErrors)]
+    unknown = [o.unknown for o in observations if o.unknown]
     if len(unknown) < len(observations):
         return None
     typical = [one.typical(o.interface) for one, o in zip(unknown, observations, strict=True)]

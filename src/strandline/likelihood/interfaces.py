@@ -12,12 +12,9 @@ from jaxtyping import Float
 
 from strandline.discrepancy import Discrepancy, independent_terms, unit_of
 from strandline.errors import InvalidInput, NumericsError, StrandlineError
-from strandline.interface import Interface, Observation, UnknownErrors
-from strandline.likelihood.compared import Compared, WhitenedNoise, adapted, compared
-from strandline.likelihood.registered import Registered
-from strandline.likelihood.shared_errors import SharedErrors, shared_errors
-
-__all__ = ["InterfaceLikelihood"]
+from strandline.interface import Interface, Observation
+from strandline.likelihood.compared import Compared, Registered, WhitenedNoise, adapted, compared
+from strandline.likelihood.joint_errors import SharedErrors, shared_errors
 
 
 @dataclass(frozen=True)
@@ -62,10 +59,7 @@ class InterfaceLikelihood:
         return float(sum(one.noise.log_density(square)[0] for one, square in zip(ones, squares, strict=True)))
 
     def discrepancies(self, interfaces: Interface | Mapping[str, Interface]) -> Float[np.ndarray, " condition"]:
-        """Return d² of each observation, in `unit`.
-
-        Args:
-            interfaces: the simulated ones by condition; a single interface suffices if there is one observation.
+        """Return d² of each observation, in `unit`; a single interface suffices if there is one observation.
 
         Raises:
             InvalidInput: an observed condition is not among the simulated ones.
@@ -102,7 +96,7 @@ class InterfaceLikelihood:
         """
         counts = [independent_terms(adapted(self.discrepancy, o), o.interface) for o in self.observations]
         measures = [self._compared(o, o.interface).measure for o in self.observations]
-        if any(isinstance(o.noise, UnknownErrors) for o in self.observations):
+        if any(o.unknown for o in self.observations):
             points = sum(len(o.interface.points) for o in self.observations)
             return -0.5 * points * math.log(2 * math.pi)
         if any(count is None for count in counts) or any(isinstance(one, Registered) for one in measures):

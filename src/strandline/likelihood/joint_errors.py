@@ -1,16 +1,21 @@
-"""The errors of several observations together: their covariance, and what the global ones do to an interface."""
+"""The errors of several observations together: their covariance, the residuals that they cause, and a joint measure.
 
-from collections.abc import Iterator, Mapping, Sequence
+Each prediction follows the observations by their most probable shift, rotation, scale and offset first, and the linear
+effect of these is added again: see `strandline.discrepancy.normal_offset`.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.linalg import block_diag
 
+from strandline.discrepancy import Discrepancy, NormalOffset, signed_distances
+from strandline.discrepancy.normal_offset import Rows, Sums, extended, linear_sums, weighted_sums
+from strandline.discrepancy.protocol import require_same_direction
 from strandline.interface import ErrorModel, Interface, Observation, PointErrors
-
-__all__ = ["JointErrors", "Points", "error_model"]
 
 Points = Mapping[str, Float[np.ndarray, "_ _ _"]]
 """Points of interfaces by condition, one interface a row, mm."""
@@ -20,10 +25,7 @@ Points = Mapping[str, Float[np.ndarray, "_ _ _"]]
 class JointErrors:
     """Errors of the points of several observations.
 
-    Args:
-        observations: The observations.
-        errors: Errors of the points of each.
-        common: Whether all have the same shift, rotation and scale, about the middle of all their points.
+    With `common`, all have the same shift, rotation and scale, about the middle of all their points.
     """
 
     observations: tuple[Observation, ...]
@@ -68,7 +70,6 @@ class JointErrors:
 
     @property
     def conditions(self) -> frozenset[str]:
-        """Names of the observed conditions."""
         return frozenset(one.condition for one in self.observations)
 
     @cached_property
@@ -102,3 +103,98 @@ class JointErrors:
 def error_model(observations: Sequence[Observation], errors: Sequence[PointErrors]) -> ErrorModel:
     """Return the covariance of all residuals, each observation with its own errors."""
     return JointErrors(tuple(observations), tuple(errors)).model
+
+
+def residuals_of(
+    joint: JointErrors, points: Points, templates: Mapping[str, Interface]
+) -> Float[np.ndarray, "run seen"]:
+    """Return the signed distances of all observed points, mm, a row for each predicted interface."""
+    model, found = joint.model, _distances(joint, points, templates)
+    if not model.shared.any():
+        return found
+    g = model.shared_errors(found @ model.features)
+    return np.asarray(_distances(joint, joint.followed(points, templates, g), templates) + g @ model.shared.T)
+
+
+def sums_of(
+    joint: JointErrors,
+    points: Points,
+    templates: Mapping[str, Interface],
+    model: ErrorModel | None = None,
+    estimate: Callable[[Float[np.ndarray, "run error"]], Float[np.ndarray, "run error"]] | None = None,
+) -> Sums:
+    """Return rᵀ D⁻¹ r and Bᵀ D⁻¹ r over the signed distances r of all observed points, for each predicted interface.
+
+    D and B are those of `joint`, or of a model that may have columns after those of the global errors; `estimate`
+    returns the global errors, in units of B, from Bᵀ D⁻¹ r.
+    """
+    model = joint.model if model is None else model
+    estimate = model.shared_errors if estimate is None else estimate
+    moves = np.append(joint.moves, np.ones(model.shared.shape[1] - len(joint.moves), bool))
+    longer = {name: extended(rows, templates[name]) for name, rows in points.items() if name in joint.conditions}
+    return linear_sums(
+        longer,
+        partial(_sums, joint, templates, model),
+        lambda products: estimate(products) * moves,
+        lambda some, g: joint.followed(some, templates, g),
+        model.gram,
+    )
+
+
+def _sums(joint: JointErrors, templates: Mapping[str, Interface], model: ErrorModel, points: Rows, rough: bool) -> Sums:
+    squares, products, first = [], [], 0
+    for seen in joint.observations:
+        part = slice(first, first + len(seen.interface.points))
+        weights, features = 1 / model.local[part], model.features[part]
+        rows, template = points[seen.condition], templates[seen.condition]
+        found = weighted_sums(seen.interface.points, rows, template, weights, features, rough=rough, longer=True)
+        squares.append(found[0])
+        products.append(found[1])
+        first = part.stop
+    return np.sum(squares, axis=0), np.sum(products, axis=0)
+
+
+def _distances(joint: JointErrors, points: Points, templates: Mapping[str, Interface]) -> Float[np.ndarray, "run seen"]:
+    found = []
+    for seen in joint.observations:
+        rows, cells = points[seen.condition], templates[seen.condition].cells
+        each = [signed_distances(seen.interface.points, Interface(row, cells)) for row in rows]
+        found.append(np.array(each, float).reshape(len(rows), len(seen.interface.points)))
+    return np.concatenate(found, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class SharedErrors:
+    """d² = rᵀ C⁻¹ r of the signed distances r of all observed points together."""
+
+    joint: JointErrors
+
+    @property
+    def model(self) -> ErrorModel:
+        """Covariance C of the residuals, in the order of the observations."""
+        return self.joint.model
+
+    def square(self, interfaces: Mapping[str, Interface]) -> float:
+        """Return d² of simulated interfaces by condition.
+
+        Raises:
+            InvalidInterface: One runs against its observation.
+        """
+        for seen in self.joint.observations:
+            require_same_direction(interfaces[seen.condition], seen.interface)
+        points = {seen.condition: interfaces[seen.condition].points[None] for seen in self.joint.observations}
+        return float(self.many(points, interfaces)[0])
+
+    def many(self, points: Points, templates: Mapping[str, Interface]) -> Float[np.ndarray, " run"]:
+        """Return d² of each run, given its points by condition."""
+        return self.model.square_of(*sums_of(self.joint, points, templates))
+
+
+def shared_errors(observations: Sequence[Observation], measure: Discrepancy) -> SharedErrors | None:
+    """Return the joint measure of several observations with shared errors; None if they are compared one by one."""
+    if len(observations) < 2 or not isinstance(measure, NormalOffset):
+        return None
+    known = [one.known for one in observations if one.known and one.known.shared]
+    if len(known) < len(observations) or len({(one.shift, one.rotation, one.scale) for one in known}) > 1:
+        return None
+    return SharedErrors(JointErrors(tuple(observations), tuple(known), common=True))

@@ -11,19 +11,31 @@ with the inputs as long as they move the interface over lengths well above the c
 along the observed interface stand for them before anything is simulated.
 """
 
+import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.distance import pdist
 
-from strandline.discrepancy import Discrepancy, KnowsPointErrors, squared_discrepancies
+from strandline.discrepancy import Discrepancy, KnowsPointErrors, independent_terms, squared_discrepancies, unit_of
 from strandline.discrepancy.contours import path_of, smoothed
+from strandline.discrepancy.nearest import closest_points
 from strandline.discrepancy.protocol import MeasureKey, Snapshot
 from strandline.errors import InvalidInput, NumericsError
-from strandline.interface import Interface, PointErrors, arc_lengths, point_normals, spacings, steady_lengths
-
-__all__ = ["differences", "fitting_variance", "noise_variance", "second_differences"]
+from strandline.interface import (
+    Interface,
+    Noise,
+    Observation,
+    PointErrors,
+    arc_lengths,
+    point_normals,
+    spacings,
+    steady_lengths,
+)
 
 DRAWS = 80
 CURVATURES = 10
@@ -37,6 +49,12 @@ LARGE = 300
 """Triangles of an observed surface above which the closed form is not compared with the rule, which takes minutes."""
 AGREED = 2.0
 """Ratio of closed form and general rule from which the rule is used."""
+FEW_DRAWS = 20
+"""Drawn observations for an assumed standard deviation: it is known to 8 %."""
+MOST = 1500
+"""Most points of a surface between which distances are taken."""
+_SMALL = 0.1
+"""Standard deviation for which the noise variance of a measure is computed, in spacings of the observed points."""
 
 
 def noise_variance(
@@ -44,14 +62,8 @@ def noise_variance(
 ) -> float:
     """Return σ_N² of a measure for the local errors of the observed points, in the unit of d².
 
-    The closed form of the measure, if it has one and the general rule agrees to a factor of two, else the rule.
-
-    Args:
-        measure: The measure d².
-        observed: The observed interface.
-        errors: The errors of its points; global ones are left out, since no variance can stand for them.
-        nodes: Number of nodes of the simulated interfaces.
-        draws: Number of drawn observations.
+    The closed form of the measure, if it has one and the general rule agrees to a factor of two, else the rule. Global
+    errors are left out, since no variance can stand for them; `nodes` is the number of nodes of simulated interfaces.
 
     Raises:
         InvalidInput: No variance fits the measure, or the correlation is longer than half the interface.
@@ -121,25 +133,17 @@ def fitting_variance(
     errors: PointErrors,
     *,
     draws: int = DRAWS,
-    seed: int = 1,
 ) -> float:
     """Return σ_N² by the general rule, in the unit of d².
 
-    Args:
-        measure: The measure d².
-        predict: Function that returns the points of the simulated interfaces at inputs.
-        template: A simulated interface, for its cells.
-        at: The estimate of the inputs.
-        steps: Steps of the finite differences: changes of the inputs that move the interface about as far as the noise.
-        observed: The observed interface: how many points, where on the interface.
-        errors: The errors of its points.
-        draws: Number of drawn observations.
-        seed: Seed of the draws.
+    `predict` returns the points of simulated interfaces at inputs, `template` has their cells; `at` is the estimate,
+    and `steps` of the inputs move the interface about as far as the noise. `observed` says how many points there are,
+    and where.
 
     Raises:
         NumericsError: d² has no minimum at the estimate.
     """
-    dim, random = len(at), np.random.default_rng(seed)
+    dim, random = len(at), np.random.default_rng(1)
     truth = _seen(Interface(predict(at[None])[0], template.cells), observed)
     near, wide = (predict(at + size * steps * differences(dim)) for size in (1.0, WIDER))
     gradients, curvatures = [], []
@@ -180,10 +184,108 @@ def _pairs(dim: int) -> list[tuple[int, int]]:
 
 def _seen(simulated: Interface, observed: Interface) -> Interface:
     """Return the simulated interface with as many points as the observed one, over the part that was observed."""
-    from strandline.discrepancy.nearest import closest_points
-
     points = closest_points(observed.points, simulated).points
     try:
         return Interface(points, observed.cells)
     except InvalidInput:  # two points at the same place
         return simulated.resampled(len(observed.points)) if simulated.dim == 2 else observed
+
+
+@dataclass(frozen=True)
+class ResidualNoise:
+    """Standard deviation s and integral correlation length ℓ of residuals along an interface, mm.
+
+    The spectral density at low frequencies, 2 s²ℓ, decides how well slow shapes are known. Residuals of a right model
+    have about the s²ℓ that was stated.
+    """
+
+    sd: float
+    length: float
+
+    @property
+    def level(self) -> float:
+        """The product s²ℓ, mm³: half the spectral density at low frequencies."""
+        return self.sd**2 * self.length
+
+
+@dataclass(frozen=True)
+class StatedErrors:
+    """Errors of the observed points; `assumed` if only the noise of the measure was stated, and independent errors of
+    the points with the same noise variance stand for it.
+    """
+
+    errors: PointErrors
+    assumed: bool
+
+    def noise_along(self, seen: Interface) -> ResidualNoise:
+        """Return the standard deviation and the correlation length that residuals of a right model have."""
+        return ResidualNoise(self.errors.sd, self.errors.effective_length(seen))
+
+
+def stated_errors(observation: Observation, measure: Discrepancy, nodes: int) -> StatedErrors:
+    """Return the errors of the observed points that the noise of an observation stands for.
+
+    If it states the noise of the measure only, these are independent errors of all coordinates, with the standard
+    deviation for which the measure has that noise variance.
+
+    Raises:
+        InvalidInput: No errors of points have a noise variance of this measure.
+    """
+    if observation.errors is not None:
+        return StatedErrors(observation.errors, assumed=False)
+    variance = cast(Noise, observation.noise).scale
+    return StatedErrors(PointErrors(_sd_of_points(variance, measure, observation.interface, nodes)), assumed=True)
+
+
+def _sd_of_points(variance: float, measure: Discrepancy, seen: Interface, nodes: int) -> float:
+    """Return the standard deviation of points, mm, whose noise variance is this one; it grows with its square."""
+    if independent_terms(measure, seen) is not None and unit_of(measure, seen) == "mm²":
+        return math.sqrt(variance)
+    spacing = float(np.median(spacings(seen)))
+    small = PointErrors(_SMALL * (spacing if seen.dim == 2 else math.sqrt(spacing)))
+    found = measure.noise_variance(small, seen) if isinstance(measure, KnowsPointErrors) else None
+    if found is None:
+        found = noise_variance(measure, seen, small, nodes, draws=FEW_DRAWS)
+    return small.sd * math.sqrt(variance / found)
+
+
+def noise_of_residuals(residuals: Float[np.ndarray, " point"], polyline: Interface) -> ResidualNoise:
+    """Return the standard deviation about zero and the integral correlation length of residuals at the points, mm.
+
+    The autocorrelation of the residuals at equally spaced places is summed up to its first zero: ℓ = h (½ + Σ ρ), at
+    least half the spacing h, which is the length of independent residuals.
+    """
+    places, order = arc_lengths(polyline), np.argsort(arc_lengths(polyline), kind="stable")
+    number, whole = len(places), float(steady_lengths(polyline).sum())
+    spacing = whole / (number if polyline.closed else number - 1)
+    period = whole if polyline.closed else None
+    values = np.interp(spacing * np.arange(number), places[order], residuals[order], period=period)
+    size = number if polyline.closed else 2 * number  # zeros keep the ends of an open one apart
+    products = np.fft.irfft(np.abs(np.fft.rfft(values, size)) ** 2, size)[: size // 2]
+    if not products[0] > 0:
+        return ResidualNoise(0.0, 0.5 * spacing)
+    below = np.flatnonzero(products <= 0)
+    last = int(below[0]) if below.size else len(products)
+    length = spacing * (0.5 + float(products[1:last].sum() / products[0]))
+    return ResidualNoise(math.sqrt(float(np.mean(residuals**2))), length)
+
+
+def noise_on_surface(residuals: Float[np.ndarray, " point"], surface: Interface) -> ResidualNoise:
+    """Return the standard deviation about zero and the integral correlation length of residuals on a surface, mm.
+
+    The covariance of two residuals is averaged over pairs at about the same distance in space, in steps of the spacing
+    h, and summed up to its first zero: ℓ = h (½ + Σ ρ). Of many points, every second or third is taken.
+    """
+    step = -(-len(residuals) // MOST)
+    values, points = residuals[::step], surface.points[::step]
+    square, h = float(np.mean(values**2)), math.sqrt(float(surface.areas.sum()) / len(values))
+    if not square > 0:
+        return ResidualNoise(0.0, 0.5 * h)
+    which = np.rint(pdist(points) / h).astype(int)
+    first, second = np.triu_indices(len(values), 1)
+    number = np.maximum(np.bincount(which), 1)
+    covariance = np.bincount(which, values[first] * values[second]) / number
+    below = np.flatnonzero(covariance[1:] <= 0)
+    last = 1 + int(below[0]) if below.size else len(covariance)
+    length = h * (0.5 + float(covariance[1:last].sum()) / square)
+    return ResidualNoise(math.sqrt(float(np.mean(residuals**2))), length)

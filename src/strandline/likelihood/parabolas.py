@@ -21,20 +21,8 @@ from jaxtyping import Float
 from scipy.special import logsumexp
 from scipy.stats import norm, qmc
 
-from strandline.likelihood.near_field import BENT, NearField
+from strandline.likelihood.linearised_residuals import BENT, NearField
 from strandline.surrogate.field import FieldPrediction
-
-__all__ = [
-    "Around",
-    "FittedParabola",
-    "NearParabola",
-    "Numbers",
-    "Parabolas",
-    "log_gain",
-    "mean_of_draws",
-    "numbers",
-    "share_gained",
-]
 
 Values = Float[np.ndarray, " point"]
 Modes = Float[np.ndarray, "point mode"]
@@ -51,14 +39,10 @@ LEAST = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Parabolas:
-    """log L ≈ top - below + slopes·z - ½ zᵀ information z for fields z away from some predicted ones.
+    """log L ≈ top - below + slopes·z - ½ zᵀ information z for fields z, mm, away from some predicted ones.
 
-    Args:
-        below: How far log L lies below `top` at each predicted field, at least 0.
-        slopes: Its derivatives in the coefficients of the modes, 1/mm.
-        information: Minus its second derivatives, positive semidefinite, 1/mm².
-        top: Value that no field exceeds.
-        rest: What the fields outside the modes add to log E[L].
+    `below` is at least 0, `information` positive semidefinite. No field exceeds `top`; `rest` is what the fields
+    outside the modes add to log E[L].
     """
 
     below: Values
@@ -79,12 +63,8 @@ class Around(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class NearParabola:
-    """log L = top - ½ rᵀ W r, with residuals r near the best fit that are linear around each field.
-
-    Args:
-        field: The residuals near the best fit.
-        weights: Sums of products of the columns of `field.factors`, weighed by W.
-        top: log L without residuals.
+    """log L = top - ½ rᵀ W r, with residuals r near the best fit that are linear around each field; `weights` are the
+    products of the columns of `field.factors`, weighed by W.
     """
 
     field: NearField
@@ -101,7 +81,6 @@ class NearParabola:
         return weights, -0.5 * float(np.linalg.slogdet(tail)[1])
 
     def parabolas(self, coefficients: Modes) -> Parabolas:
-        """Return the parabolas around fields with these coefficients of the modes, mm."""
         parts = [self._block(coefficients[k : k + BLOCK]) for k in range(0, len(coefficients), BLOCK)]
         below, slopes, information = (np.concatenate(one) for one in zip(*parts, strict=True))
         return Parabolas(below, slopes, information, self.top, self._integrated[1])
@@ -137,14 +116,7 @@ def _differentiated(modes: int) -> Float[np.ndarray, "pair mode mode"]:
 
 @dataclass(frozen=True, eq=False)
 class FittedParabola:
-    """One parabola for all fields, by differences around one field.
-
-    Args:
-        at: Coefficients of its middle, mm.
-        value: log L there.
-        slopes: Derivatives in the coefficients, 1/mm.
-        information: Minus the second derivatives, positive definite, 1/mm².
-    """
+    """One parabola for all fields, by differences around one field; mm, and positive definite information."""
 
     at: Float[np.ndarray, " mode"]
     value: float
@@ -155,13 +127,7 @@ class FittedParabola:
     def fitted(
         cls, log_likelihood: Callable[[Modes], Values], at: Float[np.ndarray, " mode"], step: float
     ) -> "FittedParabola":
-        """Return the parabola of a log-likelihood by central differences; a flat one if they are not finite.
-
-        Args:
-            log_likelihood: log L of coefficients of the modes.
-            at: Coefficients to begin at, mm.
-            step: Step of each coefficient, mm.
-        """
+        """Return the parabola of a log-likelihood by central differences, mm; a flat one if they are not finite."""
         modes = len(at)
         unit, (one, other) = np.eye(modes), np.triu_indices(modes, 1)
         f = log_likelihood(at + step * np.concatenate([np.zeros((1, modes)), unit, -unit, unit[one] + unit[other]]))
@@ -188,10 +154,7 @@ class FittedParabola:
 class _Tilted:
     """The Gaussian ∝ L p of standard normal numbers u for a parabola log L: precision RRᵀ and mean (RRᵀ)⁻¹ g.
 
-    Args:
-        roots: Standard deviations V½ of the modes, mm.
-        factor: R, the lower Cholesky factor of I + H.
-        pulled: R⁻¹ g.
+    `roots` are the standard deviations V½ of the modes, mm, `factor` is R, lower triangular, and `pulled` R⁻¹ g.
     """
 
     roots: Modes
@@ -221,14 +184,11 @@ class _Tilted:
 
 
 def log_gain(parabolas: Parabolas, variance: Modes, log_likelihood: Values | None = None) -> Values:
-    """Return log E[L] - log L for fields of these variances, mm², by the parabolas.
+    """Return log E[L] - log L for fields of these variances, mm², by the parabolas around the mean fields.
 
-    Args:
-        parabolas: Parabolas around the mean fields.
-        variance: Variances of the coefficients.
-        log_likelihood: log L of the mean fields, if it is known better than by the parabolas. The gain is then the same
-            share of how far it lies below `Parabolas.top`, so that log E[L] never exceeds that; but where a parabola
-            lies far below log L, it is wrong there, and log E[L] exceeds log L no further than the parabola's own mean.
+    If log L of the mean fields is known better than by the parabolas, the gain is the same share of how far it lies
+    below `Parabolas.top`, so that log E[L] never exceeds that; but where a parabola lies far below log L, it is wrong
+    there, and log E[L] exceeds log L no further than the parabola's own mean.
     """
     tilted = _Tilted.of(parabolas, variance)
     share = _share(tilted, parabolas)
@@ -260,11 +220,7 @@ def mean_of_draws(
 ) -> Values:
     """Return log E[L] at each point by draws of the field; exact, but for the tail, where log L is a parabola.
 
-    Args:
-        log_likelihood: log L of coefficients of the modes and of the numbers of what they leave over.
-        parabolas: Parabolas around the mean fields.
-        found: The fields.
-        drawn: Standard normal numbers, the same for each point; an even number of draws.
+    The standard normal numbers are the same for each point; their number of draws is even.
     """
     of_modes, of_tail = drawn
     half, tilted = len(of_modes) // 2, _Tilted.of(parabolas, found.variance)

@@ -20,8 +20,6 @@ from strandline.runs import FailurePolicy, RunRecord
 from strandline.runs.ledger_schema import EXCLUDED
 from strandline.surrogate.field.odd import flipped, odd_ones
 
-__all__ = ["Judge", "SetAside", "says_whether_runs_succeed"]
-
 NOT_COMPARABLE = "not_comparable"
 NO_COMMON_POINTS = "no_common_points"
 KINDS = frozenset({NOT_COMPARABLE, NO_COMMON_POINTS})
@@ -33,14 +31,8 @@ EXCEPTIONS = 0.1
 
 @dataclass(frozen=True)
 class SetAside:
-    """A run that ended ok and is not used.
-
-    Args:
-        key: Content address of the run.
-        inputs: Inputs by name.
-        kind: ``not_comparable`` or ``no_common_points``.
-        measure: Name of the measure it is set aside for; None if it is not used at all.
-        why: Reason in words.
+    """A run that ended ok and is not used: its content address, its inputs, why in words, and a kind,
+    ``not_comparable`` or ``no_common_points``; `measure` is the one it is set aside for, None for all.
     """
 
     key: str
@@ -50,16 +42,12 @@ class SetAside:
     why: str
 
 
-class Judge:
-    """Evaluate the measures on runs, each once, and decide which runs cannot be used.
+class RunFilter:
+    """Evaluate the measures on runs, each once, and decide which runs cannot be used; the first measure is the
+    posterior's.
 
     The first runs show at which end an interface begins. An observation that begins at the other end is turned round,
     and `turned` names its condition; so is the interface of a run that clearly begins at the other end.
-
-    Args:
-        observations: One for each observed condition.
-        discrepancies: Measures by name; the first one defines the posterior.
-        policy: Policy for failed runs, including those that are set aside.
     """
 
     def __init__(
@@ -91,10 +79,6 @@ class Judge:
 
     def without_exceptions(self, records: Sequence[RunRecord], error: NoCommonPoints) -> None:
         """Set aside the few runs whose interfaces do not fit the others', from now on.
-
-        Args:
-            records: All runs.
-            error: Error that was raised because common points are missing.
 
         Raises:
             NoCommonPoints: `error`, if such runs are not exceptions or the best run is one of them.
@@ -193,7 +177,6 @@ class Judge:
         return replace(record, state="invalid", failure_kind=found.kind, message=found.why, **nothing)
 
     def _heed(self, records: Sequence[RunRecord]) -> None:
-        """Stop if the policy says so."""
         for record in records:
             if record.failure_kind in KINDS and self.policy.aborts(record):
                 raise CampaignStopped(

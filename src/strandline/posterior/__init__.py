@@ -1,38 +1,33 @@
 """The posterior as weighted draws, and what is computed from them."""
 
-from strandline.posterior.against_prior import FLAT, prior_conflicts
-from strandline.posterior.gaussian import GaussianApproximation
-from strandline.posterior.importance import Reweighting, reweight, subset
-from strandline.posterior.kde import KernelDensity
-from strandline.posterior.laplace import LaplaceApproximation, laplace, log_prior_hessian
-from strandline.posterior.marginals import Histogram, Histogram2D, histogram, histogram_2d, histogram_mode
-from strandline.posterior.netcdf import cut_from_datatree, from_datatree, read, to_datatree, write
-from strandline.posterior.pareto_smoothing import (
+from strandline.posterior.gaussian import GaussianApproximation, LaplaceApproximation, laplace, log_prior_hessian
+from strandline.posterior.importance import (
     NEARLY_EQUAL,
+    Reweighting,
     SmoothedWeights,
     Verdict,
     largest_usual_k_hat,
     pareto_smoothed,
     reliability_threshold,
+    reweight,
+    subset,
     verdict_on,
 )
-from strandline.posterior.posterior import Posterior, systematic_indices
-from strandline.posterior.predictive import (
+from strandline.posterior.kde import KernelDensity
+from strandline.posterior.marginals import (
+    Histogram,
     InterfaceBand,
     Offsets,
+    histogram,
+    histogram_mode,
     interface_band,
     normal_offsets,
     observed_offsets,
 )
+from strandline.posterior.netcdf import cut_from_datatree, from_datatree, read, to_datatree, write
+from strandline.posterior.posterior import FLAT, Posterior, Weighted, prior_conflicts, systematic_indices
 from strandline.posterior.sensitivity import SobolIndices, sobol_indices
-from strandline.posterior.under_uncertainty import (
-    Cut,
-    Reading,
-    UnderUncertainty,
-    mode_bins,
-    nuisance_values,
-    pooled,
-)
+from strandline.posterior.under_uncertainty import Cut, Reading, UnderUncertainty, mode_bins, nuisance_values, pooled
 
 __all__ = [
     "FLAT",
@@ -40,7 +35,6 @@ __all__ = [
     "Cut",
     "GaussianApproximation",
     "Histogram",
-    "Histogram2D",
     "InterfaceBand",
     "KernelDensity",
     "LaplaceApproximation",
@@ -52,10 +46,10 @@ __all__ = [
     "SobolIndices",
     "UnderUncertainty",
     "Verdict",
+    "Weighted",
     "cut_from_datatree",
     "from_datatree",
     "histogram",
-    "histogram_2d",
     "histogram_mode",
     "interface_band",
     "laplace",

@@ -1,4 +1,4 @@
-"""Weighted histograms of one or two inputs, and the mode of a histogram."""
+"""Histograms of inputs, and quantiles of the interfaces that a posterior predicts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.errors import InvalidInput
+from strandline.interface import Interface
 
-__all__ = ["Histogram", "Histogram2D", "histogram", "histogram_2d", "histogram_mode"]
+LEVELS = (0.05, 0.5, 0.95)
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,26 +30,6 @@ class Histogram:
         return np.asarray(self.mass / np.diff(self.edges))
 
 
-@dataclass(frozen=True, eq=False)
-class Histogram2D:
-    """Marginal of two inputs: probability by rectangle.
-
-    Args:
-        x_edges: bin edges of the first input.
-        y_edges: bin edges of the second input.
-        mass: probability of each rectangle (first, second).
-    """
-
-    x_edges: Float[np.ndarray, " x_edge"]
-    y_edges: Float[np.ndarray, " y_edge"]
-    mass: Float[np.ndarray, "x_bin y_bin"]
-
-    @property
-    def density(self) -> Float[np.ndarray, "x_bin y_bin"]:
-        """Probability density of each rectangle."""
-        return np.asarray(self.mass / np.outer(np.diff(self.x_edges), np.diff(self.y_edges)))
-
-
 def histogram(
     values: Float[np.ndarray, " particle"],
     weights: Float[np.ndarray, " particle"],
@@ -56,30 +37,14 @@ def histogram(
     bounds: tuple[float, float] | None = None,
     bins: int = 30,
 ) -> Histogram:
-    """Return the weighted histogram of one input.
+    """Return the weighted histogram of one input between `bounds`, by default the range of `values`.
 
-    Args:
-        values: draws (particle,).
-        weights: their normalised weights.
-        bounds: first and last edge; draws outside are an error. By default the range of `values`.
-        bins: number of bins.
+    Raises:
+        InvalidInput: Draws outside the bounds.
     """
     limits = _limits(values, bounds)
     mass, edges = np.histogram(values, bins=bins, range=limits, weights=weights)
     return Histogram(edges, np.asarray(mass, float))
-
-
-def histogram_2d(
-    values: Float[np.ndarray, "particle 2"],
-    weights: Float[np.ndarray, " particle"],
-    *,
-    bounds: tuple[tuple[float, float], tuple[float, float]] | None = None,
-    bins: int = 30,
-) -> Histogram2D:
-    """Return the weighted histogram of two inputs; see `histogram`."""
-    limits = [_limits(values[:, k], None if bounds is None else bounds[k]) for k in range(2)]
-    mass, x_edges, y_edges = np.histogram2d(values[:, 0], values[:, 1], bins=bins, range=limits, weights=weights)
-    return Histogram2D(x_edges, y_edges, np.asarray(mass, float))
 
 
 def histogram_mode(
@@ -112,3 +77,56 @@ def _limits(values: Float[np.ndarray, " particle"], bounds: tuple[float, float] 
             remedy="Widen the bounds: draws left out would be probability left out.",
         )
     return low, high
+
+
+@dataclass(frozen=True, eq=False)
+class InterfaceBand:
+    """Quantiles at 5, 50 and 95 %, node by node and coordinate by coordinate, mm."""
+
+    low: Float[np.ndarray, "point xyz"]
+    median: Float[np.ndarray, "point xyz"]
+    high: Float[np.ndarray, "point xyz"]
+
+
+@dataclass(frozen=True, eq=False)
+class Offsets:
+    """Signed distances from a polyline, mm, positive to the left of its direction, at positions along it, mm."""
+
+    arc_length: Float[np.ndarray, " point"]
+    offset: Float[np.ndarray, "*draw point"]
+
+
+def interface_band(points: Float[np.ndarray, "draw point xyz"]) -> InterfaceBand:
+    """Return the pointwise quantiles of interfaces that have the same nodes."""
+    return InterfaceBand(*np.quantile(points, LEVELS, axis=0))
+
+
+def normal_offsets(points: Float[np.ndarray, "draw point 2"], centre: Interface) -> Offsets:
+    """Return how far each node lies from the same node of `centre`, along the normal there; one row per draw."""
+    normals = np.zeros_like(centre.points)
+    for corner in centre.cells.T:
+        np.add.at(normals, corner, centre.normals)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    arc_length = np.zeros(len(centre.points))
+    arc_length[centre.cells[:, 0]] = _starts(centre)
+    if not centre.closed:
+        arc_length[centre.cells[-1, 1]] = centre.lengths.sum()
+    return Offsets(arc_length, np.sum((points - centre.points) * normals, axis=2))
+
+
+def observed_offsets(observed: Interface, centre: Interface) -> Offsets:
+    """Return the distance of each point of `observed` from the closest point of the polyline `centre`."""
+    tangent = centre.ends - centre.starts
+    apart = observed.points[:, None] - centre.starts
+    share = np.clip(np.sum(apart * tangent, axis=2) / centre.lengths**2, 0.0, 1.0)
+    distance = np.linalg.norm(apart - share[..., None] * tangent, axis=2)
+    rows, nearest = np.arange(len(distance)), np.argmin(distance, axis=1)
+    side = np.sum(apart * centre.normals, axis=2)[rows, nearest]
+    arc_length = (_starts(centre) + share * centre.lengths)[rows, nearest]
+    order = np.argsort(arc_length, kind="stable")
+    return Offsets(arc_length[order], (np.copysign(distance[rows, nearest], side))[order])
+
+
+def _starts(polyline: Interface) -> Float[np.ndarray, " cell"]:
+    """Return the arc length at which each segment starts."""
+    return np.asarray(np.cumsum(polyline.lengths) - polyline.lengths)

@@ -8,15 +8,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from scipy.special import logsumexp
 
 from strandline.errors import InvalidInput
 from strandline.interface import Observation
 from strandline.parameters import RESERVED, Parameter, ParameterSpace
 from strandline.posterior.posterior import Posterior
 from strandline.posterior.under_uncertainty import Cut
-
-__all__ = ["cut_from_datatree", "from_datatree", "read", "to_datatree", "write"]
 
 
 def to_datatree(
@@ -93,11 +90,10 @@ def _posterior(data: xr.Dataset, space: ParameterSpace) -> Posterior:
             expected=f"all of {list(space.names)}",
             remedy="Read it with the parameters it was written with.",
         )
-    log_weights = data["log_weight"].to_numpy()
     return Posterior(
         space=space,
         draws=np.stack([data[name].to_numpy() for name in space.names], axis=1),
-        log_weights=log_weights - logsumexp(log_weights) if abs(logsumexp(log_weights)) > 1e-9 else log_weights,
+        log_weights=data["log_weight"].to_numpy(),
         log_likelihood=data["log_likelihood"].to_numpy(),
         log_prior=data["log_prior"].to_numpy(),
         log_evidence=float(data.attrs["log_evidence"]),

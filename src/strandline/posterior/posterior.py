@@ -1,6 +1,7 @@
 """The posterior as weighted particles, and its summaries, all of them weighted."""
 
-from collections.abc import Sequence
+import html
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -9,14 +10,56 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import logsumexp
+from scipy.special import logsumexp, ndtr, ndtri
 
 from strandline.errors import InvalidInput
 from strandline.parameters import ParameterSpace
-from strandline.posterior.shown import moments_line, moments_table
-from strandline.posterior.weighted import Weighted
+from strandline.priors import LogUniform, Uniform
+from strandline.text import with_sd
+from strandline.typeset import html_table, html_text, unit_text
 
-__all__ = ["Posterior", "systematic_indices"]
+MOST_SHOWN = 8
+"""Inputs named in one line."""
+OFF, ROUNDING = 0.1, 1e-7
+"""Logarithms of the weights' sum: normalised weights are below the first; rounding leaves more than the second if
+log-likelihoods are of the order of -1e9."""
+FLAT = (Uniform, LogUniform)
+"""Priors that say no more than where their ends are; a posterior at an end has a warning of its own."""
+LEVEL = 0.01
+"""Probability, if prior and model are right, below which there is a warning: one false alarm in 100 inputs."""
+LEAST_REMOVED = 0.05
+"""Least share of the prior's variance that is taken to be removed: less is within the error of the draws."""
+EDGE = 1e-12
+"""Keeps normal quantiles finite."""
+
+
+@dataclass(frozen=True, eq=False)
+class Weighted:
+    """Draws with their weights, which sum to one."""
+
+    draws: Float[np.ndarray, "draw dim"]
+    weights: Float[np.ndarray, " draw"]
+
+    @property
+    def mean(self) -> Float[np.ndarray, " dim"]:
+        """Mean, shape (dim,)."""
+        return np.asarray(self.weights @ self.draws)
+
+    @property
+    def sd(self) -> Float[np.ndarray, " dim"]:
+        """Standard deviations, shape (dim,)."""
+        return np.asarray(np.sqrt(self.weights @ (self.draws - self.mean) ** 2))
+
+    @property
+    def ess(self) -> float:
+        """Effective sample size of the weights, 1 / Σ w²."""
+        return float(1.0 / np.sum(self.weights**2))
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "dim dim"]:
+        """Second central moment, shape (dim, dim)."""
+        centred = self.draws - self.mean
+        return np.asarray((self.weights[:, None] * centred).T @ centred)
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +69,8 @@ class Posterior:
     Args:
         space: the inputs, in the order of the columns of `draws`.
         draws: physical values (particle, dim).
-        log_weights: normalised log weights (particle,); -inf is a particle without weight.
+        log_weights: normalised log weights (particle,), normalised again if rounding was large; -inf is a particle
+            without weight.
         log_likelihood: log-likelihood at each particle.
         log_prior: log prior density at each particle, in physical units.
         log_evidence: log of the integral of likelihood times prior.
@@ -46,20 +90,36 @@ class Posterior:
 
     def __post_init__(self) -> None:
         _require_shapes(self)
-        _require_normalised(self.log_weights)
+        total = float(logsumexp(self.log_weights)) if not np.isnan(self.log_weights).any() else np.nan
+        if not abs(total) < OFF:
+            raise InvalidInput(
+                "log of the sum of the posterior's weights",
+                value=total,
+                expected="0 (normalised log weights)",
+                remedy="Subtract logsumexp(log_weights) first.",
+            )
+        if abs(total) > ROUNDING:
+            object.__setattr__(self, "log_weights", self.log_weights - total)
 
     def __repr__(self) -> str:
         return f"<Posterior {self.line}; {self.number} particles, ESS {self.ess:.0f}>"
 
     def _repr_html_(self) -> str:
         low, high = self.quantiles([0.05, 0.95])
-        columns = {"mean": self.mean, "sd": self.sd, "MAP": self.map_estimate, "5 %": low, "95 %": high}
-        return moments_table(self.space, columns)
+        columns = np.stack([self.mean, self.sd, self.map_estimate, low, high], axis=1)
+        rows = [
+            (html_text(one.name), html.escape(unit_text(one.unit)), *(f"{value:.4g}" for value in row))
+            for one, row in zip(self.space, columns, strict=True)
+        ]
+        return html_table(("input", "unit", "mean", "sd", "MAP", "5 %", "95 %"), rows)
 
     @property
     def line(self) -> str:
-        """Mean ± standard deviation of each input, in one line."""
-        return moments_line(self.space, self.mean, self.sd)
+        """Mean ± standard deviation in one line: ``E = 399.6 ± 15 Pa, nu = 0.297 ± 0.059``."""
+        rows = zip(self.space, self.mean.tolist(), self.sd.tolist(), strict=True)
+        parts = [f"{p.name} = {with_sd(middle, width)} {unit_text(p.unit)}".rstrip() for p, middle, width in rows]
+        more = f", and {len(parts) - MOST_SHOWN} more" if len(parts) > MOST_SHOWN else ""
+        return ", ".join(parts[:MOST_SHOWN]) + more
 
     @cached_property
     def weights(self) -> Float[np.ndarray, " particle"]:
@@ -94,8 +154,8 @@ class Posterior:
     def quantiles(self, p: Sequence[float] | Float[np.ndarray, " level"]) -> Float[np.ndarray, "level dim"]:
         """Return the smallest draw with weighted cumulative probability ≥ p, input by input (level, dim)."""
         levels = np.asarray(p, float)
-        columns = [_weighted_quantile(column, self.weights, levels) for column in self.draws.T]
-        return np.stack(columns, axis=1)
+        how: dict[str, Any] = {"weights": self.weights, "method": "inverted_cdf"}
+        return np.stack([np.quantile(column, levels, **how) for column in self.draws.T], axis=1)
 
     @property
     def log_density(self) -> Float[np.ndarray, " particle"]:
@@ -175,12 +235,6 @@ def generator(seed: Any) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def _weighted_quantile(
-    values: Float[np.ndarray, " particle"], weights: Float[np.ndarray, " particle"], p: Float[np.ndarray, " level"]
-) -> Float[np.ndarray, " level"]:
-    return np.asarray(np.quantile(values, p, weights=weights, method="inverted_cdf"))
-
-
 def _require_shapes(posterior: Posterior) -> None:
     number, dim = posterior.draws.shape
     lengths = [len(a) for a in (posterior.log_weights, posterior.log_likelihood, posterior.log_prior)]
@@ -201,12 +255,21 @@ def _require_shapes(posterior: Posterior) -> None:
         )
 
 
-def _require_normalised(log_weights: Float[np.ndarray, " particle"]) -> None:
-    total = float(logsumexp(log_weights)) if not np.isnan(log_weights).any() else np.nan
-    if not abs(total) < 1e-6:
-        raise InvalidInput(
-            "log of the sum of the posterior's weights",
-            value=total,
-            expected="0 (normalised log weights)",
-            remedy="Subtract logsumexp(log_weights) first.",
-        )
+def prior_conflicts(posterior: Posterior) -> Iterator[str]:
+    """Yield a warning for each input whose prior the data contradict, unless that prior is flat.
+
+    If prior and model are right, the posterior mean of a normal input is itself a normal draw: its mean is that of the
+    prior, and its variance the prior's minus the posterior's. Other priors are first mapped to the standard normal one.
+    """
+    shares = np.clip(posterior.space.prior_shares(posterior.draws), EDGE, 1 - EDGE)
+    normal = Weighted(ndtri(shares), posterior.weights)
+    z = normal.mean / np.sqrt(np.maximum(1 - normal.sd**2, LEAST_REMOVED))
+    for k, one in enumerate(posterior.space):
+        p = float(2 * ndtr(-abs(z[k])))
+        if p < LEVEL and not isinstance(one.prior, FLAT):
+            unit = "" if one.unit in ("", "1") else f" {one.unit}"
+            yield (
+                f"The data contradict the prior of {one.name}, {one.prior}: a right prior and a right model would put "
+                f"the posterior, {posterior.mean[k]:.4g} ± {posterior.sd[k]:.2g}{unit}, as far out with probability "
+                f"{p:.1g} only. It is a compromise of both; check the prior, its unit, and the model."
+            )

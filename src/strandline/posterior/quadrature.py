@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,9 +17,7 @@ from jaxtyping import Bool, Float
 from strandline.errors import InvalidInput, NumericsError
 
 __all__ = ["LogDensity", "Marginal", "QuadratureResult", "integrate", "mixture"]
-
 LogDensity = Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, " point"]]
-
 _CELLS = {1: 256, 2: 32, 3: 16}  # initial cells per direction
 _NODES = {1: 4, 2: 4, 3: 3}  # nodes per direction and cell
 _LEFT_ALONE = 0.1  # cells that together carry less than this share of the tolerance are not refined
@@ -63,15 +62,7 @@ class QuadratureResult:
     marginals: tuple[Marginal, ...]
 
 
-@dataclass(frozen=True)
-class _Tolerance:
-    evidence: float
-    mean: float
-    sd: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Cells:
+class _Cells(NamedTuple):
     """Cells of the unit cube with their integrals of (1, u, u uᵀ)·exp(log density - log_unit).
 
     `difference` holds, for the integrals of a cell, its share of the change that the refinement brought.
@@ -84,9 +75,8 @@ class _Cells:
     log_unit: float
 
     def where(self, chosen: Bool[np.ndarray, " cell"]) -> "_Cells":
-        return _Cells(
-            self.low[chosen], self.width[chosen], self.integral[chosen], self.difference[chosen], self.log_unit
-        )
+        low, width, integral, difference = (part[chosen] for part in self[:4])
+        return _Cells(low, width, integral, difference, self.log_unit)
 
     def rescaled(self, log_unit: float) -> "_Cells":
         factor = math.exp(self.log_unit - log_unit) if self.log_unit > -math.inf else 0.0
@@ -94,14 +84,12 @@ class _Cells:
 
     def joined(self, other: "_Cells") -> "_Cells":
         log_unit = max(self.log_unit, other.log_unit)
-        a, b = self.rescaled(log_unit), other.rescaled(log_unit)
-        pairs = [(a.low, b.low), (a.width, b.width), (a.integral, b.integral), (a.difference, b.difference)]
+        pairs = zip(self.rescaled(log_unit)[:4], other.rescaled(log_unit)[:4], strict=True)
         low, width, integral, difference = (np.concatenate(pair) for pair in pairs)
         return _Cells(low, width, integral, difference, log_unit)
 
 
-@dataclass(frozen=True, eq=False)
-class _Moments:
+class _Moments(NamedTuple):
     """Moments in the unit cube; `mass` in units of exp(log_unit)."""
 
     mass: float
@@ -111,20 +99,6 @@ class _Moments:
     @property
     def sd(self) -> Float[np.ndarray, " dim"]:
         return np.asarray(np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)))  # rounding may leave -1e-20
-
-
-@dataclass(frozen=True, eq=False)
-class _Errors:
-    """Estimated error of each cell: share of the evidence, largest mean (in sd), largest relative sd."""
-
-    evidence: Float[np.ndarray, " cell"]
-    mean: Float[np.ndarray, " cell"]
-    sd: Float[np.ndarray, " cell"]
-
-    def in_tolerances(self, tolerance: _Tolerance) -> Float[np.ndarray, " cell"]:
-        """Return the largest of the three errors, each in units of its tolerance."""
-        parts = [self.evidence / tolerance.evidence, self.mean / tolerance.mean, self.sd / tolerance.sd]
-        return np.asarray(np.max(parts, axis=0))
 
 
 class _Rule:
@@ -211,12 +185,12 @@ def integrate(
     """
     _require_box(low, high)
     rule = _Rule(log_density, np.asarray(low, float), np.asarray(high, float), batch)
-    tolerance = _Tolerance(rtol, mean_tolerance, sd_tolerance)
+    tolerances = np.array([[rtol], [mean_tolerance], [sd_tolerance]])
     cells, levels = _first_grid(rule), 0
     while True:
         moments = _moments(cells, rule.dim)
         errors = _errors(cells, moments)
-        sizes = errors.in_tolerances(tolerance)
+        sizes = np.max(errors / tolerances, axis=0)
         if sizes.sum() <= 1.0:
             break
         chosen = _to_refine(sizes, (maximum_evaluations - rule.evaluations) // (len(rule.nodes) * 2**rule.dim))
@@ -271,8 +245,11 @@ def _moments(cells: _Cells, dim: int) -> _Moments:
     return _Moments(float(total[0]), mean, second - np.outer(mean, mean))
 
 
-def _errors(cells: _Cells, moments: _Moments) -> _Errors:
-    """Return the effect of the differences on the standardised moments, as absolute values that cannot cancel."""
+def _errors(cells: _Cells, moments: _Moments) -> Float[np.ndarray, "3 cell"]:
+    """Return the estimated error of each cell: share of the evidence, largest mean (in sd), largest relative sd.
+
+    These are effects of the differences as absolute values, which cannot cancel.
+    """
     dim, m = len(moments.mean), moments.mean
     change = cells.difference / moments.mass
     sd = np.maximum(moments.sd, np.finfo(float).eps)
@@ -280,11 +257,7 @@ def _errors(cells: _Cells, moments: _Moments) -> _Errors:
     diagonal = change[:, dim + 1 :: dim + 1]
     second = diagonal - 2 * m * change[:, 1 : dim + 1] + m**2 * change[:, :1]
     spread = second / sd**2 - change[:, :1]
-    return _Errors(
-        np.abs(change[:, 0]),
-        np.abs(first / sd).max(axis=1),
-        0.5 * np.abs(spread).max(axis=1),
-    )
+    return np.stack([np.abs(change[:, 0]), np.abs(first / sd).max(axis=1), 0.5 * np.abs(spread).max(axis=1)])
 
 
 def _to_refine(sizes: Float[np.ndarray, " cell"], affordable: int) -> Bool[np.ndarray, " cell"]:
@@ -298,7 +271,7 @@ def _to_refine(sizes: Float[np.ndarray, " cell"], affordable: int) -> Bool[np.nd
 
 
 def _result(
-    rule: _Rule, cells: _Cells, moments: _Moments, errors: _Errors, *, converged: bool, levels: int
+    rule: _Rule, cells: _Cells, moments: _Moments, errors: Float[np.ndarray, "3 cell"], *, converged: bool, levels: int
 ) -> QuadratureResult:
     extent = rule.high - rule.low
     return QuadratureResult(
@@ -309,9 +282,9 @@ def _result(
         evaluations=rule.evaluations,
         converged=converged,
         levels=levels,
-        error_log_evidence=float(errors.evidence.sum()),
-        error_mean=float(errors.mean.sum()),
-        error_sd=float(errors.sd.sum()),
+        error_log_evidence=float(errors[0].sum()),
+        error_mean=float(errors[1].sum()),
+        error_sd=float(errors[2].sum()),
         marginals=tuple(_marginal(rule, cells, axis) for axis in range(rule.dim)),
     )
 

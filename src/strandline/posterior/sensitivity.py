@@ -10,21 +10,12 @@ from scipy import stats
 from strandline.errors import NumericsError
 from strandline.parameters import ParameterSpace
 
-__all__ = ["SobolIndices", "sobol_indices"]
-
 
 @dataclass(frozen=True, eq=False)
 class SobolIndices:
-    """Shares of the variance of a function of independent inputs; each (dim,).
+    """Shares of the variance of a function of independent inputs, with bootstrap intervals; each (dim,).
 
-    Args:
-        first: The share that an input explains alone.
-        first_low: Lower end of its bootstrap interval.
-        first_high: Upper end of its bootstrap interval.
-        total: The share that involves an input, alone or together with others.
-        total_low: Lower end of its bootstrap interval.
-        total_high: Upper end of its bootstrap interval.
-        evaluations: Number of evaluations of the function.
+    `first` is the share that an input explains alone, `total` that which involves it, alone or together with others.
     """
 
     first: Float[np.ndarray, " dim"]
@@ -54,8 +45,7 @@ def sobol_indices(
     Args:
         function: Function of physical points (point, dim).
         space: Inputs with their independent priors.
-        number: Number of points in each of the two Sobol' samples, a power of 2; the function is called (dim + 2) times
-            on that many points.
+        number: Points in each of the two Sobol' samples, a power of 2; the function gets (dim + 2) times as many.
         seed: Seed of the scrambling and of the bootstrap.
         level: Probability of the bootstrap intervals.
         resamples: Number of resamples of the bootstrap.

@@ -20,8 +20,6 @@ from strandline.posterior.gaussian import GaussianApproximation
 from strandline.posterior.marginals import histogram_mode
 from strandline.posterior.posterior import Posterior
 
-__all__ = ["Conditional", "Cut", "Reading", "UnderUncertainty", "mode_bins", "nuisance_values", "pooled"]
-
 
 @runtime_checkable
 class Conditional(Protocol):
@@ -39,10 +37,8 @@ class Conditional(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """One reading of the posterior under uncertainty: draws of x and θ, of which only the columns of x are used.
-
-    Args:
-        extended: weighted draws of all inputs; leaving out the columns of θ integrates over it.
+    """One reading of the posterior under uncertainty: weighted draws of x and θ; leaving out the columns of θ
+    integrates over it.
     """
 
     extended: Posterior
@@ -95,13 +91,10 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class Cut(Reading):
-    """The cut reading, with the values of θ that represent p(θ).
+    """The cut reading, with the values of θ that represent p(θ), each with the same probability.
 
-    Args:
-        extended: The pooled draws. Its likelihood is L(x, θ)/Z(θ), so that its evidence is 1.
-        values: Values of θ (value, nuisance), each with the probability 1/values.
-        log_evidence: Log evidence of each value, log Z(θ) = log ∫ L(x, θ) p(x) dx.
-        value_index: Row of each draw in `values` (particle,).
+    The likelihood of its pooled draws is L(x, θ)/Z(θ), so that their evidence is 1. `log_evidence` is that of each
+    value, log Z(θ) = log ∫ L(x, θ) p(x) dx, and `value_index` the row of each draw in `values`.
     """
 
     values: Float[np.ndarray, "value nuisance"]
@@ -150,15 +143,7 @@ def pooled(
     space: ParameterSpace, values: Float[np.ndarray, "value nuisance"], conditionals: Sequence[Conditional]
 ) -> Cut:
     """Return the equal mixture of p(x | θ, Y) over the rows θ of `values`: total weight 1/values for each."""
-    numbers = [len(c.positions) for c in conditionals]
-    if len(numbers) != len(values):
-        raise InvalidInput(
-            "conditional posteriors",
-            value=len(numbers),
-            expected=f"one for each of the {len(values)} values of the nuisance inputs",
-            remedy="Sample once for each value.",
-        )
-    index = np.repeat(np.arange(len(values)), numbers)
+    index = np.repeat(np.arange(len(values)), [len(c.positions) for c in conditionals])
     draws = np.empty((len(index), space.dim))
     draws[:, list(space.calibrated)] = np.concatenate([c.positions for c in conditionals])
     draws[:, list(space.nuisance)] = values[index]
@@ -179,7 +164,6 @@ def pooled(
 
 
 def _levels(number: int, dim: int) -> Float[np.ndarray, "value dim"]:
-    """Return points of the open unit cube."""
     if dim == 1:
         return (np.arange(number)[:, None] + 0.5) / number
     bits = max(number - 1, 1).bit_length()

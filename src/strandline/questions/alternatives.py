@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from strandline.calibration.alternative import Alternative, Kind, Present
+from strandline.calibration.alternative import Alternative, Baseline, Kind
 from strandline.calibration.usual_alternatives import facts_of, prior_in_words, with_prior
 from strandline.errors import InvalidStudy
 from strandline.interface import Observation
@@ -31,7 +31,7 @@ def require_asked(given: Mapping[str, Any]) -> WhatIf:
     return checked(WhatIf, given, PLACE)
 
 
-def alternative_of(asked: WhatIf, study: Study, now: Present) -> Alternative:
+def alternative_of(asked: WhatIf, study: Study, now: Baseline) -> Alternative:
     """Return the alternative that is asked for, to be compared with the present posterior.
 
     Raises:

@@ -11,7 +11,7 @@ from filelock import FileLock, Timeout
 from markupsafe import escape
 from matplotlib.figure import Figure
 
-from strandline.calibration.field_quality import FieldQuality
+from strandline.calibration.source import FieldQuality
 from strandline.errors import InvalidStudy
 from strandline.report import ANSWERS, write_answer
 from strandline.studies.folder import told_if_unwritable, write_json

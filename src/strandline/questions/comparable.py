@@ -110,7 +110,7 @@ def _require_same_measure(both: str, first: Study, other: Study) -> None:
 
 
 def _measure(study: Study) -> str:
-    measure = next(iter(study.discrepancies.values()))
+    measure = study.measure
     seen = study.observations(observations_of(study))
     return str(in_words(adapted(measure, seen[0]) if seen else measure))
 

@@ -10,15 +10,13 @@ from typing import Any
 import numpy as np
 
 from strandline.calibration import Observer
-from strandline.calibration.evidence import Evidence, log_evidence
-from strandline.calibration.in_notebook import observer_or_default
-from strandline.calibration.model_comparison import ModelComparison, averaged, require_odds
+from strandline.calibration.evidence import Evidence, ModelComparison, averaged, log_evidence, require_odds
+from strandline.calibration.progress import observer_or_default
 from strandline.design.active import Knowledge
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.numerics.threads import one_thread, use_double
 from strandline.parameters import ParameterSpace
-from strandline.posterior import Posterior
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import Posterior, Weighted
 from strandline.priors import Uniform
 from strandline.questions.answer import Answer, Part, Table, digits, label_and_unit
 from strandline.questions.comparable import labels_of, may_err, require_comparable, require_several

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibration.model_comparison import ERRORS, SCALE, BayesFactor, ModelComparison
+from strandline.calibration.evidence import ERRORS, SCALE, BayesFactor, ModelComparison
 from strandline.design import sobol
 from strandline.design.active import Knowledge
 from strandline.interface import Interface
-from strandline.posterior import FLAT, Posterior, interface_band, prior_conflicts
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import FLAT, Posterior, Weighted, interface_band, prior_conflicts
 from strandline.questions.comparable import may_err
 from strandline.questions.information import CLEAR, Discrimination
 from strandline.questions.separation import CandidateSignals

@@ -13,14 +13,21 @@ import numpy as np
 from strandline.calibration import Observer
 from strandline.calibration.coverage import CoverageFound, Replicate, repeatable, replicated
 from strandline.calibration.experiment import CoordinateErrors, Experiment
-from strandline.calibration.field_quality import TOLERATED, TOLERATED_SHARE, FieldQuality, field_quality
-from strandline.calibration.in_notebook import observer_or_default
-from strandline.calibration.source import Source, posterior_source, prior_source
+from strandline.calibration.progress import observer_or_default
+from strandline.calibration.source import (
+    TOLERATED,
+    TOLERATED_SHARE,
+    FieldQuality,
+    Source,
+    field_quality,
+    posterior_source,
+    prior_source,
+)
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Noise, PointErrors, UnknownErrors
 from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import Posterior
-from strandline.posterior.uniformity import Band, Coverage
+from strandline.posterior.rank_tests import Band, Coverage
 from strandline.questions.answer import (
     TO_MICROMETRES,
     Answer,

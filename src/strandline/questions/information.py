@@ -26,7 +26,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import logsumexp
 
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import Weighted
 
 FEWEST = 30.0
 """Median number of draws that a possible observation must leave with weight; else nested Monte Carlo is not offered."""

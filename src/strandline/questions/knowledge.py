@@ -11,7 +11,7 @@ from strandline.calibration.learning import known_field
 from strandline.design.active import Knowledge
 from strandline.design.active.fidelities import as_by_model
 from strandline.errors import InvalidInput, InvalidStudy, NoCommonPoints
-from strandline.likelihood.set_aside import Judge
+from strandline.likelihood.set_aside import RunFilter
 from strandline.runs import Ledger, RunRecord
 from strandline.runs.ledger_rows import outcome_digest
 from strandline.studies.first_run import observations_of
@@ -66,7 +66,7 @@ def field_knowledge(
             expected="the run at the inputs of observation.synthetic",
             remedy=f"Run the study first: strandline run {study.folder}",
         )
-    judge = Judge(study.observations(observed), {measure: study.discrepancies[measure]}, study.settings.failures)
+    judge = RunFilter(study.observations(observed), {measure: study.discrepancies[measure]}, study.settings.failures)
     records = (*runs_to_learn_from(study), *more)
     points = np.array([[record.inputs[name] for name in study.space.names] for record in records], float)
     try:

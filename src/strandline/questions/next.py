@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from strandline.calibration import Observer
-from strandline.calibration.in_notebook import observer_or_default
+from strandline.calibration.progress import observer_or_default
 from strandline.design.candidates import Candidate
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import UnknownErrors

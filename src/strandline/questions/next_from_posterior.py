@@ -9,16 +9,14 @@ from jaxtyping import Float
 
 from strandline.calibration import Observer
 from strandline.calibration.coverage import repeatable
-from strandline.calibration.experiment import Experiment, errors_behind
-from strandline.calibration.footprint import footprint
+from strandline.calibration.experiment import Experiment, errors_behind, footprint
 from strandline.calibration.source import Source, posterior_source
 from strandline.design.active import Knowledge, training_of
 from strandline.design.candidates import Candidate, Look, Setting, key_of
 from strandline.errors import NoCommonPoints
 from strandline.interface import Interface
 from strandline.models.protocol import declared_conditions, undeformed_interface
-from strandline.posterior import systematic_indices
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import Weighted, systematic_indices
 from strandline.questions.forecast import (
     Fails,
     Fields,
@@ -200,7 +198,7 @@ class AfterExperiment:
         if name in experiment.footprints:
             return View(experiment.footprints[name], experiment.errors[name])
         simulated = self.surrogate.layouts[name].with_points(nodes)
-        measure = next(iter(self.study.discrepancies.values()))
+        measure = self.study.measure
         errors = errors_behind(self.study.observation(simulated, name), measure, len(nodes))
         return View(footprint(simulated, simulated), errors)
 

@@ -10,14 +10,13 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.calibration import Observer
-from strandline.calibration.experiment import Errors, errors_behind
-from strandline.calibration.footprint import Footprint, footprint
+from strandline.calibration.experiment import Errors, Footprint, errors_behind, footprint
 from strandline.design import sobol
 from strandline.design.candidates import Candidate, Look, key_of
 from strandline.errors import InvalidInput, TooFewRuns
 from strandline.interface import Interface
 from strandline.models.protocol import undeformed_interface
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import Weighted
 from strandline.questions.identifiability import directions_left, scale_of
 from strandline.questions.information import linear_outlook
 from strandline.questions.next_runs import Answers, CandidateAnswer, PointRuns, problem_of, runs_at
@@ -111,7 +110,7 @@ class _Before:
 def _errors(study: Study, points: Sequence[PointRuns], asked: Sequence[Candidate]) -> dict[str, Errors]:
     """Return the errors of the points in each condition that is, or would be, observed, near a run that succeeded."""
     run = next(one.run for one in points if one.failed is None)
-    measure, found = next(iter(study.discrepancies.values())), {}
+    measure, found = study.measure, {}
     wanted = {*(study.observed or run.interfaces), *(name for one in asked for name in one.look.conditions)}
     for name in sorted(wanted):
         places, nodes = _places(study, run, name), run.interfaces[name].points

@@ -13,7 +13,7 @@ from strandline.design.candidates import Candidate
 from strandline.errors import InvalidInput
 from strandline.models.fidelities import WithCheaper
 from strandline.models.protocol import with_sensitivities
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import Weighted
 from strandline.questions.identifiability import Direction
 from strandline.questions.information import Outlook
 from strandline.runs import Executor, Ledger, RunRecord, run_campaign, run_key

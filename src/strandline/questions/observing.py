@@ -8,14 +8,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cholesky
 
-from strandline.calibration.experiment import CoordinateErrors, Errors
-from strandline.calibration.footprint import Footprint
+from strandline.calibration.experiment import CoordinateErrors, Errors, Footprint
 from strandline.design.candidates import FEWEST_POINTS, WHOLE
 from strandline.discrepancy import NormalOffset
 from strandline.errors import InvalidInput
 from strandline.interface import ErrorModel, Interface, Observation, PointErrors, steady_normals
-from strandline.likelihood.joint_errors import error_model
-from strandline.likelihood.shared_errors import shared_errors
+from strandline.likelihood.joint_errors import error_model, shared_errors
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,16 +28,14 @@ from jaxtyping import Float
 from scipy.special import logsumexp, ndtr
 from scipy.stats import chi2
 
-from strandline.calibration.importance_sampler import Pool, StudentMixture, followed
-from strandline.calibration.log_densities import Densities, only_inside
+from strandline.calibration.importance_sampler import Densities, Pool, StudentMixture, followed, only_inside
 from strandline.design import sobol
 from strandline.design.refinement import SAMPLING
 from strandline.errors import InvalidInput
 from strandline.likelihood import OnHost
 from strandline.parameters import ParameterSpace
-from strandline.posterior import systematic_indices
-from strandline.posterior.pareto_smoothing import pareto_smoothed
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import Weighted, systematic_indices
+from strandline.posterior.importance import pareto_smoothed
 from strandline.questions.specimen import SpecimenPosterior, matched
 from strandline.smc import sample
 from strandline.text import with_sd

@@ -19,23 +19,23 @@ from scipy.special import gammaincinv, ndtri
 from strandline.calibration.importance_sampler import (
     ENOUGH,
     FREEDOM,
+    Densities,
     Pool,
     StudentMixture,
     effective_size,
     fitted,
     followed,
+    only_inside,
 )
-from strandline.calibration.log_densities import Densities, only_inside
 from strandline.design import sobol
 from strandline.design.refinement import SAMPLING
 from strandline.discrepancy import Discrepancy
 from strandline.interface import Observation
 from strandline.likelihood import FieldLikelihood, OnHost
-from strandline.likelihood.nearby import Nearby
+from strandline.likelihood.local_likelihood import Nearby
 from strandline.likelihood.parabolas import log_gain
 from strandline.parameters import ParameterSpace
-from strandline.posterior import systematic_indices
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import Weighted, systematic_indices
 from strandline.questions.certificate import Certified, certify
 from strandline.questions.start import Start
 from strandline.smc import sample

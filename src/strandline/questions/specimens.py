@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from strandline.calibration import Observer
-from strandline.calibration.in_notebook import observer_or_default
+from strandline.calibration.progress import observer_or_default
 from strandline.errors import InvalidInput, InvalidStudy, NumericsError
 from strandline.numerics.threads import one_thread
 from strandline.questions.answer import Answer

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from strandline.calibration import Observer
-from strandline.calibration.alternative import Alternative, Present, present
-from strandline.calibration.in_notebook import observer_or_default
+from strandline.calibration.alternative import Alternative, Baseline, baseline
+from strandline.calibration.progress import observer_or_default
 from strandline.calibration.usual_alternatives import usual_alternatives
-from strandline.calibration.what_if import LEAST_RATIO, LEAST_SHIFT, answered
+from strandline.calibration.what_if import LEAST_RATIO, LEAST_SHIFT, reweight_or_resample
 from strandline.calibration.what_if import Answer as Changed
 from strandline.design.active import Knowledge
 from strandline.errors import InvalidInput, InvalidStudy, TooFewRuns
 from strandline.numerics.threads import one_thread, use_double
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import Weighted
 from strandline.questions.alternatives import alternative_of, asked_in, require_asked
 from strandline.questions.answer import (
     Answer,
@@ -76,7 +76,7 @@ def what_if(
     with one_thread():
         tell.stage("surrogate")
         knowledge, why_not = _known(study)
-        now = present(posterior, knowledge, why_not=why_not)
+        now = baseline(posterior, knowledge, why_not=why_not)
         tried = list(_alternatives(study, now, asked, usual=alternatives is None))
         tell.stage("alternatives")
         answers = in_order(tuple(_answers(now, tried, seed, tell)))
@@ -92,7 +92,7 @@ def _known(study: Study) -> tuple[Knowledge | None, str]:
         return None, f"there is no surrogate of the interface ({error.value})"
 
 
-def _alternatives(study: Study, now: Present, asked: Sequence[WhatIf], *, usual: bool) -> Iterator[Alternative]:
+def _alternatives(study: Study, now: Baseline, asked: Sequence[WhatIf], *, usual: bool) -> Iterator[Alternative]:
     """Yield the alternatives that are asked for, then the usual ones."""
     for one in asked:
         yield alternative_of(one, study, now)
@@ -100,10 +100,10 @@ def _alternatives(study: Study, now: Present, asked: Sequence[WhatIf], *, usual:
         yield from usual_alternatives(now, study.discrepancies)
 
 
-def _answers(now: Present, tried: Sequence[Alternative], seed: int, tell: Observer) -> Iterator[Changed]:
+def _answers(now: Baseline, tried: Sequence[Alternative], seed: int, tell: Observer) -> Iterator[Changed]:
     begun = time.monotonic()
     for number, one in enumerate(tried, start=1):
-        yield answered(now, one, seed=seed)
+        yield reweight_or_resample(now, one, seed=seed)
         tell.part(Progress(len(tried), number, number, 0, 0, time.monotonic() - begun))
 
 
@@ -121,7 +121,7 @@ def in_order(answers: Sequence[Changed]) -> tuple[Changed, ...]:
     return tuple(sorted(answers, key=lambda one: (0 if one.moves else 1 if one.by is None else 2, -one.size)))
 
 
-def _described(study: Study, now: Present, answers: Sequence[Changed], seed: int) -> dict[str, Any]:
+def _described(study: Study, now: Baseline, answers: Sequence[Changed], seed: int) -> dict[str, Any]:
     """Return the content of what-if.json."""
     return {
         **facts_of(study, seed),
@@ -165,7 +165,7 @@ def _with_priors_together(subjects: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(together if one.removeprefix(PRIOR) in names else one for one in subjects))
 
 
-def _remarks(study: Study, now: Present, answers: Sequence[Changed]) -> list[str]:
+def _remarks(study: Study, now: Baseline, answers: Sequence[Changed]) -> list[str]:
     out = []
     number = sum(one.by is None for one in answers)
     if number:
@@ -185,7 +185,7 @@ def _remarks(study: Study, now: Present, answers: Sequence[Changed]) -> list[str
     return out
 
 
-def _surrogate(now: Present) -> dict[str, Any] | None:
+def _surrogate(now: Baseline) -> dict[str, Any] | None:
     """Return how good the surrogate of the interface is at the present posterior; None if it was not used."""
     quality = now.quality
     if now.knowledge is None or quality is None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from strandline.posterior.uniformity import Band
+from strandline.posterior.rank_tests import Band
 from strandline.report import plots
 from strandline.report.figure_files import Captioned
 from strandline.report.plots.comparison import axis_label

@@ -376,5 +376,5 @@ def _prediction(calibration: Calibration) -> Prediction:
         next(iter(calibration.log_likelihoods.values())),
         problem.space,
         problem.observations,
-        next(iter(problem.discrepancies.values())),
+        problem.measure,
     )

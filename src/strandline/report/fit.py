@@ -160,7 +160,7 @@ def nearest_runs(
     the interfaces are further apart than 5 times the noise; and they are further apart than the runs are from each
     other, so that no input between two runs is likely to fit.
     """
-    measure = next(iter(problem.discrepancies.values()))
+    measure = problem.measure
     runs = [record for record in records if record.ok]
     if log_likelihood is None or len(log_likelihood) != len(runs):
         log_likelihood = _log_likelihood(problem, measure, runs)

@@ -209,7 +209,7 @@ def _stopped_early(calibration: Calibration) -> Iterator[str]:
 def _in_steps(calibration: Calibration) -> Iterator[str]:
     good, problem = [record for record in calibration.records if record.ok], calibration.problem
     inputs = np.array([[record.inputs[name] for name in problem.space.names] for record in good])
-    field, measure = calibration.field, next(iter(problem.discrepancies.values()))
+    field, measure = calibration.field, problem.measure
     known = problem.observations if field is None else field.knowledge.likelihood.known_observations
     for found in steps_of([record.interfaces for record in good], inputs):
         seen = next(one for one in known if one.condition == found.condition)
@@ -260,7 +260,7 @@ def _prior(calibration: Calibration) -> Iterator[str]:
 
 def _surrogate(calibration: Calibration) -> Iterator[str]:
     validation, how = calibration.surrogate.validation, calibration.surrogate.left_out
-    measure = next(iter(calibration.problem.discrepancies.values()))
+    measure = calibration.problem.measure
     remedy = "More runs will lower it."
     if getattr(measure, "quadrature", None) == "centre":
         remedy = "More runs will lower it, and so will the refined quadrature of the measure."
@@ -421,7 +421,7 @@ def _unsure_cut(calibration: Calibration, found: FieldOutcome) -> Iterator[str]:
     if calibration.under_uncertainty is None:
         return
     cut, problem = calibration.under_uncertainty.cut, calibration.problem
-    measure = next(iter(problem.discrepancies.values()))
+    measure = problem.measure
     hidden = min(noise_length(seen, measure) for seen in found.knowledge.likelihood.known_observations)
     errors = found.knowledge.surrogate.predicted_error(cut.extended.draws)
     of_value = np.array([np.median(errors[cut.value_index == k]) for k in range(len(cut.values))])

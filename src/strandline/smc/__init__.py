@@ -1,14 +1,12 @@
 """Adaptive tempered Sequential Monte Carlo."""
 
-from strandline.smc.carried import carried_over
+from strandline.smc.combined import carried_over, in_halves
 from strandline.smc.conditionals import ConditionalLogDensity, sample_each
-from strandline.smc.halves import in_halves
 from strandline.smc.moves import BatchedLogDensity, Moved, RandomKey, metropolis
-from strandline.smc.on_host import is_on_host
+from strandline.smc.on_host import OnHost, is_on_host
 from strandline.smc.records import STUDY, SMCResult, SMCSettings, StepInfo
-from strandline.smc.resampling import systematic
 from strandline.smc.sampler import sample
-from strandline.smc.steps import Particles
+from strandline.smc.steps import Particles, systematic
 from strandline.smc.tempering import effective_sample_size, next_temperature
 
 __all__ = [
@@ -16,6 +14,7 @@ __all__ = [
     "BatchedLogDensity",
     "ConditionalLogDensity",
     "Moved",
+    "OnHost",
     "Particles",
     "RandomKey",
     "SMCResult",

@@ -15,17 +15,8 @@ from strandline.numerics.threads import use_double
 from strandline.smc.moves import BatchedLogDensity, RandomKey, Scalar
 from strandline.smc.on_host import advance_each_on_host, is_on_host
 from strandline.smc.records import SMCResult, SMCSettings, StepInfo
-from strandline.smc.sampler import (
-    check,
-    checked_start,
-    finished,
-    hashable,
-    report,
-    require_steps_left,
-)
+from strandline.smc.sampler import check, checked_start, finished, hashable, report, require_steps_left
 from strandline.smc.steps import Info, Particles, advance
-
-__all__ = ["ConditionalLogDensity", "sample_each"]
 
 ConditionalLogDensity = Callable[[Float[Array, "particle dim"], Float[Array, " given"]], Float[Array, " particle"]]
 """log L(x | θ) of points x and one value of θ."""
@@ -99,7 +90,6 @@ def _step(
     target: tuple[ConditionalLogDensity, BatchedLogDensity],
     moves: int,
 ) -> tuple[Particles, Info]:
-    """Advance every case that has not reached γ = 1."""
     log_likelihood, log_prior = target
 
     def one(key: RandomKey, state: Particles, theta: Float[Array, " given"]) -> tuple[Particles, Info]:
@@ -124,7 +114,6 @@ def _start(
     initial: Float[np.ndarray, "case particle dim"],
     given: Float[Array, "case given"],
 ) -> Particles:
-    """Return the checked states at γ = 0, cases on the leading axis."""
     use_double()
     positions = jnp.asarray(initial, float)
     likelihood = _first_values(log_likelihood, positions, given)
@@ -147,7 +136,6 @@ def _first_values(
 
 
 def _one(tree: Any, case: Any) -> Any:
-    """Return one case of a tree of arrays."""
     return jax.tree.map(lambda a: a[case], tree)
 
 

@@ -7,17 +7,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key, UInt32
 
-__all__ = [
-    "BatchedLogDensity",
-    "Moved",
-    "accepted",
-    "metropolis",
-    "proposal_factor",
-    "proposal_scale",
-    "proposed",
-    "unmoved",
-]
-
 BatchedLogDensity = Callable[[Float[Array, "particle dim"]], Float[Array, " particle"]]
 RandomKey = Key[Array, ""] | UInt32[Array, "2"]
 Scalar = Float[Array, ""]

@@ -4,6 +4,7 @@ The pieces do not contain the function, so they can be kept from one process to 
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -15,10 +16,22 @@ from jaxtyping import Array, Bool, Float, Int, Key, UInt32
 from strandline.smc.moves import BatchedLogDensity, Moved, Positions, RandomKey, Scalar, accepted, proposed
 from strandline.smc.steps import Begun, Info, Particles, begin, end
 
-__all__ = ["advance_each_on_host", "advance_on_host", "is_on_host", "rejuvenate"]
-
 HostDensity = Callable[[Float[np.ndarray, "particle dim"]], Float[np.ndarray, " particle"]]
 Keys = Key[Array, " case"] | UInt32[Array, "case 2"]
+_begin: Callable[..., Begun] = jax.jit(begin)
+_accept: Callable[..., Moved] = partial(jax.jit, static_argnames="steps")(accepted)
+_begin_each: Callable[..., Begun] = jax.jit(jax.vmap(begin, in_axes=(0, 0, None, None)))
+
+
+@dataclass(frozen=True)
+class OnHost:
+    """A log-likelihood of NumPy arrays for the sampler, which does not compile it."""
+
+    function: Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, " point"]]
+    on_host = True
+
+    def __call__(self, x: Any) -> Any:
+        return self.function(x)
 
 
 def is_on_host(log_likelihood: Any) -> bool:
@@ -50,15 +63,7 @@ def advance_on_host(
 def rejuvenate(
     key: RandomKey, state: Particles, log_likelihood: HostDensity, log_prior: BatchedLogDensity, *, moves: int
 ) -> Particles:
-    """Return the particles after resampling and moves that leave L p invariant; their weights are equal then.
-
-    Args:
-        key: Random key; do not use it again.
-        state: Weighted particles of L p, at the temperature 1.
-        log_likelihood: log L of NumPy arrays.
-        log_prior: log p.
-        moves: Number of moves per particle.
-    """
+    """Return the particles after resampling and moves that leave L p invariant; their weights are equal then."""
     always = jnp.ones(())
     return advance_on_host(key, state, always, always, target=(log_likelihood, log_prior), moves=moves)[0]
 
@@ -75,14 +80,7 @@ def advance_each_on_host(
 ) -> tuple[Particles, Info]:
     """Advance every case that has not reached γ = 1; log L is evaluated for the particles of all cases at once.
 
-    Args:
-        keys: Random keys of the cases.
-        states: States, cases on the leading axis.
-        given: Value of θ for each case (case, given).
-        zeta: Share of the effective sample size to keep.
-        resample_below: Share of the particles; resample if the effective sample size falls to it.
-        target: log L, a function of points and as many rows of θ, and log p.
-        moves: Number of moves per particle.
+    Cases are on the leading axis; log L in `target` is a function of points and as many rows of θ.
     """
     log_likelihood, log_prior = target
     active = np.asarray(states.temperature) < 1.0
@@ -101,7 +99,6 @@ def advance_each_on_host(
 def _inside(
     log_likelihood: HostDensity, x: Float[np.ndarray, "particle dim"], prior: Float[np.ndarray, " particle"]
 ) -> Float[np.ndarray, " particle"]:
-    """Return log L where the prior is not zero."""
     out, inside = np.full(len(x), -np.inf), ~np.isneginf(prior)
     if inside.any():
         out[inside] = log_likelihood(x[inside])
@@ -134,10 +131,7 @@ def _proposal(
     return proposal, log_prior(proposal)
 
 
-_begin: Callable[..., Begun] = jax.jit(begin)
 _propose: Callable[..., Any] = partial(jax.jit, static_argnames="log_prior")(_proposal)
-_accept: Callable[..., Moved] = partial(jax.jit, static_argnames="steps")(accepted)
-_begin_each: Callable[..., Begun] = jax.jit(jax.vmap(begin, in_axes=(0, 0, None, None)))
 
 
 @partial(jax.jit, static_argnames="log_prior")

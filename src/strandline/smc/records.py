@@ -7,8 +7,6 @@ from jaxtyping import Float
 
 from strandline.errors import InvalidInput
 
-__all__ = ["STUDY", "SMCResult", "SMCSettings", "StepInfo", "require"]
-
 
 def require(right: bool, what: str, value: object, expected: str) -> None:
     """Raise InvalidInput unless `right`."""

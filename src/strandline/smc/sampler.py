@@ -10,30 +10,36 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
 from strandline.errors import NumericsError
 from strandline.numerics.compiled import WIDEST
 from strandline.numerics.threads import use_double
-from strandline.smc.devices import spread
 from strandline.smc.moves import NARROWEST, BatchedLogDensity, RandomKey
 from strandline.smc.on_host import advance_on_host, is_on_host
 from strandline.smc.records import SMCResult, SMCSettings, StepInfo, require
 from strandline.smc.steps import Info, Particles, advance
 from strandline.smc.tempering import effective_sample_size
 
-__all__ = [
-    "check",
-    "checked_start",
-    "finished",
-    "hashable",
-    "report",
-    "require_steps_left",
-    "sample",
-]
-
 _DEFAULT = SMCSettings()
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+_step = partial(jax.jit, static_argnames=("target", "moves"), compiler_options=WIDEST)(advance)
+
+
+def spread(positions: Float[Array, "particle dim"]) -> Float[Array, "particle dim"]:
+    """Return the particles in equal parts on as many devices as divide them evenly; jitted functions then run there.
+
+    A CPU is one device unless `jax_num_cpu_devices` is set before JAX is first used; the command line sets it.
+    """
+    devices = jax.devices()
+    count = max(n for n in range(1, len(devices) + 1) if len(positions) % n == 0)
+    if count == 1:
+        return positions
+    parts: Any = PartitionSpec("particle")  # type: ignore[no-untyped-call]
+    spreading = NamedSharding(Mesh(np.array(devices[:count]), ("particle",)), parts)
+    spread_out: Array = jax.device_put(positions, spreading)
+    return spread_out
 
 
 def sample(
@@ -81,13 +87,8 @@ def sample(
     return finished(state, tuple(steps), settings)
 
 
-_step = partial(jax.jit, static_argnames=("target", "moves"), compiler_options=WIDEST)(advance)
-
-
 def _start(
-    log_likelihood: BatchedLogDensity,
-    log_prior: BatchedLogDensity,
-    initial: Float[Array | np.ndarray, "particle dim"],
+    log_likelihood: BatchedLogDensity, log_prior: BatchedLogDensity, initial: Float[Array | np.ndarray, "particle dim"]
 ) -> Particles:
     """Return the state at γ = 0 after checking all that can be checked."""
     use_double()

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int, Key, UInt32
 
 from strandline.smc.moves import (
     BatchedLogDensity,
@@ -16,13 +16,25 @@ from strandline.smc.moves import (
     proposal_scale,
     unmoved,
 )
-from strandline.smc.resampling import systematic
 from strandline.smc.tempering import effective_sample_size, next_temperature, reweighted
-
-__all__ = ["Begun", "Info", "Particles", "advance", "begin", "end"]
 
 _SLACK = 1e-3
 """Relative tolerance: the effective sample size approaches its target from above and, within this, counts as met."""
+
+
+def systematic(
+    key: Key[Array, ""] | UInt32[Array, "2"], log_weights: Float[Array, " particle"]
+) -> Int[Array, " particle"]:
+    """Return the ancestors of as many particles as there are log weights, drawn with one uniform number.
+
+    Particle i has ⌊N w_i⌋ or ⌈N w_i⌉ offspring, N w_i in expectation; a particle of zero weight has none.
+    """
+    number = log_weights.shape[0]
+    cumulative = jnp.cumsum(jnp.exp(log_weights - jax.nn.logsumexp(log_weights)))
+    offset = jax.random.uniform(key, dtype=cumulative.dtype)
+    positions = (jnp.arange(number) + offset) / number * cumulative[-1]
+    last = jnp.max(jnp.where(jnp.isneginf(log_weights), 0, jnp.arange(number)))
+    return jnp.minimum(jnp.searchsorted(cumulative, positions, side="right"), last)
 
 
 class Particles(NamedTuple):
@@ -70,12 +82,7 @@ def advance(
     for_resampling, for_moves = jax.random.split(key)
     begun = begin(for_resampling, state, zeta, resample_below)
     moved = metropolis(
-        for_moves,
-        *begun.start[:3],
-        target=target,
-        temperature=begun.temperature,
-        factor=begun.factor,
-        steps=moves,
+        for_moves, *begun.start[:3], target=target, temperature=begun.temperature, factor=begun.factor, steps=moves
     )
     return end(begun, moved, state.narrowest)
 

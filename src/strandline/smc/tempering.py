@@ -4,8 +4,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-__all__ = ["effective_sample_size", "next_temperature", "reweighted"]
-
 _HALVINGS = 64
 _LEAST = 1e-100
 """Least increment of the temperature: noise of 1e-50 of the range still leaves one."""

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from strandline.calibration import Observer
-from strandline.calibration.in_notebook import observer_or_default
+from strandline.calibration.progress import observer_or_default
 from strandline.discrepancy import oriented_like_runs
 from strandline.errors import InvalidInput, InvalidStudy, TooFewRuns
 from strandline.interface import Interface, Observation
@@ -166,7 +166,7 @@ def _remarks(study: Study, found: Compared) -> Iterator[str]:
     verdict = verdict_on(found.result.smoothed)
     yield VERDICTS[verdict]
     if verdict != "good":
-        measure = next(iter(study.discrepancies.values()))
+        measure = study.measure
         refined = getattr(measure, "quadrature", None) == "centre"
         yield (
             "Remedy: more runs near the posterior (a narrower box, or a larger design)"
@@ -295,7 +295,7 @@ def check_posterior(
     records, new_runs = _run(study, positions, executor or study.executor, tell)
     tell.stage("report")
     observations = tuple(_oriented(seen, records) for seen in observations)
-    likelihood = InterfaceLikelihood(observations, next(iter(study.discrepancies.values())))
+    likelihood = InterfaceLikelihood(observations, study.measure)
     true = np.array([likelihood(record.interfaces) if record.ok else -np.inf for record in records])
     _require_one(records)
     found = Compared(posterior, chosen, records, true, surrogate, reweight(positions, true - surrogate))

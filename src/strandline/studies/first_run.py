@@ -12,7 +12,7 @@ from strandline.discrepancy import Discrepancy, apart, extent, oriented_like_run
 from strandline.discrepancy.nearest import squared_distances
 from strandline.errors import ForwardModelError, InvalidInput, NumericsError
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
-from strandline.likelihood import InterfaceLikelihood, compared, errors_of, noise_length, sd_of_distances
+from strandline.likelihood import InterfaceLikelihood, compared, noise_length, sd_of_distances
 from strandline.models.protocol import SolvesOnFinerMesh, undeformed_interface
 from strandline.runs import Ledger, RunRecord, run_key
 from strandline.studies.observed import noisy, require_plausible
@@ -201,7 +201,7 @@ def _largest_displacement(run: Interface, undeformed: Interface) -> float:
 
 def _hidden(measure: Discrepancy, run: Interface, undeformed: Observation) -> bool:
     """Return whether the undeformed interface explains the run within the noise, all points together: d² < σ_N²."""
-    errors, seen = errors_of(undeformed), undeformed.interface
+    errors, seen = undeformed.errors, undeformed.interface
     try:
         one = compared(undeformed, measure, len(run.points))
         return float(one.measure(run, seen)) < one.noise.scale
@@ -309,7 +309,7 @@ def batch_lines(study: Study, record: RunRecord) -> Iterator[str]:
 
 
 def _measure(study: Study) -> Discrepancy:
-    return next(iter(study.discrepancies.values()))
+    return study.measure
 
 
 def _length(mm: float) -> str:

@@ -12,7 +12,7 @@ from strandline.discrepancy.contours import path_of
 from strandline.discrepancy.nearest import closest_points
 from strandline.discrepancy.normal_offset import BEYOND as BEYOND_END
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
-from strandline.likelihood.compared import adapted, errors_of
+from strandline.likelihood.compared import adapted
 from strandline.runs import RunRecord
 from strandline.studies.first_run import observations_of
 from strandline.studies.study import Study
@@ -206,11 +206,11 @@ def node_lines(study: Study, record: RunRecord) -> Iterator[str]:
 
     Nothing is said where the model itself makes the observation, or for measures other than signed distances.
     """
-    if study.truth is not None or not isinstance(next(iter(study.discrepancies.values())), NormalOffset):
+    if study.truth is not None or not isinstance(study.measure, NormalOffset):
         return
     for seen in study.observations(observations_of(study)):
         condition = seen.condition
-        errors, one = errors_of(seen), record.interfaces[condition]
+        errors, one = seen.errors, record.interfaces[condition]
         if errors is None or one.dim != 2:
             continue
         local, sagittas = errors.model(seen.interface).local, _sagittas(one)

@@ -13,7 +13,7 @@ from typing import Any
 from xarray import DataTree
 
 from strandline.calibration import Calibration, Observer, Problem, calibrate
-from strandline.calibration.in_notebook import observer_or_default
+from strandline.calibration.progress import observer_or_default
 from strandline.design.active import BatchReport
 from strandline.errors import InvalidInput, InvalidStudy, NumericsError, ResultsNotWritten
 from strandline.interface import Interface

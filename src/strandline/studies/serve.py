@@ -168,7 +168,7 @@ def served_models(
     example = _required(solve({**study.fixed, **study.space.as_mapping(medians)}), "at the medians of the priors")
     observations = _observations(study, solve, example)
     require_stated((seen.noise for seen in observations), "strandline serve")
-    likelihood = InterfaceLikelihood(observations, next(iter(study.discrepancies.values())))
+    likelihood = InterfaceLikelihood(observations, study.measure)
     return tuple(_Served(study, solve, differentiate, likelihood, outside).models(example))
 
 

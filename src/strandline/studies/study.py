@@ -105,6 +105,11 @@ class Study:
         """The runs that the study needs, and which of them its ledgers hold."""
         return StudyRuns(self)
 
+    @property
+    def measure(self) -> Discrepancy:
+        """The measure that defines the posterior."""
+        return next(iter(self.discrepancies.values()))
+
     def noise_of(self, condition: str) -> Noise | PointErrors | UnknownErrors:
         """Return the noise of a condition, or the errors of its observed points."""
         return self.noises.get(condition, self.noise)
@@ -187,7 +192,7 @@ def study_of(folder: Path, content: StudyFile, text: str) -> Study:
         require_fits(study.noise_of(condition), seen)
     stated = {name: study.noise_of(name) for name in observed or declared_conditions(model)}
     require_shared(stated)
-    measure, by_field = next(iter(study.discrepancies.values())), study.settings.surrogate == "field"
+    measure, by_field = study.measure, study.settings.surrogate == "field"
     for given in (content.noise, *content.noise.conditions.values()):
         require_unit(given, study.discrepancies.values())
     require_inferable(stated.values(), measure, by_field=by_field)

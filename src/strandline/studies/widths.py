@@ -8,15 +8,13 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.calibration import Observer
-from strandline.calibration.footprint import footprint
+from strandline.calibration.experiment import footprint
 from strandline.discrepancy import Discrepancy, NormalOffset, signed_distances, squared_discrepancies
 from strandline.errors import InvalidInput, NumericsError
 from strandline.interface import Interface, Observation, UnknownErrors
 from strandline.likelihood import compared, noise_length
-from strandline.likelihood.compared import errors_of
-from strandline.likelihood.joint_errors import error_model
+from strandline.likelihood.joint_errors import error_model, shared_errors
 from strandline.likelihood.noise_rule import differences, second_differences
-from strandline.likelihood.shared_errors import shared_errors
 from strandline.models.fidelities import WithCheaper, is_cheaper
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior
@@ -94,10 +92,10 @@ def _information(
     study: Study, interfaces: Mapping[str, Interface], slopes: Slopes, observed: Mapping[str, Interface]
 ) -> Float[np.ndarray, "dim dim"]:
     """Return what the observations add to the prior's precision; errors that they share count once."""
-    measure, dim = next(iter(study.discrepancies.values())), study.space.dim
+    measure, dim = study.measure, study.space.dim
     seen = [_seen(study, name, interfaces[name], observed.get(name)) for name in observed or interfaces]
     steps = {one.condition: _steps(one, measure, slopes[one.condition]) for one in seen}
-    errors = [found for one in seen if (found := errors_of(one)) is not None]
+    errors = [found for one in seen if (found := one.errors) is not None]
     if isinstance(measure, NormalOffset) and len(errors) == len(seen):
         joint = shared_errors(seen, measure)
         model = error_model(seen, errors) if joint is None else joint.model

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from strandline.calibration.alternative import Alternative, Present
+from strandline.calibration.alternative import Alternative, Baseline
 from strandline.calibration.usual_alternatives import scaled_noise, with_prior
-from strandline.calibration.what_if import Answer, answered, reweighted
+from strandline.calibration.what_if import Answer, reweight_or_resample, reweighted
 from strandline.errors import InvalidInput
 from strandline.interface import GaussianNoise, Observation, PointErrors
 from strandline.likelihood import FieldLikelihood
@@ -47,7 +47,7 @@ class Asked:
     fixed: Mapping[str, float]
 
 
-def knobs_of(study: Study, now: Present | None) -> dict[str, Any]:
+def knobs_of(study: Study, now: Baseline | None) -> dict[str, Any]:
     """Return what the page may change, with the present values.
 
     Args:
@@ -104,7 +104,7 @@ def asked_by(given: Mapping[str, Any], study: Study) -> Asked:
     return Asked(noise, length, measure, stated, values)
 
 
-def answer_to(asked: Asked, study: Study, now: Present, *, again: bool) -> Answer:
+def answer_to(asked: Asked, study: Study, now: Baseline, *, again: bool) -> Answer:
     """Return the posterior under other assumptions, without a forward run.
 
     Args:
@@ -118,11 +118,11 @@ def answer_to(asked: Asked, study: Study, now: Present, *, again: bool) -> Answe
     """
     alternative = _alternative(asked, study, now)
     if again or alternative.fixed:
-        return answered(now, alternative, seed=SEED)
+        return reweight_or_resample(now, alternative, seed=SEED)
     return reweighted(now, alternative)
 
 
-def _alternative(asked: Asked, study: Study, now: Present) -> Alternative:
+def _alternative(asked: Asked, study: Study, now: Baseline) -> Alternative:
     priors: dict[str, Prior] = {name: build_prior(one, f"prior of {name}") for name, one in asked.priors.items()}
     plain = asked.noise == 1 and asked.length_um is None and asked.measure is None
     if not plain and now.knowledge is None:

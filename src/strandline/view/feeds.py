@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from strandline.calibration.alternative import Present, present
-from strandline.calibration.so_far import posterior_so_far
+from strandline.calibration.alternative import Baseline, baseline, interim_posterior
 from strandline.errors import InvalidInput, InvalidStudy, NumericsError, TooFewRuns
 from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import systematic_indices
@@ -126,8 +125,8 @@ class CurrentPosterior:
         history: Runs, means and standard deviations of each posterior, the newest last.
     """
 
-    now: Present | None = None
-    few: Present | None = None
+    now: Baseline | None = None
+    few: Baseline | None = None
     source: str = "none"
     why_none: str = "too few forward runs have ended yet"
     history: tuple[dict[str, Any], ...] = ()
@@ -181,7 +180,7 @@ class PosteriorFeed:
         }
         self.shown = CurrentPosterior(found, _thinned(found), source, before.why_none, (*before.history, step))
 
-    def _posterior(self) -> tuple[Present, str]:
+    def _posterior(self) -> tuple[Baseline, str]:
         study, measure = self.study, next(iter(self.study.discrepancies))
         if results_of(study) == "current":
             stored = finished_posterior(study, purpose="show")
@@ -189,12 +188,12 @@ class PosteriorFeed:
                 knowledge, why_not = field_knowledge(study, measure, purpose="the page"), ""
             except (InvalidStudy, TooFewRuns) as error:
                 knowledge, why_not = None, f"there is no surrogate of the interface ({error.value})"
-            return present(stored, knowledge, why_not=why_not), "stored"
+            return baseline(stored, knowledge, why_not=why_not), "stored"
         knowledge = field_knowledge(study, measure, purpose="the page")
-        return posterior_so_far(knowledge, study.space, seed=SEED), "so far"
+        return interim_posterior(knowledge, study.space, seed=SEED), "so far"
 
 
-def _thinned(now: Present) -> Present:
+def _thinned(now: Baseline) -> Baseline:
     """Return a posterior with equally weighted draws, few enough to be weighted again while a slider moves."""
     chosen = systematic_indices(np.exp(now.log_weights), DRAWS, np.random.default_rng(SEED))
     return replace(
@@ -214,6 +213,6 @@ def changed_at(path: Path) -> int:
         return 0
 
 
-def _moved(before: Present, after: Present) -> float:
+def _moved(before: Baseline, after: Baseline) -> float:
     """Return the largest shift of a mean, in earlier standard deviations."""
     return float(np.abs((after.mean - before.mean) / before.sd).max())

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.tri import LinearTriInterpolator, Triangulation
 
-from strandline.calibration.alternative import Present
+from strandline.calibration.alternative import Baseline
 from strandline.calibration.misfit import by_field
 from strandline.calibration.what_if import Answer
 from strandline.design.active import Knowledge
@@ -22,7 +22,7 @@ from strandline.interface import Interface
 from strandline.models.protocol import DrawsFields, ForwardModel, declared_conditions
 from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import systematic_indices
-from strandline.posterior.pareto_smoothing import reliability_threshold
+from strandline.posterior.importance import reliability_threshold
 from strandline.report.explore import (
     BAND_DRAWS,
     DRAWS,
@@ -236,7 +236,7 @@ class ViewedStudy:
         with one_thread():
             return self._answered(answer_to(asked, self.study, now, again=again), now, again=again)
 
-    def _answered(self, answer: Answer, now: Present, *, again: bool) -> dict[str, Any]:
+    def _answered(self, answer: Answer, now: Baseline, *, again: bool) -> dict[str, Any]:
         space, threshold = self.study.space, reliability_threshold(len(now.draws))
         out: dict[str, Any] = {
             "by": answer.by,
@@ -286,7 +286,7 @@ class ViewedStudy:
         return np.array([number_in(name, given.get(name), *space[name].interval) for name in space.names])
 
 
-def _bands(now: Present) -> dict[str, dict[str, Any]]:
+def _bands(now: Baseline) -> dict[str, dict[str, Any]]:
     """Return the posterior's predictive bands by condition; nothing without a surrogate of the interface."""
     if now.knowledge is None:
         return {}

@@ -13,7 +13,7 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_num_cpu_devices", int(sys.argv[1]))
 import numpy as np
 from strandline.smc import SMCSettings, sample
-from strandline.smc.devices import spread
+from strandline.smc.sampler import spread
 from tests.densities import gaussian
 
 target = gaussian(np.array([1.0, -2.0]), np.array([[1.0, 0.6], [0.6, 2.0]]))

@@ -44,7 +44,7 @@ def learnt(folder, asked, settings):
     """Return what all runs teach, without a posterior."""
     folder.mkdir(exist_ok=True)
     with Ledger.open(folder / "ledger.sqlite", model=asked.model) as ledger:
-        return Learning(asked, settings, ledger, InProcess(), Observer(), Stopwatch()).lesson(None)
+        return Learning(asked, settings, ledger, InProcess(), Observer(), Stopwatch()).train(None)
 
 
 @dataclass(frozen=True)

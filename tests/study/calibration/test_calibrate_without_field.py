@@ -12,7 +12,7 @@ from strandline.design.active import Active
 from strandline.discrepancy import Currents
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
-from strandline.likelihood.set_aside import Judge
+from strandline.likelihood.set_aside import RunFilter
 from strandline.models.protocol import Simulation
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import Uniform
@@ -74,7 +74,7 @@ def test_another_topology_gives_the_posterior_by_the_other_surrogate(tmp_path, m
     def none(self, records, error):
         raise error
 
-    monkeypatch.setattr(Judge, "without_exceptions", none)
+    monkeypatch.setattr(RunFilter, "without_exceptions", none)
     asked, settings = problem(Flap(height=height)), replace(ACTIVE, active=Active(100, batch=4, explore=0.5))
     found = answer(tmp_path, asked, settings)
     assert len({record.key for record in found.records}) == len(found.records) == 100

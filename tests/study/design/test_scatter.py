@@ -10,7 +10,7 @@ from scipy.special import softmax
 import strandline as sl
 from strandline.design.active import Active, learn, simulator_noise
 from strandline.design.active.posterior_check import SimulatorNoise
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import Weighted
 from strandline.report.warnings import find_warnings
 
 SPACE = sl.ParameterSpace((sl.Parameter("a", sl.Uniform(0.0, 1.0)), sl.Parameter("b", sl.Uniform(0.0, 1.0))))

@@ -72,7 +72,7 @@ def compared(analysed):
 
 def exact(study):
     """Return the log-evidence of the true model by quadrature around its posterior."""
-    likelihood = InterfaceLikelihood(study.observations(study.observed), next(iter(study.discrepancies.values())))
+    likelihood = InterfaceLikelihood(study.observations(study.observed), study.measure)
     posterior, space = sl.load_result(study.folder).posterior, study.space
     low = np.maximum(posterior.mean - 7 * posterior.sd, space.low)
     size = np.minimum(posterior.mean + 7 * posterior.sd, space.high) - low

@@ -10,7 +10,7 @@ from tests.study.questions.conftest import Stopped, content_of, lines_of, stops_
 
 import strandline as sl
 from strandline.calibration import Observer
-from strandline.calibration.field_quality import FieldQuality
+from strandline.calibration.source import FieldQuality
 from strandline.cli import main
 from strandline.errors import InvalidInput
 from strandline.interface import GaussianNoise, Interface

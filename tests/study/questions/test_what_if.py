@@ -9,7 +9,7 @@ from tests.study.conftest import NOISY, SAMPLER
 from tests.study.questions.conftest import content_of, line_by_line
 
 import strandline as sl
-from strandline.calibration.alternative import present
+from strandline.calibration.alternative import baseline
 from strandline.cli import main
 from strandline.errors import InvalidInput, InvalidStudy, NoCommonPoints
 from strandline.questions.alternatives import alternative_of, require_asked
@@ -136,7 +136,7 @@ REFUSED = [
 
 def test_alternatives_that_do_not_fit_are_refused(field):
     study = sl.load_study(field.folder)
-    now = present(field.outcome.calibration.posterior, field_knowledge(study, "normal_offset"), why_not="")
+    now = baseline(field.outcome.calibration.posterior, field_knowledge(study, "normal_offset"), why_not="")
     for given, words in REFUSED:
         with pytest.raises(InvalidInput) as caught:
             alternative_of(require_asked(given), study, now)

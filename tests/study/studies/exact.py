@@ -21,7 +21,7 @@ def tracked(E, tilt):
 
 
 def likelihood_of(problem):
-    likelihood = InterfaceLikelihood(problem.observations, next(iter(problem.discrepancies.values())))
+    likelihood = InterfaceLikelihood(problem.observations, problem.measure)
     return lambda E, tilt: likelihood({"": beam({"E": E, "tilt": tilt, "load": 1e-5}, Path()).interface})
 
 

@@ -10,12 +10,10 @@ from scipy.stats import norm
 from tests.unit.calibration.arches import SD, SPACE, TRACKED, TRUTH, arch, knowledge, seen
 from tests.unit.discrepancy.surfaces import sheet
 
-from strandline.calibration import coverage as module
+from strandline.calibration import importance_sampler
 from strandline.calibration.coverage import CoverageFound, Replicate, repeatable, replicated
-from strandline.calibration.experiment import CoordinateErrors
-from strandline.calibration.field_quality import field_quality
-from strandline.calibration.footprint import footprint
-from strandline.calibration.source import posterior_source, prior_source
+from strandline.calibration.experiment import CoordinateErrors, footprint
+from strandline.calibration.source import field_quality, posterior_source, prior_source
 from strandline.discrepancy import ClosestPoint, NormalOffset, signed_distances
 from strandline.errors import InvalidInput
 from strandline.interface import GaussianNoise, Interface, Observation, PointErrors
@@ -81,7 +79,7 @@ def test_a_replicate_depends_on_seed_and_number_alone_and_tempering_takes_over(m
     np.testing.assert_equal(vars(replicated(experiment, source, seed=1, number=3)), vars(first))
     for seed, number in ((2, 3), (1, 4)):
         assert (replicated(experiment, source, seed=seed, number=number).truth != first.truth).any()
-    monkeypatch.setattr(module, "followed", lambda *given: None)
+    monkeypatch.setattr(importance_sampler, "followed", lambda *given, **options: None)
     other = replicated(experiment, source, seed=1, number=3)
     assert (first.by, other.by) == ("importance", "smc")
     np.testing.assert_array_equal(other.truth, first.truth)

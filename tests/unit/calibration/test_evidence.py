@@ -10,17 +10,16 @@ from scipy.stats import multivariate_normal
 from tests.unit.calibration.arches import SD, SPACE, TRACKED, Exact, arch, knowledge, seen
 
 from strandline.calibration import importance_sampler
-from strandline.calibration.evidence import Evidence, log_evidence
+from strandline.calibration.alternative import interim_posterior
+from strandline.calibration.evidence import CANNOT_TELL, Evidence, ModelComparison, averaged, in_words, log_evidence
 from strandline.calibration.importance_sampler import Pool, followed
-from strandline.calibration.model_comparison import CANNOT_TELL, ModelComparison, averaged, in_words
-from strandline.calibration.so_far import posterior_so_far
 from strandline.design import sobol
 from strandline.design.active import Knowledge
 from strandline.discrepancy import NormalOffset
 from strandline.interface import GaussianNoise, Observation, PointErrors
 from strandline.likelihood import InterfaceLikelihood
+from strandline.posterior import Weighted
 from strandline.posterior.quadrature import integrate
-from strandline.posterior.weighted import Weighted
 
 MEAN, COVARIANCE = np.array([0.4, 0.55]), np.array([[0.0004, 0.0003], [0.0003, 0.0009]])
 
@@ -150,7 +149,7 @@ def test_it_is_that_of_the_true_model_and_a_poor_surrogate_says_how_far_it_may_b
 def test_the_posterior_so_far_is_that_of_the_true_model():
     observation = Observation(seen(PointErrors(SD)), GaussianNoise((5 * SD) ** 2))
     known, exact = knowledge(TRACKED, {"": observation}), Exact(SPACE, (observation,))
-    found = posterior_so_far(known, SPACE, seed=1)
+    found = interim_posterior(known, SPACE, seed=1)
     assert np.abs((found.mean - exact.mean) / exact.sd).max() < 0.1
     assert np.abs(np.log(found.sd / exact.sd)).max() < 0.08
     assert found.log_evidence == pytest.approx(exact.log_evidence, abs=0.1)

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 from tests.unit.discrepancy.surfaces import sheet
 
-from strandline.calibration.misfit import Effort, Prediction, by_runs, judge, misfit_of
+from strandline.calibration.misfit import Effort, Prediction, assess_fit, by_runs, misfit_of
 from strandline.calibration.misfit.reference import corrected, drawn_statistics
 from strandline.calibration.misfit.verdict import verdict_on
 from strandline.discrepancy import ClosestPoint, Currents, NormalOffset, TrackedPoints
@@ -134,7 +134,7 @@ def test_inputs_that_act_only_together_raise_no_false_alarm(monkeypatch):
         return found.smooth_p
 
     assert stats.kstest([smooth_p(seed) for seed in range(20)], "uniform").pvalue > 0.005
-    monkeypatch.setattr(judge, "beyond", separately)
+    monkeypatch.setattr(assess_fit, "beyond", separately)
     assert stats.kstest([smooth_p(seed) for seed in range(20)], "uniform").pvalue < 0.005
 
 
@@ -148,7 +148,7 @@ def test_p_values_of_right_models_are_uniform(monkeypatch):
     for given, function, planted in rows:
         assert stats.kstest(p_values(*given), "uniform").pvalue > 0.005
         with monkeypatch.context() as patch:
-            patch.setattr(judge, function, planted)
+            patch.setattr(assess_fit, function, planted)
             assert stats.kstest(p_values(*given), "uniform").pvalue < 0.005
 
 
@@ -273,10 +273,10 @@ def test_what_cannot_be_computed_and_errors_that_leave_no_residual_are_said():
     found = judged(drawn(LOCAL, 0), 1e-4, measure=lambda simulated, observed: 0.0)
     assert (found.flagged, found.p_value) == (False, None)
     assert "was not computed: noise of function" in found.verdict
-    text = judge.invisible([Observation(outline(), LOCAL)], ["E", "nu"], ("V_in",))
+    text = assess_fit.invisible([Observation(outline(), LOCAL)], ["E", "nu"], ("V_in",))
     assert text.startswith("Residuals cannot reveal an error that E or nu can compensate for: a wrong value of V_in, ")
     assert "picture scale" in text
-    assert "picture scale" not in judge.invisible([Observation(outline(), PointErrors(S, scale=0.01))], ["E"], ())
+    assert "picture scale" not in assess_fit.invisible([Observation(outline(), PointErrors(S, scale=0.01))], ["E"], ())
 
 
 def test_what_was_removed_or_allowed_for_is_said_and_is_that_of_the_observation():

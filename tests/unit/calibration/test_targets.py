@@ -15,11 +15,10 @@ from strandline.calibration.sampler_check import LEVEL, compare_halves
 from strandline.calibration.targets import FieldTarget, central_hessian
 from strandline.discrepancy import Currents, NormalOffset
 from strandline.parameters import Parameter, ParameterSpace
-from strandline.posterior import Posterior
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import Posterior, Weighted
 from strandline.priors import Uniform
-from strandline.smc import SMCResult, SMCSettings, StepInfo, halves, in_halves
-from strandline.smc.halves import joined
+from strandline.smc import SMCResult, SMCSettings, StepInfo, combined, in_halves
+from strandline.smc.combined import joined
 
 
 def on_grid(log_likelihood):
@@ -113,7 +112,7 @@ def test_the_halves_have_their_own_particles_and_keys_and_repeat_to_the_bit():
     assert again == first != second
     np.testing.assert_array_equal(np.concatenate([a, b]), initial)
     np.testing.assert_array_equal(found.positions, np.concatenate([one.positions for one in found.halves]))
-    assert in_halves(run, jax.random.key(3), initial[: halves.FEWEST - 1]).halves is None
+    assert in_halves(run, jax.random.key(3), initial[: combined.FEWEST - 1]).halves is None
 
 
 def test_figures_of_halves_that_differ():

@@ -11,15 +11,15 @@ from tests.unit.calibration.arches import SD, SPACE, TRACKED, Exact, knowledge, 
 
 from strandline.calibration import usual_alternatives as questions
 from strandline.calibration import what_if as module
-from strandline.calibration.alternative import Alternative, present
+from strandline.calibration.alternative import Alternative, baseline
 from strandline.calibration.usual_alternatives import facts_of, other_priors, scaled_noise, with_prior
-from strandline.calibration.what_if import answered
+from strandline.calibration.what_if import reweight_or_resample
 from strandline.design import sobol
 from strandline.discrepancy import ClosestPoint, NormalOffset
 from strandline.interface import GaussianNoise, Observation, PointErrors, UnknownErrors
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.posterior import Posterior
-from strandline.posterior.pareto_smoothing import pareto_smoothed
+from strandline.posterior.importance import pareto_smoothed
 from strandline.priors import LogNormal, LogUniform, Normal, ScaledBeta, Uniform
 
 INPUTS = with_prior(SPACE, {"height": Normal(0.32, 0.03), "lean": ScaledBeta(2.0, 3.0, -0.1, 0.2)})
@@ -52,7 +52,7 @@ def weighted_prior(space, number):
 
 @cache
 def now():
-    return present(weighted_prior(INPUTS, DRAWS), known())
+    return baseline(weighted_prior(INPUTS, DRAWS), known())
 
 
 @cache
@@ -116,7 +116,7 @@ def test_an_answer_is_that_of_the_true_model_and_a_planted_bug_shows():
     for name, case in CASES.items():
         alternative, observations, measure = case()
         truth = Exact(alternative.space, observations, measure)
-        found = answered(now(), alternative, seed=1)
+        found = reweight_or_resample(now(), alternative, seed=1)
         assert found.by == ("importance" if name in ("far prior", "much sharper") else "reweighting"), name
         assert (found.log_evidence_change is not None) == alternative.by_prior_alone
         assert distance(found, truth, evidence=alternative.by_prior_alone) < FAR, name
@@ -125,13 +125,13 @@ def test_an_answer_is_that_of_the_true_model_and_a_planted_bug_shows():
                 if callable(change):
                     patch.setattr(module, what, change)
                 start = now() if callable(change) else replace(now(), **{what: change})
-                assert distance(answered(start, alternative, seed=1), truth) > 2 * FAR, what
+                assert distance(reweight_or_resample(start, alternative, seed=1), truth) > 2 * FAR, what
 
 
 def test_a_fixed_input_is_known():
     """Against quadrature in the other input alone."""
     alternative = Alternative("known", "fix", "", INPUTS, fixed={"lean": 0.02})
-    found = answered(now(), alternative, seed=1)
+    found = reweight_or_resample(now(), alternative, seed=1)
     x = np.linspace(0.2, 0.4, 801)
     values = true_log_likelihood(np.stack([x, np.full(len(x), 0.02)], axis=1), HERE)
     values += np.asarray(INPUTS["height"].truncated_prior.log_density(x))
@@ -150,22 +150,22 @@ def test_inputs_outside_the_old_prior_are_sampled_again():
     """Weights of draws cannot show what lies where there are none: the tail of the weights looks harmless."""
     posterior = weighted_prior(with_prior(INPUTS, {"lean": Uniform(-0.1, 0.05)}), 2048)
     wide = Alternative("wide", "prior", "", with_prior(INPUTS, {"lean": Uniform(-0.1, 0.2)}))
-    found = answered(present(posterior, known()), wide, seed=1)
+    found = reweight_or_resample(baseline(posterior, known()), wide, seed=1)
     assert found.by == "importance"
     assert distance(found, Exact(wide.space, HERE)) < FAR
 
 
 def test_without_a_surrogate_or_with_a_coarse_one_or_of_another_likelihood_only_priors_are_answered(monkeypatch):
     stored = replace(now(), knowledge=None, why_not="there is none")
-    assert answered(stored, CASES["narrow prior"]()[0], seed=1).by == "reweighting"
-    assert answered(stored, CASES["wider"]()[0], seed=1).why_not == "there is none"
+    assert reweight_or_resample(stored, CASES["narrow prior"]()[0], seed=1).by == "reweighting"
+    assert reweight_or_resample(stored, CASES["wider"]()[0], seed=1).why_not == "there is none"
     right = module.quality_at
     monkeypatch.setattr(module, "quality_at", lambda *given: replace(right(*given), beyond=0.4))
-    found = answered(now(), CASES["wider"]()[0], seed=1)
+    found = reweight_or_resample(now(), CASES["wider"]()[0], seed=1)
     assert found.draws is None
     assert found.why_not == "the surrogate of the interface is too coarse at 40 % of its draws"
     another = -300.0 * (np.arange(DRAWS) % 97)
-    without = present(Posterior(INPUTS, now().draws, now().log_weights, another, now().log_prior, 0.0), known())
+    without = baseline(Posterior(INPUTS, now().draws, now().log_weights, another, now().log_prior, 0.0), known())
     assert without.knowledge is None
     assert "effective draws" in without.why_not
 
@@ -178,12 +178,12 @@ def test_errors_of_shifts_cover_their_scatter_and_what_does_not_change_does_not_
             chosen = np.random.default_rng(seed).choice(DRAWS, 1500, p=now().weighted.weights)
             parts = {one: getattr(now(), one)[chosen] for one in ("draws", "log_likelihood", "log_prior")}
             part = replace(now(), **parts, log_weights=np.full(1500, -math.log(1500)))
-            found.append(answered(part, alternative, seed=seed))
+            found.append(reweight_or_resample(part, alternative, seed=seed))
         scatter = np.std([one.shift for one in found], axis=0, ddof=1)
         stated = np.mean([one.shift_error for one in found], axis=0)
         assert (scatter < 1.7 * stated).all()
         assert (scatter > stated / 2.8).all()
-    same = answered(now(), Alternative("same", "prior", "", INPUTS), seed=1)
+    same = reweight_or_resample(now(), Alternative("same", "prior", "", INPUTS), seed=1)
     assert same.moved == ()
     np.testing.assert_allclose([*same.shift, *same.shift_error], 0, atol=2e-3)  # smoothing of the largest weights
 
@@ -222,7 +222,7 @@ def test_inferred_noise_is_asked_about_at_its_median_and_each_shared_error_is_ha
     assert 1.2 * SD < first.noise.sd < 3.5 * SD
     errors = PointErrors(0.002, 0.01, shift=0.01, scale=0.02)
     stated = replace(known().likelihood, observations=tuple(replace(one, noise=errors) for one in HERE))
-    found = {one.name: one.likelihood for one in questions._common_errors(stated, INPUTS)}
+    found = {name: other for name, _, _, other in questions._other_noise(stated)}
     assert found["unknown shift half as large"].observations[0].noise == replace(errors, shift=0.005)
     assert found["unknown scale twice as large"].observations[1].noise == replace(errors, scale=0.04)
 

@@ -11,9 +11,8 @@ from strandline.discrepancy import Discrepancy, NormalOffset
 from strandline.interface import GaussianNoise, Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import FieldLikelihood
 from strandline.likelihood.joint_errors import JointErrors
-from strandline.likelihood.linearised import linearise
-from strandline.likelihood.near_field import NearField
-from strandline.likelihood.nearby import OfStatedErrors
+from strandline.likelihood.linearised_residuals import NearField, linearise
+from strandline.likelihood.local_likelihood import OfStatedErrors
 
 LOCAL = PointErrors(SD)
 GLOBAL = PointErrors(SD, 0.05, shift=0.02, rotation=1.0, scale=0.01, offset=0.01)

@@ -13,12 +13,20 @@ from strandline.discrepancy import ClosestPoint, NormalOffset, WhitenedOffset
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors, arc_lengths
 from strandline.likelihood import FieldLikelihood, infer_noise
-from strandline.likelihood.inferred_noise import InferredNoise, NoisePosterior, _log_evidences, require_inferable
+from strandline.likelihood.field import evaluated, predicted
+from strandline.likelihood.inferred_noise import (
+    Cause,
+    InferredNoise,
+    NoisePosterior,
+    _log_evidences,
+    causes_of,
+    offset_scales,
+    offset_waves,
+    require_inferable,
+)
 from strandline.likelihood.joint_errors import JointErrors, error_model
-from strandline.likelihood.learnt import evaluated, predicted
-from strandline.likelihood.linearised import linearise
-from strandline.likelihood.mixture import Mixture
-from strandline.likelihood.model_error import Cause, causes_of, offset_scales, offset_waves
+from strandline.likelihood.linearised_residuals import linearise
+from strandline.likelihood.local_likelihood import Mixture
 from strandline.surrogate import fit_log_likelihood
 from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
 

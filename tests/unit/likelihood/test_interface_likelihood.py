@@ -15,9 +15,8 @@ from strandline.discrepancy.normal_offset import signed_distances
 from strandline.errors import InvalidInput, InvalidInterface, NumericsError
 from strandline.interface import GaussianNoise, Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import InterfaceLikelihood, compared
-from strandline.likelihood.joint_errors import JointErrors
-from strandline.likelihood.registered import Registered
-from strandline.likelihood.shared_errors import shared_errors
+from strandline.likelihood.compared import Registered
+from strandline.likelihood.joint_errors import JointErrors, shared_errors
 
 SMALL = PointErrors(3e-6, 0.02, shift=1e-5, rotation=5e-4, scale=5e-6, offset=2e-6)
 """So small that the residuals are linear in the global errors."""

@@ -14,12 +14,10 @@ from tests.unit.likelihood.near_arches import ALL, GLOBAL, LOCAL, around, by, jo
 from strandline.discrepancy import ClosestPoint, Currents, NormalOffset, signed_distances
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import FieldLikelihood, compared
-from strandline.likelihood.joint_errors import JointErrors
-from strandline.likelihood.linearised import linearise
-from strandline.likelihood.near_field import BENT, TRUSTED, near_field
-from strandline.likelihood.nearby import OfStatedErrors, _ByOffsets
+from strandline.likelihood.joint_errors import JointErrors, residuals_of
+from strandline.likelihood.linearised_residuals import BENT, TRUSTED, linearise, near_field
+from strandline.likelihood.local_likelihood import OfStatedErrors, _ByOffsets
 from strandline.likelihood.parabolas import FittedParabola, NearParabola, log_gain, mean_of_draws, numbers
-from strandline.likelihood.residuals import residuals_of
 from strandline.surrogate.field import FieldPrediction, FieldSurrogate
 
 WIDENING = {LOCAL: 1e7, GLOBAL: 1e8}

@@ -10,8 +10,14 @@ from strandline.discrepancy import ClosestPoint, Currents, MeasurementLines, Nor
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.interface.point_errors import correlated
-from strandline.likelihood.noise_rule import _shapes, fitting_variance, noise_variance
-from strandline.likelihood.residual_noise import noise_of_residuals, noise_on_surface, stated_errors
+from strandline.likelihood.noise_rule import (
+    _shapes,
+    fitting_variance,
+    noise_of_residuals,
+    noise_on_surface,
+    noise_variance,
+    stated_errors,
+)
 
 NUMBER, DRAWS = 41, 40
 NODES = np.linspace(0.0, 1.0, NUMBER)

@@ -8,7 +8,7 @@ import pytest
 from strandline.discrepancy import ClosestPoint, NormalOffset, TrackedPoints
 from strandline.errors import CampaignStopped, InvalidInterface, NoCommonPoints
 from strandline.interface import Interface, Observation, PointErrors
-from strandline.likelihood.set_aside import Judge, says_whether_runs_succeed
+from strandline.likelihood.set_aside import RunFilter, says_whether_runs_succeed
 from strandline.runs import FailurePolicy, RunRecord
 
 CLOSEST, TRACKED = {"closest_point": ClosestPoint()}, {"tracked_points": TrackedPoints()}
@@ -28,8 +28,8 @@ def regular(number: int = 20) -> list[RunRecord]:
     return [record(i, curve(0.2 + 0.01 * i)) for i in range(number)]
 
 
-def judge(measures=TRACKED, **policy) -> Judge:
-    return Judge((Observation(Interface.polyline(curve(0.3)), 0.01),), measures, FailurePolicy(**policy))
+def judge(measures=TRACKED, **policy) -> RunFilter:
+    return RunFilter((Observation(Interface.polyline(curve(0.3)), 0.01),), measures, FailurePolicy(**policy))
 
 
 def test_one_odd_run_is_named_and_left_out():
@@ -70,7 +70,7 @@ def test_a_run_that_runs_from_the_other_end_is_turned_round_with_its_derivatives
     angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     seen = Observation(Interface.polyline(ring, closed=True), 0.01)
-    found = Judge((seen,), CLOSEST, FailurePolicy())
+    found = RunFilter((seen,), CLOSEST, FailurePolicy())
     rings = [record(i, (1 + 0.01 * i) * ring[:: -1 if i == 3 else 1], closed=True) for i in range(6)]
     assert all(not one.interface.runs_against(seen.interface) for one in found.usable(rings))
 
@@ -78,7 +78,7 @@ def test_a_run_that_runs_from_the_other_end_is_turned_round_with_its_derivatives
 def test_the_errors_of_each_point_are_turned_with_the_points():
     errors = PointErrors.of_each(np.linspace(0.001, 0.01, 21))
     seen = Observation(Interface.polyline(curve(0.3, 21)[::-1]), errors)
-    found = Judge((seen,), {"normal_offset": NormalOffset()}, FailurePolicy())
+    found = RunFilter((seen,), {"normal_offset": NormalOffset()}, FailurePolicy())
     found.usable(regular())
     (turned,) = found.observations
     assert found.turned == ("",)

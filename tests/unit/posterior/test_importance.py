@@ -9,10 +9,10 @@ import pytest
 from scipy.stats import binomtest, norm
 
 from strandline.errors import InvalidInput
-from strandline.posterior import pareto_smoothing as module
+from strandline.posterior import importance as module
 from strandline.posterior import reweight, subset, verdict_on
-from strandline.posterior.pareto_smoothing import GeneralisedPareto, fit_generalised_pareto, pareto_smoothed
-from strandline.posterior.uniformity import coverage_of, uniformity, weighted_ranks
+from strandline.posterior.importance import GeneralisedPareto, fit_generalised_pareto, pareto_smoothed
+from strandline.posterior.rank_tests import coverage_of, uniformity, weighted_ranks
 
 PRIOR_SD, NOISE_SD, DATUM = 2.0, 0.5, 1.3
 GAIN = PRIOR_SD**2 / (PRIOR_SD**2 + NOISE_SD**2)

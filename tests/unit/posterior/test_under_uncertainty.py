@@ -118,11 +118,9 @@ def test_values_of_nuisance_inputs_are_the_middles_of_strata():
 
 
 def test_what_is_refused():
-    one = weighted(SPACE.calibrated_space, lambda x: x[:, 0], np.zeros(2), np.eye(2), 4, 0)
     for call, words in (
         (lambda: nuisance_values(SPACE, 0), "0 for 1 nuisance"),
         (lambda: nuisance_values(SPACE.calibrated_space, 32), "32 for 0 nuisance"),
-        (lambda: pooled(SPACE, np.zeros((2, 1)), [one]), "one for each of the 2 values"),
     ):
         with pytest.raises(InvalidInput, match=words):
             call()

@@ -10,8 +10,7 @@ import pytest
 from filelock import FileLock
 
 import strandline as sl
-from strandline.calibration.evidence import Evidence
-from strandline.calibration.model_comparison import ModelComparison
+from strandline.calibration.evidence import Evidence, ModelComparison
 from strandline.design.candidates import Candidate, Look
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.questions.answer import LineFile

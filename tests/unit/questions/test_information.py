@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal, norm, qmc
 
 import strandline as sl
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import Weighted
 from strandline.questions import information as discrimination
 from strandline.questions.identifiability import directions_left, in_words, scale_of
 from strandline.questions.information import CLEAR, expected_discrimination, expected_gain, linear_gain, linear_sd

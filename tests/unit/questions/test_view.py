@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from strandline.calibration.experiment import CoordinateErrors
-from strandline.calibration.footprint import footprint
+from strandline.calibration.experiment import CoordinateErrors, footprint
 from strandline.design import sobol
 from strandline.design.candidates import Look, candidates
 from strandline.errors import InvalidInput

@@ -6,7 +6,7 @@ from strandline.calibration import Misfit
 from strandline.calibration.misfit import ConditionMisfit, Region
 from strandline.calibration.misfit.verdict import Verdict, verdict_on
 from strandline.interface import PointErrors
-from strandline.likelihood.residual_noise import ResidualNoise, StatedErrors
+from strandline.likelihood.noise_rule import ResidualNoise, StatedErrors
 
 ARC = np.linspace(0.0, 1.2, 31)
 BAD = Region(0.9, 1.1, 0.006, 0.0065, "above", 5.2, 0.0004)

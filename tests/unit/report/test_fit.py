@@ -14,7 +14,7 @@ from strandline.calibration.misfit.verdict import Verdict, with_fitted_noise
 from strandline.discrepancy import DISCREPANCIES
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import InterfaceLikelihood
-from strandline.likelihood.residual_noise import StatedErrors
+from strandline.likelihood.noise_rule import StatedErrors
 from strandline.models.protocol import Simulation
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import Uniform

@@ -11,10 +11,10 @@ from scipy.optimize import brentq
 from tests.densities import gaussian
 
 from strandline.errors import InvalidInput, NumericsError
-from strandline.smc import SMCResult, SMCSettings, StepInfo, carried, carried_over, devices, metropolis, sample
-from strandline.smc.halves import joined
+from strandline.smc import SMCResult, SMCSettings, StepInfo, carried_over, combined, metropolis, sample, sampler
+from strandline.smc.combined import joined
 from strandline.smc.moves import proposal_factor, proposal_scale
-from strandline.smc.resampling import systematic
+from strandline.smc.steps import systematic
 from strandline.smc.tempering import effective_sample_size, next_temperature
 
 STEP = StepInfo(1.0, 900.0, 0.3, True, -3.0, 1.0)
@@ -228,8 +228,8 @@ def test_settings_have_ranges_and_what_cannot_be_sampled_is_refused():
 
 
 def test_particles_on_a_single_device_stay_as_they_are(monkeypatch):
-    monkeypatch.setattr(devices.jax, "devices", lambda: jax.local_devices()[:1])
-    assert all(devices.spread(positions) is positions for positions in (jnp.zeros((3, 2)), jnp.zeros((4, 2))))
+    monkeypatch.setattr(sampler.jax, "devices", lambda: jax.local_devices()[:1])
+    assert all(sampler.spread(positions) is positions for positions in (jnp.zeros((3, 2)), jnp.zeros((4, 2))))
 
 
 SCOUTS = np.random.default_rng(7).standard_normal((2000, 2))
@@ -283,12 +283,12 @@ def test_what_is_far_is_not_reached_and_weights_that_are_forgotten_show(monkeypa
     np.testing.assert_allclose(two(particles().positions), near(particles().positions))
     assert carried_to((0.42, 0.01), likelihood=two) is None  # a heavy mode that no particle sees
     assert carried_to((0.42, 0.01), replace(particles(), log_evidence=float("nan"))) is None
-    plain, mean = carried.rejuvenate, (0.9, -0.3)
+    plain, mean = combined.rejuvenate, (0.9, -0.3)
 
     def equal(key, state, *given, **options):
         forgotten = state._replace(log_weights=0 * state.log_weights - np.log(2000))
         return plain(key, forgotten, *given, **{**options, "moves": 1})
 
-    monkeypatch.setattr(carried, "rejuvenate", equal)
+    monkeypatch.setattr(combined, "rejuvenate", equal)
     found, (centre, sd, _) = carried_to(mean), exact(mean)
     assert np.abs(np.exp(found.log_weights) @ found.positions - centre).max() > 0.15 * sd

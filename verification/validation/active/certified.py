@@ -28,7 +28,7 @@ from strandline.errors import TooFewRuns
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
 from strandline.numerics.threads import one_thread, use_double
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import Weighted
 from strandline.runs import RunRecord
 
 NOISE = 0.02

@@ -15,7 +15,7 @@ from strandline.design.active import Active, ActiveDesign, Knowledge, State, lea
 from strandline.errors import TooFewRuns
 from strandline.likelihood import OnHost
 from strandline.numerics.threads import one_thread
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import Weighted
 from strandline.runs import RunRecord
 from strandline.smc import SMCSettings, sample
 

@@ -5,20 +5,27 @@ in the errors c of the surrogate's modes, in their standard deviations: r = e + 
 The most probable u and c are those of a linear Gaussian model with the covariance S = C + JJᵀ + FFᵀ of r.
 """
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibration.misfit.prediction import Prediction
-from strandline.calibration.misfit.residuals import Residuals
-from strandline.interface import ErrorModel
+from strandline.calibration.misfit.verdict import Effort
+from strandline.design.active import learn
+from strandline.discrepancy import Discrepancy
+from strandline.errors import StrandlineError
+from strandline.interface import ErrorModel, Interface, Observation
+from strandline.likelihood.joint_errors import JointErrors, Points, residuals_of, shared_errors
+from strandline.likelihood.noise_rule import StatedErrors, stated_errors
 from strandline.parameters import ParameterSpace
-from strandline.posterior import Posterior
-from strandline.posterior.weighted import Weighted
+from strandline.posterior import Posterior, Weighted
+from strandline.runs import RunRecord
+from strandline.surrogate.field import FieldSurrogate
 
-__all__ = ["BestFit", "best_fit"]
-
+RUNS_PER_INPUT = 8
+"""Runs from which a field is learnt for this purpose: so many for each input and for the mean."""
 STEPS = 4
 """Largest number of Gauss–Newton steps from the MAP."""
 LEVELS = 400
@@ -28,15 +35,132 @@ NEGLIGIBLE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class BestFit:
-    """The inputs that explain the observed points best.
+class Prediction:
+    """The points of each condition's interface as a function of inputs; `templates` have its cells.
 
-    Args:
-        at: The inputs, shape (dim,).
-        scaled: The inputs in standard deviations of their priors from the mean, shape (dim,).
-        residuals: Signed distances of the observed points from the prediction there, mm.
-        by_inputs: Change of the residuals with each scaled input, J, mm.
-        by_modes: Change of the residuals if a mode of the surrogate is off by its standard deviation, F, mm.
+    `uncertain` returns the points at one input with one mode of the surrogate after the other off by its standard
+    deviation, mm, if that is above the second argument. With `run_alone`, a single run stands for all inputs.
+    """
+
+    templates: Mapping[str, Interface]
+    points: Callable[[Float[np.ndarray, "point dim"]], Points]
+    uncertain: Callable[[Float[np.ndarray, " dim"], float], Points]
+    source: str
+    run_alone: bool = False
+
+
+def by_field(surrogate: FieldSurrogate, source: str = "the surrogate of the interface") -> Prediction:
+    """Return the prediction of a surrogate of the field."""
+
+    def points(x: Float[np.ndarray, "point dim"]) -> Points:
+        return surrogate.points(surrogate.mean(x))
+
+    def uncertain(x: Float[np.ndarray, " dim"], least: float) -> Points:
+        found = surrogate.predict(x[None])
+        sd = np.sqrt(found.variance[0])
+        return surrogate.points(found.mean + np.diag(sd)[sd > least])
+
+    templates = {name: layout.template for name, layout in surrogate.layouts.items()}
+    return Prediction(templates, points, uncertain, source)
+
+
+def by_runs(
+    x: Float[np.ndarray, "run dim"],
+    records: Sequence[RunRecord],
+    log_likelihood: Float[np.ndarray, " run"],
+    space: ParameterSpace,
+    observations: tuple[Observation, ...],
+    measure: Discrepancy,
+    *,
+    most: int = Effort.runs,
+) -> Prediction:
+    """Return the prediction of a field learnt from the best runs; if there can be none, that of the best run alone.
+
+    Sensitivities are left out: they would make many runs expensive to learn from.
+    """
+    ranked = np.argsort(-log_likelihood, kind="stable")
+    best = np.sort(ranked[: min(RUNS_PER_INPUT * (space.dim + 1), most)])
+    plain = [replace(records[i], sensitivities={}) for i in best.tolist()]
+    try:
+        known = learn(x[best], plain, space, observations, measure)
+    except (StrandlineError, ArithmeticError, ValueError):
+        return _by_run(records[int(ranked[0])], [seen.condition for seen in observations])
+    return by_field(known.surrogate, f"a surrogate of the interface learnt from the {len(best)} best runs")
+
+
+def _by_run(record: RunRecord, conditions: Sequence[str]) -> Prediction:
+    templates = {name: record.interfaces[name] for name in conditions}
+
+    def points(x: Float[np.ndarray, "point dim"]) -> Points:
+        return {name: interface.points[None] for name, interface in templates.items()}
+
+    def uncertain(x: Float[np.ndarray, " dim"], least: float) -> Points:
+        return {name: interface.points[None][:0] for name, interface in templates.items()}
+
+    return Prediction(templates, points, uncertain, "the best run alone", run_alone=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Signed distances of all observed points, mm, with their covariance C = D + BBᵀ."""
+
+    observations: tuple[Observation, ...]
+    measure: Discrepancy
+    stated: tuple[StatedErrors, ...]
+    joint: JointErrors
+    model: ErrorModel
+
+    @classmethod
+    def of(
+        cls,
+        observations: Sequence[Observation],
+        measure: Discrepancy,
+        templates: Mapping[str, Interface],
+        explained: Float[np.ndarray, "seen cause"] | None = None,
+    ) -> "Residuals":
+        """Return the residuals of observations; global errors are shared where the likelihood shares them.
+
+        `explained` is what errors of the model that were allowed for do to the residuals, mm.
+
+        Raises:
+            InvalidInput: A noise variance that no errors of points have.
+        """
+        stated = [stated_errors(seen, measure, len(templates[seen.condition].points)) for seen in observations]
+        shared = shared_errors(observations, measure)
+        if shared is not None:
+            return cls(tuple(observations), measure, tuple(stated), shared.joint, shared.model)
+        joint = JointErrors(tuple(observations), tuple(one.errors for one in stated))
+        model = joint.model
+        if explained is not None:
+            model = ErrorModel(model.local, np.hstack([model.shared, explained]))
+        return cls(tuple(observations), measure, tuple(stated), joint, model)
+
+    @cached_property
+    def parts(self) -> tuple[slice, ...]:
+        """Places of the residuals of each observation."""
+        ends = np.cumsum([len(seen.interface.points) for seen in self.observations]).tolist()
+        return tuple(slice(begin, end) for begin, end in zip([0, *ends[:-1]], ends, strict=True))
+
+    def at(self, points: Points, templates: Mapping[str, Interface]) -> Float[np.ndarray, "row seen"]:
+        """Return the residuals of predicted interfaces with these points, one row each."""
+        return residuals_of(self.joint, points, templates)
+
+    def drawn(self, number: int, random: np.random.Generator) -> Float[np.ndarray, "draw seen"]:
+        """Return residuals that the errors of the points alone cause, as the observations state them."""
+        local = [
+            one.errors.local_draws(seen.interface, number, random)
+            for one, seen in zip(self.stated, self.observations, strict=True)
+        ]
+        common = random.standard_normal((number, self.model.shared.shape[1])) @ self.model.shared.T
+        return np.asarray(np.concatenate(local, axis=1) + common)
+
+
+@dataclass(frozen=True, eq=False)
+class BestFit:
+    """The inputs that explain the observed points best, also scaled by mean and standard deviation of their priors.
+
+    `by_inputs` is the change of the residuals with each scaled input, J, and `by_modes` that if a mode of the surrogate
+    is off by its standard deviation, F, mm.
     """
 
     at: Float[np.ndarray, " dim"]
@@ -93,11 +217,7 @@ def _prior(space: ParameterSpace) -> Weighted:
 
 
 def _around(
-    x: Float[np.ndarray, " dim"],
-    residuals: Residuals,
-    prediction: Prediction,
-    posterior: Posterior,
-    prior: Weighted,
+    x: Float[np.ndarray, " dim"], residuals: Residuals, prediction: Prediction, posterior: Posterior, prior: Weighted
 ) -> BestFit:
     """Return the residuals at `x` and their derivatives, by central differences inside the box."""
     space, dim = posterior.space, len(x)

@@ -9,32 +9,104 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 
-from strandline.calibration.misfit.best_fit import BestFit
-from strandline.calibration.misfit.effort import Effort
-from strandline.calibration.misfit.patches import patches_of
-from strandline.calibration.misfit.residuals import Residuals
-from strandline.calibration.misfit.waves import waves_of
-from strandline.interface import Observation, arc_lengths, steady_lengths
+from strandline.calibration.misfit.best_fit import BestFit, Residuals
+from strandline.calibration.misfit.verdict import Effort
+from strandline.interface import ErrorModel, Observation, arc_lengths, steady_lengths
 
-__all__ = ["Parts", "Span", "Statistics", "corrected", "drawn_statistics", "observed_statistics", "parts_of", "tail"]
-
+PATCHES, FEWEST_IN_PATCH = 8, 4
+"""Patches of a surface, and the fewest points of a patch on average."""
+ROUNDS = 20
+"""Most rounds in which the middles of the patches move."""
+WAVES, FEWEST_FOR_WAVE = 6, 4
+"""Waves along an arc, the first one constant, and the fewest points for each."""
+TOGETHER = 0.01
+"""Squared change of all residuals, in their standard deviations, by a combination of inputs over its prior, below which
+these inputs only act together: differences cannot tell such a change, and it hardly moves a wave."""
+EXPLAINED = 1e-6
+"""Variance of a combination of waves, relative to the largest one, below which inputs or global errors explain it."""
 BLOCK = 500
 """Draws processed together; this bounds the memory."""
 PARTS, FEWEST_POINTS = 6, 4
 """Parts of the arc of an interface, and the fewest points of a part on average."""
 
 
+def patches_of(points: Float[np.ndarray, "point 3"]) -> Int[np.ndarray, " point"]:
+    """Return the number of the patch to which each point belongs.
+
+    The middles begin with the point farthest from the centre and the points farthest from those before; then each moves
+    to the mean of the points nearest to it (k-means).
+    """
+    count = max(min(PATCHES, len(points) // FEWEST_IN_PATCH), 1)
+    away = np.linalg.norm(points - points.mean(axis=0), axis=1)
+    chosen = [int(np.argmax(away))]
+    apart = np.full(len(points), np.inf)
+    for _ in range(count - 1):
+        apart = np.minimum(apart, np.linalg.norm(points - points[chosen[-1]], axis=1))
+        chosen.append(int(np.argmax(apart)))
+    middles = points[chosen]
+    which = np.zeros(len(points), dtype=int)
+    for _ in range(ROUNDS):
+        which = np.asarray(cKDTree(middles).query(points)[1], dtype=int)
+        kept = np.unique(which)
+        moved = np.stack([points[which == k].mean(axis=0) for k in kept])
+        if moved.shape == middles.shape and np.allclose(moved, middles, rtol=0, atol=1e-12 * float(np.ptp(points))):
+            break
+        middles = moved
+    return np.unique(which, return_inverse=True)[1].astype(int)
+
+
+def waves_of(observations: Sequence[Observation]) -> Float[np.ndarray, "seen wave"]:
+    """Return cos(kπ s/L) at the points of each observed polyline, zero at those of the others; none for surfaces."""
+    columns, first = [], 0
+    total = sum(len(seen.interface.points) for seen in observations)
+    for interface in (seen.interface for seen in observations):
+        number = len(interface.points)
+        if interface.dim == 2:
+            places = np.pi * arc_lengths(interface) / float(steady_lengths(interface).sum())
+            for k in range(min(WAVES, number // FEWEST_FOR_WAVE)):
+                column = np.zeros(total)
+                column[first : first + number] = np.cos(k * places)
+                columns.append(column)
+        first += number
+    return np.stack(columns, axis=1) if columns else np.zeros((total, 0))
+
+
+def beyond(
+    waves: Float[np.ndarray, "seen wave"], by_inputs: Float[np.ndarray, "seen dim"], model: ErrorModel
+) -> Float[np.ndarray, "seen wave"]:
+    """Return the part Φ' of the waves Φ that no input can cause: Φ'ᵀ C⁻¹ J = 0, but for what inputs hardly cause."""
+    if not by_inputs.size:
+        return waves
+    weighed = model.solved(by_inputs.T)
+    values, vectors = np.linalg.eigh(weighed @ by_inputs)
+    kept = values > TOGETHER
+    told = vectors[:, kept]
+    return np.asarray(waves - by_inputs @ (told / values[kept]) @ (told.T @ (weighed @ waves)))
+
+
+def waves_p(drawn: Float[np.ndarray, "row wave"], observed: Float[np.ndarray, "1 wave"]) -> float | None:
+    """Return the probability that a right model leaves waves as large; None without waves.
+
+    A sum of squares over all points spreads its power over as many directions as there are points, this one over a few:
+    it is Neyman's smooth test (1937) for residuals. The waves are first made independent, with the covariance of the
+    drawn ones.
+    """
+    values, vectors = np.linalg.eigh(drawn.T @ drawn / len(drawn))
+    kept = values > EXPLAINED * values.max(initial=0.0)
+    if not kept.any():
+        return None
+    white = vectors[:, kept] / np.sqrt(values[kept])
+    squares, own = ((drawn @ white) ** 2).sum(axis=1), float(((observed @ white) ** 2).sum())
+    return float((1 + (squares >= own).sum()) / (1 + len(drawn)))
+
+
 @dataclass(frozen=True)
 class Span:
-    """A part of the arc of an observed interface, or a patch of a surface.
-
-    Args:
-        observation: Number of the observation.
-        begin: Arc length at which it begins, mm; 0 for a patch.
-        end: Arc length at which it ends, mm; 0 for a patch.
-        centre: Mean point of a patch, mm; None for a part of an arc.
+    """A part of the arc of an observed interface from `begin` to `end`, mm, or a patch of a surface with this mean
+    point.
     """
 
     observation: int
@@ -44,13 +116,9 @@ class Span:
 
 
 @dataclass(frozen=True, eq=False)
-class Parts:
-    """Parts of the arcs of all observed interfaces, or patches of surfaces, and waves along these arcs.
-
-    Args:
-        spans: The parts.
-        members: Membership of each residual in each part, 1 or 0.
-        waves: The waves at the points, see `waves_of`.
+class ArcParts:
+    """Parts of the arcs of all observed interfaces, or patches of surfaces: membership of each residual, 1 or 0; and
+    waves along these arcs, see `waves_of`.
     """
 
     spans: tuple[Span, ...]
@@ -60,14 +128,8 @@ class Parts:
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """Statistics of residuals, one row for each draw.
-
-    Args:
-        whole: Sum rᵀ C⁻¹ r over all observations.
-        conditions: The same for each observation.
-        squares: Sum of r²/D over each part of an arc, global errors removed.
-        means: Mean of r over each part, mm, global errors removed.
-        waves: Components of C⁻¹ r along the waves.
+    """Statistics of residuals, one row for each draw: rᵀ C⁻¹ r over all observations and over each, sums of r²/D and
+    means of r, mm, over each part without global errors, and components of C⁻¹ r along the waves.
     """
 
     whole: Float[np.ndarray, " row"]
@@ -77,7 +139,7 @@ class Statistics:
     waves: Float[np.ndarray, "row wave"]
 
 
-def parts_of(observations: Sequence[Observation]) -> Parts:
+def parts_of(observations: Sequence[Observation]) -> ArcParts:
     """Return equal parts of the arc of each observed polyline, those with points, and patches of each surface."""
     spans, columns, first = [], [], 0
     total = sum(len(seen.interface.points) for seen in observations)
@@ -86,31 +148,28 @@ def parts_of(observations: Sequence[Observation]) -> Parts:
         if interface.dim == 2:
             whole, count = float(steady_lengths(interface).sum()), max(min(PARTS, number // FEWEST_POINTS), 1)
             which = np.minimum((count * arc_lengths(interface) / whole).astype(int), count - 1)
-            for part in np.unique(which).tolist():
-                column = np.zeros(total)
-                column[first : first + number] = which == part
-                columns.append(column)
-                spans.append(Span(k, whole * part / count, whole * (part + 1) / count))
+            numbers = np.unique(which).tolist()
+            spans += [Span(k, whole * part / count, whole * (part + 1) / count) for part in numbers]
         else:
             which = patches_of(interface.points)
-            for part in np.unique(which).tolist():
-                column = np.zeros(total)
-                column[first : first + number] = which == part
-                columns.append(column)
-                x, y, z = interface.points[which == part].mean(axis=0).tolist()
-                spans.append(Span(k, 0.0, 0.0, (x, y, z)))
+            centres = [interface.points[which == part].mean(axis=0).tolist() for part in np.unique(which)]
+            spans += [Span(k, 0.0, 0.0, (x, y, z)) for x, y, z in centres]
+        for part in np.unique(which):
+            column = np.zeros(total)
+            column[first : first + number] = which == part
+            columns.append(column)
         first += number
     members = np.stack(columns, axis=1) if columns else np.zeros((total, 0))
-    return Parts(tuple(spans), members, waves_of(observations))
+    return ArcParts(tuple(spans), members, waves_of(observations))
 
 
-def observed_statistics(residuals: Residuals, fit: BestFit, parts: Parts) -> Statistics:
+def observed_statistics(residuals: Residuals, fit: BestFit, parts: ArcParts) -> Statistics:
     """Return the statistics of the observation, in one row."""
     return _statistics(residuals, fit.with_modes(residuals.model).solved(fit.residuals[None]), parts)
 
 
 def drawn_statistics(
-    residuals: Residuals, fit: BestFit, parts: Parts, random: np.random.Generator, effort: Effort
+    residuals: Residuals, fit: BestFit, parts: ArcParts, random: np.random.Generator, effort: Effort
 ) -> Statistics:
     """Return the statistics of drawn observations of the model, with inputs drawn from their priors."""
     whole, causes, found = fit.with_causes(residuals.model), fit.causes, []
@@ -124,7 +183,7 @@ def drawn_statistics(
     return Statistics(*(np.concatenate([getattr(one, name) for one in found]) for name in names))
 
 
-def _statistics(residuals: Residuals, weighted: Float[np.ndarray, "row seen"], parts: Parts) -> Statistics:
+def _statistics(residuals: Residuals, weighted: Float[np.ndarray, "row seen"], parts: ArcParts) -> Statistics:
     """Return the statistics of C⁻¹ q, q being the residuals that are left: qᵀ C⁻¹ q = Σ D w² + |Bᵀ w|²."""
     local, shared = residuals.model.local, residuals.model.shared
     squares = local * weighted**2

@@ -1,15 +1,15 @@
-"""The answer to whether the model fits, in words."""
+"""What a comparison of the observations with the best prediction finds, and the answer in words."""
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 
+import numpy as np
+from jaxtyping import Float
 from scipy.stats import chi2
 
-from strandline.calibration.misfit.result import ConditionMisfit, Misfit, Region
-from strandline.interface import Observation, PointErrors
-
-__all__ = ["Verdict", "unlikely_errors", "verdict_on", "with_fitted_noise"]
+from strandline.interface import Observation
+from strandline.likelihood.noise_rule import ResidualNoise, StatedErrors
 
 FAMILIES = 4
 """Kinds of p-values: of all residuals, parts of an arc, waves along it, d². The least is corrected for their number."""
@@ -39,6 +39,118 @@ LEAST = 0.001
 
 
 @dataclass(frozen=True)
+class Region:
+    """A part of the arc of an observed interface, or a patch of a surface.
+
+    Args:
+        begin: Arc length of the observed interface at which it begins, mm; 0 for a patch.
+        end: Arc length at which it ends, mm; 0 for a patch.
+        mean: Mean residual, mm, positive on the side of the normals.
+        rms: Root mean square of the residuals, mm.
+        side: Where the observed interface lies if the mean has one sign: ``above``, ``to the left of`` and the like;
+            on a surface ``outside`` or ``inside``, outside being the side of the normals.
+        excess: Mean over the standard deviation of such a mean of the noise; if the root mean square is more than twice
+            the mean, its ratio to that of the noise instead.
+        p_value: Probability of such residuals of a right model in any part, corrected for the number of parts.
+        centre: Mean point of a patch, mm; None for a part of an arc.
+    """
+
+    begin: float
+    end: float
+    mean: float
+    rms: float
+    side: str
+    excess: float
+    p_value: float
+    centre: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ConditionMisfit:
+    """The residuals of one observed interface: its distance from the best prediction, without global errors.
+
+    Args:
+        condition: The observed condition.
+        arc_length: Arc length at each observed point, mm; its number on a surface.
+        residual: Signed distance of each point, mm.
+        stated: Errors of the points that the observation states.
+        expected: Standard deviation and correlation length of residuals with these errors, mm.
+        found: Those of the residuals, mm; on a surface the correlation length is that over distances in space.
+        p_value: Probability that a right model leaves residuals as large.
+        predictive_p: Posterior-predictive p-value of d².
+        regions: Parts of the arc, or patches of the surface.
+        removed: Most probable global errors of the observation, which the residuals do not contain: shift and offset,
+            mm, rotation, degrees, and scale, a share; none if none are stated.
+        surface: Whether a surface was observed.
+    """
+
+    condition: str
+    arc_length: Float[np.ndarray, " point"]
+    residual: Float[np.ndarray, " point"]
+    stated: StatedErrors
+    expected: ResidualNoise
+    found: ResidualNoise
+    p_value: float
+    predictive_p: float
+    regions: tuple[Region, ...] = ()
+    removed: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    surface: bool = False
+
+    @property
+    def strained(self) -> tuple[str, float, float]:
+        """The global error that is largest for what is stated: its name, size and stated standard deviation.
+
+        In mm, degrees, or as a share. ("", 0, 1) if none is stated.
+        """
+        stated = {name: float(getattr(self.stated.errors, name)) for name in self.removed}
+        found = [(name, math.hypot(*sizes), stated[name]) for name, sizes in self.removed.items() if stated[name] > 0]
+        return max(found, key=lambda one: one[1] / one[2], default=("", 0.0, 1.0))
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the residuals, mm."""
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+    @property
+    def ratio(self) -> float:
+        """Ratio of s²ℓ of the residuals to that of the stated errors; of s²ℓ² on a surface."""
+        longer = self.found.length / self.expected.length
+        return self.found.level / self.expected.level * (longer if self.surface else 1.0)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Misfit:
+    """Whether the model explains the observations within the noise.
+
+    Args:
+        verdict: The answer in one sentence.
+        flagged: Whether it does not.
+        p_value: Probability that a right model leaves residuals as large as those of the best fit; None if it could
+            not be computed. Under a right model all its values are equally likely.
+        predictive_p: Posterior-predictive p-value of d², conservative; None likewise.
+        smooth_p: Probability that a right model leaves slow waves along the arc as large; None on surfaces.
+        conditions: Residuals of each observation.
+        notes: How it was computed, in sentences.
+    """
+
+    verdict: str
+    flagged: bool
+    p_value: float | None = None
+    predictive_p: float | None = None
+    smooth_p: float | None = None
+    conditions: tuple[ConditionMisfit, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<Misfit {self.verdict}>"
+
+    @property
+    def region_p(self) -> float | None:
+        """Smallest p-value of a part of an arc; None if there are no parts."""
+        return min((region.p_value for one in self.conditions for region in one.regions), default=None)
+
+
+@dataclass(frozen=True)
 class Verdict:
     """An answer in one sentence, and whether it means that the model does not explain the observations."""
 
@@ -49,14 +161,10 @@ class Verdict:
 def verdict_on(
     p_value: float, predictive_p: float, smooth_p: float, conditions: Sequence[ConditionMisfit], *, run_alone: bool
 ) -> Verdict:
-    """Return the verdict on residuals.
+    """Return the verdict on residuals, from the p-values of the best fit's residuals, of d², and of slow waves along
+    the arc.
 
-    Args:
-        p_value: Probability that a right model leaves residuals as large as those of the best fit.
-        predictive_p: Posterior-predictive p-value of d².
-        smooth_p: Probability that a right model leaves slow waves along the arc as large.
-        conditions: Residuals of each observation.
-        run_alone: Whether a single run stands for all inputs; then large residuals prove nothing.
+    With `run_alone`, a single run stands for all inputs; then large residuals prove nothing.
     """
     regions = [region.p_value for one in conditions for region in one.regions]
     ratio = max((one.ratio for one in conditions), default=0.0)
@@ -80,13 +188,8 @@ def verdict_on(
 
 
 def with_fitted_noise(verdict: Verdict, observations: Sequence[Observation]) -> Verdict:
-    """Return the verdict if the noise was inferred from the same residuals, which it then explains in any case.
-
-    Args:
-        verdict: The verdict on the residuals.
-        observations: Observations with the inferred errors.
-    """
-    errors = [(one.noise, one.interface) for one in observations if isinstance(one.noise, PointErrors)]
+    """Return the verdict if the noise was inferred from the same residuals, which it then explains in any case."""
+    errors = [(one.known, one.interface) for one in observations if one.known]
     noise, seen = max(errors, key=lambda one: one[0].length, default=(None, None))
     if verdict.flagged or noise is None or seen is None:
         return verdict
@@ -193,3 +296,22 @@ def _length(mm: float) -> str:
 def _short(number: float) -> str:
     """Return two significant digits, more of a large number, without a power of ten."""
     return f"{number:.0f}" if number >= 10 else f"{number:.2g}"
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Numbers of draws and runs; they limit how small a p-value can be.
+
+    The defaults let one part of an arc alone flag a model, after the correction for its two tests and those of the
+    other parts: fewest drawn observations in all and for each part, draws of the posterior for the posterior-predictive
+    comparison, and most runs that a prediction is learnt from if there is no surrogate of the field.
+    """
+
+    draws: int = 4000
+    per_part: int = 4 * round(FAMILIES / LEVEL)
+    predictive: int = 2 * round(FAMILIES / LEVEL)
+    runs: int = 64
+
+
+DRAFT = Effort(draws=400, per_part=0, predictive=32, runs=16)
+"""For a first look: p-values below .0025 cannot be told apart, and one part of an arc alone flags no model."""

@@ -17,7 +17,7 @@ from strandline.design.active.settings import Active
 from strandline.design.active.state import Knowledge, State, hidden_shift, learn
 from strandline.discrepancy import Discrepancy
 from strandline.errors import NoCommonPoints, TooFewRuns
-from strandline.likelihood.set_aside import Judge
+from strandline.likelihood.set_aside import RunFilter
 from strandline.models.fidelities import by_cheaper
 from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace
@@ -153,8 +153,9 @@ class BatchReport:
     def line(self) -> str:
         """``batch 3: E 396 ± 31, moved 0.05 sd; next: check``."""
         shown = ", ".join(self.posterior[:SHOWN]) + (", …" if len(self.posterior) > SHOWN else "")
-        far = self.moved is not None and math.isinf(self.moved)
-        moved = "" if self.moved is None else ", moved far" if far else f", moved {self.moved:.2f} sd"
+        moved = ""
+        if self.moved is not None:
+            moved = ", moved too far to say by how much" if math.isinf(self.moved) else f", moved {self.moved:.2f} sd"
         objection = f"; check: {self.objection}" if self.objection else ""
         dropped = f"; the cheaper model is no longer used: {self.dropped}" if self.dropped else ""
         return f"batch {self.number}: {shown}{moved}{objection}{dropped}; next: {NEXT[self.next]}"
@@ -198,7 +199,7 @@ class ActiveRuns:
     batch: int
     seed: int
     scramble: int | None
-    judge: Judge
+    judge: RunFilter
     aside: Callable[[], Any]
     inputs: Callable[[Points], list[dict[str, float]]]
     fidelities: Fidelities | None = None

@@ -22,7 +22,7 @@ from strandline.discrepancy.normal_offset import WhitenedOffset
 from strandline.interface import Interface, Observation
 from strandline.likelihood import OnHost, compared
 from strandline.likelihood.field import DRAWS, noise_length
-from strandline.likelihood.nearby import follows_offsets
+from strandline.likelihood.local_likelihood import follows_offsets
 from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.smc import SMCResult, SMCSettings, StepInfo, carried_over, sample

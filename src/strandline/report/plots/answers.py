@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import MaxNLocator
 
-from strandline.posterior.uniformity import Band
+from strandline.posterior.rank_tests import Band
 from strandline.report.plots import style
 from strandline.report.plots.style import axes_or_new, below, figure_or_new, labelled, legend_under, panel_grid, styled
 from strandline.typeset import figure_text

@@ -17,7 +17,7 @@ from strandline.design.active.campaign import BatchReport, Certificate, report_b
 from strandline.design.active.fidelities import Fidelities
 from strandline.design.active.state import PosteriorMove
 from strandline.errors import InvalidInput, TooFewRuns
-from strandline.likelihood.set_aside import Judge
+from strandline.likelihood.set_aside import RunFilter
 from strandline.models.fidelities import by_cheaper
 from strandline.runs import FailurePolicy
 
@@ -38,7 +38,7 @@ def campaign(monkeypatch, learner=None, first=FIRST):
     monkeypatch.setattr(module, "learn", lambda x, records, *others: (x, records))
     monkeypatch.setattr(module, "posterior_state", lambda given, *others, **options: learner(*given))
     seen, measure = (sl.Observation(fakes.interface(MEAN), 0.01),), sl.TrackedPoints()
-    judge = Judge(seen, {"tracked_points": measure}, FailurePolicy())
+    judge = RunFilter(seen, {"tracked_points": measure}, FailurePolicy())
     runs = ActiveRuns(Active(60), SPACE, measure, 4, 1, None, judge, aside=nullcontext, inputs=named)
     runs.design.check = fakes.Trusting(runs.active, SPACE, batch=4, log_likelihood=honest, seed=1)
     runs.design.afresh = lambda state: state
@@ -130,7 +130,7 @@ def test_the_line_after_each_batch():
     little, far = PosteriorMove(0.049, 0.01, 0.99), PosteriorMove(9.0, 0.01, 0.01)
     for kinds_of, steps, moved, converged, line in [
         ("initial posterior posterior check", 3, little, False, "moved 0.05 sd; next: check"),
-        ("initial posterior", 1, far, False, "moved far; next: a batch"),
+        ("initial posterior", 1, far, False, "moved too far to say by how much; next: a batch"),
         ("initial check", 2, little, True, "next: done, converged"),
         ("initial check", 2, little, False, "next: stop, not converged"),
     ]:

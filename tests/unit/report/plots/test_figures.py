@@ -12,7 +12,7 @@ from tests.unit.report.plots.drawn import NU, E, entries, lines, posterior_of, r
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
 from strandline.posterior import Offsets, SobolIndices
-from strandline.posterior.uniformity import uniformity
+from strandline.posterior.rank_tests import uniformity
 from strandline.report import plots
 from strandline.report.plots import FieldGrid, OffsetBand
 from strandline.report.plots.style import BLUE, DOUBLE, RED, SINGLE, root_scale, root_ticks

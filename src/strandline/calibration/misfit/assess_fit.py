@@ -8,37 +8,46 @@ behind the posterior is compared with posterior-predictive draws.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibration.misfit.best_fit import BestFit, best_fit
-from strandline.calibration.misfit.effort import Effort
-from strandline.calibration.misfit.prediction import Prediction
-from strandline.calibration.misfit.predictive import PredictiveShares, predictive_shares
+from strandline.calibration.misfit.best_fit import BestFit, Prediction, Residuals, best_fit
 from strandline.calibration.misfit.reference import (
-    Parts,
+    ArcParts,
     Statistics,
+    beyond,
     corrected,
     drawn_statistics,
     observed_statistics,
     parts_of,
     tail,
+    waves_p,
 )
-from strandline.calibration.misfit.residuals import Residuals
-from strandline.calibration.misfit.result import ConditionMisfit, Misfit, Region
-from strandline.calibration.misfit.verdict import verdict_on, with_fitted_noise
-from strandline.calibration.misfit.waves import beyond, waves_p
-from strandline.discrepancy import Discrepancy
+from strandline.calibration.misfit.verdict import ConditionMisfit, Effort, Misfit, Region, verdict_on, with_fitted_noise
+from strandline.discrepancy import (
+    Currents,
+    Discrepancy,
+    NormalOffset,
+    TrackedPoints,
+    WhitenedOffset,
+    squared_discrepancies,
+)
+from strandline.discrepancy.nearest import closest_points
 from strandline.errors import StrandlineError
-from strandline.interface import GLOBAL, Observation, PointErrors, arc_lengths, steady_normals
-from strandline.likelihood.residual_noise import noise_of_residuals, noise_on_surface
+from strandline.interface import GLOBAL, GaussianNoise, Interface, Observation, arc_lengths, steady_normals
+from strandline.likelihood import Compared, compared
+from strandline.likelihood.compared import Registered
+from strandline.likelihood.joint_errors import shared_errors
+from strandline.likelihood.noise_rule import StatedErrors, noise_of_residuals, noise_on_surface
 from strandline.posterior import Posterior
 from strandline.text import listed
 
-__all__ = ["invisible", "misfit_of"]
-
+FEW_DRAWS = 32
+"""Most draws of the posterior for surfaces, which are compared one by one; too few to flag a model."""
+SYMMETRIC = (Currents, TrackedPoints)
+"""Measures in which both interfaces can change places: many drawn observations are compared at once."""
 FULL = Effort()
 STREAM = 5
 """Keeps these random numbers apart from all others of the same seed."""
@@ -46,6 +55,102 @@ NOTICED = 0.1
 """Model error, in standard deviations of the noise, below which the verdict does not mention it."""
 _ONE_SIDE = 0.5
 """Least length of the mean unit normal of a part of an arc that lies on one side of the prediction."""
+
+
+@dataclass(frozen=True, eq=False)
+class PredictiveShares:
+    """Shares of posterior draws at which a drawn observation is as far from the prediction as the true one: by the sum
+    over all observations, in units of log-likelihood, and by each alone.
+    """
+
+    whole: float
+    conditions: tuple[float, ...]
+
+
+def predictive_shares(
+    residuals: Residuals,
+    fit: BestFit,
+    prediction: Prediction,
+    posterior: Posterior,
+    random: np.random.Generator,
+    most: int,
+) -> PredictiveShares:
+    """Return the posterior-predictive p-values of d², of all observations and of each, from at most `most` draws.
+
+    At each draw θ of the posterior, d² of the observation is compared with d² of one drawn at θ (Gelman, Meng and Stern
+    1996). Its errors do not depend on the inputs, so all are drawn on the interface that the best fit predicts. The
+    posterior has seen the observation: these p-values are conservative, near ½ more often than not.
+    """
+    observations, measure, templates = residuals.observations, residuals.measure, prediction.templates
+    slow = any(seen.interface.dim == 3 for seen in observations) and not isinstance(measure, NormalOffset)
+    draws = min(FEW_DRAWS, most) if slow else most
+    points, at_fit = prediction.points(posterior.equally_weighted(random, draws)), prediction.points(fit.at[None])
+    noise = residuals.drawn(draws, random)
+    fields = random.standard_normal((draws, fit.by_modes.shape[1])) @ fit.by_modes.T
+    observed, drawn = [], []
+    for seen, stated, part in zip(observations, residuals.stated, residuals.parts, strict=True):
+        template = templates[seen.condition]
+        how = _plain(compared(seen, measure, len(template.points)))
+        predicted = Interface(at_fit[seen.condition][0], template.cells)
+        true = squared_discrepancies(how.measure, points[seen.condition], template, seen.interface)
+        others = _drawn(how, stated, predicted, noise[:, part], fields[:, part], random)
+        observed.append(-2 * how.noise.log_density(true))
+        drawn.append(-2 * how.noise.log_density(others))
+    both = np.sum(observed, axis=0), np.sum(drawn, axis=0)
+    shared = shared_errors(observations, measure)
+    if shared is not None:
+        both = shared.many(points, templates), shared.model.square(noise + fields)
+    return PredictiveShares(_share(*both), tuple(map(_share, observed, drawn)))
+
+
+def _plain(how: Compared) -> Compared:
+    """Return the comparison by the measure itself, in which global errors show: drawn observations contain them too."""
+    one = how.measure
+    return Compared(how.observation, one.measure, GaussianNoise(one.variance)) if isinstance(one, Registered) else how
+
+
+def _share(observed: Float[np.ndarray, " #draw"], drawn: Float[np.ndarray, " draw"]) -> float:
+    """Return the share of draws in which the drawn value reaches the observed one, one such draw added."""
+    return float((1 + np.sum(drawn >= observed)) / (1 + len(drawn)))
+
+
+def _drawn(
+    how: Compared,
+    stated: StatedErrors,
+    predicted: Interface,
+    noise: Float[np.ndarray, "draw point"],
+    fields: Float[np.ndarray, "draw point"],
+    random: np.random.Generator,
+) -> Float[np.ndarray, " draw"]:
+    """Return d² of drawn observations, from their residuals alone if the measure depends on nothing else.
+
+    `noise` and `fields` are drawn errors of the points and of the surrogate along the normals, mm.
+    """
+    measure, seen = how.measure, how.observation.interface
+    if isinstance(measure, WhitenedOffset):
+        return measure.model(seen).square(noise + fields)
+    if isinstance(measure, NormalOffset):
+        return np.asarray(((noise + fields) ** 2).sum(axis=1))
+    points = _without_errors(measure, predicted, seen) + _displacements(seen, stated, len(noise), random)
+    if fields.any():
+        points += fields[..., None] * steady_normals(seen)
+    if isinstance(measure, SYMMETRIC):
+        return squared_discrepancies(measure, points, seen, predicted)
+    return np.array([measure(predicted, Interface(row, seen.cells)) for row in points], float)
+
+
+def _without_errors(measure: Discrepancy, predicted: Interface, seen: Interface) -> Float[np.ndarray, "point xyz"]:
+    """Return the observed points as a right model predicts them: the closest points, or node by node."""
+    return predicted.points if isinstance(measure, TrackedPoints) else closest_points(seen.points, predicted).points
+
+
+def _displacements(
+    seen: Interface, stated: StatedErrors, number: int, random: np.random.Generator
+) -> Float[np.ndarray, "draw point xyz"]:
+    """Return errors of the observed points, mm: independent ones of all coordinates if only σ_N² is stated."""
+    if stated.assumed:
+        return stated.errors.sd * random.standard_normal((number, *seen.points.shape))
+    return np.asarray([stated.errors.draw(seen, random).points for _ in range(number)] - seen.points)
 
 
 def misfit_of(
@@ -119,7 +224,7 @@ def _judged(
 def _conditions(
     residuals: Residuals,
     fit: BestFit,
-    parts: Parts,
+    parts: ArcParts,
     seen: Statistics,
     drawn: Statistics,
     predictive: PredictiveShares,
@@ -152,7 +257,7 @@ def _conditions(
 
 
 def _regions(
-    residuals: Residuals, local: Float[np.ndarray, " seen"], parts: Parts, seen: Statistics, drawn: Statistics
+    residuals: Residuals, local: Float[np.ndarray, " seen"], parts: ArcParts, seen: Statistics, drawn: Statistics
 ) -> list[Region]:
     """Return the parts of the arcs and the patches, with corrected p-values of their mean and their sum of squares."""
     by_squares, by_mean = tail(drawn.squares, seen.squares), tail(np.abs(drawn.means), np.abs(seen.means))
@@ -186,7 +291,6 @@ def _side(towards: Float[np.ndarray, "2"]) -> str:
 
 
 def _notes(residuals: Residuals, prediction: Prediction, conditions: Sequence[ConditionMisfit]) -> list[str]:
-    """Return what was assumed, in sentences."""
     found = [f"The interface was predicted by {prediction.source}."]
     if prediction.run_alone:
         found.append("Its inputs are not those of the best fit, so the p-values are lower bounds.")
@@ -226,7 +330,7 @@ def _model_errs(residuals: Residuals, explained: Float[np.ndarray, "seen cause"]
 
 def invisible(observations: Sequence[Observation], names: Sequence[str], fixed: Sequence[str]) -> str:
     """Return which errors no residual can show, in two sentences."""
-    scaled = all(isinstance(seen.noise, PointErrors) and seen.noise.scale > 0 for seen in observations)
+    scaled = all(seen.known and seen.known.scale > 0 for seen in observations)
     known = ", ".join([*(fixed or ("a load", "an inflow")), "a density or any other factor"])
     scale = "" if scaled else ", or most of a wrong picture scale"
     return (

@@ -14,17 +14,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.sparse import csr_array
+from scipy.stats import qmc
 
 from strandline.discrepancy.nearest import closest_points
 from strandline.discrepancy.normal_offset import Sums, extended
 from strandline.interface import ErrorModel, Interface
-from strandline.likelihood.joint_errors import JointErrors
+from strandline.likelihood.joint_errors import JointErrors, sums_of
 from strandline.surrogate.field import FieldSurrogate
 
-__all__ = ["NearField", "near_field"]
-
 REGISTRATIONS = 2
-"""Steps of registration, as in `strandline.discrepancy.registration`."""
+"""Steps of registration, as in `strandline.discrepancy.normal_offset`."""
 STEP = 1e-6
 """Step of the finite differences, in extents of the interface; all but the ends that go on straight is linear."""
 NOTHING = 1e-9
@@ -37,20 +36,22 @@ BENT = 8
 """Leading modes that count to second order."""
 BLOCK = 1024
 """Fields whose likelihood is computed together."""
+TRIED = 256
+"""Inputs tried before the first step."""
+GAUSS_NEWTON_STEPS = 12
+SHARES = (1.0, 0.5, 0.25, 0.1)
+"""Shares of a Gauss–Newton step that are tried until one fits better."""
+_DIFFERENCE = 1e-3
+"""Step of the finite differences, in widths of the box."""
 
 
 @dataclass(frozen=True, eq=False)
 class NearField:
-    """r ≈ residuals + slopes z + bends z² + tail t, for z = coefficients - at and what the modes leave over.
+    """r ≈ residuals + slopes z + bends z² + tail t, for z = coefficients - at and what the modes leave over, all in mm.
 
-    Args:
-        at: Coefficients of the predicted interface, mm.
-        residuals: Signed distances of all observed points from it, one observation after the other, mm.
-        slopes: Their derivatives in the coefficients.
-        bends: Factors of the products z_k z_l, k ≤ l, of up to `BENT` leading modes, in the order of
-            `numpy.triu_indices`, 1/mm.
-        tail: Their derivatives in the standard normal numbers t, mm.
-        model: D and B of the residuals' errors, for the sums.
+    The residuals are signed distances of all observed points, one observation after the other. `bends` are factors of
+    the products z_k z_l, k ≤ l, of up to `BENT` leading modes, in the order of `numpy.triu_indices`, t are standard
+    normal numbers, and `model` is D and B of the residuals' errors, for the sums.
     """
 
     at: Float[np.ndarray, " mode"]
@@ -62,7 +63,6 @@ class NearField:
 
     @property
     def finite(self) -> bool:
-        """Whether all of it is finite."""
         return bool(np.isfinite(self.gram).all())
 
     def sums(
@@ -127,11 +127,7 @@ def near_field(
 ) -> NearField:
     """Return the residuals near the interface with these coefficients, which follows the observations' global errors.
 
-    Args:
-        surrogate: Surrogate of the field.
-        joint: The observations with the errors of their points.
-        coefficients: Coefficients of the modes, mm.
-        linear: Whether residuals and slopes are enough.
+    With `linear`, residuals and slopes are enough.
     """
     modes, rest = len(coefficients), 0 if linear else len(surrogate.modes.tail)
     templates = {name: surrogate.layouts[name].template for name in joint.conditions}
@@ -257,3 +253,73 @@ def _along(
     changes = (values[:, second] - values[:, first]).swapaxes(0, 1).reshape(len(segments), number * dim)
     summed = (touching @ changes) / np.maximum(lengths, TINY)[:, None]
     return np.asarray(summed.reshape(len(points), number, dim).swapaxes(0, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """r(x) ≈ residuals + slopes (x - at) around the inputs that fit best, in mm and mm per unit of the input; `widths`
+    are those of the box, `field` are the residuals as a function of the field there.
+    """
+
+    at: Float[np.ndarray, " dim"]
+    slopes: Float[np.ndarray, "seen dim"]
+    widths: Float[np.ndarray, " dim"]
+    field: NearField
+
+    @property
+    def residuals(self) -> Float[np.ndarray, " seen"]:
+        """Signed distances of all observed points at `at`, one observation after the other, mm."""
+        return self.field.residuals
+
+    @property
+    def scaled(self) -> Float[np.ndarray, "seen dim"]:
+        """What a standard deviation of a uniform prior over the box does to the residuals, mm."""
+        return np.asarray(self.slopes * self.widths / np.sqrt(12.0))
+
+    def covariance(self, model: ErrorModel) -> Float[np.ndarray, "dim dim"]:
+        """Return the covariance of the inputs that errors of this covariance allow, without a prior."""
+        return np.asarray(np.linalg.inv(model.information(self.slopes)))
+
+
+def linearise(surrogate: FieldSurrogate, joint: JointErrors) -> Linearised:
+    """Return the residuals around the inputs that fit best, by Gauss–Newton steps inside the box of the inputs."""
+    low, high = surrogate.warping.low, surrogate.warping.high
+    widths, model = high - low, joint.model
+    templates = {name: layout.template for name, layout in surrogate.layouts.items()}
+
+    def around(x: Float[np.ndarray, " dim"]) -> tuple[NearField, Float[np.ndarray, "seen dim"]]:
+        step = _DIFFERENCE * widths * np.where(x + _DIFFERENCE * widths > high, -1.0, 1.0)
+        coefficients = surrogate.mean(x + np.vstack([np.zeros(len(x)), np.diag(step)]))
+        field = near_field(surrogate, joint, coefficients[0], linear=True)
+        return field, field.slopes @ ((coefficients[1:] - coefficients[0]) / step[:, None]).T
+
+    tried = low + widths * qmc.Sobol(len(low), seed=np.random.default_rng(0)).random(TRIED)
+    squares = model.square_of(*sums_of(joint, surrogate.points(surrogate.mean(tried)), templates))
+    x = tried[int(np.argmin(squares))]
+    field, J = around(x)
+    for _ in range(GAUSS_NEWTON_STEPS):
+        r = field.residuals
+        moved = _step(x, r, J, model, low, high)
+        if (np.abs(moved - x) <= 1e-6 * widths).all():
+            break
+        for share in SHARES:
+            field_moved, J_moved = around(x + share * (moved - x))
+            if model.square(field_moved.residuals) < model.square(r):
+                break
+        else:
+            break
+        x, field, J = x + share * (moved - x), field_moved, J_moved
+    return Linearised(x, J, widths, near_field(surrogate, joint, field.at))
+
+
+def _step(
+    x: Float[np.ndarray, " dim"],
+    r: Float[np.ndarray, " seen"],
+    J: Float[np.ndarray, "seen dim"],
+    model: ErrorModel,
+    low: Float[np.ndarray, " dim"],
+    high: Float[np.ndarray, " dim"],
+) -> Float[np.ndarray, " dim"]:
+    """Return the next inputs; a weak prior over the box keeps inputs in place that the data do not tell."""
+    weak = np.diag(1e-6 * 12 / (high - low) ** 2)
+    return np.asarray(np.clip(x - np.linalg.solve(model.information(J) + weak, J.T @ model.solved(r)), low, high))

@@ -1,5 +1,6 @@
-"""Particles of one likelihood carried over to another one close by: reweighted, then resampled and moved if needed."""
+"""Two independent runs of the sampler joined into one, and particles carried over to another likelihood close by."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -13,8 +14,10 @@ from strandline.smc.on_host import rejuvenate
 from strandline.smc.records import SMCResult, SMCSettings
 from strandline.smc.steps import Particles
 
-__all__ = ["carried_over"]
-
+FEWEST = 4
+"""Number of particles from which there are two halves that the sampler accepts."""
+FIRST = 2
+"""Keeps the keys of the halves apart from those derived from the same key elsewhere."""
 KEPT = 0.3
 """Least effective share of the particles from which sampling goes on."""
 ENOUGH = 0.9
@@ -31,6 +34,47 @@ FIRST_ACCEPTANCE = 0.3
 """Share of accepted moves that the size of the first proposals assumes."""
 
 
+def in_halves(
+    run: Callable[[RandomKey, Float[np.ndarray, "half dim"]], SMCResult],
+    key: RandomKey,
+    initial: Float[np.ndarray, "particle dim"],
+) -> SMCResult:
+    """Return the union of two runs with half the initial particles each; a single run if there are too few particles.
+
+    `run` is the sampler as a function of a key and of initial particles, which are draws from the prior; do not use the
+    key again: each half gets its own.
+    """
+    if len(initial) < FEWEST:
+        return run(key, initial)
+    halves = np.array_split(initial, 2)
+    return joined(*(run(jax.random.fold_in(key, FIRST + i), half) for i, half in enumerate(halves)))
+
+
+def joined(one: SMCResult, other: SMCResult) -> SMCResult:
+    """Return the particles of two independent runs, weighted by evidence.
+
+    Each run estimates the integral of any function times L p without bias, so the mean of the two does as well, and
+    with it the evidence. A half that misses most of the mass has a small evidence, and so little weight. The steps are
+    those of the first run.
+    """
+    halves, number = (one, other), len(one.positions) + len(other.positions)
+    shares = [half.log_evidence + np.log(len(half.positions) / number) for half in halves]
+    log_evidence = float(np.logaddexp(*shares))
+    weights = [half.log_weights + share - log_evidence for half, share in zip(halves, shares, strict=True)]
+    log_weights = np.concatenate(weights)
+    return SMCResult(
+        positions=np.concatenate([half.positions for half in halves]),
+        log_weights=log_weights,
+        log_likelihood=np.concatenate([half.log_likelihood for half in halves]),
+        log_prior=np.concatenate([half.log_prior for half in halves]),
+        log_evidence=log_evidence,
+        ess=float(1.0 / np.sum(np.exp(2 * log_weights))),
+        steps=one.steps,
+        likelihood_evaluations=one.likelihood_evaluations + other.likelihood_evaluations,
+        halves=halves,
+    )
+
+
 def carried_over(
     key: RandomKey,
     found: SMCResult,
@@ -43,14 +87,8 @@ def carried_over(
 ) -> SMCResult | None:
     """Return particles of another likelihood; None if the two are not near, or if draws of the prior fit elsewhere.
 
-    Args:
-        key: Random key; do not use it again.
-        found: Particles of a likelihood close by.
-        log_likelihood: log L, a function of NumPy arrays.
-        log_prior: log p.
-        scouts: Draws of the prior.
-        extents: Extents of the prior, which keep proposals from collapsing.
-        settings: The sampler's settings.
+    The extents of the prior keep proposals from collapsing, `scouts` are draws of it, and log L takes NumPy arrays; do
+    not use the random key again.
     """
     x, values = found.positions, log_likelihood(found.positions)
     weights = found.log_weights + values - found.log_likelihood
@@ -94,7 +132,6 @@ def carried_over(
 def _outside(
     x: Float[np.ndarray, "particle dim"], weights: Float[np.ndarray, " particle"], scouts: Float[np.ndarray, "some dim"]
 ) -> Float[np.ndarray, "few dim"]:
-    """Return the scouts that are far from all particles."""
     mean = weights @ x
     sd = np.sqrt(weights @ (x - mean) ** 2)
     far = (np.abs(scouts - mean) > OUTSIDE * np.maximum(sd, np.finfo(float).tiny)).any(axis=1)

@@ -4,26 +4,22 @@ They take a hundredth of the time of comparing interfaces, and lead a sampler ne
 weighed off against the measure itself.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import logsumexp, softmax
 
 from strandline.discrepancy import Discrepancy, FollowsOffsets, NormalOffset
-from strandline.interface import ErrorModel, Observation, PointErrors
+from strandline.interface import ErrorModel, Interface, Observation, PointErrors
 from strandline.likelihood.compared import Compared, compared
-from strandline.likelihood.joint_errors import JointErrors
-from strandline.likelihood.linearised import linearise
-from strandline.likelihood.mixture import Mixture
-from strandline.likelihood.near_field import NearField
+from strandline.likelihood.joint_errors import JointErrors, Points, SharedErrors, sums_of
+from strandline.likelihood.linearised_residuals import NearField, linearise
 from strandline.likelihood.parabolas import NearParabola
-from strandline.likelihood.shared_errors import SharedErrors
 from strandline.surrogate.field import FieldSurrogate
-
-__all__ = ["Nearby", "OfMixture", "OfOffsets", "OfStatedErrors", "follows_offsets", "nearby"]
 
 Values = Float[np.ndarray, " point"]
 Modes = Float[np.ndarray, "point mode"]
@@ -34,6 +30,72 @@ ROWS = 512
 """Offsets tried one by one together."""
 SMALL, NOTHING = 1e-4, 1e-12
 """Relative step of d² to see how log L changes; least size of offsets, mm."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """log Σ_k w_k exp(-½ d_k²), d_k² = rᵀ C_k⁻¹ r with C_k = κ_k V + B S_k² Bᵀ, V and S_k diagonal.
+
+    B, `shared`, is what one unit of each shared error does to the signed distances, mm; the global errors of `joint`
+    are its first columns. V is `local`, κ are `levels`, mm², and S `scales`.
+    """
+
+    joint: JointErrors
+    local: Float[np.ndarray, " seen"]
+    shared: Float[np.ndarray, "seen error"]
+    levels: Float[np.ndarray, " level"]
+    scales: Float[np.ndarray, "level error"]
+    log_weights: Float[np.ndarray, " level"]
+
+    def one(self, interfaces: Mapping[str, Interface]) -> float:
+        """Return log L of simulated interfaces by condition."""
+        points = {seen.condition: interfaces[seen.condition].points[None] for seen in self.joint.observations}
+        return float(self.many(points, interfaces)[0])
+
+    def many(self, points: Points, templates: Mapping[str, Interface]) -> Float[np.ndarray, " run"]:
+        """Return log L of each run, given its points by condition."""
+        return self.of_sums(*sums_of(self.joint, points, templates, self.model, self._global_errors))
+
+    @cached_property
+    def model(self) -> ErrorModel:
+        return ErrorModel(self.local, self.shared)
+
+    def _global_errors(self, products: Float[np.ndarray, "run error"]) -> Float[np.ndarray, "run error"]:
+        """Return the most probable global errors at the likeliest level; other shared errors stay as they are."""
+        likeliest = int(np.argmax(self.log_weights))
+        level, scale = self.levels[likeliest], self.scales[likeliest]
+        inverse = np.linalg.inv(level * np.eye(len(scale)) + scale[:, None] * self.model.gram * scale)
+        found = (products * scale) @ inverse * scale
+        found[:, self.joint.model.shared.shape[1] :] = 0.0
+        return np.asarray(found)
+
+    def of_sums(
+        self, squares: Float[np.ndarray, " run"], products: Float[np.ndarray, "run error"]
+    ) -> Float[np.ndarray, " run"]:
+        """Return log L from Σ r²/V and e = BᵀV⁻¹r, for d² = Σ r²/(κV) - (Se)ᵀ (κ²I + κ S G S)⁻¹ Se, G = BᵀV⁻¹B."""
+        values = np.empty((len(self.levels), len(squares)))
+        for k, (level, inverse) in enumerate(zip(self.levels, self._inverses, strict=True)):
+            values[k] = squares / level - ((products @ inverse) * products).sum(axis=1)
+        return np.asarray(logsumexp(self.log_weights[:, None] - 0.5 * values, axis=0))
+
+    def weights_of_sums(
+        self, gram: Float[np.ndarray, "term term"], products: Float[np.ndarray, "term error"]
+    ) -> Float[np.ndarray, "term term"]:
+        """Return the mean of FᵀC_k⁻¹F over the components, each as likely as the first column of F makes it.
+
+        It follows from `gram`, FᵀV⁻¹F, and `products`, FᵀV⁻¹B.
+        """
+        inverses = zip(self.levels, self._inverses, strict=True)
+        each = np.array([gram / level - products @ inverse @ products.T for level, inverse in inverses])
+        return np.asarray(np.tensordot(softmax(self.log_weights - 0.5 * each[:, 0, 0]), each, axes=1))
+
+    @property
+    def _inverses(self) -> Float[np.ndarray, "level error error"]:
+        """S_k (κ_k²I + κ_k S_k G S_k)⁻¹ S_k."""
+        G = self.model.gram
+        S, levels = self.scales, self.levels[:, None, None]
+        inner = levels**2 * np.eye(len(G)) + levels * S[:, :, None] * G * S[:, None, :]
+        return np.asarray(S[:, :, None] * np.linalg.inv(inner) * S[:, None, :])
 
 
 @runtime_checkable
@@ -52,18 +114,12 @@ class Nearby(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class OfStatedErrors:
-    """log L = -½ rᵀC⁻¹r of signed distances r with stated errors.
-
-    Args:
-        field: The residuals near the best fit.
-        model: Covariance C of the residuals.
-    """
+    """log L = -½ rᵀC⁻¹r of signed distances r with stated errors."""
 
     field: NearField
     model: ErrorModel
 
     def log_likelihood(self, coefficients: Modes, tail: Tail | None = None) -> Values:
-        """Return log L."""
         return np.asarray(-0.5 * self.model.square_of(*self.field.sums(coefficients, tail)))
 
     @cached_property
@@ -75,18 +131,12 @@ class OfStatedErrors:
 
 @dataclass(frozen=True, eq=False)
 class OfMixture:
-    """Log-likelihood of signed distances whose errors are inferred.
-
-    Args:
-        field: The residuals near the best fit.
-        mixture: The likelihood.
-    """
+    """Log-likelihood of signed distances whose errors are inferred."""
 
     field: NearField
     mixture: Mixture
 
     def log_likelihood(self, coefficients: Modes, tail: Tail | None = None) -> Values:
-        """Return log L."""
         return self.mixture.of_sums(*self.field.sums(coefficients, tail))
 
     @cached_property
@@ -99,20 +149,13 @@ class OfMixture:
 
 @dataclass(frozen=True, eq=False)
 class OfOffsets:
-    """Log-likelihood by a measure that nearly follows from the signed distances.
-
-    Args:
-        field: The residuals near the best fit.
-        compared: Each observation with its measure and its noise.
-        nodes: Number of nodes of the simulated interfaces, for each observation.
-    """
+    """Log-likelihood by a measure that nearly follows from the signed distances; `nodes` are those simulated."""
 
     field: NearField
     compared: tuple[Compared, ...]
     nodes: tuple[int, ...]
 
     def log_likelihood(self, coefficients: Modes, tail: Tail | None = None) -> Values:
-        """Return log L."""
         size = max(BLOCK // len(self.field.residuals), 1)
         parts = [slice(k, k + size) for k in range(0, len(coefficients), size)]
         return np.concatenate([self._block(coefficients[p], None if tail is None else tail[p]) for p in parts])
@@ -141,12 +184,7 @@ class OfOffsets:
 
 @dataclass(frozen=True, eq=False)
 class _ByOffsets:
-    """log L of one observation by a measure of offsets.
-
-    Args:
-        compared: The observation with its measure and its noise.
-        nodes: Number of nodes of the simulated interface.
-    """
+    """log L of one observation by a measure of offsets."""
 
     compared: Compared
     nodes: int
@@ -179,15 +217,12 @@ def _rows(size: Float[np.ndarray, " seen"], first: int) -> Float[np.ndarray, "ro
 
 
 def nearby(
-    surrogate: FieldSurrogate,
-    observations: tuple[Observation, ...],
-    measure: Discrepancy,
-    shared: SharedErrors | None,
+    surrogate: FieldSurrogate, observations: tuple[Observation, ...], measure: Discrepancy, shared: SharedErrors | None
 ) -> Nearby | None:
     """Return the log-likelihood near the best fit; None for surfaces, and for measures that do not follow offsets."""
     if any(seen.interface.dim != 2 for seen in observations):
         return None
-    errors = tuple(seen.noise for seen in observations if isinstance(seen.noise, PointErrors))
+    errors = tuple(seen.known for seen in observations if seen.known)
     if shared is not None or (isinstance(measure, NormalOffset) and len(errors) == len(observations)):
         joint = JointErrors(observations, errors) if shared is None else shared.joint
         field = linearise(surrogate, joint).field

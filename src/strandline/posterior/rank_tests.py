@@ -12,21 +12,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.stats import binom
 
-__all__ = ["Band", "Coverage", "coverage_of", "region_coverage_of", "uniformity", "weighted_ranks"]
-
 _SIMULATIONS = 5000
 
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """The empirical distribution of ranks and where it must lie.
+    """The empirical distribution of ranks at places in (0, 1), and where it must lie.
 
-    Args:
-        places: Places in (0, 1).
-        found: Share of the ranks up to each place.
-        low: Lower edge of the band.
-        high: Upper edge of the band.
-        p_value: Probability that uniform ranks come as close to the edge of such a band, or beyond.
+    `p_value` is the probability that uniform ranks come as close to the edge of such a band, or beyond.
     """
 
     places: Float[np.ndarray, " place"]
@@ -43,13 +36,8 @@ class Band:
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """How often central intervals, or regions of the draws that fit best, contain the truth.
-
-    Args:
-        level: Nominal probability of the intervals.
-        found: Share that contain the truth, for each input; a single one for regions.
-        low: Lower end of a 95 % interval for that probability (Wilson 1927).
-        high: Upper end of it.
+    """How often central intervals of probability `level` of each input, or regions of the draws that fit best, contain
+    the truth, with a 95 % interval (Wilson 1927).
     """
 
     level: float
@@ -111,6 +99,5 @@ def _least_p_value(counts: Int[np.ndarray, "*sample place"], number: int) -> Flo
 
 @lru_cache(maxsize=16)
 def _tails(number: int) -> Float[np.ndarray, "count place"]:
-    """Return the two-sided p-value of each count of ranks up to each place."""
     counts, places = np.arange(number + 1)[:, None], np.arange(1, number) / number
     return np.asarray(2 * np.minimum(binom.cdf(counts, number, places), binom.sf(counts - 1, number, places)))
