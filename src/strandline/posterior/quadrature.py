@@ -196,7 +196,10 @@ def integrate(
         chosen = _to_refine(sizes, (maximum_evaluations - rule.evaluations) // (len(rule.nodes) * 2**rule.dim))
         if not chosen.any():
             break
-        cells, levels = cells.where(~chosen).joined(rule.halved(cells.where(chosen))), levels + 1
+        refined = cells.where(~chosen).joined(rule.halved(cells.where(chosen)))
+        if not refined.integral[:, 0].sum() > 0:  # so narrow that the halves miss what their cell met
+            break
+        cells, levels = refined, levels + 1
     return _result(rule, cells, moments, errors, converged=bool(sizes.sum() <= 1.0), levels=levels)
 
 

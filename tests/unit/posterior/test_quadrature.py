@@ -94,6 +94,10 @@ def test_a_narrow_ridge_is_found_wherever_it_lies_and_a_jump_that_is_not_resolve
     assert not found.converged
     assert found.evaluations <= 100_000
     assert abs(found.log_evidence - math.log(0.5 * math.pi)) < found.error_log_evidence
+    node = 0.5 * (np.polynomial.legendre.leggauss(4)[0][1] + 1) / 256
+    found = integrate(lambda x: np.where(np.abs(x[:, 0] - node) < 1e-9, 0.0, -1e6), np.zeros(1), np.ones(1))
+    assert not found.converged, "only one point of the first grid meets the peak"
+    assert np.isfinite(found.log_evidence)
 
 
 def test_tighter_tolerances_cost_more_and_give_more_and_a_marginal_is_the_known_density():
