@@ -243,7 +243,6 @@ EXPLAINED_ON_LINE: dict[tuple[str, str, str, str], str] = {
     ),
     ("surrogate/field/projection.py", "np.roll(cells, -1, axis=1)", "-1", "(1)"): "The same sides, sorted then.",
     ("surrogate/field/projection.py", "np.roll(cells, -1, axis=1)", "1", "(2)"): "The same sides, sorted then.",
-    ("readers/options.py", 'values.get("count", 2)) is int', "2", "(3)"): "A default that only has to be allowed.",
     ("runs/ledger_schema.py", "uri=True, isolation_level=None", "True", "(False)"): "SQLite may take addresses anyway.",
     ("runs/ledger_schema.py", "uri=True, isolation_level=None", "30.0", "(60.0)"): "Waits longer.",
     ("runs/ledger_schema.py", 'if os.name == "posix"', "os.name == 'posix'", "(os.name != 'posix')"): (
