@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Generic, TypeVar
 
 from filelock import FileLock, Timeout
 from markupsafe import escape
@@ -130,7 +130,7 @@ class Answer(Generic[Found]):
         """The figures of the page by name."""
         return {one.name: one.figure for one in ANSWERS[self.name](self.content)}
 
-    def written(self, *, draft: bool) -> Self:
+    def written(self, *, draft: bool) -> "Answer[Found]":
         """Write the page, its figures and the JSON file into the page's folder, and return the answer.
 
         Raises:

@@ -22,7 +22,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
@@ -125,7 +125,7 @@ class ArrayBatch:
     requests: tuple[RunRequest, ...]
 
     @classmethod
-    def new(cls, parent: Path, model: ForwardModel, requests: Sequence[RunRequest], timeout: float | None) -> Self:
+    def new(cls, parent: Path, model: ForwardModel, requests: Sequence[RunRequest], timeout: float | None) -> "ArrayBatch":
         """Write a new batch to its own folder inside `parent`, durably."""
         folder = parent / f"strandline-{time.strftime('%Y%m%d-%H%M%S')}-{uuid.uuid4().hex[:8]}"
         for part in ("logs", "results"):
@@ -143,7 +143,7 @@ class ArrayBatch:
         return batch
 
     @classmethod
-    def read(cls, folder: Path) -> Self:
+    def read(cls, folder: Path) -> "ArrayBatch":
         """Return the batch in `folder`.
 
         Raises:
