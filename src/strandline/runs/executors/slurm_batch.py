@@ -125,7 +125,9 @@ class ArrayBatch:
     requests: tuple[RunRequest, ...]
 
     @classmethod
-    def new(cls, parent: Path, model: ForwardModel, requests: Sequence[RunRequest], timeout: float | None) -> "ArrayBatch":
+    def new(
+        cls, parent: Path, model: ForwardModel, requests: Sequence[RunRequest], timeout: float | None
+    ) -> "ArrayBatch":
         """Write a new batch to its own folder inside `parent`, durably."""
         folder = parent / f"strandline-{time.strftime('%Y%m%d-%H%M%S')}-{uuid.uuid4().hex[:8]}"
         for part in ("logs", "results"):
