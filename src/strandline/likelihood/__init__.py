@@ -4,7 +4,6 @@ from strandline.likelihood.compared import Compared, compared
 from strandline.likelihood.field import FieldLikelihood, evaluated, noise_length, predicted, sd_of_distances
 from strandline.likelihood.inferred_noise import InferredNoise, NoisePosterior, infer_noise
 from strandline.likelihood.interfaces import InterfaceLikelihood
-from strandline.smc import OnHost
 
 __all__ = [
     "Compared",
@@ -12,7 +11,6 @@ __all__ = [
     "InferredNoise",
     "InterfaceLikelihood",
     "NoisePosterior",
-    "OnHost",
     "compared",
     "evaluated",
     "infer_noise",

@@ -32,12 +32,11 @@ from strandline.calibration.importance_sampler import Densities, Pool, StudentMi
 from strandline.design import sobol
 from strandline.design.refinement import SAMPLING
 from strandline.errors import InvalidInput
-from strandline.likelihood import OnHost
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted, systematic_indices
 from strandline.posterior.importance import pareto_smoothed
 from strandline.questions.specimen import SpecimenPosterior, matched
-from strandline.smc import sample
+from strandline.smc import OnHost, sample
 from strandline.text import with_sd
 
 __all__ = ["FEWEST_SPECIMENS", "Population", "Shrunk", "population_of", "shrunk"]

@@ -31,14 +31,14 @@ from strandline.design import sobol
 from strandline.design.refinement import SAMPLING
 from strandline.discrepancy import Discrepancy
 from strandline.interface import Observation
-from strandline.likelihood import FieldLikelihood, OnHost
+from strandline.likelihood import FieldLikelihood
 from strandline.likelihood.local_likelihood import Nearby
 from strandline.likelihood.parabolas import log_gain
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted, systematic_indices
 from strandline.questions.certificate import Certified, certify
 from strandline.questions.start import Start
-from strandline.smc import sample
+from strandline.smc import OnHost, sample
 from strandline.surrogate.field import FieldPrediction
 from strandline.text import with_sd
 

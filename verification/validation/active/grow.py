@@ -13,11 +13,10 @@ from verification.validation.active.cases import Case
 from strandline.design import sobol
 from strandline.design.active import Active, ActiveDesign, Knowledge, State, learn, posterior_state
 from strandline.errors import TooFewRuns
-from strandline.likelihood import OnHost
 from strandline.numerics.threads import one_thread
 from strandline.posterior import Weighted
 from strandline.runs import RunRecord
-from strandline.smc import SMCSettings, sample
+from strandline.smc import OnHost, SMCSettings, sample
 
 __all__ = ["Grown", "Moments", "delivered", "grow", "initial_runs"]
 

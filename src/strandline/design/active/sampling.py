@@ -20,12 +20,12 @@ from strandline.design.refinement import SAMPLING
 from strandline.discrepancy import Discrepancy, squared_discrepancies
 from strandline.discrepancy.normal_offset import WhitenedOffset
 from strandline.interface import Interface, Observation
-from strandline.likelihood import OnHost, compared
+from strandline.likelihood import compared
 from strandline.likelihood.field import DRAWS, noise_length
 from strandline.likelihood.local_likelihood import follows_offsets
 from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace
-from strandline.smc import SMCResult, SMCSettings, StepInfo, carried_over, sample
+from strandline.smc import OnHost, SMCResult, SMCSettings, StepInfo, carried_over, sample
 
 ROUGHLY = SMCSettings(rejuvenation_steps=6, zeta=0.5)
 """Settings of the sampler where such a likelihood leads near the posterior; moves by the exact one follow."""
