@@ -19,7 +19,7 @@ FLUID = dict.fromkeys(("viscosity", "density", "force_x", "force_y"), "unknown")
 
 
 def test_fluid_at_rest_under_a_vertical_force_has_the_hydrostatic_pressure():
-    fields = layer(fluid={"force_y": -9810}).fields({"E": 1e10, "nu": 0.3, "V_in": 0.0})
+    fields = layer(fluid={"force_y": -9810.0}).fields({"E": 1e10, "nu": 0.3, "V_in": 0.0})
     fluid = fields.points[:, 1] > BOTTOM + 1e-6
     np.testing.assert_allclose(fields.velocity, 0.0, atol=1e-5)
     np.testing.assert_allclose(fields.pressure[fluid], 9.81 * (1 - fields.points[fluid, 1]), atol=1e-6)
@@ -32,7 +32,7 @@ BELOW_A_SLIPPERY_TOP = (lambda y: (y - BOTTOM) * (1 - BOTTOM - 0.5 * (y - BOTTOM
 @pytest.mark.parametrize(
     ("options", "drive", "profile"),
     [
-        ({"inflow": "pressure", "fluid": {"viscosity": 4e-3, "force_x": 500}}, {"p_drop": 11.0}, BETWEEN_WALLS),
+        ({"inflow": "pressure", "fluid": {"viscosity": 4e-3, "force_x": 500.0}}, {"p_drop": 11.0}, BETWEEN_WALLS),
         ({"inflow": "pressure", "channel": {"top": "symmetry"}}, {"p_drop": 6.0}, BELOW_A_SLIPPERY_TOP),
         ({"channel": {"top": "slip"}}, {"V_in": 20.0}, BELOW_A_SLIPPERY_TOP),
         ({"inflow": "plug", "length": 4.0}, {"V_in": 20.0}, BETWEEN_WALLS),
