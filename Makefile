@@ -34,9 +34,9 @@ test: env
 	$(PYTEST) -m "not long and (smoke or not doors)" tests/unit tests/study tests/doors
 
 # The other doors: processes, browser, notebooks, Dask, UM-Bridge, CalculiX, and a SLURM that the tests start.
-# They wait more than they compute: three for two cores. Skipped where programs are missing (Debian: slurmctld slurmd slurm-client munge calculix-ccx chromium).
+# Skipped where programs are missing (Debian: slurmctld slurmd slurm-client munge calculix-ccx chromium).
 test-doors: env
-	$(PYTEST) -n $$(( 3 * $$(getconf _NPROCESSORS_ONLN) / 2 )) -m "not long and not smoke" tests/doors
+	$(PYTEST) -m "not long and not smoke" tests/doors
 
 test-all: env
 	$(PYTEST) tests
