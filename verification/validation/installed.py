@@ -144,7 +144,7 @@ def study(programs: Path, folder: Path) -> None:
     home = {"XDG_CACHE_HOME": str(folder / "cache")}
     command(programs / "strandline", "init", STUDY, folder=folder)
     file = folder / STUDY / "study.yaml"
-    file.write_text(small(file.read_text("utf-8")) + "draft: true\n", "utf-8")
+    file.write_text(small(file.read_text("utf-8")), "utf-8")
     for words in (("run", "--quiet", STUDY), ("report", "--quiet", STUDY)):
         printed = command(programs / "strandline", *words, folder=folder, **home)
         require("report.html" in printed, f"no report named: {printed}")
