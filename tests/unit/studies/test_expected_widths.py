@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from scipy.linalg import block_diag
 
 from strandline.calibration import Observer
 from strandline.errors import NumericsError
-from strandline.interface import Interface
+from strandline.interface import Interface, PointErrors
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import Uniform
 from strandline.runs import Progress, RunRecord, RunRequest, attempt
@@ -107,6 +108,17 @@ def test_one_run_with_sensitivities_is_enough(tmp_path):
     record = attempt(model, RunRequest("key", {"E": 400.0, "load": 1e-5}), tmp_path)
     noting_widths(Observer(note=notes.append), study).run(record, Progress(24, 1, 1, 0, 0, 0.0))
     assert "from the sensitivities of a run" in notes[0]
+
+
+@pytest.mark.stand_in
+def test_the_effect_of_an_outline_lacks_widths_where_no_run_succeeded_or_the_noise_is_inferred(tmp_path):
+    outline = SimpleNamespace(errors=PointErrors(0.002, 0.01))
+    for noise, records in (({"sd": "unknown", "unit": "um"}, "all"), ({"sd": 3, "unit": "um"}, "none")):
+        content = {"discrepancy": {"normal_offset": {}}, "surrogate": {"field": {}}, "noise": noise}
+        study = load_study(write_study(tmp_path, **content))
+        study = replace(study, undeformed=outline, noises={"": study.noise})
+        runs = [run(study, AT, tmp_path)] if records == "all" else []
+        assert widths.outline_effect(study, runs, None) == {"sd_um": 2.0, "length_um": 10.0, "offset_um": 0.0}
 
 
 def test_slopes_from_runs_hold_at_the_place_and_not_in_the_mean():
