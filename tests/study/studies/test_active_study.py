@@ -1,6 +1,7 @@
 """Studies with an active design: results, resume, another analysis of the same runs, a cheaper model."""
 
 import json
+from dataclasses import replace
 from unittest.mock import Mock
 
 import numpy as np
@@ -16,6 +17,7 @@ from strandline.runs import InProcess, Ledger
 from strandline.studies import load_study, run_study
 from strandline.studies.progress import progress_of
 from strandline.studies.result import load_result
+from strandline.studies.summary_field import certificate
 from strandline.testing.studies import write_study
 
 
@@ -46,6 +48,9 @@ def test_the_certificate_is_in_the_summary_with_the_posterior_of_the_model_itsel
     assert (check["passed"], check["failed"], check["reasons"]) == (True, 0, [])
     assert [step["runs"] for step in found["history"]] == list(np.cumsum([entry["runs"] for entry in found["batches"]]))
     assert found["feasible_mass"] == pytest.approx(1.0)
+    field = active.outcome.calibration.field
+    early = replace(field, certificate=replace(field.certificate, steps=()))
+    assert certificate(replace(active.outcome.calibration, field=early))["error_um"] is None
     assert (summary["surrogate"]["kind"], summary["surrogate"]["n_train"]) == ("field", found["runs"])
     expected, _ = exact.posterior(exact.likelihood_of(active.outcome.calibration.problem))
     for name, (mean, sd) in expected.items():
