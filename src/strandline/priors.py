@@ -194,6 +194,7 @@ class ScaledBeta(_Bounded):
         _require_interval("beta", self.low, self.high)
 
     def log_density(self, x: Array) -> Array:
+        """Return the log-density at `x`, of any shape, per unit of the input; -inf outside [low, high]."""
         xp = _namespace(x)
         t = (x - self.low) / (self.high - self.low)
         inside = (t >= 0) & (t <= 1)

@@ -222,6 +222,7 @@ class ModelComparison:
 
     @property
     def verdict(self) -> str:
+        """Which model the data favour, or that they cannot tell, in one sentence."""
         if self.favoured is not None:
             second = self._of_best[0]
             return f"The data favour {second.of} over {second.over}: ln B = {_shown(second)}, {second.words} evidence."

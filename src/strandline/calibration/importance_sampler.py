@@ -153,6 +153,7 @@ class Pool:
         return Weighted(self.x, np.exp(self.log_weights))
 
     def extended(self, mixture: StudentMixture, x: Points, log_first: Values, log_target: Values) -> "Pool":
+        """Return the pool with the draws `x`, shape (draw, dim), of one more mixture; densities have shape (draw,)."""
         return replace(
             self,
             x=np.concatenate([self.x, x]),

@@ -93,6 +93,7 @@ class SamplerCheck:
 
     @property
     def verdict(self) -> str:
+        """Whether the two halves agree, and by how much they differ, in one sentence."""
         if self.agree:
             return (
                 "Two independent halves of the sampler's particles agree: means to "

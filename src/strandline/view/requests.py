@@ -93,6 +93,7 @@ class _Guarded(RequestHandler):
         self.clear_header("Server")
 
     def prepare(self) -> None:
+        """Refuse a request from another host or page, or without the page's token."""
         request = self.request
         token = request.path.split("/")[1]
         why = self.access.refusal(request.host, request.headers.get("Origin"), token)
