@@ -43,7 +43,7 @@ def read_medit(path: Path, how: Reading, name: str) -> Contents:
     if not content.rstrip().endswith(b"End"):
         raise EOFError("the file is cut off")
     sections = re.split(rb"(?m)^\s*(?=[A-Za-z])", content)
-    with tempfile.NamedTemporaryFile() as copy:
+    with tempfile.NamedTemporaryFile(suffix=".mesh") as copy:  # a name that ends with "b" is binary to meshio
         copy.write(b"\n".join([b"MeshVersionFormatted 2", *(one for one in sections if MEDIT.match(one)), b""]))
         copy.flush()
         return converted(meshio.medit.read(copy.name))
