@@ -10,7 +10,7 @@ from verification.validation.installed import Failed, compare_sdist, compare_whe
 PACKAGE = {f"src/strandline/{name}" for name in ("__init__.py", "py.typed", "report/style.css")}
 KNOWN = {*PACKAGE, ".ci/run", "README.md"}
 INFORMATION = ("METADATA", "WHEEL", "entry_points.txt", "licenses/LICENSE", "licenses/NOTICE.md")
-INFORMATION = [f"strandline-0.2.0.dist-info/{name}" for name in INFORMATION]
+INFORMATION = [f"strandline-0.3.0.dist-info/{name}" for name in INFORMATION]
 GOOD = dict.fromkeys([*(name.removeprefix("src/") for name in PACKAGE), *INFORMATION], b"")
 
 
@@ -29,7 +29,7 @@ def test_the_source_distribution_has_what_is_under_version_control(tmp_path):
     def compare(names):
         with tarfile.open(tmp_path / "x.tar.gz", "w:gz") as archive:
             for name in sorted(names - {".ci/run"}):
-                archive.addfile(tarfile.TarInfo(f"strandline-0.2.0/{name}"), io.BytesIO())
+                archive.addfile(tarfile.TarInfo(f"strandline-0.3.0/{name}"), io.BytesIO())
         compare_sdist(tmp_path / "x.tar.gz", KNOWN)
 
     whole = {*KNOWN, "PKG-INFO"}
