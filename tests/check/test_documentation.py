@@ -152,7 +152,7 @@ def test_the_beams_of_the_guides_run_and_are_that_of_the_example():
     inputs = {"E": 400.0, "q": 0.25}
     single = runpy.run_path(str(ROOT / "examples" / "own_model.py"))["beam"](inputs, Path())
     np.testing.assert_allclose(shown["beam"](inputs, Path()).points, single.points, rtol=1e-14)
-    beam, problem = blocks("how-to/several-experiments.md", "python")
+    beam, problem = blocks("how-to/experiment.md", "python")
     exec(beam, shown)
     record = attempt(shown["beam"], RunRequest("key", {"E": 400.0}), Path())
     np.testing.assert_allclose(record.interfaces["heavy"].points, single.points, rtol=1e-14)
@@ -258,7 +258,7 @@ def test_the_program_that_checks_a_posterior_runs(finished):
     assert done.split()[0] == content["verdict"]
 
 
-PIECES = "change-without-runs model-error noise own-observation several-experiments uncertain-experiment what-if"
+PIECES = "change-without-runs experiment noise own-observation what-if"
 
 
 def test_the_pieces_of_studies_in_the_guides_are_valid():

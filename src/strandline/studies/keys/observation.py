@@ -347,9 +347,11 @@ class ConditionNoise(Section):
     default: 0, independent points"""
     unknown: Unknown | None = None
     model_error: Switch = False
-    """whether the model may err by [a smooth offset along the interface](../how-to/model-error.md) of unknown size"""
+    """whether the model may err by [a smooth offset](../how-to/experiment.md#a-smooth-offset-along-the-interface) of
+    unknown size along the interface"""
     spread: list[Name] = []
-    """inputs that may [differ from condition to condition](../how-to/model-error.md) by an unknown amount"""
+    """inputs that may [differ between conditions](../how-to/experiment.md#an-input-that-differs-between-conditions) by
+    an unknown amount"""
 
     @property
     def of_points(self) -> bool:

@@ -102,7 +102,8 @@ class CutReading(Section):
     """The cut reading of the posterior under uncertainty."""
 
     values: Annotated[Whole, Field(ge=2, le=MOST_VALUES)] = 32
-    """nuisance values in the [cut reading](../how-to/uncertain-experiment.md), representing their prior, at least 2"""
+    """nuisance values in the [cut reading](../how-to/experiment.md#an-uncertain-quantity), representing their prior, at
+    least 2"""
 
 
 class Sampler(Section):

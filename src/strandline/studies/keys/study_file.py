@@ -120,7 +120,7 @@ class Input(Section):
     box: tuple[Number, Number] | None = None
     """[low, high] of forward runs; default: prior's support"""
     nuisance: Switch = False
-    """[uncertain, but not calibrated](../how-to/uncertain-experiment.md): the result is averaged over it"""
+    """[uncertain, but not calibrated](../how-to/experiment.md#an-uncertain-quantity): the result is averaged over it"""
     label: Annotated[str, AfterValidator(_symbol)] | None = None
     """symbol in figures, report and tables, e.g. `V̇_in`: one line of up to 30 characters; an underscore starts a
     subscript; default: the name"""
