@@ -76,8 +76,32 @@ def block_math(self, node):
     raise nodes.SkipNode
 
 
+REFERENCE = Path(__file__).parent / "reference"
+MODULES = re.findall(r"^api/(\S+)$", (REFERENCE / "python.md").read_text("utf-8"), re.MULTILINE)
+SEVERAL = ("answer", "what_if", "next", "coverage", "compare", "specimens", "opened", "specimen", "population", "many")
+FURTHER = {"questions": [f"questions.{name}" for name in SEVERAL]}
+"""Modules on the page of another one."""
+ELSEWHERE = {"runs.executors": "Executor, InProcess, LocalProcesses"}
+"""Names that the page of another module describes."""
 ATTRIBUTES = ("attribute", "data", "property")
 kept = {}
+
+
+def write_api(app):
+    """Write the pages that reference/python.md lists, one for each module, where they are not so already."""
+    folder = REFERENCE / "api"
+    folder.mkdir(exist_ok=True)
+    for path in folder.glob("*.md"):
+        if path.stem not in MODULES:
+            path.unlink()
+    for name in MODULES:
+        lines = [f".. automodule:: strandline.{module}" for module in (name, *FURTHER.get(name, ()))]
+        if name in ELSEWHERE:
+            lines.append(f"   :exclude-members: {ELSEWHERE[name]}")
+        text = "\n".join([f"# strandline.{name}\n", "```{eval-rst}", *lines, "```\n"])
+        path = folder / f"{name}.md"
+        if not path.is_file() or path.read_text("utf-8") != text:
+            path.write_text(text, encoding="utf-8")
 
 
 def linked(piece):
@@ -89,9 +113,8 @@ def linked(piece):
 @functools.cache
 def public_names():
     """Return the full name of everything that the pages of the API describe."""
-    modules = sorted(path.stem for path in (Path(__file__).parent / "reference" / "api").glob("*.md"))
     found = {}
-    for module in (importlib.import_module(f"strandline.{name}") for name in modules):
+    for module in (importlib.import_module(f"strandline.{name}") for name in sorted(MODULES)):
         names = getattr(module, "__all__", None) or [name for name in vars(module) if name[0].isupper()]
         found.update({name: f"{module.__name__}.{name}" for name in names})
     return found
@@ -118,6 +141,7 @@ def after_napoleon(app, what, name, obj, options, lines):
 
 def setup(app):
     app.connect("builder-inited", run_studies, priority=100)
+    app.connect("builder-inited", write_api)
     app.add_html_math_renderer("mathml", (inline_math, None), (block_math, None))
     app.connect("autodoc-process-docstring", before_napoleon, priority=300)
     app.connect("autodoc-process-docstring", after_napoleon, priority=700)

@@ -1,4 +1,7 @@
-"""The tutorials are followed to the letter, and print what they show, with ``…`` left out; the notebooks are run."""
+"""Tutorials, and examples of the guides, are followed to the letter, and print what they show; the notebooks are run.
+
+An example is what stands under a heading of a guide that begins with "Example". ``…`` stands for what is left out.
+"""
 
 import importlib
 import itertools
@@ -24,8 +27,18 @@ from strandline.studies import load_study
 from strandline.studies.template import write_template
 
 ROOT = Path(__file__).parents[3]
-TUTORIALS = ROOT / "docs" / "tutorials"
-PAGES = sorted(path.name for path in TUTORIALS.glob("*.md"))
+DOCS = ROOT / "docs"
+EXAMPLE = re.compile(r"^## Example.*?(?=^## |\Z)", re.DOTALL | re.MULTILINE)
+
+
+def followed(page: str) -> str:
+    """Return a tutorial, or the examples of a guide."""
+    text = (DOCS / page).read_text("utf-8")
+    return text if page.startswith("tutorials/") else "".join(EXAMPLE.findall(text))
+
+
+PAGES = sorted(f"{folder}/{path.name}" for folder in ("how-to", "tutorials") for path in (DOCS / folder).glob("*.md"))
+PAGES = [page for page in PAGES if followed(page)]
 COMMAND = [sys.executable, "-c", "from strandline.cli import main; main()"]
 NUMBER = r"(?<![\w.^])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 STEP = re.compile(
@@ -46,7 +59,7 @@ class Step(NamedTuple):
 def steps_of(page: str) -> Iterator[Step]:
     """Yield what a reader is told to do, in order."""
     program = ""
-    for match in STEP.finditer((TUTORIALS / page).read_text("utf-8")):
+    for match in STEP.finditer(followed(page)):
         language, block = match["language"], match["block"]
         if language == "console":
             for part in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]:
@@ -206,7 +219,7 @@ def test_a_page_is_followed_and_shows_what_is_printed(page: str, tmp_path: Path)
         else:
             compared += compare(step.shown, printed([sys.executable, "-c", step.text], tmp_path))
     assert compared >= 20
-    for name in re.findall(r"`([\w-]+/[\w/-]+\.(?:png|html|json|nc))`", (TUTORIALS / page).read_text("utf-8")):
+    for name in re.findall(r"`([\w-]+/[\w/-]+\.(?:png|html|json|nc))`", followed(page)):
         assert (tmp_path / name).is_file(), name
 
 
@@ -219,7 +232,7 @@ def printed(command: Sequence[str], folder: Path, *, fails: bool = False) -> str
     return done.stdout
 
 
-NOTEBOOKS = ROOT / "docs" / "notebooks"
+NOTEBOOKS = DOCS / "notebooks"
 FOUND = {"own-simulator": {"E": 400.0}, "picture-to-posterior": {"gamma": 72.4, "b": 1.3}, "what-next": {"E": 400.0}}
 """True values of inputs, by notebook."""
 SLOW = [pytest.param(name, marks=pytest.mark.long) for name in ("picture-to-posterior", "what-next")]
