@@ -1,4 +1,4 @@
-"""Tables and figure of docs/explanation/performance.md from the results: ``python -m verification.benchmarks.page``."""
+"""Tables and figure of docs/results/speed.md from the results: ``python -m verification.benchmarks.page``."""
 
 import json
 import math
@@ -12,7 +12,7 @@ from verification.benchmarks.aims import FIGURES, PER_CORE, RATIO
 from verification.validation.tables import Table, put_into_page
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGE = DOCS / "explanation" / "performance.md"
+PAGE = DOCS / "results" / "speed.md"
 FIGURE = DOCS / "figures" / "bench-scaling.png"
 UNITS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
 

@@ -1,7 +1,7 @@
 """All verifications of the forward model; they take a few minutes on one core.
 
 Writes verification/validation/output/verification.md and .json. With ``--publish`` the tables also go into the page
-docs/explanation/forward-model.md, their raw numbers into verification.json next to it, and the figures are drawn again.
+docs/results/forward-model.md, their raw numbers into verification.json next to it, and the figures are drawn again.
 
 Run it with:  python -m verification.validation [--publish]
 """
@@ -15,7 +15,7 @@ from verification.validation import analytic, biofilm_mesh, extremes, figures, g
 from verification.validation.tables import Table, put_into_page
 
 OUTPUT = Path(__file__).parent / "output"
-PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "forward-model.md"
+PAGE = Path(__file__).parents[2] / "docs" / "results" / "forward-model.md"
 PARTS = (turek_hron, analytic, biofilm_mesh, sensitivities, extremes, generality)
 
 

@@ -47,7 +47,7 @@ ROUGH = 1024
 """Draws of the prior that show where the posterior of a crossing lies."""
 WITHIN, COVERED = 0.2, 0.85
 """Largest error of ln B, and least share of the intervals that contain the truth."""
-PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "comparison.md"
+PAGE = Path(__file__).parents[2] / "docs" / "results" / "accuracy.md"
 
 
 def model(law: str, rates: dict[str, float]) -> sl.Biofilm:
@@ -291,7 +291,7 @@ def main() -> None:
         print(f"{table.title}\n{table.markdown()}")
     if options.publish:
         raw = {table.name: table.as_json() for table in tables}
-        PAGE.with_suffix(".json").write_text(json.dumps(raw, indent=1, ensure_ascii=False) + "\n", "utf-8")
+        PAGE.with_name("comparison.json").write_text(json.dumps(raw, indent=1, ensure_ascii=False) + "\n", "utf-8")
         PAGE.write_text(put_into_page(PAGE.read_text("utf-8"), tables), "utf-8")
     sys.exit("\n".join(missed) or 0)
 

@@ -33,7 +33,7 @@ from strandline.models.biofilm.outline import Channel, Outline
 
 __all__ = ["block_stresses", "creep_error", "flow_errors", "oscillation_errors", "relaxation_error", "tables"]
 
-PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "forward-model.md"
+PAGE = Path(__file__).parents[2] / "docs" / "results" / "forward-model.md"
 BRANCHES = (Branch(0.7, 0.5), Branch(1.5, 4.0))
 SHEAR, RATE = 0.5, 2.0
 """Amplitude of the shear, and its angular frequency, 1/s."""

@@ -3,7 +3,7 @@
 Each run is followed around its limit point (no budget). All runs are kept in ledgers in the folder output, so a second
 call repeats nothing; after a change of the model, move the ledgers away. It takes about half an hour on two cores, so
 `python -m verification.validation` leaves it out. With ``--publish`` the tables go into the page
-docs/explanation/forward-model.md, their raw numbers into failure-map.json next to it, and the figure is drawn again.
+docs/results/forward-model.md, their raw numbers into failure-map.json next to it, and the figure is drawn again.
 
 Run it with:  python -m verification.validation.failure_map [--points N] [--publish]
 """
@@ -43,7 +43,7 @@ from strandline.runs import Executor, Ledger, LocalProcesses, Progress, RunRecor
 __all__ = ["FOLD_RATIOS", "FirstOrder", "Runs", "box_inputs", "critical_moduli", "survey"]
 
 OUTPUT = Path(__file__).parent / "output"
-PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "forward-model.md"
+PAGE = Path(__file__).parents[2] / "docs" / "results" / "forward-model.md"
 POINTS = 1024
 WORKERS = 2
 PAIR = ("default", "fine")

@@ -8,7 +8,7 @@ those of its iterations (of every fourth on the outline) are boosted too, as if 
 log L = -inf, which PyVBMC refuses, so it needs an invented number.
 
 Writes verification/validation/output/pyvbmc.md and .json; with ``--publish`` the tables also go into the page
-docs/explanation/pyvbmc.md and their raw numbers next to it. PyVBMC needs `make pyvbmc-env`; without it, a message says
+docs/results/peers.md and their raw numbers next to it. PyVBMC needs `make pyvbmc-env`; without it, a message says
 so. It takes an hour on one core; finished runs are kept in output/pyvbmc and not repeated. With ``--at-hand`` nothing
 is run, and the tables show only kept runs.
 
@@ -41,7 +41,7 @@ from strandline.likelihood import InterfaceLikelihood
 from strandline.numerics.threads import one_thread
 
 OUTPUT = Path(__file__).parent / "output"
-PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "pyvbmc.md"
+PAGE = Path(__file__).parents[2] / "docs" / "results" / "peers.md"
 WORKER = Path(__file__).parents[1] / "benchmarks" / "peers" / "vbmc.py"
 PEER = OWN["pyvbmc"][0]
 SETTINGS = Active(runs=200)
@@ -387,7 +387,7 @@ def main(arguments: Sequence[str]) -> None:
     (OUTPUT / "pyvbmc.json").write_text(text, "utf-8")
     (OUTPUT / "pyvbmc.md").write_text(f"# Active designs compared with PyVBMC\n\n{shown}{said}", "utf-8")
     if "--publish" in arguments:
-        PAGE.with_suffix(".json").write_text(text, "utf-8")
+        PAGE.with_name("pyvbmc.json").write_text(text, "utf-8")
         PAGE.write_text(put_into_page(PAGE.read_text("utf-8"), made), "utf-8")
 
 

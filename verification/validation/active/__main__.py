@@ -2,7 +2,7 @@
 
 Parts: s3, s5, s6 (runs until the posterior is right), failing (runs that fail at random), stopping (where whole
 calibrations stop). Results are appended to ../output/active.jsonl; the part ``table`` prints tables of all of them, and
-with ``--publish`` puts them into docs/explanation/surrogates.md and their numbers into active-designs.json next to it.
+with ``--publish`` puts them into docs/results/designs.md and their numbers into active-designs.json next to it.
 All parts take two hours on two cores.
 """
 
@@ -19,7 +19,7 @@ from verification.validation.active.work import start, tasks
 from verification.validation.tables import put_into_page
 
 FILE = OUTPUT / "active.jsonl"
-PAGE = Path("docs/explanation/surrogates.md")
+PAGE = Path("docs/results/designs.md")
 NUMBERS = PAGE.with_name("active-designs.json")
 
 

@@ -6,5 +6,5 @@ gains: expected information gains of twelve inflow rates and of their pairs agai
 advice: the widths after following the advice, against a second experiment at 50 mm²/s.
 unknown: what a study of seven inputs is expected to leave unknown, against its posterior.
 
-With ``--publish`` the tables go into docs/explanation/planning.md. All results are kept in output/planning.
+With ``--publish`` the tables go into docs/results/designs.md. All results are kept in output/planning.
 """

@@ -11,7 +11,7 @@ from verification.validation.planning.unknown import table_of_unknown
 from verification.validation.tables import put_into_page
 
 OUTPUT = Path(__file__).parents[1] / "output" / "planning"
-PAGE = Path(__file__).parents[3] / "docs" / "explanation" / "planning.md"
+PAGE = Path(__file__).parents[3] / "docs" / "results" / "designs.md"
 PARTS = ("gains", "advice", "unknown")
 
 

@@ -4,7 +4,7 @@ The largest compressive strain of the first-order solution decides which. Below 
 the steady state. Above `DIRECT_STRAIN` the fold of the Saint-Venant–Kirchhoff law has been passed in every run seen,
 and only the path shows it. Between them Newton's method is tried first, and what it finds has to lie on the branch that
 is connected with the state at rest: there the most compressed element is compressed further as the load grows.
-`docs/explanation/forward-model.md` shows the figures behind these bounds.
+`docs/results/forward-model.md` shows the figures behind these bounds.
 """
 
 from typing import Protocol, runtime_checkable

@@ -10,12 +10,12 @@ from verification.validation.tables import Table, from_json, observed_orders, pu
 
 from strandline.models.biofilm.materials import LAWS
 
-EXPLANATION = Path(__file__).parents[4] / "docs" / "explanation"
-PAGE = (EXPLANATION / "forward-model.md").read_text("utf-8")
+RESULTS = Path(__file__).parents[4] / "docs" / "results"
+PAGE = (RESULTS / "forward-model.md").read_text("utf-8")
 TABLES = {
     name: from_json(data)
     for source in ("verification.json", "failure-map.json")
-    for name, data in json.loads((EXPLANATION / source).read_text("utf-8")).items()
+    for name, data in json.loads((RESULTS / source).read_text("utf-8")).items()
 }
 SAMPLE = Table("sample", "Sample", ("what", "x"), ("s", ".2f"), (("one", 1.234), ("none", None)))
 PERCENT = {"CFD1": {"lift": 0.5}, "CSM1": {"ux": 0.3, "uy": 0.3}, "CSM2": {"ux": 0.3, "uy": 0.3}}
@@ -66,7 +66,7 @@ def test_a_table_is_put_into_its_place_and_the_order_of_a_cubic_is_three():
 
 def test_the_tables_of_pyvbmc_follow_from_the_published_steps():
     page = pyvbmc.PAGE.read_text("utf-8")
-    published = json.loads(pyvbmc.PAGE.with_suffix(".json").read_text("utf-8"))
+    published = json.loads(pyvbmc.PAGE.with_name("pyvbmc.json").read_text("utf-8"))
     tables = [from_json(one) for one in published["tables"].values()]
     assert put_into_page(page, tables) == page
     assert page.count("<!-- table: ") == len(tables)
