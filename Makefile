@@ -54,7 +54,7 @@ styled: $(VENV)/.installed-check
 
 # Types and shapes of arrays at run time: twice the seconds of the same tests without. Whole studies call the same functions.
 typed: $(VENV)/.installed-check
-	$(PYTEST) -q -m "not long and not stand_in" --jaxtyping-packages=strandline,verification.reproduction,beartype.beartype tests/unit
+	$(PYTEST) -q -m "not long and not stand_in and not repeats" --jaxtyping-packages=strandline,verification.reproduction,beartype.beartype tests/unit
 
 documented: $(VENV)/.installed-check
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html

@@ -46,6 +46,7 @@ def least_p(found):
     return min(band.p_value for band in (*found.bands, found.fit_band))
 
 
+@pytest.mark.repeats
 def test_right_noise_gives_uniform_ranks():
     for noise, measure in (
         (PointErrors(SD, 0.1, shift=0.02, rotation=1.0, offset=0.01), NormalOffset()),
@@ -58,6 +59,7 @@ def test_right_noise_gives_uniform_ranks():
         assert 0.8 < found.of_limit.min() <= found.of_limit.max() < 1.5
 
 
+@pytest.mark.repeats
 def test_wrong_noise_shows():
     """Planted: 2ℓ/h forgotten, the shift dropped, the offset dropped, σ given for σ²."""
     for noise, analysed, word in (

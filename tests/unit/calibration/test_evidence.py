@@ -114,6 +114,7 @@ def true_log_evidence(known):
     return float(logsumexp(values + np.log(0.25 * np.prod(high - low) * np.outer(weights, weights))))
 
 
+@pytest.mark.repeats
 def test_sampling_errors_are_what_they_say(monkeypatch):
     """Against quadrature of the same surrogate. Planted: the prior is not counted; draws are counted twice."""
     good, exact = learnt(), quadrature(learnt()).log_evidence

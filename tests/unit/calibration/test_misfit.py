@@ -85,6 +85,7 @@ def lifted(points):
     return points + np.array([0.0, 10 * S])
 
 
+@pytest.mark.repeats
 def test_a_right_model_is_seldom_flagged_and_a_wrong_one_is():
     """Planted: a bump, a lift, micrometres."""
     assert flagged(ALL, 8) <= 1
@@ -106,6 +107,7 @@ def p_values(name, t, number):
     return np.array(found, float)
 
 
+@pytest.mark.repeats
 def test_inputs_that_act_only_together_raise_no_false_alarm(monkeypatch):
     """The residuals tell their ratio alone. Planted: their derivatives count as two directions."""
     box = ParameterSpace((Parameter("E", Uniform(0.7, 3.0)), Parameter("q", Uniform(0.6, 1.4))))
@@ -138,6 +140,7 @@ def test_inputs_that_act_only_together_raise_no_false_alarm(monkeypatch):
     assert stats.kstest([smooth_p(seed) for seed in range(20)], "uniform").pvalue < 0.005
 
 
+@pytest.mark.repeats
 def test_p_values_of_right_models_are_uniform(monkeypatch):
     """Of all residuals and of their waves. Planted: drawn observations are not fitted; the inputs' part is left in."""
 
