@@ -25,7 +25,7 @@ from strandline.testing.umbridge import CHECKS, STRICT_CHECKS, ModelUnderTest
 
 COMMAND = [sys.executable, "-c", "from strandline.cli import main; main()"]
 LOAD = 1e-5
-GUIDE = Path(__file__).parents[3] / "docs" / "how-to" / "umbridge.md"
+GUIDE = Path(__file__).parents[3] / "docs" / "how-to" / "own-simulator.md"
 
 
 @contextlib.contextmanager
@@ -102,9 +102,10 @@ def test_the_pieces_of_the_guide_work(bent, tmp_path):
     guide, (url, (_, *told)) = GUIDE.read_text("utf-8"), bent
     assert told[1] == "  interface: 34 numbers; Evaluate\n"
     assert "".join(told) in guide
-    (piece,) = re.findall(r"```yaml\n(.*?)```", guide, re.DOTALL)
+    (piece,) = re.findall(r"```yaml\n(model:\n  umbridge:.*?)```", guide, re.DOTALL)
     load_study(write_study(tmp_path, **yaml.safe_load(piece), observation={"synthetic": {"E": 400, "nu": 0.3}}))
-    programs, shown = re.findall(r"```python\n(.*?)```", guide, re.DOTALL), {}
+    programs, shown = re.findall(r"```python\n((?:import|from) [\w. ]*umbridge.*?)```", guide, re.DOTALL), {}
+    assert len(programs) == 2
     exec("\n".join(programs).replace("http://127.0.0.1:4242", url), shown)
     tip = beam({"E": 400.0, "tilt": 0.02, "load": LOAD}, Path()).interface.points
     points = beam({"E": 410.0, "tilt": 0.02, "load": LOAD}, Path()).interface.points
