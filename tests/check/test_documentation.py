@@ -187,7 +187,7 @@ def test_every_key_of_the_summary_is_described(finished, tmp_path):
     inputs = {**BEAM_STUDY["inputs"], "tilt": {**BEAM_STUDY["inputs"]["tilt"], "nuisance": True}}
     uncertain = summary_of(tmp_path / "study", draft=True, inputs=inputs, sampler=SMALL | {"cut": {"values": 2}})
     summary = json.loads((finished / STUDY / "summary.json").read_text("utf-8"))
-    keys = described("reference/summary.md", "key")
+    keys = described("reference/files.md", "summary.json")
     keys = {key.replace("READING", reading) for key in keys for reading in ("joint", "cut")}
     known = set(generic(summary)) | {key for key in generic(uncertain) if key.startswith("under_uncertainty.")}
     within = ("under_uncertainty.cut.quadrature_check.", "measures.", "surrogate.optimiser.")
@@ -198,9 +198,9 @@ def test_every_key_of_an_active_design_of_a_field_is_described(tmp_path):
     design = {"active": {"runs": 60, "batch": 4, "check": 20, "change": 0.5}}
     active = summary_of(tmp_path / "study", design=design, noise={"sd": 0.01})
     for heading, part in (("field", "surrogate"), ("certificate", "certificate"), ("comparison", "comparison")):
-        keys = described("reference/summary.md", heading) - {"certificate.check"}
+        keys = described("reference/files.md", heading) - {"certificate.check"}
         assert keys == {f"{part}.{key}" for key in generic(active[part])}
-    entries = {code(row[0])[0]: set(code(row[1])) for row in rows("reference/summary.md", "certificate")}
+    entries = {code(row[0])[0]: set(code(row[1])) for row in rows("reference/files.md", "certificate")}
     for name in ("batches", "history"):
         first, *_ = active["certificate"][name]
         assert set(first) <= entries[f"certificate.{name}"]
@@ -212,7 +212,7 @@ def test_every_key_of_the_check_is_described(finished):
     content = json.loads((folder / "check.json").read_text("utf-8"))
     content["runs"]["by_kind"] = {"some_kind": 1}
     known = set(generic(content)) | {f"interfaces[].{key}" for key in generic(content["interfaces"][0])}
-    assert described("reference/check.md", "key") == known
+    assert described("reference/files.md", "check.json") == known
 
 
 PLACEHOLDERS = {"versions": "PACKAGE", "runs.by_kind": "KIND", "measures": "MEASURE", "seconds": "STAGE"}
@@ -239,7 +239,7 @@ def printed_by(program, folder):
 
 
 def test_the_programs_that_read_results_run(finished):
-    pieces = blocks("how-to/read-results.md", "python")
+    pieces = blocks("how-to/results.md", "python")
     assert len(pieces) == 5
     done = printed_by("\n".join(pieces), finished)
     summary = json.loads((finished / STUDY / "summary.json").read_text("utf-8"))
@@ -251,13 +251,13 @@ def test_the_programs_that_read_results_run(finished):
 
 @pytest.mark.long
 def test_the_program_that_checks_a_posterior_runs(finished):
-    (program,) = blocks("how-to/check-the-posterior.md", "python")
+    (program,) = blocks("how-to/trust.md", "python")
     done = printed_by(program, finished)
     content = json.loads((finished / STUDY / "check.json").read_text("utf-8"))
     assert done.split()[0] == content["verdict"]
 
 
-PIECES = "change-without-runs experiment noise own-observation what-if"
+PIECES = "experiment next noise own-observation specimens what-if"
 
 
 def test_the_pieces_of_studies_in_the_guides_are_valid():

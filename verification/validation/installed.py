@@ -163,7 +163,7 @@ def example(programs: Path, folder: Path) -> None:
 
 def documented(importing: str) -> str:
     """Return the program of the page on results that imports a package."""
-    page = (ROOT / "docs" / "how-to" / "read-results.md").read_text("utf-8")
+    page = (ROOT / "docs" / "how-to" / "results.md").read_text("utf-8")
     (program,) = [text for text in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if f"import {importing}" in text]
     return str(program)
 

@@ -26,7 +26,7 @@ from strandline.questions.opened import Specimens
 from strandline.questions.population import population_of, shrunk
 from strandline.questions.specimen import SpecimenPosterior
 
-PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "many-specimens.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "specimens.md"
 STUDY = """\
 version: 1
 name: many-biofilms
@@ -155,7 +155,7 @@ def main() -> None:
     parser.add_argument("--specimens", type=int, default=1000)
     parser.add_argument("--checked", type=int, default=50)
     parser.add_argument("--populations", type=int, default=40)
-    parser.add_argument("--publish", action="store_true", help="put the table into docs/how-to/many-specimens.md")
+    parser.add_argument("--publish", action="store_true", help="put the table into docs/how-to/specimens.md")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     found = []

@@ -90,7 +90,7 @@ class Answer(Generic[Found]):
         remarks: What deserves attention.
         good: Whether the answer is as one would wish.
         parts: Tables and what they mean; the most important one comes first.
-        content: Content of its JSON file, docs/reference/answers.md.
+        content: Content of its JSON file, docs/reference/files.md.
         found: The arrays behind it.
         page: Path of its page.
     """

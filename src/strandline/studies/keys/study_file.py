@@ -18,7 +18,7 @@ class SpecimensFile(Section):
     """files of the outlines, or pictures of them, relative to the study folder: `specimens/*.csv`; or this alone,
     `specimens: specimens/*.csv`"""
     given: str | None = None
-    """a table of [known inputs](../how-to/many-specimens.md#known-inputs): a column `file` and one for each of them"""
+    """a table of [known inputs](../how-to/specimens.md#known-inputs): a column `file` and one for each of them"""
     read: dict[str, Any] | None = None
     """how to read the files, with the keys of `observation`: `{unit: mm}`, or `{image: {…}}` for pictures; default: as
     `observation`"""
@@ -48,7 +48,7 @@ class Next(Section):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Annotated[list[Number], Field(min_length=1)]]
     condition: Annotated[list[str | list[str]], Field(min_length=1)] | None = None
-    """of the [candidates for the next experiment](../how-to/next-experiment.md), which also list values of known
+    """of the [candidates for the next experiment](../how-to/next.md), which also list values of known
     quantities by name: conditions to observe, `[slow, fast]`, or `[[slow, fast]]` for both"""
     part: Annotated[list[Annotated[tuple[Share, Share], AfterValidator(_ordered)]], Field(min_length=1)] | None = None
     """where on the interface to look, as shares of the observed length: `[[0, 0.5], [0.5, 1]]`"""
@@ -163,7 +163,7 @@ class StudyFile(Section):
     """for every random number after the design"""
     next: Next | None = None
     specimens: SpecimensFile | None = None
-    """outlines of [many specimens](../how-to/many-specimens.md), analysed with the runs of this study"""
+    """outlines of [many specimens](../how-to/specimens.md), analysed with the runs of this study"""
     what_if: list[WhatIf] = []
 
     @field_validator("fidelities", mode="before")
