@@ -257,7 +257,7 @@ def test_the_program_that_checks_a_posterior_runs(finished):
     assert done.split()[0] == content["verdict"]
 
 
-PIECES = "experiment next noise own-observation specimens what-if"
+PIECES = "experiment next noise picture specimens what-if"
 
 
 def test_the_pieces_of_studies_in_the_guides_are_valid():
@@ -272,7 +272,7 @@ def test_the_pieces_of_studies_in_the_guides_are_valid():
 def test_models_of_the_guide_to_an_own_flow_cell_are_built(tmp_path):
     np.savetxt(tmp_path / "hill.csv", [[900, 0], [1270, 600], [2100, 0]], delimiter=",")
     pages = blocks("how-to/own-flow-cell.md", "yaml")
-    assert len(pages) == 13
+    assert len(pages) == 10
     for one in pages:
         (options,) = yaml.safe_load(one)["model"].values()
         assert build_model({"biofilm": options}, tmp_path)

@@ -51,7 +51,7 @@ def command(study: Path, edit: bool, condition: str | None, reference: bool) -> 
             "observation",
             value="no picture",
             expected="`image: {file: …, path: …, solid: …}`, or `stack: {file: …, solid: …}`",
-            remedy='See the guide "Start from a picture", docs/how-to/picture.md.',
+            remedy='See the guide "Your observation", docs/how-to/picture.md.',
         )
     for one in write_pictures(loaded.folder, loaded.pictures, loaded.undeformed, measures=loaded.discrepancies):
         click.echo("\n".join([*_lines(one), *(f"  wrote {study / file}" for file in one.files)]))
