@@ -26,7 +26,7 @@ from strandline.questions.opened import Specimens
 from strandline.questions.population import population_of, shrunk
 from strandline.questions.specimen import SpecimenPosterior
 
-PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "specimens.md"
+PAGE = Path(__file__).parents[2] / "docs" / "results" / "accuracy.md"
 STUDY = """\
 version: 1
 name: many-biofilms
@@ -149,13 +149,13 @@ def rows(options: argparse.Namespace, folder: Path) -> Iterator[tuple[str, str, 
 
 
 def main() -> None:
-    """Print the table; with `--publish`, put it into the how-to."""
+    """Print the table; with `--publish`, put it into the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, default=Path("populations"), help="folder of study and runs")
     parser.add_argument("--specimens", type=int, default=1000)
     parser.add_argument("--checked", type=int, default=50)
     parser.add_argument("--populations", type=int, default=40)
-    parser.add_argument("--publish", action="store_true", help="put the table into docs/how-to/specimens.md")
+    parser.add_argument("--publish", action="store_true", help="put the table into docs/results/accuracy.md")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     found = []

@@ -28,7 +28,7 @@ from strandline.runs import RunRequest
 from strandline.testing.studies import beam, write_study
 from strandline.view import Server, serving
 
-PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "results.md"
+PAGE = Path(__file__).parents[2] / "docs" / "results" / "speed.md"
 SIZES = (100, 10_000, 100_000)
 FAILING = 0.1
 COLUMNS = ("runs", "start", "first opening", "first paint", "counts", "runs drawn", "a run", "prediction", "posterior")
@@ -127,10 +127,10 @@ def row(runs: int, repeats: int, folder: Path, browser: Any) -> tuple[str, ...]:
 
 
 def main() -> None:
-    """Print the table; with `--publish`, put it into the how-to."""
+    """Print the table; with `--publish`, put it into the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=7)
-    parser.add_argument("--publish", action="store_true", help="put the table into docs/how-to/results.md")
+    parser.add_argument("--publish", action="store_true", help="put the table into docs/results/speed.md")
     options = parser.parse_args()
     chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     with tempfile.TemporaryDirectory(prefix="strandline-") as home, sync_playwright() as started:

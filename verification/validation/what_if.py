@@ -1,7 +1,7 @@
 """Results of `strandline what-if` beside full analyses of the changed studies, which make their own forward runs.
 
 FOLDER holds the finished study studies/biofilm-uniform-active, or a copy of it. Each changed study is run in a folder
-beside it and takes over its runs. With ``--publish`` the table goes into docs/how-to/what-if.md.
+beside it and takes over its runs. With ``--publish`` the table goes into docs/results/accuracy.md.
 
     python -m verification.validation.what_if FOLDER [--publish]
 """
@@ -19,7 +19,7 @@ from verification.validation.tables import Cell, Table, put_into_page
 import strandline as sl
 from strandline.calibration.what_if import Answer
 
-PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "what-if.md"
+PAGE = Path(__file__).parents[2] / "docs" / "results" / "accuracy.md"
 E = {"unit": "Pa", "box": [100, 800]}
 POINTS = {"sd": 10, "unit": "um"}
 CHANGES: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Any]]] = {
