@@ -1,8 +1,6 @@
 """Closed forms: homogeneous deformations, a manufactured solution, Poiseuille flow, balances of force and mass.
 
 The reference stresses are derived independently from the energies (`energies.py`); the laws under test are the model's.
-
-Run it with:  python -m verification.validation.analytic
 """
 
 from collections.abc import Callable
@@ -14,8 +12,9 @@ import numpy as np
 from jaxtyping import Float
 from netgen.geom2d import SplineGeometry
 from scipy.optimize import brentq
+from verification.validation.biofilm_mesh import flow_cell
 from verification.validation.energies import FURTHER, isochoric_piola, shear_modulus, symbolic_piola, volume_piola
-from verification.validation.tables import Table, observed_orders
+from verification.validation.tables import Table, observed_orders, show, table
 
 from strandline.models.biofilm import newton
 from strandline.models.biofilm.cell import FlowCell, Setting
@@ -24,8 +23,6 @@ from strandline.models.biofilm.geometry import MESHES, MeshSize, Partition
 from strandline.models.biofilm.materials import LAWS
 from strandline.models.biofilm.outline import Channel, Outline
 from strandline.models.biofilm.system import BoundaryNames, CoupledSystem
-
-__all__ = ["block_error", "force_imbalance", "manufactured_errors", "mass_imbalance", "poiseuille_error", "tables"]
 
 Tensor = Float[np.ndarray, "2 2"]
 YOUNG = 3.0
@@ -256,67 +253,38 @@ def mass_imbalance(cell: FlowCell) -> float:
 
 def tables() -> list[Table]:
     """Return the tables of homogeneous states, manufactured solutions and balances."""
-    blocks = [
-        (kind, law, nu, *block_error(kind, law, nu)) for kind in ("uniaxial", "shear") for law in LAWS for nu in RATIOS
-    ]
-    return [
-        Table(
-            "homogeneous",
-            "Homogeneous deformations",
-            ("deformation", "law", "ν", "error of displacement", "error of stress / E"),
-            ("s", "s", "g", ".0e", ".0e"),
-            tuple(blocks),
-        ),
-        _manufactured_table(),
-        _balance_table(),
-    ]
+    kinds = ("uniaxial", "shear")
+    blocks = [(kind, law, nu, *block_error(kind, law, nu)) for kind in kinds for law in LAWS for nu in RATIOS]
+    heading = "deformation | law | ν {g} | error of displacement {.0e} | error of stress / E {.0e}"
+    return [table("homogeneous", "Homogeneous deformations", heading, blocks), _manufactured_table(), _balance_table()]
 
 
 def _manufactured_table() -> Table:
-    sizes = (0.2, 0.1, 0.05)
-    rows = []
+    sizes, rows = (0.2, 0.1, 0.05), []
     for law in LAWS:
         for poisson in (-0.5, 0.3, 0.49):
             errors = np.array(manufactured_errors(law, poisson, sizes))
-            orders = [observed_orders(sizes, errors[:, k]) for k in range(2)]
-            rows += [
-                (law, poisson, h, float(e[0]), orders[0][i], float(e[1]), orders[1][i])
-                for i, (h, e) in enumerate(zip(sizes, errors, strict=True))
-            ]
-    columns = ("law", "ν", "h", "L² error of d", "order", "L² error of pₛ", "order of pₛ")
-    formats = ("s", "g", "g", ".2e", ".2f", ".2e", ".2f")
-    return Table("manufactured", "Manufactured solution", columns, formats, tuple(rows))
+            columns = [c for k in range(2) for c in (errors[:, k].tolist(), observed_orders(sizes, errors[:, k]))]
+            rows += [(law, poisson, *row) for row in zip(sizes, *columns, strict=True)]
+    heading = "law | ν {g} | h {g} | L² error of d {.2e} | order {.2f} | L² error of pₛ {.2e} | order of pₛ {.2f}"
+    return table("manufactured", "Manufactured solution", heading, rows)
 
 
 def _balance_table() -> Table:
     velocity, pressure = poiseuille_error()
-    rows = [
-        ("Poiseuille flow: velocity / mean", velocity),
-        ("Poiseuille flow: pressure / drop", pressure),
-        ("Poiseuille flow above a flat, stiff layer: velocity / mean", layer_error()),
-    ]
-    cell = default_cell()
+    cell = flow_cell(MESHES["coarse"])
     cell.solve(Setting([400.0], [0.3], 100.0))
     x, y = force_imbalance(cell)
-    rows += [
-        ("force of the fluid on the biofilm against reaction at its base, x", x),
-        ("force of the fluid on the biofilm against reaction at its base, y", y),
-        ("outflow against inflow past the deformed biofilm", mass_imbalance(cell)),
-    ]
-    return Table("balances", "Poiseuille flow and balances", ("what", "relative error"), ("s", ".0e"), tuple(rows))
-
-
-def default_cell(mesh: str = "coarse") -> FlowCell:
-    """Return the study's flow cell."""
-    outline, law = Outline().interface(), LAWS["saint_venant_kirchhoff"]
-    return FlowCell(outline, MESHES[mesh], channel=Channel(), partition=Partition(), law=law)
-
-
-def main() -> None:
-    """Print the tables."""
-    for table in tables():
-        print(f"\n{table.title}\n\n{table.markdown()}")
+    rows = {
+        "Poiseuille flow: velocity / mean": velocity,
+        "Poiseuille flow: pressure / drop": pressure,
+        "Poiseuille flow above a flat, stiff layer: velocity / mean": layer_error(),
+        "force of the fluid on the biofilm against reaction at its base, x": x,
+        "force of the fluid on the biofilm against reaction at its base, y": y,
+        "outflow against inflow past the deformed biofilm": mass_imbalance(cell),
+    }
+    return table("balances", "Poiseuille flow and balances", "what | relative error {.0e}", rows.items())
 
 
 if __name__ == "__main__":
-    main()
+    show(tables())

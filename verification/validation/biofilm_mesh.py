@@ -3,12 +3,11 @@
 Run it with:  python -m verification.validation.biofilm_mesh
 """
 
-import sys
 import time
 
 import numpy as np
 from jaxtyping import Float
-from verification.validation.tables import Table
+from verification.validation.tables import Table, show, table
 
 from strandline.design import sobol
 from strandline.errors import ForwardModelError
@@ -16,8 +15,6 @@ from strandline.models.biofilm.cell import FlowCell, Setting
 from strandline.models.biofilm.geometry import MESHES, MeshSize, Partition
 from strandline.models.biofilm.materials import LAWS
 from strandline.models.biofilm.outline import NODES, Channel, Outline
-
-__all__ = ["REFERENCE", "box_points", "flow_cell", "tables"]
 
 REFERENCE = MeshSize(far=0.035, interface=0.0075, foot=0.0033, grading=0.22)
 BOX = ((100.0, 800.0), (-0.8, 0.5))
@@ -56,9 +53,9 @@ def displacements(cell: FlowCell, points: Float[np.ndarray, "run 2"]) -> tuple[l
     return found, seconds
 
 
-def tables(count: int = POINTS) -> list[Table]:
+def tables() -> list[Table]:
     """Return the table of errors over the points at which both the reference mesh and the mesh succeed."""
-    points = box_points(count)
+    points = box_points(POINTS)
     reference, _ = displacements(flow_cell(REFERENCE), points)
     rows = []
     for name, size in MESHES.items():
@@ -71,19 +68,12 @@ def tables(count: int = POINTS) -> list[Table]:
         sizes = (cell.mesh.ne, len(cell.system.free), len(pairs), only)
         figures = (1e3 * np.median(errors), 1e3 * errors.max(), 100 * np.median(shares), 100 * shares.max())
         rows.append((name, *sizes, *map(float, figures), 1e3 * float(np.median(seconds))))
-    columns = (
-        "mesh", "elements", "unknowns", "points", "failed on one mesh only",
-        "median, µm", "largest, µm", "median, %", "largest, %", "ms a solve",
-    )  # fmt: skip
-    formats = ("s", "d", "d", "d", "d", ".3f", ".3f", ".3f", ".3f", ".0f")
-    return [Table("biofilm_mesh", "The biofilm's interface against a reference mesh", columns, formats, tuple(rows))]
-
-
-def main(count: int) -> None:
-    """Print the table."""
-    for table in tables(count):
-        print(f"{table.title}\n\n{table.markdown()}")
+    heading = (
+        "mesh | elements {d} | unknowns {d} | points {d} | failed on one mesh only {d} | median, µm {.3f} "
+        "| largest, µm {.3f} | median, % {.3f} | largest, % {.3f} | ms a solve {.0f}"
+    )
+    return [table("biofilm_mesh", "The biofilm's interface against a reference mesh", heading, rows)]
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else POINTS)
+    show(tables())

@@ -11,8 +11,6 @@ import ngsolve as ng
 import numpy as np
 from jaxtyping import Float
 
-__all__ = ["ENERGIES", "FURTHER", "isochoric_piola", "shear_modulus", "symbolic_piola", "volume_piola"]
-
 Tensor = Float[np.ndarray, "2 2"]
 Energy = Callable[..., Any]
 

@@ -1,20 +1,15 @@
-"""Inputs at the limits of what the model admits: ν = ½ exactly, ν near -1, no flow, a very stiff solid; all laws.
-
-Run it with:  python -m verification.validation.extremes
-"""
+"""Inputs at the limits of what the model admits: ν = ½ exactly, ν near -1, no flow, a very stiff solid; all laws."""
 
 from collections.abc import Iterable
 
 from verification.validation.biofilm_mesh import flow_cell
 from verification.validation.energies import FURTHER
-from verification.validation.tables import Table
+from verification.validation.tables import Table, show, table
 
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm.cell import Setting
 from strandline.models.biofilm.geometry import MESHES
 from strandline.models.biofilm.materials import LAWS
-
-__all__ = ["CASES", "tables"]
 
 CASES = (
     (400.0, 0.5, 100.0),
@@ -40,19 +35,12 @@ def tables(*, mesh: str = "default", laws: Iterable[str] = tuple(LAWS)) -> list[
                 rows.append((law, young, poisson, rate, "solved", *figures, int(found["newton_jacobians"])))
             except ForwardModelError as error:
                 rows.append((law, young, poisson, rate, error.kind, None, None, None, None))
-    columns = (
-        "law", "E, Pa", "ν", "V_in, mm²/s", "outcome",
-        "largest displacement, µm", "min J fluid", "min J solid", "Jacobians",
-    )  # fmt: skip
-    formats = ("s", "g", ".7g", "g", "s", ".4g", ".3f", ".3f", "d")
-    return [Table("extremes", "Extreme inputs", columns, formats, tuple(rows))]
-
-
-def main() -> None:
-    """Print the table."""
-    for table in tables():
-        print(f"{table.title}\n\n{table.markdown()}")
+    heading = (
+        "law | E, Pa {g} | ν {.7g} | V_in, mm²/s {g} | outcome | largest displacement, µm {.4g} | min J fluid {.3f} "
+        "| min J solid {.3f} | Jacobians {d}"
+    )
+    return [table("extremes", "Extreme inputs", heading, rows)]
 
 
 if __name__ == "__main__":
-    main()
+    show(tables())

@@ -14,8 +14,6 @@ from verification.validation.tables import Table
 from strandline.models.biofilm.geometry import MESHES, Partition, mesh_flow_cell
 from strandline.models.biofilm.outline import Channel, Outline
 
-__all__ = ["draw"]
-
 COLOURS = ("#dbe9f4", "#7fb3d5", "#f0b27a", "#82c39b")
 
 

@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 from verification.validation.energies import FURTHER
-from verification.validation.tables import Cell, Table
+from verification.validation.sensitivities import extrapolated
+from verification.validation.tables import Table, show, table
 
 from strandline.models.biofilm.flow import Fluid
 from strandline.models.biofilm.materials import LAWS, further_parameters
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.biofilm.outline import Channel, Outline
-
-__all__ = ["developed_flow_errors", "law_inputs", "layer", "sensitivity_errors", "tables", "velocities"]
 
 BOTTOM = 0.2
 """Height of a flat layer, mm."""
@@ -41,20 +40,12 @@ def sensitivity_errors(model: Biofilm, inputs: Mapping[str, float]) -> dict[str,
 
     The differences are central with three steps, extrapolated to sixth order.
     """
-    exact = replace(model, sensitivities=True)(inputs).sensitivities[""]
-    return {
-        name: float(np.abs(exact[name] - _extrapolated(model, inputs, name)).max() / np.abs(exact[name]).max())
-        for name in inputs
-    }
-
-
-def _extrapolated(model: Biofilm, inputs: Mapping[str, float], name: str) -> np.ndarray:
-    d = []
-    for step in (share * _scale(name, inputs[name]) for share in STEPS):
-        moved = [model({**inputs, name: inputs[name] + sign * step}).interface.points for sign in (1, -1)]
-        d.append((moved[0] - moved[1]) / (2 * step))
-    once = [(4 * d[i + 1] - d[i]) / 3 for i in range(2)]
-    return np.asarray((16 * once[1] - once[0]) / 15)
+    exact, found = replace(model, sensitivities=True)(inputs).sensitivities[""], {}
+    for name, value in inputs.items():
+        steps = [share * _scale(name, value) for share in STEPS]
+        difference = extrapolated(lambda x, name=name: model({**inputs, name: x}).interface.points, value, steps)
+        found[name] = float(np.abs(exact[name] - difference).max() / np.abs(exact[name]).max())
+    return found
 
 
 def _scale(name: str, value: float) -> float:
@@ -136,22 +127,16 @@ def _flow_cells(mesh: str) -> dict[str, tuple[Biofilm, dict[str, float]]]:
 
 def tables(mesh: str = "coarse") -> list[Table]:
     """Return the tables of sensitivities and of developed flow."""
-    rows: list[tuple[Cell, ...]] = []
+    rows = []
     for name, (model, inputs) in _flow_cells(mesh).items():
         rows += [(name, key, inputs[key], error) for key, error in sensitivity_errors(model, inputs).items()]
-    columns = ("flow cell", "derivative by", "at", "relative difference")
-    title = "Sensitivities of other flow cells"
-    sensitivities = Table("generality_sensitivities", title, columns, ("s", "s", "g", ".1e"), tuple(rows))
-    developed = tuple(developed_flow_errors().items())
-    columns = ("flow above a stiff layer", "error of the velocity / its maximum")
-    return [sensitivities, Table("generality_flow", "Developed flow", columns, ("s", ".0e"), developed)]
-
-
-def main() -> None:
-    """Print the tables."""
-    for table in tables():
-        print(f"\n{table.title}\n\n{table.markdown()}")
+    heading = "flow cell | derivative by | at {g} | relative difference {.1e}"
+    developed = "flow above a stiff layer | error of the velocity / its maximum {.0e}"
+    return [
+        table("generality_sensitivities", "Sensitivities of other flow cells", heading, rows),
+        table("generality_flow", "Developed flow", developed, developed_flow_errors().items()),
+    ]
 
 
 if __name__ == "__main__":
-    main()
+    show(tables())

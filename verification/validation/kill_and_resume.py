@@ -1,146 +1,187 @@
-"""kill -9 of the driver and of workers at random moments: no finished run is repeated or lost, the result is the same.
+"""kill -9 of drivers, workers and simulators at random moments: no finished run is lost or repeated.
 
-A study (real biofilm model, coarse mesh) is run once undisturbed. A copy of it is run again and again: first its driver
-is killed at random moments, then single workers, until it has finished. The finished runs before and after each kill
+The study is `examples/command` with a slower simulator. It is run once undisturbed. A copy of it is run again and
+again: its driver, one of its workers, or one of the simulators is killed. The finished runs before and after each kill
 and the content of posterior.nc at the end are compared bit by bit.
 
-Run it with:  python -m verification.validation.kill_and_resume [DRIVER_KILLS WORKER_KILLS]
+With `--active` the study has two unknown inputs and chooses its runs in batches. With `--journal delete` its ledger has
+a rollback journal, as on a network disk.
+
+    python -m verification.validation.kill_and_resume [--active] [--journal delete|wal]
+        [--drivers 20] [--workers 15] [--simulators 20]
 """
 
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections import Counter
 from contextlib import closing
 from pathlib import Path
 
 import numpy as np
+from verification.validation.tables import EXAMPLES, arguments
 
 from strandline.posterior import read
+from strandline.runs.journal import VARIABLE, has_rollback_journal
 from strandline.runs.ledger_schema import connect_read_only
-from strandline.studies.template import write_template
+from strandline.runs.scratch import PREFIX
 
-RUNS = 160
 COMMAND = [sys.executable, "-m", "strandline", "run", "--quiet"]
+RUNS, ACTIVE_RUNS = 400, 220
+FINISHED = "SELECT key, attempt FROM starts JOIN outcomes USING (attempt) WHERE state = 'ok'"
+POLICY = "failures: {kinds: {killed: {retry: 20}}, stop: never}\n"
+"""Killed runs are tried again: twice by default, but here the same run may be killed more often."""
+ACTIVE = f"{{active: {{runs: {ACTIVE_RUNS}, initial: 40, batch: 40, change: 1.0e-9, check: 20, patience: 1000}}}}"
+"""Batches until no runs are left: no posterior moves as little as `change`, and each batch waits for slow runs."""
 
 
-OWN_ACCOUNT = ("ok", "failed")
-"""How runs end that were not killed."""
-
-
-def finished(folder: Path, states: Sequence[str] = OWN_ACCOUNT) -> dict[str, str]:
-    """Return attempt and state of every run that has ended in one of `states`, by key."""
-    if not (folder / "ledger.sqlite").is_file():
-        return {}
-    sql = f"SELECT key, attempt, state FROM starts JOIN outcomes USING (attempt) WHERE state IN ({_marks(states)})"
-    return {key: f"{attempt}:{state}" for key, attempt, state in _rows(folder, sql, states)}
-
-
-def repeated(folder: Path, states: Sequence[str] = OWN_ACCOUNT) -> int:
-    """Return how many runs have more than one outcome in one of `states`."""
-    sql = f"SELECT key FROM starts JOIN outcomes USING (attempt) WHERE state IN ({_marks(states)})"
-    return len(_rows(folder, f"{sql} GROUP BY key HAVING count(*) > 1", states))
-
-
-def _rows(folder: Path, sql: str, values: Sequence[str]) -> list[tuple[str, ...]]:
-    with closing(connect_read_only(folder / "ledger.sqlite")) as connection:
-        return connection.execute(sql, values).fetchall()
-
-
-def _marks(values: Sequence[str]) -> str:
-    return ",".join("?" * len(values))
-
-
-def prepare(folder: Path, runs: int) -> None:
-    """Write the study."""
-    path = write_template(folder)
-    text = path.read_text(encoding="utf-8")
-    for old, new in (
-        ("{active: {runs: 80}}", f"{{sobol: {{runs: {runs}}}}}"),
-        ("{field: {}}", "{log_likelihood: {}}"),
-        (f"name: {folder.name}", "name: s"),
-    ):
+def prepare(folder: Path, runs: int, *, active: bool) -> None:
+    """Copy the example, with more runs, a slower simulator, and the policy."""
+    shutil.copytree(
+        EXAMPLES / "command", folder, ignore=shutil.ignore_patterns("*.sqlite*", "*.lock", "*.json", "*.nc", "runs")
+    )
+    study, simulator = folder / "study.yaml", folder / "beam.py"
+    changes = {"{sobol: {runs: 24}}": ACTIVE if active else f"{{sobol: {{runs: {runs}}}}}"}
+    if active:
+        second = "  load: {prior: {uniform: [0.15, 0.25]}, unit: mN/mm}\nobservation:"
+        changes |= {"observation:": second, "fixed: {load: 0.2}": "fixed: {}", "particles: 2000": "particles: 500"}
+    text = study.read_text("utf-8")
+    for old, new in changes.items():
         assert text.count(old) == 1, old
         text = text.replace(old, new)
-    path.write_text(text, encoding="utf-8")
+    study.write_text(text + POLICY, encoding="utf-8")
+    simulator.write_text(f"import time\ntime.sleep(0.1)\n{simulator.read_text('utf-8')}", encoding="utf-8")
 
 
-def children(pid: int) -> list[int]:
-    """Return the worker processes of a driver."""
-    path = Path(f"/proc/{pid}/task/{pid}/children")
-    found = [int(p) for p in path.read_text().split()] if path.exists() else []
-    return [p for p in found if b"resource_tracker" not in Path(f"/proc/{p}/cmdline").read_bytes()]
+def finished(folder: Path) -> list[tuple[str, int]]:
+    """Return key and attempt of each outcome of a successful run."""
+    if not (folder / "ledger.sqlite").is_file():
+        return []
+    with closing(connect_read_only(folder / "ledger.sqlite")) as connection:
+        return connection.execute(FINISHED).fetchall()
 
 
-def kill_driver(folder: Path, after: float) -> str:
-    """Start the study, kill its driver `after` seconds after the first new outcome, and describe what was lost."""
-    before = finished(folder)
-    process = subprocess.Popen([*COMMAND, str(folder)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    while process.poll() is None and len(finished(folder)) <= len(before):
+def descendants(pid: int) -> list[tuple[int, str]]:
+    """Return process numbers and command lines of all descendants of a process."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            status = (path / "stat").read_text().rpartition(")")[2].split()
+            found.append((int(path.name), int(status[1]), (path / "cmdline").read_bytes().decode(errors="replace")))
+        except OSError:
+            continue
+    below, families = [], {pid}
+    while new := [(one, line) for one, parent, line in found if parent in families and one not in families]:
+        below += new
+        families |= {one for one, _ in new}
+    return below
+
+
+def victims(driver: int, kind: str) -> list[int]:
+    """Return the running processes of a kind that belong to a driver."""
+    if kind == "driver":
+        return [driver]
+    mark = "beam.py" if kind == "simulator" else "strandline.runs.worker"
+    return [pid for pid, line in descendants(driver) if mark in line and "supervisor" not in line]
+
+
+def start(folder: Path, environment: dict[str, str]) -> subprocess.Popen[bytes]:
+    """Start a driver on the study and return its process."""
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    return subprocess.Popen([*COMMAND, str(folder)], env=os.environ | environment, **quiet)
+
+
+def wait_for_two_more(driver: subprocess.Popen[bytes], folder: Path) -> None:
+    """Wait until two more runs are finished, or the driver has ended."""
+    known, deadline = len(finished(folder)), time.monotonic() + 60.0
+    while driver.poll() is None and len(finished(folder)) < known + 2 and time.monotonic() < deadline:
         time.sleep(0.02)
-    time.sleep(after)
-    if process.poll() is None:
-        process.send_signal(signal.SIGKILL)
-    process.wait()
-    now = finished(folder)
-    lost = sum(now.get(key) != value for key, value in before.items())
-    return f"driver killed after {after:4.1f} s: finished {len(before)} -> {len(now)}, lost {lost}"
-
-
-def kill_workers(folder: Path, number: int, rng: random.Random, runs: int) -> list[str]:
-    """Run the study of so many runs to its end, and kill `number` workers meanwhile."""
-    process = subprocess.Popen([*COMMAND, str(folder)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    lines = []
-    while len(lines) < number and process.poll() is None:
-        time.sleep(rng.uniform(0.5, 2.0))
-        workers = children(process.pid)
-        before = finished(folder)
-        if workers and len(before) < runs - 5:
-            victim = rng.choice(workers)
-            os.kill(victim, signal.SIGKILL)
-            lines.append(f"worker killed: finished then {len(before)}")
-    if process.wait() != 0:
-        raise SystemExit(f"the study ended with exit code {process.returncode} after a worker was killed")
-    return lines
 
 
 def same_content(first: Path, second: Path) -> bool:
     """Compare two posterior.nc files: groups, variables, attributes, every bit of every value."""
     a, b = (read(folder / "posterior.nc") for folder in (first, second))
-    if a.groups != b.groups or a.attrs != b.attrs:
-        return False
-    for group in a.groups:
-        left, right = a[group].to_dataset(), b[group].to_dataset()
-        if list(left.variables) != list(right.variables) or left.attrs != right.attrs:
-            return False
-        for name in left.variables:
-            x, y = np.asarray(left[name]), np.asarray(right[name])
-            if x.dtype != y.dtype or x.shape != y.shape or x.tobytes() != y.tobytes():
-                return False
-    return True
+    same = a.groups == b.groups and a.attrs == b.attrs
+    for left, right in ((a[group].to_dataset(), b[group].to_dataset()) for group in a.groups if same):
+        same &= list(left.variables) == list(right.variables) and left.attrs == right.attrs
+        for x, y in ((np.asarray(left[name]), np.asarray(right[name])) for name in left.variables if same):
+            same &= (x.dtype, x.shape, x.tobytes()) == (y.dtype, y.shape, y.tobytes())
+    return same
 
 
-def main(driver_kills: int = 5, worker_kills: int = 3, seed: int = 0, *, runs: int = RUNS) -> None:
+def disturb(
+    folder: Path, environment: dict[str, str], kinds: list[str], rng: random.Random, longest_wait: float
+) -> tuple[Counter[str], int]:
+    """Run the study to its end and kill a process of each kind meanwhile; return kills and the number of lost runs."""
+    done, lost, process = Counter[str](), 0, start(folder, environment)
+    for kind in kinds:
+        wait_for_two_more(process, folder)
+        time.sleep(rng.uniform(0.0, longest_wait))
+        before, chosen = finished(folder), victims(process.pid, kind)
+        if process.poll() is not None or not chosen:
+            print(f"{kind}: none at work, {len(before)} runs finished", flush=True)
+            if process.poll() is not None:
+                process = start(folder, environment)
+            continue
+        try:
+            os.kill(rng.choice(chosen), signal.SIGKILL)
+        except ProcessLookupError:
+            continue
+        done[kind] += 1
+        if kind == "driver":
+            process.wait()
+            process = start(folder, environment)
+        now = finished(folder)
+        missing = len(set(before) - set(now))
+        lost += missing
+        print(f"{kind} killed: finished {len(before)} -> {len(now)}, lost {missing}", flush=True)
+    if process.wait() != 0:
+        raise SystemExit(f"the study ended with exit code {process.returncode}")
+    return done, lost
+
+
+def main(
+    drivers: int = 20,
+    workers: int = 15,
+    simulators: int = 20,
+    *,
+    active: bool = False,
+    journal: str = "",
+    runs: int = RUNS,
+) -> None:
     """Print the table; end with an error if anything was repeated, lost or different."""
-    rng = random.Random(seed)
+    rng = random.Random(0)
+    kinds = ["driver"] * drivers + ["worker"] * workers + ["simulator"] * simulators
+    rng.shuffle(kinds)
     with tempfile.TemporaryDirectory(prefix="strandline-kill-") as base:
-        undisturbed, disturbed = Path(base) / "undisturbed", Path(base) / "disturbed"
+        undisturbed, disturbed = Path(base) / "undisturbed" / "s", Path(base) / "disturbed" / "s"
+        environment = {"TMPDIR": str(Path(base) / "tmp")} | ({VARIABLE: journal} if journal else {})
+        Path(base, "tmp").mkdir()
         for folder in (undisturbed, disturbed):
-            prepare(folder, runs)
-        subprocess.run([*COMMAND, str(undisturbed)], check=True, stdout=subprocess.DEVNULL)
-        for _ in range(driver_kills):
-            print(kill_driver(disturbed, rng.uniform(0.0, 3.0)), flush=True)
-        for line in kill_workers(disturbed, worker_kills, rng, runs):
-            print(line, flush=True)
-        again, same = repeated(disturbed), same_content(undisturbed, disturbed)
-        print(f"finished {len(finished(disturbed))}, repeated {again}, posterior.nc content identical: {same}")
-        if again or not same:
-            raise SystemExit(1)
+            prepare(folder, runs, active=active)
+        begun = time.monotonic()
+        if start(undisturbed, environment).wait() != 0:
+            raise SystemExit("the study fails undisturbed")
+        print(f"undisturbed: {len(finished(undisturbed))} runs in {time.monotonic() - begun:.0f} s", flush=True)
+        done, lost = disturb(disturbed, environment, kinds, rng, 1.5 if active else 0.3)
+        outcomes, same = finished(disturbed), same_content(undisturbed, disturbed)
+        again = len(outcomes) - len({key for key, _ in outcomes})
+        rollback = has_rollback_journal(disturbed / "ledger.sqlite")
+        folders = len(list(Path(base, "tmp").glob(f"{PREFIX}*")))
+    print(
+        f"journal {'delete' if rollback else 'wal'}, {time.monotonic() - begun:.0f} s, folders left {folders}, "
+        f"kills {dict(done)}, finished {len(outcomes)}, repeated {again}, lost {lost}, "
+        f"posterior.nc content identical: {same}"
+    )
+    if again or lost or folders or not same or rollback != (journal == "delete"):
+        raise SystemExit(1)
 
 
 if __name__ == "__main__":
-    main(*(int(argument) for argument in sys.argv[1:3]))
+    given = arguments(__doc__, drivers=20, workers=15, simulators=20, active=False, journal="")
+    main(**vars(given))

@@ -1,21 +1,16 @@
-"""Exact sensitivities of the interface against central differences with Richardson extrapolation, and their cost.
-
-Run it with:  python -m verification.validation.sensitivities
-"""
+"""Exact sensitivities of the interface against central differences with Richardson extrapolation, and their cost."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 from verification.validation.biofilm_mesh import flow_cell
-from verification.validation.tables import Table
+from verification.validation.tables import Table, show, table
 
 from strandline.models.biofilm.cell import FlowCell, Setting
 from strandline.models.biofilm.geometry import MESHES, Partition
-
-__all__ = ["POINTS", "Inputs", "relative_differences", "tables"]
 
 Points = Float[np.ndarray, "node 2"]
 STEPS = (2e-3, 1e-3, 5e-4)
@@ -42,6 +37,9 @@ class Inputs:
     def flat(self) -> list[float]:
         return [*self.young, *self.poisson, self.rate]
 
+    def setting(self) -> Setting:
+        return Setting(self.young, self.poisson, self.rate)
+
 
 POINTS = (
     Inputs((400.0,), (0.3,), 100.0),
@@ -54,25 +52,22 @@ POINTS = (
 
 def relative_differences(cell: FlowCell, at: Inputs) -> list[float]:
     """Return max |exact - difference| / max |exact| over the interface, for each input."""
-    exact = cell.sensitivities(cell.solve(Setting(at.young, at.poisson, at.rate)))
-    return [
-        float(np.abs(derivative - _extrapolated(cell, at, k)).max() / np.abs(derivative).max())
-        for k, derivative in enumerate(exact)
-    ]
+    exact, flat, parts, found = cell.sensitivities(cell.solve(at.setting())), at.flat(), len(at.young), []
+    for k, derivative in enumerate(exact):
+        scale = flat[k] if not parts <= k < 2 * parts else min(1.0, 200 * (0.5 - flat[k]))
+
+        def moved(value: float, k: int = k) -> Points:
+            x = [*flat[:k], value, *flat[k + 1 :]]
+            return cell.solve(Setting(x[:parts], x[parts : 2 * parts], x[-1])).displacement
+
+        difference = extrapolated(moved, flat[k], [scale * h for h in STEPS])
+        found.append(float(np.abs(derivative - difference).max() / np.abs(derivative).max()))
+    return found
 
 
-def _extrapolated(cell: FlowCell, at: Inputs, k: int) -> Points:
-    """Return the derivative by input k to sixth order from three central differences."""
-    flat, parts = at.flat(), len(at.young)
-    scale = flat[k] if not parts <= k < 2 * parts else min(1.0, 200 * (0.5 - flat[k]))
-    steps = [scale * h for h in STEPS]
-
-    def moved(step: float) -> Points:
-        x = list(flat)
-        x[k] += step
-        return cell.solve(Setting(x[:parts], x[parts : 2 * parts], x[-1])).displacement
-
-    d = [(moved(h) - moved(-h)) / (2 * h) for h in steps]
+def extrapolated(function: Callable[[float], Points], at: float, steps: Sequence[float]) -> Points:
+    """Return the derivative to sixth order from central differences with three steps, each half of the one before."""
+    d = [(function(at + h) - function(at - h)) / (2 * h) for h in steps]
     once = [(4 * d[i + 1] - d[i]) / 3 for i in range(2)]
     return (16 * once[1] - once[0]) / 15
 
@@ -82,7 +77,7 @@ def cost(cell: FlowCell, at: Inputs, *, repeats: int = 5) -> float:
     solves, derivatives = [], []
     for _ in range(repeats):
         start = time.perf_counter()
-        solution = cell.solve(Setting(at.young, at.poisson, at.rate))
+        solution = cell.solve(at.setting())
         middle = time.perf_counter()
         cell.sensitivities(solution)
         solves.append(middle - start)
@@ -99,9 +94,8 @@ def tables(points: Sequence[Inputs] = POINTS, *, mesh: str = "default") -> list[
         share = cost(cell, at)
         for name, difference in zip(at.names(), relative_differences(cell, at), strict=True):
             rows.append((at.label(), at.rate, name, difference, 100 * share if name == "V_in" else None))
-    columns = ("E, Pa; ν", "V_in, mm²/s", "derivative by", "relative difference", "cost of all, % of a solve")
-    title = "Exact sensitivities against central differences"
-    return [Table("sensitivities", title, columns, ("s", "g", "s", ".1e", ".0f"), tuple(rows))]
+    heading = "E, Pa; ν | V_in, mm²/s {g} | derivative by | relative difference {.1e} | cost of all, % of a solve {.0f}"
+    return [table("sensitivities", "Exact sensitivities against central differences", heading, rows)]
 
 
 def partition_of(parts: int) -> Partition:
@@ -109,11 +103,5 @@ def partition_of(parts: int) -> Partition:
     return Partition.PRESETS["three_parts"] if parts == 3 else Partition()
 
 
-def main() -> None:
-    """Print the table."""
-    for table in tables():
-        print(f"{table.title}\n\n{table.markdown()}")
-
-
 if __name__ == "__main__":
-    main()
+    show(tables())

@@ -1,14 +1,21 @@
-"""Tables of a verification: as numbers, as Markdown, and in their place on a page."""
+"""Tables of a verification: as numbers, as Markdown, in their place on a page; and how its scripts begin and end."""
 
+import argparse
+import json
 import re
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-__all__ = ["Cell", "Table", "from_json", "observed_orders", "put_into_page"]
-
+ROOT = Path(__file__).parents[2]
+DOCS, EXAMPLES, STUDIES = ROOT / "docs", ROOT / "examples", ROOT / "studies"
+OUTPUT = Path(__file__).parent / "output"
 Cell = str | float | int | None
 
 
@@ -32,7 +39,7 @@ class Table:
 
     def markdown(self) -> str:
         """Return the table for a page."""
-        lines = [self.columns, ["---"] * len(self.columns), *(self._cells(row) for row in self.rows)]
+        lines = [self.columns, ["---"] * len(self.columns), *(self.cells(row) for row in self.rows)]
         return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
     def column(self, name: str) -> list[Cell]:
@@ -44,8 +51,29 @@ class Table:
         """Return plain data that `from_json` reads."""
         return asdict(self)
 
-    def _cells(self, row: Sequence[Cell]) -> list[str]:
+    def cells(self, row: Sequence[Cell]) -> list[str]:
+        """Return the formatted values of a row."""
         return ["" if x is None else format(x, form) for x, form in zip(row, self.formats, strict=True)]
+
+
+def table(name: str, title: str, heading: str, rows: Iterable[Sequence[Any]], *, live: bool = False) -> Table:
+    """Return a table.
+
+    Args:
+        name: Name on a page.
+        title: Title, one line.
+        heading: Columns with their formats: ``mesh | elements {d} | error, % {.2f}``; without a format: text.
+        rows: Raw values.
+        live: Whether to print each row as soon as it is known.
+    """
+    parts = [re.fullmatch(r"\s*(.*?)(?: \{(.+)\})?\s*", part) for part in heading.split("|")]
+    columns, formats = (tuple(part[k] or "s" for part in parts if part) for k in (1, 2))
+    made, found = Table(name, title, columns, formats, ()), []
+    for row in rows:
+        found.append(tuple(row))
+        if live:
+            print(*made.cells(found[-1]), sep="  ", flush=True)
+    return Table(name, title, columns, formats, tuple(found))
 
 
 def from_json(data: Mapping[str, Any]) -> Table:
@@ -60,14 +88,72 @@ def put_into_page(page: str, tables: Sequence[Table]) -> str:
     Raises:
         ValueError: A table has no place, or more than one.
     """
-    for table in tables:
-        place = re.compile(rf"<!-- table: {table.name} -->\n.*?<!-- end -->", re.DOTALL)
+    for one in tables:
+        place = re.compile(rf"<!-- table: {one.name} -->\n.*?<!-- end -->", re.DOTALL)
         found = place.findall(page)
         if len(found) != 1:
-            raise ValueError(f"the page has {len(found)} places for table {table.name!r}, not one")
+            raise ValueError(f"the page has {len(found)} places for table {one.name!r}, not one")
         start, _, end = page.partition(found[0])
-        page = f"{start}<!-- table: {table.name} -->\n{table.markdown()}\n<!-- end -->{end}"
+        page = f"{start}<!-- table: {one.name} -->\n{one.markdown()}\n<!-- end -->{end}"
     return page
+
+
+def show(tables: Sequence[Table], *, page: Path | None = None) -> None:
+    """Print the tables; put them into a page if one is given."""
+    for one in tables:
+        print(f"\n{one.title}\n\n{one.markdown()}", flush=True)
+    if page is not None:
+        page.write_text(put_into_page(page.read_text("utf-8"), tables), "utf-8")
+
+
+def as_text(content: object) -> str:
+    """Return the text of a JSON file; of tables, by their names."""
+    if isinstance(content, Sequence) and all(isinstance(one, Table) for one in content):
+        content = {one.name: one.as_json() for one in content}
+    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+
+
+def arguments(doc: str | None, *, words: Any = None, **defaults: Any) -> argparse.Namespace:
+    """Return the options of a script.
+
+    Args:
+        doc: Docstring of the script, shown as help.
+        words: What words without an option stand for, as ``words``, or a collection of those that are allowed.
+        defaults: Default of each option. False is a flag, `Path` a path that is None by default, () words.
+    """
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    if isinstance(words, str):
+        parser.add_argument("words", nargs="*", metavar=words, default=[])
+    elif words is not None:
+        parser.add_argument("words", nargs="*", metavar="|".join(words), default=[])
+    for name, default in defaults.items():
+        if default is False:
+            parser.add_argument(f"--{name}", action="store_true")
+        elif default == ():
+            parser.add_argument(f"--{name}", nargs="*", default=())
+        elif default is Path:
+            parser.add_argument(f"--{name}", type=Path)
+        else:
+            parser.add_argument(f"--{name}", type=type(default), default=default)
+    found = parser.parse_args()
+    wrong = set(found.words) - set(words) if words is not None and not isinstance(words, str) else ()
+    if wrong:
+        parser.error(f"unknown: {', '.join(sorted(wrong))}; expected some of {', '.join(words)}")
+    return found
+
+
+@contextmanager
+def kept_or_scratch(folder: Path | None) -> Iterator[Path]:
+    """Give a folder that is kept, or a new one that is removed at the end."""
+    with TemporaryDirectory(prefix="strandline-") as scratch:
+        chosen = folder or Path(scratch)
+        chosen.mkdir(parents=True, exist_ok=True)
+        yield chosen
+
+
+def finish(missed: Iterable[str]) -> None:
+    """Exit with 1 if aims are missed, and say which."""
+    sys.exit("\n".join(missed) or 0)
 
 
 def observed_orders(sizes: Sequence[float], errors: Sequence[float]) -> list[float | None]:

@@ -2,8 +2,6 @@
 
 Reference: Turek and Hron, Proposal for numerical benchmarking of fluid–structure interaction between an elastic object
 and laminar incompressible flow, in: Fluid–Structure Interaction, LNCSE 53 (2006), tables for the four. SI units.
-
-Run it with:  python -m verification.validation.turek_hron
 """
 
 import time
@@ -13,24 +11,11 @@ from itertools import pairwise
 
 import ngsolve as ng
 import numpy as np
-from verification.validation.tables import Cell, Table, observed_orders
+from verification.validation.tables import Table, observed_orders, show, table
 from verification.validation.turek_mesh import HEIGHT, TIP, Size, mesh_turek_hron
 
 from strandline.models.biofilm import newton
 from strandline.models.biofilm.system import BoundaryNames, CoupledSystem
-
-__all__ = [
-    "BENCHMARKS",
-    "BOUNDARIES",
-    "COARSEST",
-    "NORM_WEIGHTS",
-    "RIGID",
-    "Benchmark",
-    "Outcome",
-    "force",
-    "solve",
-    "tables",
-]
 
 BOUNDARIES = BoundaryNames(no_slip="wall|cylinder", inlet="inlet", fixed="inlet|outlet|wall|cylinder|clamped")
 RIGID = BoundaryNames(no_slip="wall|cylinder", inlet="inlet", fixed="inlet|outlet|wall|cylinder|interface")
@@ -110,18 +95,27 @@ def solve(benchmark: Benchmark, level: int, *, order: int) -> Outcome:
 def _steady_state(system: CoupledSystem, benchmark: Benchmark) -> np.ndarray:
     """Return the unknowns, starting from a stiffer body: a million times stiffer in a flow, otherwise 8 times."""
     if benchmark.fluid:
-        profile = 1.5 * MEAN_VELOCITY * 4 * ng.y * (HEIGHT - ng.y) / HEIGHT**2
-        system.state.components[0].Set(ng.CF((profile, 0)), definedon=system.mesh.Boundaries("inlet"))
-    weights = np.empty(len(system.free))
-    for component in range(3 + len(system.solids)):
-        weights[system.block(component)] = NORM_WEIGHTS[component]
-
-    x = np.array(system.values[system.free])
+        set_inflow(system, MEAN_VELOCITY)
+    weights, x = norm_weights(system), np.array(system.values[system.free])
     for factor in (1e6, 1.0) if benchmark.fluid else (8.0, 4.0, 2.0, 1.0):
         if benchmark.young:
             system.set_material([factor * benchmark.young], [POISSON])
         x = newton.solve(system, x, weights=weights, settings=SETTINGS).x
     return x
+
+
+def set_inflow(system: CoupledSystem, mean: float) -> None:
+    """Set the parabola of the velocity at the inlet, from its mean in m/s."""
+    profile = 1.5 * mean * 4 * ng.y * (HEIGHT - ng.y) / HEIGHT**2
+    system.state.components[0].Set(ng.CF((profile, 0)), definedon=system.mesh.Boundaries("inlet"))
+
+
+def norm_weights(system: CoupledSystem) -> np.ndarray:
+    """Return the weight of each unknown in the norm of a correction."""
+    weights = np.empty(len(system.free))
+    for component in range(3 + len(system.solids)):
+        weights[system.block(component)] = NORM_WEIGHTS[component]
+    return weights
 
 
 def force(system: CoupledSystem) -> tuple[float, float]:
@@ -139,23 +133,24 @@ def family(benchmark: Benchmark, *, order: int, levels: int) -> list[Outcome]:
     return [solve(benchmark, level, order=order) for level in range(levels)]
 
 
-def tables(runs: Sequence[tuple[str, int, int]] = RUNS) -> list[Table]:
-    """Return a table for each benchmark; `runs`: name, order of velocity and displacement, number of meshes."""
-    rows: dict[str, list[tuple[Cell, ...]]] = {}
-    for name, order, levels in runs:
-        outcomes = family(BENCHMARKS[name], order=order, levels=levels)
-        rows.setdefault(name, []).extend(_rows(BENCHMARKS[name].reference, order, outcomes))
-    columns = ("quantity", "published", "P", "elements", "unknowns", "s", "value", "error, %", "order", "own order")
-    formats = ("s", ".5g", "d", "d", "d", ".1f", ".6g", ".3f", ".1f", ".1f")
+def tables() -> list[Table]:
+    """Return a table for each benchmark."""
+    rows = {name: [] for name in BENCHMARKS}
+    for name, order, levels in RUNS:
+        rows[name] += _rows(BENCHMARKS[name].reference, order, family(BENCHMARKS[name], order=order, levels=levels))
+    heading = (
+        "quantity | published {.5g} | P {d} | elements {d} | unknowns {d} | s {.1f} | value {.6g} | error, % {.3f} "
+        "| order {.1f} | own order {.1f}"
+    )
     return [
-        Table(name, f"{name} of Turek and Hron", columns, formats, tuple(sorted(found, key=lambda row: str(row[0]))))
+        table(name, f"{name} of Turek and Hron", heading, sorted(found, key=lambda row: row[0]))
         for name, found in rows.items()
     ]
 
 
-def _rows(references: Mapping[str, float], order: int, outcomes: Sequence[Outcome]) -> list[tuple[Cell, ...]]:
+def _rows(references: Mapping[str, float], order: int, outcomes: Sequence[Outcome]) -> list[tuple]:
     """Return values, errors against the published ones, and orders of these errors and of the values' differences."""
-    rows: list[tuple[Cell, ...]] = []
+    rows = []
     for key, reference in references.items():
         values = [o.values[key] for o in outcomes]
         errors = [100 * (value / reference - 1) for value in values]
@@ -173,11 +168,5 @@ def _own_orders(values: Sequence[float]) -> list[float | None]:
     return [None, None, *(float(np.log2(a / b)) for a, b in pairwise(steps))][: len(values)]
 
 
-def main() -> None:
-    """Print the tables."""
-    for table in tables():
-        print(f"\n{table.title}\n\n{table.markdown()}")
-
-
 if __name__ == "__main__":
-    main()
+    show(tables())

@@ -10,30 +10,23 @@ of the whole motion, in which a force along the flow has two unequal peaks.
 Run it with:  python -m verification.validation.turek_hron_time [CSM3 | CFD3 | FSI3]
 """
 
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
-import ngsolve as ng
 import numpy as np
-from jaxtyping import Float
-from verification.validation.tables import Cell, Table
-from verification.validation.turek_hron import BOUNDARIES, COARSEST, NORM_WEIGHTS, RIGID, force
-from verification.validation.turek_mesh import HEIGHT, TIP, Size, mesh_turek_hron
+from verification.validation.tables import Table, arguments, show, table
+from verification.validation.turek_hron import BOUNDARIES, COARSEST, RIGID, force, norm_weights, set_inflow
+from verification.validation.turek_mesh import TIP, Size, mesh_turek_hron
 
 from strandline.models.biofilm.moving import Moment, MovingSystem
 from strandline.models.biofilm.newton import NewtonSettings
 from strandline.models.biofilm.transient import StepSettings, TimeCost, march
 
-__all__ = ["CASES", "Case", "Cylinder", "Oscillation", "Stage", "oscillation", "simulate", "tables"]
-
 POISSON, RAMP = 0.4, 2.0
 WAKE = Size(far=0.035, near=0.007, corner=0.004)
 MESHES = ((COARSEST, 0), (COARSEST, 1), (COARSEST, 2), (WAKE, 0))
 """Element sizes, and how often all elements are quartered; the last mesh is finer in the wake."""
-Series = Float[np.ndarray, " step"]
 Published = tuple[float, float, float]
 
 
@@ -139,13 +132,10 @@ class Cylinder:
         )
         if case.young is not None:
             self.system.set_material([case.young], [POISSON])
-        self.weights = np.empty(len(self.system.free))
-        for component in range(3 + len(self.system.solids)):
-            self.weights[self.system.block(component)] = NORM_WEIGHTS[component]
+        self.weights = norm_weights(self.system)
         self._inflow = np.zeros(self.system.space.ndof)
         if fluid:
-            profile = 1.5 * case.velocity * 4 * ng.y * (HEIGHT - ng.y) / HEIGHT**2
-            self.system.state.components[0].Set(ng.CF((profile, 0)), definedon=self.mesh.Boundaries("inlet"))
+            set_inflow(self.system, case.velocity)
             self._inflow = np.array(self.system.values)
             self.system.values[:] = 0.0
 
@@ -189,47 +179,29 @@ class Run:
     times: list[float] = field(default_factory=list)
     rows: list[tuple[float, ...]] = field(default_factory=list)
 
-    def advance(self, stage: Stage) -> Iterator[None]:
+    def advance(self, stage: Stage) -> None:
         """Step through a stage."""
-        settings = StepSettings(stage.step, corrector=NewtonSettings(1e-6, 12, 0.05))
         began, cylinder = time.perf_counter(), self.cylinder
-        for moment in march(
-            cylinder.system,
-            self.last,
-            stage.end,
-            prescribe=cylinder.prescribe,
-            weights=cylinder.weights,
-            settings=settings,
-            cost=self.cost,
-        ):
+        options = {"prescribe": cylinder.prescribe, "weights": cylinder.weights, "cost": self.cost}
+        settings = StepSettings(stage.step, corrector=NewtonSettings(1e-6, 12, 0.05))
+        for moment in march(cylinder.system, self.last, stage.end, settings=settings, **options):
             self.last = moment
             self.times.append(moment.time)
             self.rows.append(cylinder.quantities())
-            yield
         self.seconds += time.perf_counter() - began
 
 
-def simulate(case: Case, stages: Sequence[Stage], *, log: Path | None = None) -> Iterator[Run]:
-    """Yield the run of each stage; a stage on another mesh goes on from the interpolated state.
-
-    Args:
-        case: Benchmark.
-        stages: Stages in their order.
-        log: File for the series, one line for each step.
-    """
+def simulate(case: Case, stages: Sequence[Stage]) -> Iterator[Run]:
+    """Yield the run of each stage; a stage on another mesh goes on from the interpolated state."""
     run: Run | None = None
     for stage in stages:
-        cylinder = run.cylinder if run and run.cylinder.level == stage.level else Cylinder(case, stage.level)
-        if run is None:
-            run = Run(cylinder, cylinder.at_rest())
+        if run is None or run.cylinder.level != stage.level:
+            cylinder = Cylinder(case, stage.level)
+            start = cylinder.at_rest() if run is None else cylinder.moved_from(run.cylinder, run.last)
         else:
-            same = cylinder is run.cylinder
-            run = Run(cylinder, run.last if same else cylinder.moved_from(run.cylinder, run.last))
-        for _ in run.advance(stage):
-            if log is not None:
-                with log.open("a") as file:
-                    values = " ".join(f"{value:.9g}" for value in run.rows[-1])
-                    file.write(f"{stage.level} {stage.step:g} {run.times[-1]:.6f} {values}\n")
+            cylinder, start = run.cylinder, run.last
+        run = Run(cylinder, start)
+        run.advance(stage)
         yield run
 
 
@@ -266,9 +238,9 @@ def oscillation(
     return Oscillation(float(0.5 * (last.max() + last.min())), float(0.5 * (last.max() - last.min())), float(frequency))
 
 
-def rows(case: Case, stage: Stage, run: Run) -> list[tuple[Cell, ...]]:
+def rows(case: Case, stage: Stage, run: Run) -> list[tuple]:
     """Return a row of the table for each quantity."""
-    found: list[tuple[Cell, ...]] = []
+    found = []
     period = 1.0 / min(frequency for _, _, frequency in case.reference.values())
     for k, (name, published) in enumerate(case.reference.items()):
         window = min(3.2 * period, run.times[-1] - run.times[0])
@@ -278,34 +250,23 @@ def rows(case: Case, stage: Stage, run: Run) -> list[tuple[Cell, ...]]:
     return found
 
 
-def tables(names: Sequence[str] = tuple(CASES), log: Path | None = None) -> list[Table]:
-    """Return a table for each case: published and own values."""
-    columns = (
-        "quantity", "published mean", "amplitude", "Hz", "elements", "unknowns", "step, s", "Jacobians", "s",
-        "mean", "own amplitude", "own Hz",
-    )  # fmt: skip
-    formats = ("s", ".5g", ".5g", ".5g", "d", "d", "g", "d", ".0f", ".5g", ".5g", ".4g")
-    found = []
-    for name in names:
-        case = CASES[name]
-        lines = [
-            row
-            for stages in case.runs
-            for stage, run in zip(stages, simulate(case, stages, log=log), strict=True)
-            if stage.shown
-            for row in rows(case, stage, run)
-        ]
-        lines.sort(key=lambda row: list(case.reference).index(str(row[0])))
-        found.append(Table(name, f"{name} of Turek and Hron", columns, formats, tuple(lines)))
-    return found
-
-
-def main() -> None:
-    """Print the tables of the cases named on the command line, or of all."""
-    for name in sys.argv[1:] or CASES:
-        for table in tables((name,)):
-            print(f"\n{table.title}\n\n{table.markdown()}", flush=True)
+def of_case(case: Case) -> Table:
+    """Return the table of a case: published and own values."""
+    lines = [
+        row
+        for stages in case.runs
+        for stage, run in zip(stages, simulate(case, stages), strict=True)
+        if stage.shown
+        for row in rows(case, stage, run)
+    ]
+    lines.sort(key=lambda row: list(case.reference).index(row[0]))
+    heading = (
+        "quantity | published mean {.5g} | amplitude {.5g} | Hz {.5g} | elements {d} | unknowns {d} | step, s {g} "
+        "| Jacobians {d} | s {.0f} | mean {.5g} | own amplitude {.5g} | own Hz {.4g}"
+    )
+    return table(case.name, f"{case.name} of Turek and Hron", heading, lines)
 
 
 if __name__ == "__main__":
-    main()
+    for name in arguments(__doc__, words=CASES).words or CASES:
+        show([of_case(CASES[name])])

@@ -12,8 +12,6 @@ import ngsolve as ng
 import numpy as np
 from netgen.geom2d import SplineGeometry
 
-__all__ = ["HEIGHT", "LENGTH", "TIP", "Size", "mesh_turek_hron"]
-
 LENGTH, HEIGHT = 2.5, 0.41
 CENTRE, RADIUS, HALF = 0.2, 0.05, 0.01
 TIP = (0.6, 0.2)
@@ -35,10 +33,13 @@ def mesh_turek_hron(size: Size, refinements: int, *, order: int, fluid: bool = T
     lower, upper = _beam(geometry, size, inside, outside)
     angle = float(np.arcsin(HALF / RADIUS))
     if solid:
-        _arc(geometry, lower, upper, (-angle, angle), 4, right=inside, name="clamped", near=size.near)
+        _arc(geometry, (lower, upper), (-angle, angle), 4, rightdomain=inside, bc="clamped", maxh=size.near)
     if fluid:
-        _channel(geometry)
-        _arc(geometry, upper, lower, (angle, 2 * np.pi - angle), 24, right=outside, name="cylinder", near=size.near)
+        corners = [geometry.AppendPoint(*c) for c in ((0, 0), (LENGTH, 0), (LENGTH, HEIGHT), (0, HEIGHT))]
+        for k, name in enumerate(("wall", "outlet", "wall", "inlet")):
+            geometry.Append(["line", corners[k], corners[(k + 1) % 4]], leftdomain=1, rightdomain=0, bc=name)
+        around = (angle, 2 * np.pi - angle)
+        _arc(geometry, (upper, lower), around, 24, rightdomain=outside, bc="cylinder", maxh=size.near)
         geometry.SetMaterial(1, "fluid")
     if solid:
         geometry.SetMaterial(2, "solid")
@@ -47,12 +48,6 @@ def mesh_turek_hron(size: Size, refinements: int, *, order: int, fluid: bool = T
         mesh.Refine()
     mesh.Curve(order)
     return mesh
-
-
-def _channel(geometry: Any) -> None:
-    corners = [geometry.AppendPoint(*c) for c in ((0, 0), (LENGTH, 0), (LENGTH, HEIGHT), (0, HEIGHT))]
-    for k, name in enumerate(("wall", "outlet", "wall", "inlet")):
-        geometry.Append(["line", corners[k], corners[(k + 1) % 4]], leftdomain=1, rightdomain=0, bc=name)
 
 
 def _beam(geometry: Any, size: Size, inside: int, outside: int) -> tuple[int, int]:
@@ -69,25 +64,15 @@ def _beam(geometry: Any, size: Size, inside: int, outside: int) -> tuple[int, in
     return lower, upper
 
 
-def _arc(
-    geometry: Any,
-    start: int,
-    end: int,
-    angles: tuple[float, float],
-    pieces: int,
-    *,
-    right: int,
-    name: str,
-    near: float,
-) -> None:
+def _arc(geometry: Any, ends: tuple[int, int], angles: tuple[float, float], pieces: int, **options: Any) -> None:
     """Append an arc of the cylinder as rational quadratic splines; nothing is meshed on its left."""
     at = np.linspace(*angles, pieces + 1)
     far = RADIUS / np.cos(0.5 * (at[1] - at[0]))
-    previous = start
+    previous, last = ends
     for k in range(pieces):
         middle = 0.5 * (at[k] + at[k + 1])
         control = geometry.AppendPoint(CENTRE + far * np.cos(middle), CENTRE + far * np.sin(middle))
         to = CENTRE + RADIUS * np.cos(at[k + 1]), CENTRE + RADIUS * np.sin(at[k + 1])
-        following = end if k == pieces - 1 else geometry.AppendPoint(*to)
-        geometry.Append(["spline3", previous, control, following], leftdomain=0, rightdomain=right, bc=name, maxh=near)
+        following = last if k == pieces - 1 else geometry.AppendPoint(*to)
+        geometry.Append(["spline3", previous, control, following], leftdomain=0, **options)
         previous = following

@@ -41,5 +41,5 @@ def test_the_source_distribution_has_what_is_under_version_control(tmp_path):
 
 
 @pytest.mark.long
-def test_after_kill_9_of_driver_and_workers_nothing_is_repeated_or_lost_and_the_posterior_is_the_same_to_the_bit():
-    kill_and_resume.main(driver_kills=2, worker_kills=1, runs=60)
+def test_after_kill_9_nothing_is_repeated_or_lost_and_the_posterior_is_the_same_to_the_bit():
+    kill_and_resume.main(drivers=2, workers=1, simulators=1, runs=60)

@@ -31,11 +31,10 @@ def test_beam_under_its_weight_swings_as_published():
         assert (off < [0.04, 0.04, 0.01]).all()
 
 
-def test_flow_starts_and_moves_to_a_finer_mesh(tmp_path):
+def test_flow_starts_and_moves_to_a_finer_mesh():
     """The force of the flow on the finer mesh goes on where it was on the coarser one."""
-    log = tmp_path / "series.txt"
-    first, second = simulate(CASES["CFD3"], [Stage(0, 0.02, 0.2), Stage(1, 0.02, 0.22)], log=log)
-    assert len(log.read_text().splitlines()) == 11
+    first, second = simulate(CASES["CFD3"], [Stage(0, 0.02, 0.2), Stage(1, 0.02, 0.22)])
+    assert (len(first.rows), len(second.rows)) == (10, 1)
     assert first.rows[-1][0] > 10
     before, last = (row[0] for row in first.rows[-2:])
     np.testing.assert_allclose(second.rows[-1][0], 2 * last - before, rtol=0.05)
