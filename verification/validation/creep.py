@@ -11,16 +11,14 @@
 Run it with:  python -m verification.validation.creep [--publish]
 """
 
-import argparse
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import ngsolve as ng
 import numpy as np
 from verification.validation.analytic import YOUNG, LoadedSolid, square
-from verification.validation.tables import Table, put_into_page
+from verification.validation.tables import DOCS, Table, arguments, show, table
 
 from strandline.models.biofilm.cell import Setting
 from strandline.models.biofilm.course import Course
@@ -31,9 +29,7 @@ from strandline.models.biofilm.materials import LAWS
 from strandline.models.biofilm.memory import Branch
 from strandline.models.biofilm.outline import Channel, Outline
 
-__all__ = ["block_stresses", "creep_error", "flow_errors", "oscillation_errors", "relaxation_error", "tables"]
-
-PAGE = Path(__file__).parents[2] / "docs" / "results" / "forward-model.md"
+PAGE = DOCS / "explanation" / "forward-model.md"
 BRANCHES = (Branch(0.7, 0.5), Branch(1.5, 4.0))
 SHEAR, RATE = 0.5, 2.0
 """Amplitude of the shear, and its angular frequency, 1/s."""
@@ -41,11 +37,10 @@ SLOW = 0.01
 """Inflow, mm²/s, at which everything is linear."""
 LAG = 1.0
 """Time, s, at which the creep test is looked at first."""
-Tensor = np.ndarray
 
 
 def block_stresses(
-    law: str, poisson: float, times: Sequence[float], gradient: Callable[[float], Tensor], branches: Sequence[Branch]
+    law: str, poisson: float, times: Sequence[float], gradient: Callable[[float], np.ndarray], branches: Sequence
 ) -> np.ndarray:
     """Return the first Piola–Kirchhoff stresses (time, 2, 2) of a block whose boundary follows F(t), scaled.
 
@@ -116,7 +111,8 @@ def oscillation_errors(steps: Sequence[int], poisson: float = 0.4) -> list[float
     errors = []
     for number in steps:
         times = np.arange(1, 2 * number + 1) * (2 * np.pi / RATE / number)
-        P = block_stresses("neo_hookean", poisson, times.tolist(), _sheared, BRANCHES)[:, 0, 1]
+        sheared = lambda time: np.array([[1.0, SHEAR * np.sin(RATE * time)], [0.0, 1.0]])  # noqa: E731
+        P = block_stresses("neo_hookean", poisson, times.tolist(), sheared, BRANCHES)[:, 0, 1]
         exact = np.sin(RATE * times)
         for branch in BRANCHES:
             wt = RATE * branch.time
@@ -125,10 +121,6 @@ def oscillation_errors(steps: Sequence[int], poisson: float = 0.4) -> list[float
         exact = shear * SHEAR * exact
         errors.append(float(np.abs(P - exact).max() / np.abs(exact).max()))
     return errors
-
-
-def _sheared(time: float) -> Tensor:
-    return np.array([[1.0, SHEAR * np.sin(RATE * time)], [0.0, 1.0]])
 
 
 def creep_error(tolerance: float = 1e-4, law: str = "neo_hookean") -> tuple[float, int]:
@@ -183,46 +175,28 @@ def _cell(law: str) -> CreepingCell:
 
 def tables() -> list[Table]:
     """Return the table of closed forms and that of orders."""
-    creep = [creep_error(tolerance) for tolerance in (1e-2, 1e-3, 1e-4)]
-    forms: tuple[tuple[Any, ...], ...] = (
+    forms = [
         ("relaxation of a block stretched in steps and ramps, Saint-Venant–Kirchhoff", "7 steps", relaxation_error()),
         ("the same, incompressible within 1e-4", "7 steps", relaxation_error(0.4999)),
         ("shear to and fro by 50 %, neo-Hookean", "512 a period", oscillation_errors([512])[0]),
-        *(
-            (f"creep of the biofilm in a slow flow, on, lowered, off; tolerance {tolerance:g}", f"{n} chosen", error)
-            for tolerance, (error, n) in zip((1e-2, 1e-3, 1e-4), creep, strict=True)
-        ),
-    )
+    ]
+    for tolerance in (1e-2, 1e-3, 1e-4):
+        error, number = creep_error(tolerance)
+        what = f"creep of the biofilm in a slow flow, on, lowered, off; tolerance {tolerance:g}"
+        forms.append((what, f"{number} chosen", error))
     numbers, steps = (16, 32, 64, 128), (0.5, 0.25, 0.125, 0.0625, 0.03125)
     shear, flow = oscillation_errors(numbers), flow_errors(steps)
-    rows: list[tuple[Any, ...]] = []
-    for k in range(4):
-        orders = [float(np.log2(e[k - 1] / e[k])) if k else None for e in (shear, flow)]
-        rows.append((numbers[k], shear[k], orders[0], steps[k], flow[k], orders[1]))
-    columns = (
-        "steps a period",
-        "error of the shear stress",
-        "order",
-        "step, s",
-        "biofilm, against half of it, µm",
-        "order",
+    orders = [[None, *(float(np.log2(a / b)) for a, b in pairwise(errors))] for errors in (shear, flow)]
+    rows = zip(numbers, shear, orders[0], steps[:-1], flow, orders[1], strict=True)
+    heading = (
+        "steps a period {d} | error of the shear stress {.1e} | order {.2f} | step, s {g} "
+        "| biofilm, against half of it, µm {.1e} | order {.2f}"
     )
     return [
-        Table("creep_forms", "Closed forms", ("what", "steps", "largest error, relative"), ("s", "s", ".1e"), forms),
-        Table("creep_orders", "Orders in time", columns, ("d", ".1e", ".2f", "g", ".1e", ".2f"), tuple(rows)),
+        table("creep_forms", "Closed forms", "what | steps | largest error, relative {.1e}", forms),
+        table("creep_orders", "Orders in time", heading, rows),
     ]
 
 
-def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--publish", action="store_true", help="put the tables into the page")
-    options, found = parser.parse_args(), tables()
-    for table in found:
-        print(table.markdown(), flush=True)
-    if options.publish:
-        PAGE.write_text(put_into_page(PAGE.read_text("utf-8"), found), "utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    show(tables(), page=PAGE if arguments(__doc__, publish=False).publish else None)

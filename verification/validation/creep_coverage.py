@@ -6,7 +6,6 @@ One design of Sobol runs serves all of them; with --active, each analysis makes 
     python -m verification.validation.creep_coverage [--truths 20] [--shared 128] [--active] [--publish]
 """
 
-import argparse
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,19 +13,18 @@ from typing import Any
 
 import numpy as np
 import yaml
-from verification.validation.tables import Table, put_into_page
+from verification.validation.tables import DOCS, EXAMPLES, OUTPUT, arguments, show, table
 
 import strandline as sl
 
-ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "how-to" / "creep.md"
+PAGE = DOCS / "how-to" / "creep.md"
 NAMES = ("E", "nu", "ratio", "tau")
 RATE = 100.0
 
 
 def write(folder: Path, **changes: Any) -> sl.Study:
     """Write the example with changes into a folder, and return it."""
-    content = yaml.safe_load((ROOT / "examples" / "creep" / "study.yaml").read_text("utf-8"))
+    content = yaml.safe_load((EXAMPLES / "creep" / "study.yaml").read_text("utf-8"))
     content |= {"name": folder.name, **changes}
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "study.yaml").write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), "utf-8")
@@ -51,18 +49,17 @@ def analysed(folder: Path, truth: Mapping[str, float], seed: int, shared: Path, 
     outcome = sl.run_study(study)
     posterior, certificate = outcome.calibration.posterior, outcome.summary.get("certificate") or {}
     draws, exact = _scaled(posterior.draws), _scaled(np.array([[truth[name] for name in NAMES]]))
-    weights = np.exp(posterior.log_weights - posterior.log_weights.max())
-    weights /= weights.sum()
+    weights = posterior.weights
     mean = weights @ draws
     precision = np.linalg.inv((draws - mean).T @ (weights[:, None] * (draws - mean)))
     far, of_truth = (np.einsum("ij,jk,ik->i", x - mean, precision, x - mean) for x in (draws, exact))
-    lower, upper = (_quantile(draws, weights, q) for q in (0.05, 0.95))
+    marginal = zip(*posterior.quantiles((0.05, 0.95)), (truth[name] for name in NAMES), strict=True)
     found = {
         "truth": dict(truth),
         "mean": posterior.mean.tolist(),
         "sd": posterior.sd.tolist(),
         "inside": bool(weights[far <= of_truth[0]].sum() <= 0.9),
-        "marginal": [bool(a <= x <= b) for a, x, b in zip(lower, exact[0], upper, strict=True)],
+        "marginal": [bool(low <= x <= high) for low, high, x in marginal],
         "new": outcome.summary["runs"]["new"],
         "verdict": certificate.get("verdict", "not checked"),
     }
@@ -73,12 +70,6 @@ def analysed(folder: Path, truth: Mapping[str, float], seed: int, shared: Path, 
 def _scaled(x: np.ndarray) -> np.ndarray:
     """Return inputs with the logarithm of the relaxation time in its place."""
     return np.column_stack([x[:, :3], np.log(x[:, 3])])
-
-
-def _quantile(x: np.ndarray, weights: np.ndarray, q: float) -> np.ndarray:
-    order = np.argsort(x, axis=0)
-    below = np.cumsum(weights[order], axis=0)
-    return np.array([x[order[np.searchsorted(below[:, k], q), k], k] for k in range(x.shape[1])])
 
 
 def truths(study: sl.Study, number: int) -> list[dict[str, float]]:
@@ -97,32 +88,21 @@ def truths(study: sl.Study, number: int) -> list[dict[str, float]]:
 
 def main() -> None:
     """Analyse the data sets and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--truths", type=int, default=20)
-    parser.add_argument("--shared", type=int, default=128, help="Sobol runs that all data sets share")
-    parser.add_argument("--active", action="store_true", help="check each posterior by further runs")
-    parser.add_argument("--folder", type=Path, default=Path(__file__).parents[1] / "output" / "creep")
-    parser.add_argument("--publish", action="store_true", help="put the table into the page")
-    options = parser.parse_args()
+    options = arguments(__doc__, truths=20, shared=128, active=False, folder=OUTPUT / "creep", publish=False)
     shared, rows = options.folder / "shared", []
     design = {"active": {"runs": 100}} if options.active else {"sobol": {"runs": options.shared, "scramble": 1}}
     shared_runs(shared, options.shared)
     for number, truth in enumerate(truths(write(options.folder / "truths"), options.truths)):
         found = analysed(options.folder / f"set-{number}", truth, number, shared, design)
         print(found, flush=True)
-        cells = [
-            f"{m:.3g} ± {s:.2g} ({truth[n]:.3g})" for n, m, s in zip(NAMES, found["mean"], found["sd"], strict=True)
-        ]
-        rows.append(
-            (*cells, "yes" if found["inside"] else "no", sum(found["marginal"]), found["new"], found["verdict"])
-        )
-    columns = ("E, Pa (truth)", "ν", "ratio", "τ, s", "in the 90 % region", "of 4 intervals", "new runs", "certificate")
-    table = Table("creep_coverage", "Creep tests", columns, ("s", "s", "s", "s", "s", "d", "d", "s"), tuple(rows))
-    print(table.markdown())
+        moments = zip(NAMES, found["mean"], found["sd"], strict=True)
+        cells = [f"{m:.3g} ± {s:.2g} ({truth[n]:.3g})" for n, m, s in moments]
+        inside = "yes" if found["inside"] else "no"
+        rows.append((*cells, inside, sum(found["marginal"]), found["new"], found["verdict"]))
+    heading = "E, Pa (truth) | ν | ratio | τ, s | in the 90 % region | of 4 intervals {d} | new runs {d} | certificate"
+    show([table("creep_coverage", "Creep tests", heading, rows)], page=PAGE if options.publish else None)
     inside, intervals = sum(row[4] == "yes" for row in rows), sum(row[5] for row in rows)
     print(f"inside: {inside} of {len(rows)}; intervals: {intervals} of {4 * len(rows)}; shared runs: {options.shared}")
-    if options.publish:
-        PAGE.write_text(put_into_page(PAGE.read_text("utf-8"), [table]), "utf-8")
 
 
 if __name__ == "__main__":

@@ -3,24 +3,21 @@
 The estimate is the difference from the next finer mesh, the true error that from a much finer one; both are the largest
 distance of corresponding nodes of the interface.
 
-Run it with:  python -m verification.validation.mesh_on_other_outlines [OUTLINE ...]
+Run it with:  python -m verification.validation.mesh_on_other_outlines [WORD ...]
 """
 
 import dataclasses
-import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
-from verification.validation.tables import Table
+from verification.validation.tables import arguments, show, table
 
 from strandline.models.biofilm.cell import FlowCell, Setting
 from strandline.models.biofilm.geometry import MESHES, MeshSize
 from strandline.models.biofilm.materials import LAWS
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.biofilm.outline import Channel, Outline
-
-__all__ = ["CASES", "REFERENCE", "table"]
 
 REFERENCE = MeshSize(far=0.03, interface=0.006, foot=0.0028, grading=0.2)
 """Mesh of the truth, finer than the one that ``fine`` is compared with."""
@@ -52,55 +49,34 @@ CASES: Mapping[str, tuple[Biofilm, Mapping[str, float]]] = {
 """Model, whose mesh is replaced, and inputs, by the name of the outline."""
 
 
-def rows(
-    name: str, meshes: Mapping[str, MeshSize] = MESHES, reference: MeshSize = REFERENCE
-) -> list[tuple[object, ...]]:
+def rows(name: str) -> list[tuple]:
     """Return a row for each mesh: elements, estimated and true error in µm, share in %, CPU seconds per run."""
     model, inputs = CASES[name]
-    truth = _interface_on(model, reference, inputs)
+    outline, young, poisson = model.outline.interface(), [inputs["E"]], [inputs["nu"]]
+
+    def cell(size: MeshSize) -> FlowCell:
+        return FlowCell(outline, size, channel=model.channel, partition=model.partition, law=LAWS[model.material])
+
+    truth = outline.points + cell(REFERENCE).solve(Setting(young, poisson, inputs["V_in"])).displacement
     moved = 1e3 * float(np.linalg.norm(truth - model.undeformed().points, axis=1).max())
-    found: list[tuple[object, ...]] = []
-    for mesh, size in meshes.items():
+    found = []
+    for mesh, size in MESHES.items():
         chosen = dataclasses.replace(model, mesh=mesh)
         begun = time.process_time()
         points = chosen(inputs).interface.points
         seconds = time.process_time() - begun
         finer = chosen.on_finer_mesh(inputs)[""].points
         estimate, error = (1e3 * float(np.linalg.norm(points - o, axis=1).max()) for o in (finer, truth))
-        found.append((name, mesh, _cell(model, size).mesh.ne, estimate, error, 100 * error / moved, moved, seconds))
+        found.append((name, mesh, cell(size).mesh.ne, estimate, error, 100 * error / moved, moved, seconds))
     return found
 
 
-def table(
-    names: Sequence[str] = tuple(CASES), meshes: Mapping[str, MeshSize] = MESHES, reference: MeshSize = REFERENCE
-) -> Table:
-    """Return the estimated and the true error of each mesh on each outline."""
-    columns = (
-        "outline", "mesh", "elements", "estimate by check, µm", "true error, µm", "true error, %",
-        "largest displacement, µm", "CPU seconds, mesh and run",
-    )  # fmt: skip
-    formats = ("s", "s", "d", ".3f", ".3f", ".3f", ".1f", ".2f")
-    content = tuple(row for name in names for row in rows(name, meshes, reference))
-    return Table("mesh_on_other_outlines", "The meshes on other outlines", columns, formats, content)
-
-
-def _interface_on(model: Biofilm, size: MeshSize, inputs: Mapping[str, float]) -> np.ndarray:
-    cell = _cell(model, size)
-    return cell.outline.points + cell.solve(Setting([inputs["E"]], [inputs["nu"]], inputs["V_in"])).displacement
-
-
-def _cell(model: Biofilm, size: MeshSize) -> FlowCell:
-    return FlowCell(
-        model.outline.interface(), size, channel=model.channel, partition=model.partition, law=LAWS[model.material]
-    )
-
-
-def main(arguments: Sequence[str]) -> None:
-    """Print a table for each outline, or for those whose names contain one of the arguments."""
-    for name in CASES:
-        if not arguments or any(word in name for word in arguments):
-            print(table([name]).markdown(), flush=True)
-
-
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    wanted = arguments(__doc__, words="WORD").words
+    heading = (
+        "outline | mesh | elements {d} | estimate by check, µm {.3f} | true error, µm {.3f} | true error, % {.3f} "
+        "| largest displacement, µm {.1f} | CPU seconds, mesh and run {.2f}"
+    )
+    for name in CASES:
+        if not wanted or any(word in name for word in wanted):
+            show([table("mesh_on_other_outlines", "The meshes on other outlines", heading, rows(name))])
