@@ -8,29 +8,21 @@ docs/results/forward-model.md, their raw numbers into failure-map.json next to i
 Run it with:  python -m verification.validation.failure_map [--points N] [--publish]
 """
 
-import argparse
-import json
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
+import matplotlib as mpl
+import matplotlib.pyplot as plt
 import numpy as np
-from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
 from scipy.interpolate import CubicSpline
 from verification.validation.biofilm_mesh import BOX, RATE, flow_cell
-from verification.validation.failure_figure import draw
-from verification.validation.failure_tables import (
-    band_table,
-    compression_table,
-    differing_table,
-    evidence_table,
-    failures_table,
-    fold_table,
-    interfaces_table,
-)
-from verification.validation.tables import Table, put_into_page
+from verification.validation.failure_tables import Fold, Records, differing, tables_of
+from verification.validation.tables import DOCS, OUTPUT, arguments, as_text, show
 
 from strandline.design import sobol
 from strandline.models.biofilm.cell import FlowCell
@@ -38,14 +30,11 @@ from strandline.models.biofilm.flow import STRESS_SCALE, VELOCITY_SCALE
 from strandline.models.biofilm.geometry import MESHES
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.protocol import ForwardModel, Simulation
-from strandline.runs import Executor, Ledger, LocalProcesses, Progress, RunRecord, run_campaign
+from strandline.report.plots.style import SKY
+from strandline.runs import Ledger, LocalProcesses, Progress, RunRecord, run_campaign
 
-__all__ = ["FOLD_RATIOS", "FirstOrder", "Runs", "box_inputs", "critical_moduli", "survey"]
-
-OUTPUT = Path(__file__).parent / "output"
-PAGE = Path(__file__).parents[2] / "docs" / "results" / "forward-model.md"
+PAGE = DOCS / "explanation" / "forward-model.md"
 POINTS = 1024
-WORKERS = 2
 PAIR = ("default", "fine")
 FOLD_RATIOS = (-0.8, -0.6, -0.45, -0.3, -0.15, 0.0, 0.1, 0.2, 0.3, 0.4, 0.48, 0.5)
 """ν at which the fold is searched for; its line is the cubic spline through them."""
@@ -54,7 +43,6 @@ WIDTH = 0.2
 """E of the fold is searched for in `BRACKET` until it is known to within `WIDTH`, all in Pa."""
 
 Inputs = Mapping[str, float]
-Search = Callable[[Sequence[Inputs]], Sequence[RunRecord]]
 
 
 @dataclass(frozen=True)
@@ -82,23 +70,20 @@ class FirstOrder:
         return Simulation.of(cell.outline, {"compression": cell.largest_compression(linear)})
 
 
-@dataclass(frozen=True)
-class Runs:
-    """Makes the runs that its ledgers lack, with one ledger per model.
+@cache
+def _cell(mesh: str) -> FlowCell:
+    return flow_cell(MESHES[mesh])
 
-    Args:
-        folder: Folder of the ledgers.
-        executor: Executor of the runs.
-    """
 
-    folder: Path
-    executor: Executor
+def made(name: str, model: ForwardModel, inputs: Sequence[Inputs]) -> tuple[RunRecord, ...]:
+    """Return the records of a model from the ledger of this name; runs that it lacks are made, two at a time."""
 
-    def __call__(self, name: str, model: ForwardModel, inputs: Sequence[Inputs]) -> tuple[RunRecord, ...]:
-        """Return the records of `model` at `inputs` from the ledger called `name`."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with Ledger.open(self.folder / f"{name}.sqlite", model=model, description=name) as ledger:
-            return run_campaign(model, inputs, ledger=ledger, executor=self.executor, on_record=_told(name))
+    def tell(record: RunRecord, progress: Progress) -> None:
+        if progress.finished % 64 == 0:
+            print(f"{name}: {progress.finished} of {progress.total}, {progress.elapsed:.0f} s", flush=True)
+
+    with Ledger.open(OUTPUT / f"{name}.sqlite", model=model, description=name) as ledger:
+        return run_campaign(model, inputs, ledger=ledger, executor=LocalProcesses(2), on_record=tell)
 
 
 def box_inputs(count: int) -> list[dict[str, float]]:
@@ -108,7 +93,7 @@ def box_inputs(count: int) -> list[dict[str, float]]:
     return [{"E": float(young), "nu": float(poisson), "V_in": RATE} for young, poisson in points]
 
 
-def critical_moduli(search: Search, ratios: Sequence[float]) -> Float[np.ndarray, " ratio"]:
+def critical_moduli(search: Callable[[Sequence[Inputs]], Records], ratios: Sequence[float]) -> np.ndarray:
     """Return the smallest E [Pa] with a steady state at each ν, by bisection at all of them at once.
 
     Raises:
@@ -125,91 +110,62 @@ def critical_moduli(search: Search, ratios: Sequence[float]) -> Float[np.ndarray
     return np.asarray(0.5 * (low + high))
 
 
-@dataclass(frozen=True, eq=False)
-class Survey:
-    """The results of all runs.
-
-    Args:
-        records: Records of the points of the box, by mesh.
-        compressions: First-order compression at the same points, by mesh.
-        critical: E of the fold at `FOLD_RATIOS` (ratio,), Pa, by mesh.
-    """
-
-    records: Mapping[str, Sequence[RunRecord]]
-    compressions: Mapping[str, Sequence[float]]
-    critical: Mapping[str, Float[np.ndarray, " ratio"]]
-
-    @property
-    def fold(self) -> CubicSpline:
-        """E of the fold on the fine mesh by ν."""
-        return CubicSpline(FOLD_RATIOS, self.critical[PAIR[1]])
-
-    def tables(self) -> list[Table]:
-        """Return all tables for the page."""
-        default, fine = (self.records[mesh] for mesh in PAIR)
-        return [
-            failures_table(self.records),
-            evidence_table(self.records),
-            band_table(default, fine, self.fold),
-            differing_table(default, fine, self.fold),
-            interfaces_table(default, fine, self.fold),
-            fold_table(FOLD_RATIOS, self.critical),
-            compression_table(self.records, self.compressions),
-        ]
+def draw(default: Records, fine: Records, fold: Fold, path: Path) -> None:
+    """Draw the outcomes on the default mesh, the fold on the fine mesh, and the points where the two meshes differ."""
+    figure, axes = plt.subplots(figsize=(8, 4.8), layout="constrained")
+    stalled = [run for run in default if not run.ok and "limit_load" not in run.diagnostics]
+    _marks(axes, stalled, c=SKY, marker="X", s=42, label="failed, stalled")
+    solved = {"cmap": "viridis", "s": 15, "label": "solved"}
+    dark = ListedColormap(mpl.colormaps["Oranges"](np.linspace(0.35, 1.0, 256)))
+    failed = {"cmap": dark, "marker": "X", "s": 30, "label": "failed at a limit point"}
+    for quantity, factor, name, style in (
+        ("max_displacement", 1e3, "largest displacement, µm", solved),
+        ("limit_load", 1.0, "limit load, mm²/s", failed),
+    ):
+        having = [run for run in default if quantity in run.diagnostics]
+        drawn = _marks(axes, having, c=[factor * run.diagnostics[quantity] for run in having], **style)
+        if drawn is not None:
+            figure.colorbar(drawn, ax=axes, label=name, pad=0.02, aspect=30)
+    ratios = np.linspace(*BOX[1], 200)
+    axes.plot(fold(ratios), ratios, "k-", lw=1.4, label="fold, mesh fine")
+    if pairs := differing(default, fine):
+        circle = {"s": 80, "facecolors": "none", "edgecolors": "k", "lw": 1.1, "clip_on": True}
+        _marks(axes, [a for a, _ in pairs], label="solved on one mesh only", **circle)
+    axes.set(xlim=BOX[0], ylim=BOX[1], xlabel="E, Pa", ylabel="ν")
+    figure.legend(loc="outside upper center", ncols=5, frameon=False, fontsize="small", columnspacing=1.2)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
 
 
-def survey(count: int, runs: Runs) -> Survey:
-    """Run everything that is not in the ledgers."""
-    inputs = box_inputs(count)
-    models = {mesh: Biofilm(mesh=mesh, failure_budget=0) for mesh in MESHES}
-    names = {mesh: f"failure-map-{mesh}" for mesh in MESHES}
-    records = {mesh: runs(names[mesh], models[mesh], inputs) for mesh in PAIR}
-    linear = {mesh: runs(f"first-order-{mesh}", FirstOrder(mesh), inputs) for mesh in PAIR}
-    compressions = {mesh: [record.diagnostics["compression"] for record in found] for mesh, found in linear.items()}
-    critical = {mesh: critical_moduli(partial(runs, names[mesh], models[mesh]), FOLD_RATIOS) for mesh in MESHES}
-    return Survey(records, compressions, critical)
+def _marks(ax: Axes, runs: Records, **style: Any) -> Any:
+    """Draw a mark at each run; return None if there are none."""
+    if not runs:
+        return None
+    places = np.array([(run.inputs["E"], run.inputs["nu"]) for run in runs])
+    return ax.scatter(places[:, 0], places[:, 1], **{"lw": 0, "clip_on": False, **style})
 
 
-@cache
-def _cell(mesh: str) -> FlowCell:
-    return flow_cell(MESHES[mesh])
-
-
-def _told(name: str) -> Callable[[RunRecord, Progress], None]:
-    """Return a function that prints the progress of a campaign every 64 runs."""
-
-    def tell(record: RunRecord, progress: Progress) -> None:
-        if progress.finished % 64 == 0:
-            print(f"{name}: {progress.finished} of {progress.total}, {progress.elapsed:.0f} s", flush=True)
-
-    return tell
-
-
-def _options(arguments: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m verification.validation.failure_map")
-    parser.add_argument("--points", type=int, default=POINTS, help="of the Sobol sequence, for a quick try")
-    parser.add_argument("--publish", action="store_true", help="put tables and figure into the documentation")
-    options = parser.parse_args(arguments)
-    if options.publish and options.points != POINTS:
-        parser.error(f"only all {POINTS} points are published")
-    return options
-
-
-def main(arguments: Sequence[str], output: Path = OUTPUT) -> None:
+def main() -> None:
     """Print the tables and write them to failure-map.json; see the module's docstring."""
-    options = _options(arguments)
-    found = survey(options.points, Runs(output, LocalProcesses(WORKERS)))
-    tables = found.tables()
-    for table in tables:
-        print(f"## {table.title}\n\n{table.markdown()}\n")
-    raw = json.dumps({table.name: table.as_json() for table in tables}, indent=1, ensure_ascii=False) + "\n"
-    (output / "failure-map.json").write_text(raw, "utf-8")
+    options = arguments(__doc__, points=POINTS, publish=False)
+    if options.publish and options.points != POINTS:
+        raise SystemExit(f"only all {POINTS} points are published")
+    OUTPUT.mkdir(exist_ok=True)
+    inputs = box_inputs(options.points)
+    models = {mesh: Biofilm(mesh=mesh, failure_budget=0) for mesh in MESHES}
+    search = {mesh: partial(made, f"failure-map-{mesh}", model) for mesh, model in models.items()}
+    records = {mesh: search[mesh](inputs) for mesh in PAIR}
+    linear = {mesh: made(f"first-order-{mesh}", FirstOrder(mesh), inputs) for mesh in PAIR}
+    compressions = {mesh: [record.diagnostics["compression"] for record in found] for mesh, found in linear.items()}
+    critical = {mesh: critical_moduli(search[mesh], FOLD_RATIOS) for mesh in MESHES}
+    fold = CubicSpline(FOLD_RATIOS, critical["fine"])
+    tables = tables_of(records, compressions, FOLD_RATIOS, critical, fold)
+    show(tables, page=PAGE if options.publish else None)
+    (OUTPUT / "failure-map.json").write_text(as_text(tables), "utf-8")
     if options.publish:
-        PAGE.with_name("failure-map.json").write_text(raw, "utf-8")
-        PAGE.write_text(put_into_page(PAGE.read_text("utf-8"), tables), "utf-8")
-    folder = PAGE.parents[1] / "figures" if options.publish else output
-    draw(found.records[PAIR[0]], found.records[PAIR[1]], found.fold, folder / "forward-failures.png")
+        PAGE.with_name("failure-map.json").write_text(as_text(tables), "utf-8")
+    draw(*records.values(), fold, (DOCS / "figures" if options.publish else OUTPUT) / "forward-failures.png")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

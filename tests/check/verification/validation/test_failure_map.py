@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from verification.validation.failure_map import FOLD_RATIOS, WIDTH, Survey, box_inputs, critical_moduli
-from verification.validation.failure_tables import BAND, band_table
+from verification.validation.failure_map import FOLD_RATIOS, WIDTH, box_inputs, critical_moduli
+from verification.validation.failure_tables import BAND, band_table, tables_of
 
 from strandline.interface import Interface
 from strandline.runs import RunRecord
@@ -42,12 +42,14 @@ def cells(table, row=0):
 def test_outcomes_over_the_box_are_counted():
     """Points between the folds of two meshes are the band."""
     critical = np.array([fold(nu) for nu in FOLD_RATIOS])
-    survey = Survey(
+    tables = tables_of(
         {"default": made_up(INPUTS, shift=SHIFT), "fine": made_up(INPUTS)},
         {"default": list(60.0 / E), "fine": list(60.0 / E)},
+        FOLD_RATIOS,
         {"coarse": critical - 3.0, "default": (1 - SHIFT) * critical, "fine": critical},
+        fold,
     )
-    tables = {table.name: table for table in survey.tables()}
+    tables = {table.name: table for table in tables}
     for row, shift in enumerate((SHIFT, 0.0)):
         failed = (1 - shift) * fold(NU) >= E
         counted = cells(tables["failures"], row)
