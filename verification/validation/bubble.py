@@ -10,16 +10,16 @@ smooth and four times what the edge's own errors allow. The study therefore allo
 shows the answer without it, where strandline must report that the model does not fit.
 
     python -m verification.validation.bubble [--photograph FILE] [--only WORD ...] [--folder FOLDER]
+
+`--only` names parts of the names of pictures beside the original.
 """
 
-import argparse
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -27,18 +27,16 @@ import yaml
 from jaxtyping import Float
 from PIL import Image
 from scipy.ndimage import affine_transform
-from verification.validation.tables import Table
+from verification.validation.tables import EXAMPLES, ROOT, arguments, finish, kept_or_scratch, show, table
 
 from strandline.imaging import find_edge
-from strandline.interface import PointErrors, UnknownErrors
 from strandline.numerics.threads import use_double
 from strandline.posterior import Posterior
 from strandline.runs import InProcess
 from strandline.studies import load_result, load_study, run_study
 
-ROOT = Path(__file__).parents[2]
 PHOTOGRAPH = ROOT.parent / "shared" / "data" / "bubble" / "bubble-827.png"
-EXAMPLE = ROOT / "examples" / "pendant-drop"
+EXAMPLE = EXAMPLES / "pendant-drop"
 TRUTH = 72.4
 """Surface tension of water in air at 23 °C, mN/m."""
 NEEDLE = 1.24
@@ -61,13 +59,9 @@ Points = Float[np.ndarray, "*any 2"]
 
 @dataclass(frozen=True)
 class Variant:
-    """A picture made from the photograph.
+    """A picture made from the photograph: its grey values, places (points, size) of its pixels, and its rotation.
 
-    Args:
-        name: Its name.
-        change: Function of the grey values.
-        place: Function (points, size) of pixels of the photograph, whose size is (columns, rows).
-        rotation: Angle by which it is turned, degrees, from x to the right towards y down.
+    Sizes are (columns, rows); `rotation` is in degrees, from x to the right towards y down.
     """
 
     name: str
@@ -107,10 +101,7 @@ def compressed(grey: Grey) -> Grey:
 VARIANTS = (
     Variant("original", lambda grey: grey),
     Variant(
-        f"turned by {TURN:g}°",
-        turned,
-        lambda points, size: points @ _turning(size)[0].T + _turning(size)[1],
-        rotation=TURN,
+        f"turned by {TURN:g}°", turned, lambda points, size: points @ _turning(size)[0].T + _turning(size)[1], TURN
     ),
     Variant("mirrored", lambda grey: grey[:, ::-1], lambda points, size: [size[0] - 1, 0] + points * [-1, 1]),
     Variant("half the resolution", halved, lambda points, size: 0.5 * (points - 0.5)),
@@ -153,12 +144,8 @@ def study(folder: Path, variant: Variant, photograph: Grey, *, particles: int = 
         "path": variant.place(CLICKS, size).round(1).tolist(),
         "solid": "dark",
     }
-    content["noise"] = {
-        "sd": "image",
-        "unit": "um",
-        "model_error": True,
-        "unknown": {"shift": 16, "rotation": 1, "scale": 0.01},
-    }
+    unknown = {"shift": 16, "rotation": 1, "scale": 0.01}
+    content["noise"] = {"sd": "image", "unit": "um", "model_error": True, "unknown": unknown}
     content["design"] = {"sobol": {"runs": 40}}
     content["sampler"]["smc"]["particles"] = particles
     (folder / "study.yaml").write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
@@ -191,12 +178,7 @@ def without_model_error(folder: Path, name: str) -> Found:
     """Return the posterior of a finished study if the model is taken to be right."""
     result = load_result(folder)
     noise = result.study.noise_of("")
-    assert isinstance(noise, UnknownErrors)
-    assert isinstance(noise.sd, float)
-    assert isinstance(noise.length, float)
-    errors: PointErrors = noise.known(noise.sd, noise.length)
-    found = result.with_noise(errors=errors)
-    assert found.misfit is not None
+    found = result.with_noise(errors=noise.known(noise.sd, noise.length))
     return _found(name, found.posterior, found.misfit.flagged, found.misfit.verdict)
 
 
@@ -228,37 +210,34 @@ def _bytes(grey: Grey) -> np.ndarray:
     return np.clip(np.round(grey), 0, 255).astype(np.uint8)
 
 
-COLUMNS = ("picture", "mean, mN/m", "sd", "2.5 %", "97.5 %", "moved, sd", "sd / original", "fit")
-FORMATS = ("s", ".2f", ".2f", ".2f", ".2f", "+.2f", ".2f", "s")
+HEADING = (
+    "picture | mean, mN/m {.2f} | sd {.2f} | 2.5 % {.2f} | 97.5 % {.2f} | moved, sd {+.2f} | sd / original {.2f} | fit"
+)
 
 
 def main() -> None:
     """Print the table, a row at a time; exit with 1 on a missed aim."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--photograph", type=Path, default=PHOTOGRAPH)
-    parser.add_argument("--only", nargs="*", help="parts of the names of pictures beside the original; default: all")
-    parser.add_argument("--folder", type=Path, help="a new folder for the studies; default: removed at the end")
-    options = parser.parse_args()
+    options = arguments(__doc__, photograph=PHOTOGRAPH, only=(), folder=Path)
     if not options.photograph.exists():
         print(f"no photograph at {options.photograph}")
         return
     use_double()
-    grey, all_found, rows, failed = grey_of(options.photograph), [], [], []
-    with TemporaryDirectory() as scratch:
-        folder = options.folder or Path(scratch)
+    grey, found, failed = grey_of(options.photograph), [], []
+    words = options.only or [""]
+
+    def rows(folder: Path) -> Iterator[tuple[str | float, ...]]:
         for number, variant in enumerate(VARIANTS):
-            if number and options.only is not None and not any(word in variant.name for word in options.only):
-                continue
-            one = answer(study(folder / str(number), variant, grey), variant.name)
-            all_found.append(one)
-            failed += missed(one, all_found[0])
-            rows.append(one.row(all_found[0]))
-            print(*(format(x, form) for x, form in zip(rows[-1], FORMATS, strict=True)), flush=True)
+            if number == 0 or any(word in variant.name for word in words):
+                found.append(answer(study(folder / str(number), variant, grey), variant.name))
+                failed.extend(missed(found[-1], found[0]))
+                yield found[-1].row(found[0])
         right = without_model_error(folder / "0", "original, no error of the model")
-        rows.append(right.row(all_found[0]))
-        failed += [] if right.flagged else [f"{right.picture}: the misfit goes unnoticed"]
-    print(Table("bubble", "A bubble of air in water", COLUMNS, FORMATS, tuple(rows)).markdown())
-    sys.exit("\n".join(failed) or 0)
+        failed.extend([] if right.flagged else [f"{right.picture}: the misfit goes unnoticed"])
+        yield right.row(found[0])
+
+    with kept_or_scratch(options.folder) as folder:
+        show([table("bubble", "A bubble of air in water", HEADING, rows(folder), live=True)])
+    finish(failed)
 
 
 if __name__ == "__main__":

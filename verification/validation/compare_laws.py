@@ -7,27 +7,25 @@ prior, each law in turn, observed with errors of the points; surrogates of both 
 averaged over the laws. Its 90 % intervals should contain the truth whichever law is right.
 
     python -m verification.validation.compare_laws [--nodes 12] [--crossings 40] [--folder FOLDER] [--publish]
+
+0 nodes or 0 crossings leave that part out. A folder keeps studies and runs.
 """
 
-import argparse
-import json
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import yaml
 from jaxtyping import Float
 from scipy.special import logsumexp, softmax
-from verification.validation.tables import Table, put_into_page
+from verification.validation.tables import DOCS, Table, arguments, as_text, finish, kept_or_scratch, show, table
 
 import strandline as sl
 from strandline.calibration.evidence import ModelComparison, averaged, evidence_of, integrated
 from strandline.design import sobol
-from strandline.design.active import Knowledge, learn
+from strandline.design.active import learn
 from strandline.likelihood import FieldLikelihood
 from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import Weighted
@@ -41,13 +39,14 @@ WIDE = 6.0
 """Half the width of the quadrature's box, in standard deviations of the posterior, inside the prior."""
 SD = 0.003
 """Standard deviation of the observed points of the crossings, mm."""
+Nodes = Float[np.ndarray, " node"]
 DESIGN = 192
 """Runs of each law from which the interface is learnt over the whole prior."""
 ROUGH = 1024
 """Draws of the prior that show where the posterior of a crossing lies."""
 WITHIN, COVERED = 0.2, 0.85
 """Largest error of ln B, and least share of the intervals that contain the truth."""
-PAGE = Path(__file__).parents[2] / "docs" / "results" / "accuracy.md"
+PAGE = DOCS / "explanation" / "comparison.md"
 
 
 def model(law: str, rates: dict[str, float]) -> sl.Biofilm:
@@ -98,12 +97,7 @@ def data(rates: dict[str, float], folder: Path) -> tuple[sl.Observation, ...]:
 
 
 def by_quadrature(
-    law: str,
-    rates: dict[str, float],
-    seen: tuple[sl.Observation, ...],
-    posterior: sl.Posterior,
-    nodes: int,
-    folder: Path,
+    law: str, rates: dict[str, float], seen: tuple, posterior: sl.Posterior, nodes: int, folder: Path
 ) -> tuple[float, int]:
     """Return the log-evidence of the true model where a posterior lies, and the number of runs that failed.
 
@@ -123,9 +117,7 @@ def by_quadrature(
     return float(logsumexp(values, b=mass)), sum(not record.ok for record in records)
 
 
-def _nodes(
-    mean: float, sd: float, column: int, places: Float[np.ndarray, " node"], weights: Float[np.ndarray, " node"]
-) -> tuple[Float[np.ndarray, " node"], Float[np.ndarray, " node"]]:
+def _nodes(mean: float, sd: float, column: int, places: Nodes, weights: Nodes) -> tuple[Nodes, Nodes]:
     """Return nodes within the prior of an input, and the prior's mass that each stands for."""
     low, high = float(SPACE.low[column]), float(SPACE.high[column])
     begin, end = max(mean - WIDE * sd, low), min(mean + WIDE * sd, high)
@@ -141,10 +133,8 @@ def against_quadrature(nodes: int, folder: Path) -> tuple[Table, list[str]]:
         studies = [study(law, rates, folder) for law in LAWS]
         posteriors = [sl.run_study(one).calibration.posterior for one in studies]
         found = sl.compare(studies, to=folder / f"{len(rates)}-rates" / "comparison")
-        exact, failed = zip(
-            *(by_quadrature(law, rates, seen, one, nodes, folder) for law, one in zip(LAWS, posteriors, strict=True)),
-            strict=True,
-        )
+        pairs = zip(LAWS, posteriors, strict=True)
+        exact, failed = zip(*(by_quadrature(law, rates, seen, one, nodes, folder) for law, one in pairs), strict=True)
         (factor,) = found.found.models.factors
         ln = factor.ln if factor.of == LAWS[0] else -factor.ln
         runs = [one["runs"] for one in found.content["models"].values()]
@@ -155,25 +145,19 @@ def against_quadrature(nodes: int, folder: Path) -> tuple[Table, list[str]]:
             missed.append(f"{rates_shown} mm²/s: ln B is {ln:.2f}, by quadrature {exact[0] - exact[1]:.2f}")
         if factor.decided and abs(factor.ln) < 1:
             missed.append(f"{rates_shown} mm²/s: a winner with ln B = {factor.ln:.2f}")
-    columns = ("rates, mm²/s", "runs, SVK", "runs, NH", "ln B", "error", "by quadrature", "verdict")
-    columns = (*columns, "failed runs, SVK", "failed runs, NH")
-    formats = ("s", "d", "d", ".2f", ".2f", ".2f", "s", "d", "d")
-    return Table(
-        "compare-quadrature", "ln B of Saint-Venant–Kirchhoff over neo-Hookean", columns, formats, tuple(rows)
-    ), missed
+    heading = (
+        "rates, mm²/s | runs, SVK {d} | runs, NH {d} | ln B {.2f} | error {.2f} | by quadrature {.2f} | verdict "
+        "| failed runs, SVK {d} | failed runs, NH {d}"
+    )
+    return table("compare-quadrature", "ln B of Saint-Venant–Kirchhoff over neo-Hookean", heading, rows), missed
 
 
 @dataclass(frozen=True, eq=False)
 class Crossing:
-    """One crossing.
+    """A crossing: the number of the right law, ln B of it over the other one, and whether one of them is preferred.
 
-    Args:
-        law: Number of the law that is right.
-        ln: ln B of the right law over the other one.
-        decided: Whether one of them is preferred.
-        averaged: Which inputs the averaged 90 % intervals contain.
-        right: The same under the right law alone.
-        wrong: The same under the other law alone.
+    `averaged`, `right` and `wrong` tell which inputs the 90 % intervals contain: those averaged over the laws, those
+    under the right law alone, those under the other one.
     """
 
     law: int
@@ -187,7 +171,14 @@ class Crossing:
 def crossings(number: int, folder: Path) -> list[Crossing]:
     """Return crossings with all three rates, the law of each in turn."""
     rates, x = RATES[-1], SPACE.to_physical(sobol(DESIGN, 2, scramble=2))
-    learnt = [_learnt(x, runs_of(law, rates, x, folder)) for law in LAWS]
+    learnt = []
+    for law in LAWS:
+        records = runs_of(law, rates, x, folder)
+        some = next(record for record in records if record.ok).interfaces
+        # the observation only sets the accuracy that the surrogate needs
+        seen = tuple(sl.Observation(one, sl.PointErrors(SD), name) for name, one in some.items())
+        with one_thread():
+            learnt.append(learn(x, records, SPACE, seen, sl.NormalOffset()))
     random, found = np.random.default_rng(21), []
     while len(found) < number:
         law, truth = len(found) % 2, SPACE.prior_quantiles(random.random((1, 2)))
@@ -201,14 +192,6 @@ def crossings(number: int, folder: Path) -> list[Crossing]:
         one = found[-1]
         print(LAWS[law], truth[0].round(2), f"ln B {one.ln:.2f}", one.averaged, one.right, one.wrong, flush=True)
     return found
-
-
-def _learnt(x: Float[np.ndarray, "run 2"], records: Sequence[sl.RunRecord]) -> Knowledge:
-    """Return the surrogate of one law over the whole prior; the observation only sets the accuracy that it needs."""
-    first = next(record for record in records if record.ok)
-    seen = tuple(sl.Observation(one, sl.PointErrors(SD), name) for name, one in first.interfaces.items())
-    with one_thread():
-        return learn(x, records, SPACE, seen, sl.NormalOffset())
 
 
 def _crossing(
@@ -239,61 +222,40 @@ def holds(posterior: Weighted, truth: Float[np.ndarray, " 2"]) -> Float[np.ndarr
 
 def of_crossings(found: Sequence[Crossing]) -> tuple[Table, list[str]]:
     """Return the table of the crossings, and the aims that are missed."""
+    of_law = [[one for one in found if one.law == k] for k in range(2)]
     rows, missed = [], []
-    for name, some in [
-        *((law, [one for one in found if one.law == k]) for k, law in enumerate(LAWS)),
-        ("both", list(found)),
-    ]:
+    for name, some in zip(("Saint-Venant–Kirchhoff", "neo-Hookean", "both"), (*of_law, found), strict=True):
         cover = [100 * np.mean([getattr(one, kind) for one in some], axis=0) for kind in ("averaged", "right", "wrong")]
         right = sum(one.decided and one.ln > 0 for one in some)
         wrong = sum(one.decided and one.ln < 0 for one in some)
-        words = name.replace("saint_venant_kirchhoff", "Saint-Venant–Kirchhoff").replace("neo_hookean", "neo-Hookean")
-        rows.append((words, len(some), *(float(share) for pair in cover for share in pair), right, wrong))
+        rows.append((name, len(some), *(float(share) for pair in cover for share in pair), right, wrong))
     for k, name in enumerate(("E", "ν")):
         if rows[-1][2 + k] < 100 * COVERED:
             missed.append(f"averaged intervals of {name} contain the truth in {rows[-1][2 + k]:.0f} %")
     if any(one.decided and abs(one.ln) < 1 for one in found):
         missed.append("a winner below 1 nat")
-    columns = ("right law", "crossings", "averaged: E, %", "ν, %", "right law: E, %", "ν, %", "wrong law: E, %", "ν, %")
-    columns = (*columns, "right winners", "wrong winners")
-    formats = ("s", "d", *(".0f",) * 6, "d", "d")
-    return Table(
-        "compare-crossings", "Averaged intervals that contain the truth", columns, formats, tuple(rows)
-    ), missed
+    heading = (
+        "right law | crossings {d} | averaged: E, % {.0f} | ν, % {.0f} | right law: E, % {.0f} | ν, % {.0f} "
+        "| wrong law: E, % {.0f} | ν, % {.0f} | right winners {d} | wrong winners {d}"
+    )
+    return table("compare-crossings", "Averaged intervals that contain the truth", heading, rows), missed
 
 
 def main() -> None:
     """Print both tables; exit with 1 on a missed aim."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--nodes", type=int, default=12, help="nodes of the quadrature along each input; 0: leave it out"
-    )
-    parser.add_argument("--crossings", type=int, default=40, help="number of crossings; 0: leave them out")
-    parser.add_argument(
-        "--folder", type=Path, help="folder of studies and runs; default: a new one, removed at the end"
-    )
-    parser.add_argument("--publish", action="store_true", help="put the tables into the documentation")
-    options = parser.parse_args()
+    options = arguments(__doc__, nodes=12, crossings=40, folder=Path, publish=False)
     use_double()
-    tables, missed = [], []
-    with TemporaryDirectory() as scratch:
-        folder = options.folder or Path(scratch)
-        folder.mkdir(parents=True, exist_ok=True)
+    made = []
+    with kept_or_scratch(options.folder) as folder:
         if options.nodes:
-            table, failed = against_quadrature(options.nodes, folder)
-            tables.append(table)
-            missed += failed
+            made.append(against_quadrature(options.nodes, folder))
         if options.crossings:
-            table, failed = of_crossings(crossings(options.crossings, folder))
-            tables.append(table)
-            missed += failed
-    for table in tables:
-        print(f"{table.title}\n{table.markdown()}")
+            made.append(of_crossings(crossings(options.crossings, folder)))
+    tables = [table for table, _ in made]
+    show(tables, page=PAGE if options.publish else None)
     if options.publish:
-        raw = {table.name: table.as_json() for table in tables}
-        PAGE.with_name("comparison.json").write_text(json.dumps(raw, indent=1, ensure_ascii=False) + "\n", "utf-8")
-        PAGE.write_text(put_into_page(PAGE.read_text("utf-8"), tables), "utf-8")
-    sys.exit("\n".join(missed) or 0)
+        PAGE.with_suffix(".json").write_text(as_text(tables), "utf-8")
+    finish(said for _, missed in made for said in missed)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ biofilm's. Paths are 12 clicks, off by 2.5 px; both ends are trimmed by 5 %.
     python -m verification.validation.edges [--pictures 40] [--only PART ...]
 """
 
-import argparse
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from verification.validation.rendered import Camera, Scan, arch, clicks, covered
-from verification.validation.tables import Table
+from verification.validation.tables import arguments, show, table
 
 from strandline.discrepancy.normal_offset import signed_distances
 from strandline.errors import InvalidInput
@@ -37,7 +36,7 @@ class Case:
     name: str
     method: str | EdgeMethod
     render: Camera | Scan
-    change: Callable[[Float[np.ndarray, "row column"]], Float[np.ndarray, "row column"]] = np.asarray
+    change: Callable[[np.ndarray], np.ndarray] = np.asarray
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -94,7 +93,7 @@ def true_length(parts: list[Float[np.ndarray, " point"]], spacing: float) -> flo
     return spacing * (0.5 + float(products[1 : below[0] if below.size else None].sum() / products[0]))
 
 
-def row(case: Case, pictures: int) -> tuple[object, ...]:
+def row(case: Case, pictures: int) -> tuple:
     """Return bias, its sd over pictures, s, ℓ, s²ℓ, own values over these, and wrong points for one kind of picture."""
     all_found = [one for one in (found(case, seed) for seed in range(pictures)) if one is not None]
     off = [one.off for one in all_found]
@@ -124,14 +123,14 @@ def row(case: Case, pictures: int) -> tuple[object, ...]:
     )
 
 
-COLUMNS = (
-    "picture, method", "found", "bias, px", "its sd", "own offset", "s, px", "ℓ, px", "s²ℓ", "own s / s", "smallest",
-    "largest", "own ℓ / ℓ", "own s²ℓ / s²ℓ", "points > 4 px off, %", "seconds",
-)  # fmt: skip
-FORMATS = ("s", "d", "+.3f", ".3f", ".2f", ".3f", ".2f", ".3f", ".2f", ".2f", ".2f", ".2f", ".2f", ".2f", ".3f")
+HEADING = (
+    "picture, method | found {d} | bias, px {+.3f} | its sd {.3f} | own offset {.2f} | s, px {.3f} | ℓ, px {.2f} "
+    "| s²ℓ {.3f} | own s / s {.2f} | smallest {.2f} | largest {.2f} | own ℓ / ℓ {.2f} | own s²ℓ / s²ℓ {.2f} "
+    "| points > 4 px off, % {.2f} | seconds {.3f}"
+)
 
 
-def megapixel(repeats: int = 3) -> Iterator[tuple[object, ...]]:
+def megapixel(repeats: int = 3) -> Iterator[tuple]:
     """Yield points and seconds for a closed edge in a picture of a megapixel, one row per method."""
     angle = np.linspace(0.0, 2 * np.pi, 4001)[:-1]
     radius = 300.0 * (1 + 0.2 * np.cos(3 * angle))
@@ -153,20 +152,13 @@ def megapixel(repeats: int = 3) -> Iterator[tuple[object, ...]]:
 
 def main() -> None:
     """Print the tables, a row at a time."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--pictures", type=int, default=40)
-    parser.add_argument("--only", nargs="*", help="parts of the names of cases; default: all")
-    options = parser.parse_args()
-    rows = []
-    for case in CASES:
-        if not options.only or any(word in case.name for word in options.only):
-            rows.append(row(case, options.pictures))
-            print(*(format(x, f) if x is not None else "" for x, f in zip(rows[-1], FORMATS, strict=True)), flush=True)
-    print(Table("edges", "Edges in rendered pictures", COLUMNS, FORMATS, tuple(rows)).markdown())
+    options = arguments(__doc__, pictures=40, only=())
+    cases = [case for case in CASES if not options.only or any(word in case.name for word in options.only)]
+    rows = (row(case, options.pictures) for case in cases)
+    show([table("edges", "Edges in rendered pictures", HEADING, rows, live=True)])
     if not options.only:
-        columns = ("method", "points", "seconds", "bias, px", "s, px", "own s, px")
-        formats = ("s", "d", ".2f", "+.3f", ".3f", ".3f")
-        print(Table("edges_megapixel", "A megapixel", columns, formats, tuple(megapixel())).markdown())
+        heading = "method | points {d} | seconds {.2f} | bias, px {+.3f} | s, px {.3f} | own s, px {.3f}"
+        show([table("edges_megapixel", "A megapixel", heading, megapixel())])
 
 
 if __name__ == "__main__":

@@ -6,14 +6,12 @@ and the number of runs after which an active design ends (half a minute a proble
 Run it with:  python -m verification.validation.first_nodes [--problems 40]
 """
 
-import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-from verification.validation.tables import Cell, Table
+from verification.validation.tables import arguments, show, table
 
 import strandline as sl
 from strandline.calibration import Problem, Settings, calibrate
@@ -24,21 +22,12 @@ from strandline.interface import Interface, Observation, PointErrors
 from strandline.models.protocol import Simulation
 from strandline.surrogate.field import FieldTraining, fit_field
 
-__all__ = ["Family", "posterior", "table"]
-
 SD = 0.01
 """Standard deviation of the observed points, mm; outlines have a radius of about 1 mm."""
 RUNS, SEEN, GRID = 48, 50, 41
 LOW, HIGH = np.zeros(2), np.ones(2)
 WAVES = np.array([-2, -1, 1, 2, 3])
 DESIGN = Settings(runs=8, particles=1000, surrogate="field", active=Active(120, batch=4), draft=True)
-
-
-class Moments(NamedTuple):
-    """Mean and standard deviation of each input."""
-
-    mean: np.ndarray
-    sd: np.ndarray
 
 
 class Family:
@@ -67,8 +56,10 @@ def closed(points: np.ndarray, first: int = 0, *, back: bool = False) -> Interfa
     return Interface.polyline(np.roll(points[::-1] if back else points, -first, axis=0), closed=True)
 
 
-def posterior(family: Family, make: Callable[[np.ndarray], Interface], nodes: int) -> tuple[Moments, str]:
-    """Return the posterior by runs of `make`, and how they share their points."""
+def posterior(
+    family: Family, make: Callable[[np.ndarray], Interface], nodes: int
+) -> tuple[np.ndarray, np.ndarray, str]:
+    """Return mean and sd of the posterior by runs of `make`, and how these share their points."""
     x = np.asarray(sobol(RUNS, 2, scramble=3))
     surrogate = fit_field(FieldTraining(x, [{"": make(row)} for row in x], None, LOW, HIGH))
     template = surrogate.layouts[""].template
@@ -84,7 +75,7 @@ def posterior(family: Family, make: Callable[[np.ndarray], Interface], nodes: in
         sd = np.sqrt(weights @ (grid - mean) ** 2 / weights.sum())
         reach = 6 * np.maximum(sd, (high - low) / GRID)
         low, high = np.clip(mean - reach, 0, 1), np.clip(mean + reach, 0, 1)
-    return Moments(mean, sd), ", ".join(surrogate.ways)
+    return mean, sd, ", ".join(surrogate.ways)
 
 
 @dataclass(frozen=True)
@@ -127,28 +118,27 @@ def compared(seed: int) -> list[tuple[str, float, float, str, int, int]]:
         def still(x: np.ndarray, nodes: int = nodes) -> Interface:
             return closed(family(x, nodes))
 
-        fixed, _ = posterior(family, still, nodes)
-        other, ways = posterior(family, make, nodes)
-        off = float(np.max(np.abs(other.mean - fixed.mean) / fixed.sd))
-        wider = float(np.max(np.abs(other.sd / fixed.sd - 1)))
+        mean, sd, _ = posterior(family, still, nodes)
+        other_mean, other_sd, ways = posterior(family, make, nodes)
+        off = float(np.max(np.abs(other_mean - mean) / sd))
+        wider = float(np.max(np.abs(other_sd / sd - 1)))
         found.append((kind, off, wider, ways, runs_of_a_design(family, still), runs_of_a_design(family, make)))
     return found
 
 
-def table(problems: int) -> Table:
-    """Return the largest differences over the problems."""
+def rows(problems: int) -> Iterator[tuple]:
+    """Yield the largest differences over the problems."""
     results = [one for seed in range(problems) for one in compared(seed)]
-    rows: list[tuple[Cell, ...]] = []
     for kind in dict.fromkeys(one[0] for one in results):
         mine = [one for one in results if one[0] == kind]
         ways = "; ".join(sorted({one[3] for one in mine}))
         worst = max(one[1] for one in mine), max(one[2] for one in mine)
-        rows.append((kind, len(mine), *worst, ways, sum(one[4] for one in mine), sum(one[5] for one in mine)))
-    columns = "outlines", "problems", "mean off, sd", "width off, share", "common points", "runs, fixed", "runs, these"
-    return Table("first nodes", "Against fixed nodes", columns, ("s", "d", ".2g", ".2g", "s", "d", "d"), tuple(rows))
+        yield kind, len(mine), *worst, ways, sum(one[4] for one in mine), sum(one[5] for one in mine)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--problems", type=int, default=40)
-    print(table(parser.parse_args().problems).markdown())
+    heading = (
+        "outlines | problems {d} | mean off, sd {.2g} | width off, share {.2g} | common points "
+        "| runs, fixed {d} | runs, these {d}"
+    )
+    show([table("first nodes", "Against fixed nodes", heading, rows(arguments(__doc__, problems=40).problems))])

@@ -5,17 +5,17 @@ stated noise from the predicted outline, and posteriors are integrated on a grid
 for σ_N² takes seconds, so that one observation in 25 serves for the next ones too.
 
     python -m verification.validation.noise_coverage [--observations 200] [--runs 64] [--ledger FOLDER] [NOISE ...]
+
+NOISE is part of the name of a noise; `--others` adds further measures.
 """
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from jaxtyping import Float
-from verification.validation.tables import Table
+from verification.validation.tables import arguments, kept_or_scratch, show, table
 
 from strandline.design import sobol
 from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, MeasurementLines, NormalOffset
@@ -34,6 +34,7 @@ from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
 LOW, HIGH = np.array([100.0, -0.8]), np.array([800.0, 0.5])
 SPACING = 0.005
 """Distance of the observed points, mm."""
+Pair = Float[np.ndarray, " 2"]
 GLOBAL = {"shift": 0.008, "rotation": 0.5, "scale": 0.005, "offset": 0.002}
 NOISES = {
     "white 1 µm": PointErrors(0.001),
@@ -70,12 +71,11 @@ class Found:
     sds: Float[np.ndarray, "observation 2"]
     limits: Float[np.ndarray, "observation 2"]
 
-    def row(self, noise: str, measure: str) -> tuple[object, ...]:
+    def row(self) -> list[float]:
         """Return coverage in %, p-values of the ranks' uniformity, and widths relative to the Cramér–Rao limit."""
-        cover = 100 * coverage_of(self.ranks, 0.9).found
         p = [uniformity(self.ranks[:, k]).p_value for k in (0, 1)]
-        wide = np.median(self.sds / self.limits, axis=0)
-        return noise, measure, *cover.tolist(), *p, *wide.tolist()
+        cover, wide = 100 * coverage_of(self.ranks, 0.9).found, np.median(self.sds / self.limits, axis=0)
+        return [*cover.tolist(), *p, *wide.tolist()]
 
 
 def surrogate(runs: int, folder: Path) -> FieldSurrogate:
@@ -89,7 +89,7 @@ def surrogate(runs: int, folder: Path) -> FieldSurrogate:
     return fit_field(FieldTraining(x[good], [records[k].interfaces for k in good], None, LOW, HIGH), tolerance=1e-6)
 
 
-def observed(field: FieldSurrogate, truth: Float[np.ndarray, " 2"], errors: PointErrors, seed: int) -> Interface:
+def observed(field: FieldSurrogate, truth: Pair, errors: PointErrors, seed: int) -> Interface:
     """Return an outline drawn around the predicted one."""
     predicted = field.interfaces(truth)[""]
     number = round(float(predicted.lengths.sum()) / SPACING) + 1
@@ -104,12 +104,7 @@ def limit(field: FieldSurrogate, seen: Interface, errors: PointErrors) -> tuple[
     return lin.at, np.sqrt(np.diag(covariance))
 
 
-def posterior(
-    likelihood: FieldLikelihood,
-    truth: Float[np.ndarray, " 2"],
-    at: Float[np.ndarray, " 2"],
-    sd: Float[np.ndarray, " 2"],
-) -> tuple[np.ndarray, np.ndarray]:
+def posterior(likelihood: FieldLikelihood, truth: Pair, at: Pair, sd: Pair) -> tuple[np.ndarray, np.ndarray]:
     """Return rank of the truth and standard deviation in each input, by quadrature on a grid that adapts."""
     for _ in range(8):
         low, high = np.maximum(at - REACH * sd, LOW), np.minimum(at + REACH * sd, HIGH)
@@ -161,27 +156,21 @@ def measured(field: FieldSurrogate, errors: PointErrors, number: int, *, more: b
 
 def main() -> None:
     """Print the table, a row at a time."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("noises", nargs="*", help="parts of the names of noises; default: all")
-    parser.add_argument("--observations", type=int, default=200)
-    parser.add_argument("--others", action="store_true", help="further measures, too")
-    parser.add_argument("--runs", type=int, default=64)
-    parser.add_argument("--ledger", type=Path, help="folder of the runs; default: a new one, removed at the end")
-    options = parser.parse_args()
+    options = arguments(__doc__, words="NOISE", observations=200, others=False, runs=64, ledger=Path)
     use_double()
-    columns = ("noise", "measure", "E covered, %", "ν covered, %", "p(E)", "p(ν)", "sd(E) / limit", "sd(ν) / limit")
-    formats = ("s", "s", ".1f", ".1f", ".3f", ".3f", ".2f", ".2f")
-    with TemporaryDirectory() as scratch:
-        folder = options.ledger or Path(scratch)
-        folder.mkdir(parents=True, exist_ok=True)
+    with kept_or_scratch(options.ledger) as folder:
         field = surrogate(options.runs, folder)
-    rows = []
-    for name, errors in NOISES.items():
-        if not options.noises or any(word in name for word in options.noises):
-            for measure, found in measured(field, errors, options.observations, more=options.others):
-                rows.append(found.row(name, measure))
-                print(*rows[-1], sep="  ", flush=True)
-    print(Table("noise_coverage", "Coverage of 90 % intervals", columns, formats, tuple(rows)).markdown())
+    rows = (
+        (name, measure, *found.row())
+        for name, errors in NOISES.items()
+        if not options.words or any(word in name for word in options.words)
+        for measure, found in measured(field, errors, options.observations, more=options.others)
+    )
+    heading = (
+        "noise | measure | E covered, % {.1f} | ν covered, % {.1f} | p(E) {.3f} | p(ν) {.3f} "
+        "| sd(E) / limit {.2f} | sd(ν) / limit {.2f}"
+    )
+    show([table("noise_coverage", "Coverage of 90 % intervals", heading, rows, live=True)])
 
 
 if __name__ == "__main__":

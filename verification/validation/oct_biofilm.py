@@ -1,15 +1,13 @@
 """Two scans of a biofilm → stiffness and Poisson's ratio: how often the truth lies in the 90 % region.
 
-python -m verification.validation.oct_biofilm [--renderings 40] [--folder FOLDER]
+    python -m verification.validation.oct_biofilm [--renderings 40] [--folder FOLDER]
 
 Each rendering has its own truth, drawn from the prior, its own motion of the flow cell between the two scans, speckle,
 shadows, and points marked along both outlines, off by 2 px. The study is that of `examples/oct-biofilm`, run whole by
 `strandline run`: edges, their errors, registration, forward runs, posterior.
 """
 
-import argparse
 import sys
-import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -18,48 +16,43 @@ import numpy as np
 import yaml
 from jaxtyping import Float
 from scipy.stats import gaussian_kde
+from verification.validation.tables import EXAMPLES, arguments, finish, kept_or_scratch
 
 import strandline as sl
-from strandline.errors import ForwardModelError
-from strandline.studies import load_study, run_study
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "oct-biofilm"
-RENDERINGS = 40
+EXAMPLE = EXAMPLES / "oct-biofilm"
 AIM = 0.85
 MARKED, CLICK = 13, 2.0
 """Points marked along an outline, and how far they are off in x and in y, px (sd)."""
 LOW, HIGH = np.array([150.0, 0.0]), np.array([800.0, 0.48])
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Render, run, count; return 1 if the truth lies in the 90 % region in fewer than 85 % of the renderings."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--renderings", type=int, default=RENDERINGS)
-    parser.add_argument("--folder", type=Path, help="keep the studies here")
-    given = parser.parse_args(arguments)
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = given.folder or Path(temporary)
-        rows = [one_rendering(folder / f"{seed:02d}", seed) for seed in range(given.renderings)]
-    shares = np.array([row["level"] for row in rows])
-    inside = float(np.mean(shares < 0.9))
-    by_input = np.mean([row["inside"] for row in rows], axis=0)
-    print(f"\ntruth in the joint 90 % region: {100 * inside:.1f} % of {len(rows)} (aim: at least {100 * AIM:.0f} %)")
-    print(f"in the 90 % interval of E {100 * by_input[0]:.1f} %, of nu {100 * by_input[1]:.1f} %")
-    print(f"seconds, median: {np.median([row['seconds'] for row in rows]):.0f}")
-    return 0 if inside >= AIM else 1
+def main() -> None:
+    """Render, run, count; exit with 1 if the truth lies in the 90 % region in fewer than 85 % of the renderings."""
+    given = arguments(__doc__, renderings=40, folder=Path)
+    with kept_or_scratch(given.folder) as folder:
+        found = [one_rendering(folder / f"{seed:02d}", seed) for seed in range(given.renderings)]
+    levels, inside, seconds = (np.array(column) for column in zip(*found, strict=True))
+    share, by_input = 100 * float(np.mean(levels < 0.9)), 100 * inside.mean(axis=0)
+    print(f"\ntruth in the joint 90 % region: {share:.1f} % of {len(found)} (aim: at least {100 * AIM:.0f} %)")
+    print(f"in the 90 % interval of E {by_input[0]:.1f} %, of nu {by_input[1]:.1f} %")
+    print(f"seconds, median: {np.median(seconds):.0f}")
+    finish([] if share >= 100 * AIM else ["too few"])
 
 
-def one_rendering(folder: Path, seed: int) -> dict[str, Any]:
-    """Render two scans, run the study on them, and return how the truth lies in its posterior."""
+def one_rendering(folder: Path, seed: int) -> tuple[float, np.ndarray, float]:
+    """Render two scans and run the study; return level and intervals of the truth in its posterior, and seconds."""
     random = np.random.default_rng(seed)
     truth, bent = _bent(random)
     folder.mkdir(parents=True, exist_ok=True)
     _write(folder, bent, random)
     begin = time.perf_counter()
-    outcome = run_study(load_study(folder))
+    outcome = sl.run_study(sl.load_study(folder))
     seconds = time.perf_counter() - begin
     posterior = outcome.calibration.posterior
-    level = _level(posterior.draws, posterior.weights, truth)
+    density = gaussian_kde(posterior.draws.T, weights=posterior.weights)
+    denser = density(posterior.draws.T) > density(truth[:, None])
+    level = float(posterior.weights[denser].sum() / posterior.weights.sum())
     low, high = posterior.quantiles([0.05, 0.95])
     inside = (low < truth) & (truth < high)
     print(
@@ -67,7 +60,7 @@ def one_rendering(folder: Path, seed: int) -> dict[str, Any]:
         f"{posterior.mean[1]:.2f} ± {posterior.sd[1]:.2f}  level {level:.2f}  {seconds:.0f} s",
         flush=True,
     )
-    return {"level": level, "inside": inside, "seconds": seconds}
+    return level, inside, seconds
 
 
 def _bent(random: np.random.Generator) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, "point 2"]]:
@@ -76,7 +69,7 @@ def _bent(random: np.random.Generator) -> tuple[Float[np.ndarray, " 2"], Float[n
         truth = LOW + (HIGH - LOW) * random.random(2)
         try:
             found = sl.Biofilm()({"E": float(truth[0]), "nu": float(truth[1]), "V_in": 100.0})
-        except ForwardModelError:
+        except sl.ForwardModelError:
             continue
         return truth, np.asarray(found.interface.points)
 
@@ -98,7 +91,7 @@ def _write(folder: Path, bent: Float[np.ndarray, "point 2"], random: np.random.G
 
 
 def _marked(
-    made: Any, outline: Float[np.ndarray, "point 2"], moved: tuple[float, float], turned: float, random: Any
+    made: Any, outline: np.ndarray, moved: tuple[float, float], turned: float, random: Any
 ) -> list[list[float]]:
     """Return points along an outline in pixels as a person marks them; the feet, on the floor's line, more exactly."""
     c, s = np.cos(np.radians(turned)), np.sin(np.radians(turned))
@@ -108,13 +101,5 @@ def _marked(
     return np.round(at @ np.array([[c, s], [-s, c]]) + made.ORIGIN + moved + off, 1).tolist()
 
 
-def _level(
-    draws: Float[np.ndarray, "draw 2"], weights: Float[np.ndarray, " draw"], truth: Float[np.ndarray, " 2"]
-) -> float:
-    """Return the mass of the posterior where it is denser than at the truth, of a Gaussian kernel density."""
-    density = gaussian_kde(draws.T, weights=weights)
-    return float(weights[density(draws.T) > density(truth[:, None])].sum() / weights.sum())
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -4,19 +4,20 @@ True inputs are drawn from the prior, and observations with this noise are analy
 interface stands for the simulator in both, also where it errs by more than this noise hides. Needs the finished runs of
 the studies.
 
-With `--planted`, mistakes are planted in the analysis too: the ranks must then leave their band.
+With `--planted`, mistakes are planted in the analysis too, only those with a word in their name with `--mistake`: the
+ranks must then leave their band. `--published` is the number of replicates with the study's σ_N², which cost more.
 
-    python -m verification.validation.own_likelihood [--replicates 200] [--planted 60] [--mistake WORD] FOLDER ...
+    python -m verification.validation.own_likelihood [--replicates 200] [--published 100] [--planted 60]
+        [--mistake WORD] FOLDER ...
 """
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from verification.validation.tables import Table
+from verification.validation.tables import arguments, show, table
 
 from strandline.calibration.coverage import CoverageFound, repeatable, replicated
 from strandline.calibration.experiment import Experiment
@@ -48,9 +49,7 @@ def with_mistakes(experiment: Experiment) -> dict[str, Experiment]:
     }
 
 
-def rows(
-    study: Study, replicates: int, published: int, planted: int, mistake: str = ""
-) -> Iterator[tuple[object, ...]]:
+def rows(study: Study, replicates: int, published: int, planted: int, mistake: str = "") -> Iterator[tuple]:
     """Yield a row for each input with the noise's likelihood, the study's own, and planted mistakes of this name."""
     (name, measure), noise = next(iter(study.discrepancies.items())), study.noise
     own = replace(study, noise=ERRORS, discrepancies={"normal_offset": NormalOffset()})
@@ -74,9 +73,8 @@ def rows(
         analyses |= {label: (one, planted) for label, one in wrong if mistake in label}
         for label, (one, number) in analyses.items():
             begun = perf_counter()
-            found = CoverageFound(
-                study.space.names, tuple(replicated(one, source, seed=3, number=k) for k in range(number))
-            )
+            replicates_of_it = tuple(replicated(one, source, seed=3, number=k) for k in range(number))
+            found = CoverageFound(study.space.names, replicates_of_it)
             seconds = perf_counter() - begun
             for i, parameter in enumerate(study.space):
                 cover = [100 * interval.found[i] for interval in found.intervals]
@@ -96,27 +94,20 @@ def rows(
                 )
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folders", nargs="+", type=Path, help="folders of finished studies")
-    parser.add_argument("--replicates", type=int, default=200)
-    parser.add_argument("--published", type=int, default=100, help="replicates with the study's σ_N², which cost more")
-    parser.add_argument("--planted", type=int, default=0, help="replicates with each planted mistake")
-    parser.add_argument("--mistake", default="", help="plant only mistakes with this word in their name")
-    options = parser.parse_args()
-    use_double()
-    columns = ("study", "likelihood", "observations", "input", "mean sd", "sd / limit")
-    columns += ("50 % cover", "90 % cover", "sd of z", "ranks in band")
-    columns += ("90 % region", "ranks of log L in band", "s each")
-    formats = ("s", "s", "d", "s", ".3g", ".2f", ".0f", ".0f", ".2f", "s", ".0f", "s", ".2f")
-    found: list[tuple[object, ...]] = []
-    for folder in options.folders:
-        for row in rows(load_study(folder), options.replicates, options.published, options.planted, options.mistake):
-            found.append(row)
-            print(*row, sep="  ", flush=True)
-    print(Table("own_likelihood", "1 µm of white noise", columns, formats, tuple(found)).markdown())
+HEADING = (
+    "study | likelihood | observations {d} | input | mean sd {.3g} | sd / limit {.2f} | 50 % cover {.0f} "
+    "| 90 % cover {.0f} | sd of z {.2f} | ranks in band | 90 % region {.0f} | ranks of log L in band | s each {.2f}"
+)
 
 
 if __name__ == "__main__":
-    main()
+    options = arguments(__doc__, words="FOLDER", replicates=200, published=100, planted=0, mistake="")
+    use_double()
+    found = (
+        row
+        for folder in options.words
+        for row in rows(
+            load_study(Path(folder)), options.replicates, options.published, options.planted, options.mistake
+        )
+    )
+    show([table("own_likelihood", "1 µm of white noise", HEADING, found, live=True)])

@@ -9,17 +9,15 @@ states, and the method's own bias comes on top. Posteriors are integrated on a g
     python -m verification.validation.picture_coverage [--pictures 200] [--runs 64] [--ledger FOLDER] [KIND ...]
 """
 
-import argparse
-import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from jaxtyping import Float
 from verification.validation.noise_coverage import GLOBAL, HIGH, LOW, limit, posterior, surrogate
 from verification.validation.rendered import PIXEL, Camera, Scan, clicks
-from verification.validation.tables import Table
+from verification.validation.tables import arguments, finish, kept_or_scratch, show, table
 
 from strandline.discrepancy import NormalOffset
 from strandline.errors import InvalidInput
@@ -63,15 +61,7 @@ KINDS = {
 
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """What the pictures of one kind give.
-
-    Args:
-        kind: Name of the kind.
-        ranks: Ranks of the truths, shape (picture, 2).
-        control: The same if points are taken as independent, without global errors.
-        sds: Standard deviations of the posteriors, shape (picture, 2).
-        refused: Share of the pictures in which no edge was found.
-    """
+    """Ranks of the truths, those if points are taken as independent, sds, and the share of pictures without an edge."""
 
     kind: str
     ranks: Float[np.ndarray, "picture 2"]
@@ -167,35 +157,29 @@ def _posterior(
     return posterior(likelihood, truth, *limit(field, seen, errors))
 
 
-COLUMNS = (
-    "picture", "found", "refused, %", "E covered, %", "ν covered, %", "control: E, %", "ν, %", "p(E)", "p(ν)",
-    "sd(E), Pa", "sd(ν)",
-)  # fmt: skip
-FORMATS = ("s", "d", ".1f", ".1f", ".1f", ".1f", ".1f", ".3f", ".3f", ".1f", ".3f")
+HEADING = (
+    "picture | found {d} | refused, % {.1f} | E covered, % {.1f} | ν covered, % {.1f} | control: E, % {.1f} "
+    "| ν, % {.1f} | p(E) {.3f} | p(ν) {.3f} | sd(E), Pa {.1f} | sd(ν) {.3f}"
+)
 
 
 def main() -> None:
     """Print the table, a row at a time; exit with 1 on a missed aim."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kinds", nargs="*", help="names of kinds of pictures; default: those with aims")
-    parser.add_argument("--pictures", type=int, default=200)
-    parser.add_argument("--runs", type=int, default=64)
-    parser.add_argument("--ledger", type=Path, help="folder of the runs; default: a new one, removed at the end")
-    options = parser.parse_args()
+    options = arguments(__doc__, words=KINDS, pictures=200, runs=64, ledger=Path)
     use_double()
-    with TemporaryDirectory() as scratch:
-        folder = options.ledger or Path(scratch)
-        folder.mkdir(parents=True, exist_ok=True)
+    with kept_or_scratch(options.ledger) as folder:
         field = surrogate(options.runs, folder)
-    rows, failed = [], []
-    for name, kind in KINDS.items():
-        if name in options.kinds or (kind.judged and not options.kinds):
-            found = covered(field, name, kind, options.pictures)
-            rows.append(found.row())
-            failed += found.missed() if kind.judged else []
-            print(*(format(x, form) for x, form in zip(rows[-1], FORMATS, strict=True)), sep="  ", flush=True)
-    print(Table("picture_coverage", "Coverage from pictures", COLUMNS, FORMATS, tuple(rows)).markdown())
-    sys.exit("\n".join(failed) or 0)
+    kinds = options.words or [name for name, kind in KINDS.items() if kind.judged]
+    found = (covered(field, name, KINDS[name], options.pictures) for name in kinds)
+    missed = []
+
+    def rows() -> Iterator[tuple[str | float, ...]]:
+        for one in found:
+            missed.extend(one.missed() if KINDS[one.kind].judged else [])
+            yield one.row()
+
+    show([table("picture_coverage", "Coverage from pictures", HEADING, rows(), live=True)])
+    finish(missed)
 
 
 if __name__ == "__main__":

@@ -17,8 +17,6 @@ from strandline.imaging.edge import Edge
 from strandline.imaging.noise_covariance import autocovariance, sum_to_first_zero
 from strandline.imaging.template import learnt_template, levelled
 
-__all__ = ["CANDIDATES", "Tables", "tables"]
-
 CANDIDATES = np.arange(-80, 81) * 0.05
 """Places of the edge on a normal, px from the edge's smoothed course."""
 

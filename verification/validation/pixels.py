@@ -5,11 +5,10 @@ of that shape crosses the normals, thinned by the number of samples that count a
 way: `find_edge`, its own errors, and `normal_offset`. Both see the same cameras and OCT B-scans of arches whose height
 and shear are drawn; paths are 12 clicks, off by 2.5 px.
 
-    python -m verification.validation.pixels [--pictures 100] [--only camera|OCT]
+    python -m verification.validation.pixels [--pictures 100] [camera|OCT]
 """
 
-import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +16,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 from verification.validation.pixel_tables import CANDIDATES, Tables, tables
 from verification.validation.rendered import Camera, Scan, clicks, shaped
-from verification.validation.tables import Table
+from verification.validation.tables import arguments, show, table
 
 from strandline.discrepancy import NormalOffset
 from strandline.discrepancy.normal_offset import signed_distances
@@ -32,11 +31,10 @@ BESIDE = 1.4
 """Samples beside an edge that count as one, over those away from it: the factor in the product's κ."""
 REACH, PLACES, OFFSETS = 4.5, 25, np.linspace(-3.0, 3.0, 13)
 """Half the width of the grid in posterior sds, its nodes along each input, and nodes of the offset in its sds."""
-COLUMNS = (
-    "way", "pictures", "height covered, %", "shear covered, %", "width of height, %", "width of shear, %",
-    "needed for height, %", "needed for shear, %",
-)  # fmt: skip
-FORMATS = ("s", "d", ".0f", ".0f", ".2f", ".2f", ".2f", ".2f")
+HEADING = (
+    "way | pictures {d} | height covered, % {.0f} | shear covered, % {.0f} | width of height, % {.2f} "
+    "| width of shear, % {.2f} | needed for height, % {.2f} | needed for shear, % {.2f}"
+)
 """Widths are those of 90 % intervals, in % of the height and in 0.01 of shear; needed is that of the true errors."""
 Shape = Float[np.ndarray, "2"]
 LogDensity = Callable[[Float[np.ndarray, "shape 2"]], Float[np.ndarray, " shape"]]
@@ -161,26 +159,26 @@ def compared(kind: str, seed: int) -> dict[str, Posterior]:
     }
 
 
+def rows(found: list[dict[str, Posterior]]) -> Iterator[tuple]:
+    """Yield the row of each way."""
+    for way in found[0]:
+        rank, sd, off = (np.array([getattr(one[way], name) for one in found]) for name in ("rank", "sd", "off"))
+        covered, wide = 100 * (np.abs(rank - 0.5) < 0.45).mean(axis=0), 100 * 3.29 * sd.mean(axis=0)
+        error = 100 * 3.29 * np.sqrt((off**2).mean(axis=0))
+        yield way, len(found), *covered.tolist(), *wide.tolist(), *error.tolist()
+
+
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--pictures", type=int, default=100)
-    parser.add_argument("--only", choices=KINDS)
-    options = parser.parse_args()
-    for kind in [options.only] if options.only else KINDS:
+    options = arguments(__doc__, words=KINDS, pictures=100)
+    for kind in options.words or KINDS:
         found = []
         for seed in range(options.pictures):
             try:
                 found.append(compared(kind, seed))
             except InvalidInput as refusal:
                 print(f"  {kind}, picture {seed}: {str(refusal).partition('.')[0]}", flush=True)
-        rows = []
-        for way in found[0]:
-            rank, sd, off = (np.array([getattr(one[way], name) for one in found]) for name in ("rank", "sd", "off"))
-            covered, wide = 100 * (np.abs(rank - 0.5) < 0.45).mean(axis=0), 100 * 3.29 * sd.mean(axis=0)
-            error = 100 * 3.29 * np.sqrt((off**2).mean(axis=0))
-            rows.append((way, len(found), *covered.tolist(), *wide.tolist(), *error.tolist()))
-        print(kind, Table(kind, kind, COLUMNS, FORMATS, tuple(rows)).markdown(), sep="\n", flush=True)
+        show([table(kind, kind, HEADING, rows(found))])
 
 
 if __name__ == "__main__":

@@ -11,14 +11,14 @@ The true model makes all outlines, with errors of 3 µm at each point. One study
 The folder keeps the runs, so that a second call makes none.
 """
 
-import argparse
 import time
+from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from verification.validation.tables import Table, put_into_page
+from verification.validation.tables import DOCS, arguments, show, table
 
 import strandline as sl
 from strandline.questions.many import Task, posteriors_of
@@ -26,7 +26,7 @@ from strandline.questions.opened import Specimens
 from strandline.questions.population import population_of, shrunk
 from strandline.questions.specimen import SpecimenPosterior
 
-PAGE = Path(__file__).parents[2] / "docs" / "results" / "accuracy.md"
+PAGE = DOCS / "how-to" / "many-specimens.md"
 STUDY = """\
 version: 1
 name: many-biofilms
@@ -44,10 +44,7 @@ executor: {local: {timeout: 120}}
 """
 ERRORS = sl.PointErrors(0.003)
 MEAN, SPREAD = np.array([400.0, 0.2]), np.array([40.0, 0.08])
-LOWEST, HIGHEST = (
-    np.array([[300.0, 0.0], [20.0, 0.03]]),
-    np.array([[500.0, 0.25], [60.0, 0.1]]),
-)
+LOWEST, HIGHEST = np.array([[300.0, 0.0], [20.0, 0.03]]), np.array([[500.0, 0.25], [60.0, 0.1]])
 """Range of the populations' means and spreads, of E and of ν."""
 OF_EACH = 25
 OTHER_RUNS = 128
@@ -81,17 +78,12 @@ def full(study: sl.Study, seen: sl.Interface, ledger: Path) -> tuple[np.ndarray,
     return np.asarray(posterior.mean), np.asarray(posterior.sd)
 
 
-def within(low: float, high: float, truth: float) -> bool:
-    """Return whether an interval contains the truth."""
-    return low <= truth <= high
-
-
-def covered(found: Sequence[SpecimenPosterior], mean: np.ndarray, spread: np.ndarray) -> Iterator[bool]:
+def covered(found: Sequence[SpecimenPosterior], mean: np.ndarray, spread: np.ndarray) -> Iterator[np.bool_]:
     """Yield for E and ν whether the intervals of the mean and of the spread contain them."""
     population = population_of(found)
     for draws, truth in ((population.mean, mean), (population.sd, spread)):
         low, high = np.quantile(draws, [0.05, 0.95], axis=0)
-        yield from (within(*ends) for ends in zip(low, high, truth, strict=True))
+        yield from (low <= truth) & (truth <= high)
 
 
 def populations(study: sl.Study, opened: Specimens, number: int, folder: Path) -> tuple[list[int], float]:
@@ -110,7 +102,7 @@ def populations(study: sl.Study, opened: Specimens, number: int, folder: Path) -
     return counts.tolist(), float(np.concatenate(inside).mean())
 
 
-def rows(options: argparse.Namespace, folder: Path) -> Iterator[tuple[str, str, str]]:
+def rows(options: Namespace, folder: Path) -> Iterator[tuple[str, str, str]]:
     """Yield each quantity, its aim, and what was found."""
     (folder / "study.yaml").write_text(STUDY, encoding="utf-8")
     study = sl.load_study(folder)
@@ -138,35 +130,16 @@ def rows(options: argparse.Namespace, folder: Path) -> Iterator[tuple[str, str, 
     text = f"{worst:.3f} sd at most, median {np.median(shifts):.3f}; sd ratio {ratio.min():.2f} to {ratio.max():.2f}"
     yield f"{len(shifts)} posterior means against full analyses", "≤ 0.1 sd", text
     counts, inside = populations(study, opened, options.populations, folder)
-    of = [
-        f"{name} {100 * count / options.populations:.0f} %"
-        for name, count in zip(("mean of E", "mean of ν", "spread of E", "spread of ν"), counts, strict=True)
-    ]
+    names = ("mean of E", "mean of ν", "spread of E", "spread of ν")
+    of = [f"{name} {100 * count / options.populations:.0f} %" for name, count in zip(names, counts, strict=True)]
     share = 100 * sum(counts) / (4 * options.populations)
     aim = f"90 % intervals of {options.populations} populations of {OF_EACH}"
     yield aim, "85 to 95 %", f"{share:.0f} % ({', '.join(of)})"
     yield "90 % shrunk intervals of their specimens", "", f"{100 * inside:.0f} %"
 
 
-def main() -> None:
-    """Print the table; with `--publish`, put it into the page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--folder", type=Path, default=Path("populations"), help="folder of study and runs")
-    parser.add_argument("--specimens", type=int, default=1000)
-    parser.add_argument("--checked", type=int, default=50)
-    parser.add_argument("--populations", type=int, default=40)
-    parser.add_argument("--publish", action="store_true", help="put the table into docs/results/accuracy.md")
-    options = parser.parse_args()
-    options.folder.mkdir(parents=True, exist_ok=True)
-    found = []
-    for row in rows(options, options.folder):
-        found.append(row)
-        print(*row, sep="  ", flush=True)
-    table = Table("populations", "Many biofilms", ("what", "aim", "found"), ("s", "s", "s"), tuple(found))
-    print(table.markdown())
-    if options.publish:
-        PAGE.write_text(put_into_page(PAGE.read_text("utf-8"), [table]), "utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    chosen = arguments(__doc__, folder=Path("populations"), specimens=1000, checked=50, populations=40, publish=False)
+    chosen.folder.mkdir(parents=True, exist_ok=True)
+    found = table("populations", "Many biofilms", "what | aim | found", rows(chosen, chosen.folder), live=True)
+    show([found], page=PAGE if chosen.publish else None)

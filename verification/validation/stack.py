@@ -6,14 +6,11 @@ long along z. The time is that from the array to the observation: surface, thinn
     python -m verification.validation.stack [--stacks 3] [--planes 128]
 """
 
-import argparse
-import sys
 import time
-from dataclasses import dataclass
 
 import numpy as np
 from verification.validation.rendered_stacks import Blob, Microscope
-from verification.validation.tables import Table
+from verification.validation.tables import arguments, finish, show, table
 
 from strandline.discrepancy import ClosestPoint, Currents
 from strandline.imaging.surfaces import StackFrame, find_surface
@@ -22,33 +19,20 @@ from strandline.interface import GaussianNoise, Interface, Observation
 SECONDS, DISTANCE, OWN, TRIANGLES = 3.0, 0.1, (0.7, 1.3), 5000
 """Aims: longest time, largest rms distance from the truth in sides of a voxel, own s over s, most triangles."""
 SMALLEST = 1e-3
-COLUMNS = (
-    "voxels", "seconds", "triangles", "rms distance", "bias", "own offset", "s", "own s / s", "ℓ",
-    "closest point, s", "currents, s",
-)  # fmt: skip
-FORMATS = ("s", ".2f", "d", ".3f", "+.3f", ".3f", ".3f", ".2f", ".2f", ".2f", ".2f")
+HEADING = (
+    "voxels | seconds {.2f} | triangles {d} | rms distance {.3f} | bias {+.3f} | own offset {.3f} | s {.3f} "
+    "| own s / s {.2f} | ℓ {.2f} | closest point, s {.2f} | currents, s {.2f}"
+)
 
 
-@dataclass(frozen=True)
-class Case:
-    """Stacks of one kind.
-
-    Args:
-        name: Its name in the table.
-        along: Length of a voxel along z over its width.
-    """
-
-    name: str
-    along: float
-
-    def solid(self, planes: int) -> tuple[Blob, Microscope]:
-        """Return the solid, and the microscope with so many planes."""
-        shape = (planes, 2 * planes, 2 * planes)
-        voxel = (SMALLEST, SMALLEST, self.along * SMALLEST)
-        size = SMALLEST * np.array([2 * planes, 2 * planes, self.along * planes])
-        centre, axes = tuple((0.5 * size + 0.3 * SMALLEST).tolist()), tuple((0.36 * size).tolist())
-        blur = (1.5 * SMALLEST, 1.5 * SMALLEST, 1.5 * SMALLEST * self.along)
-        return Blob(centre, axes, bumps=0.04), Microscope(voxel, shape, blur)
+def solid(along: float, planes: int) -> tuple[Blob, Microscope]:
+    """Return a solid, and the microscope with so many planes, `along` times as far apart as the voxels are wide."""
+    shape = (planes, 2 * planes, 2 * planes)
+    voxel = (SMALLEST, SMALLEST, along * SMALLEST)
+    size = SMALLEST * np.array([2 * planes, 2 * planes, along * planes])
+    centre, axes = tuple((0.5 * size + 0.3 * SMALLEST).tolist()), tuple((0.36 * size).tolist())
+    blur = (1.5 * SMALLEST, 1.5 * SMALLEST, 1.5 * SMALLEST * along)
+    return Blob(centre, axes, bumps=0.04), Microscope(voxel, shape, blur)
 
 
 def seconds_of(measure: ClosestPoint | Currents, seen: Interface) -> float:
@@ -59,12 +43,11 @@ def seconds_of(measure: ClosestPoint | Currents, seen: Interface) -> float:
     return time.perf_counter() - start
 
 
-def row(case: Case, stacks: int, planes: int) -> tuple[tuple[object, ...], bool]:
+def row(name: str, along: float, stacks: int, planes: int) -> tuple[tuple, bool]:
     """Return what was found in stacks of one kind, and whether the aims were met."""
-    blob, microscope = case.solid(planes)
+    blob, microscope = solid(along, planes)
     clean, side = microscope.clean(blob), float(np.prod(microscope.voxel)) ** (1 / 3)
     times, off, own, offsets, lengths, triangles = [], [], [], [], [], 0
-    seen: Interface | None = None
     for seed in range(stacks):
         stack = microscope.with_noise(clean, np.random.default_rng([7, seed]))
         start = time.perf_counter()
@@ -77,14 +60,13 @@ def row(case: Case, stacks: int, planes: int) -> tuple[tuple[object, ...], bool]
         offsets.append(surface.errors.offset / side)
         lengths.append(surface.errors.length / side)
         triangles = max(triangles, len(seen.cells))
-    assert seen is not None
     inside = np.concatenate([off[-1], blob.distances(seen.centres) / side])
     rms = max(float(np.sqrt(np.mean(part**2))) for part in (*off, inside))
     scatter = np.array([part.std() for part in off])
     ratios = np.array(own) / scatter
     width = 0.1 * float(np.ptp(seen.points, axis=0).max())
     found = (
-        f"{case.name}, {2 * planes} × {2 * planes} × {planes}",
+        f"{name}, {2 * planes} × {2 * planes} × {planes}",
         max(times),
         triangles,
         rms,
@@ -101,20 +83,10 @@ def row(case: Case, stacks: int, planes: int) -> tuple[tuple[object, ...], bool]
     return found, met and triangles <= TRIANGLES
 
 
-def main() -> None:
-    """Print the table; exit with 1 if an aim is missed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--stacks", type=int, default=3)
-    parser.add_argument("--planes", type=int, default=128)
-    options = parser.parse_args()
-    found = [row(case, options.stacks, options.planes) for case in (Case("cubes", 1.0), Case("twice as long", 2.0))]
-    print(Table("stack", "Surfaces in rendered stacks", COLUMNS, FORMATS, tuple(one for one, _ in found)).markdown())
-    met = all(fine for _, fine in found)
-    low, high = OWN
-    aims = f"{SECONDS:g} s, rms distance {DISTANCE:g}, own s / s from {low:g} to {high:g}"
-    print(f"aims: {aims}: {'met' if met else 'missed'}")
-    sys.exit(0 if met else 1)
-
-
 if __name__ == "__main__":
-    main()
+    options = arguments(__doc__, stacks=3, planes=128)
+    kinds = {"cubes": 1.0, "twice as long": 2.0}
+    found, met = zip(*(row(*kind, options.stacks, options.planes) for kind in kinds.items()), strict=True)
+    show([table("stack", "Surfaces in rendered stacks", HEADING, found)])
+    aims = f"aims: {SECONDS:g} s, rms distance {DISTANCE:g}, own s / s from {OWN[0]:g} to {OWN[1]:g}"
+    finish([] if all(met) else [f"{aims}: missed"])

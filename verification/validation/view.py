@@ -9,11 +9,9 @@ it is shown; and from a slider's move until the interface or the posterior has f
 again. Times depend on the machine; the server and the browser share its cores.
 """
 
-import argparse
 import shutil
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,17 +19,17 @@ from typing import Any
 
 import numpy as np
 from playwright.sync_api import sync_playwright
-from verification.validation.tables import Table, put_into_page
+from verification.validation.tables import DOCS, arguments, kept_or_scratch, show, table
 
 import strandline as sl
 from strandline.runs import RunRequest
 from strandline.testing.studies import beam, write_study
 from strandline.view import Server, serving
 
-PAGE = Path(__file__).parents[2] / "docs" / "results" / "speed.md"
+PAGE = DOCS / "how-to" / "view.md"
 SIZES = (100, 10_000, 100_000)
 FAILING = 0.1
-COLUMNS = ("runs", "start", "first opening", "first paint", "counts", "runs drawn", "a run", "prediction", "posterior")
+HEADING = "runs | start | first opening | first paint | counts | runs drawn | a run | prediction | posterior"
 READY = "() => document.querySelectorAll('#counts div').length > 0"
 DRAWN = "() => document.querySelectorAll('#pair-plot .points path').length > 20"
 PAINT = "() => performance.getEntriesByType('paint').find((e) => e.name === 'first-contentful-paint').startTime / 1000"
@@ -75,7 +73,6 @@ def _new_process(study: sl.Study, browser: Any) -> tuple[float, float]:
     command = [sys.executable, "-m", "strandline", "view", str(study.folder), "--no-browser"]
     page, begun = browser.new_page(viewport={"width": 1280, "height": 900}), time.perf_counter()
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
-        assert server.stdout is not None
         url, started = server.stdout.readline().split()[-1], time.perf_counter()
         page.goto(url, wait_until="commit")
         page.wait_for_function(DRAWN)
@@ -127,20 +124,15 @@ def row(runs: int, repeats: int, folder: Path, browser: Any) -> tuple[str, ...]:
 
 
 def main() -> None:
-    """Print the table; with `--publish`, put it into the page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=7)
-    parser.add_argument("--publish", action="store_true", help="put the table into docs/results/speed.md")
-    options = parser.parse_args()
+    """Print the table; with `--publish`, put it into the how-to."""
+    options = arguments(__doc__, repeats=7, publish=False)
     chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    with tempfile.TemporaryDirectory(prefix="strandline-") as home, sync_playwright() as started:
+    with kept_or_scratch(None) as home, sync_playwright() as started:
         browser = started.chromium.launch(executable_path=chromium)
-        rows = tuple(row(runs, options.repeats, Path(home) / str(runs), browser) for runs in SIZES)
+        rows = [row(runs, options.repeats, home / str(runs), browser) for runs in SIZES]
         browser.close()
-    table = Table("view", "The page, seconds: median (worst)", COLUMNS, ("s",) * len(COLUMNS), rows)
-    print(table.markdown())
-    if options.publish:
-        PAGE.write_text(put_into_page(PAGE.read_text("utf-8"), [table]), "utf-8")
+    found = table("view", "The page, seconds: median (worst)", HEADING, rows)
+    show([found], page=PAGE if options.publish else None)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ beside it and takes over its runs. With ``--publish`` the table goes into docs/r
     python -m verification.validation.what_if FOLDER [--publish]
 """
 
-import argparse
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -14,12 +13,12 @@ from typing import Any
 
 import numpy as np
 import yaml
-from verification.validation.tables import Cell, Table, put_into_page
+from verification.validation.tables import DOCS, Table, arguments, show, table
 
 import strandline as sl
 from strandline.calibration.what_if import Answer
 
-PAGE = Path(__file__).parents[2] / "docs" / "results" / "accuracy.md"
+PAGE = DOCS / "how-to" / "what-if.md"
 E = {"unit": "Pa", "box": [100, 800]}
 POINTS = {"sd": 10, "unit": "um"}
 CHANGES: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Any]]] = {
@@ -52,11 +51,10 @@ def changed(folder: Path, number: int, changes: Mapping[str, Any]) -> Path:
     return target
 
 
-def row(name: str, answer: Answer, full: sl.Posterior, runs: int, names: tuple[str, ...]) -> tuple[Cell, ...]:
+def row(name: str, answer: Answer, full: sl.Posterior, runs: int, names: tuple[str, ...]) -> tuple:
     """Return means and standard deviations from both, and how much they differ."""
     draws = answer.draws
-    assert draws is not None
-    cells: list[Cell] = [name, "weights" if answer.by == "reweighting" else "new draws"]
+    cells = [name, "weights" if answer.by == "reweighting" else "new draws"]
     for i in range(len(names)):
         cells += [f"{draws.mean[i]:.3g} ± {draws.sd[i]:.2g}", f"{full.mean[i]:.3g} ± {full.sd[i]:.2g}"]
     apart = np.abs(draws.mean - full.mean) / full.sd
@@ -70,7 +68,7 @@ def new_runs(study: sl.Study, calibration: sl.Calibration) -> int:
         return len(set(keys) - set(ledger.latest(keys)))
 
 
-def rows(folder: Path) -> Iterator[tuple[Cell, ...]]:
+def rows(folder: Path) -> Iterator[tuple]:
     """Yield the row of each change."""
     study = sl.load_study(folder)
     begun = time.perf_counter()
@@ -84,25 +82,13 @@ def rows(folder: Path) -> Iterator[tuple[Cell, ...]]:
         print(f"{name} done", flush=True)
 
 
-def table(folder: Path) -> Table:
+def compared(folder: Path) -> Table:
     """Return the table."""
     by_input = [f"{name}, {way}" for name in sl.load_study(folder).space.names for way in ("what-if", "full")]
-    columns = ("changed", "by", *by_input, "means apart, sd", "sd apart", "new runs")
-    formats = ("s", "s", *("s" for _ in by_input), ".2f", ".0%", "d")
-    return Table("what_if", "what-if beside full analyses", columns, formats, tuple(rows(folder)))
-
-
-def main() -> None:
-    """Run everything; see the module's docstring."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--publish", action="store_true")
-    given = parser.parse_args()
-    made = table(given.folder.resolve())
-    print(made.markdown())
-    if given.publish:
-        PAGE.write_text(put_into_page(PAGE.read_text("utf-8"), [made]), "utf-8")
+    heading = f"changed | by | {' | '.join(by_input)} | means apart, sd {{.2f}} | sd apart {{.0%}} | new runs {{d}}"
+    return table("what_if", "what-if beside full analyses", heading, rows(folder))
 
 
 if __name__ == "__main__":
-    main()
+    given = arguments(__doc__, words="FOLDER", publish=False)
+    show([compared(Path(given.words[0]).resolve())], page=PAGE if given.publish else None)
