@@ -7,12 +7,11 @@ plausible bounds enclose the central 68 % of each prior. It boosts the posterior
 those of its iterations (of every fourth on the outline) are boosted too, as if it had ended there. A failed run has
 log L = -inf, which PyVBMC refuses, so it needs an invented number.
 
-Writes verification/validation/output/pyvbmc.md and .json; with ``--publish`` the tables also go into the page
-docs/results/peers.md and their raw numbers next to it. PyVBMC needs `make pyvbmc-env`; without it, a message says
-so. It takes an hour on one core; finished runs are kept in output/pyvbmc and not repeated. With ``--at-hand`` nothing
-is run, and the tables show only kept runs.
+Prints the tables, and writes verification/validation/output/pyvbmc.json; with ``--publish`` the tables go into the page
+docs/explanation/pyvbmc.md and their raw numbers next to it. PyVBMC needs `make pyvbmc-env`; without it, a message says
+so. It takes an hour on one core; finished runs are kept in output/pyvbmc and not repeated.
 
-Run it with:  OMP_NUM_THREADS=1 python -m verification.validation.pyvbmc [--publish] [--at-hand]
+Run it with:  OMP_NUM_THREADS=1 python -m verification.validation.pyvbmc [--publish]
 """
 
 import json
@@ -20,28 +19,27 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
 
-import jax
 import numpy as np
 from verification.benchmarks.peers.install import OWN, not_installed
 from verification.validation.pyvbmc_problems import Biofilm, Outline
-from verification.validation.tables import Cell, Table, put_into_page
+from verification.validation.tables import DOCS, OUTPUT, Table, arguments, as_text, show, table
 
 from strandline.design import sobol
 from strandline.design.active import Active, learn, posterior_state
 from strandline.design.active.choice import choose
 from strandline.errors import TooFewRuns
 from strandline.likelihood import InterfaceLikelihood
-from strandline.numerics.threads import one_thread
+from strandline.numerics.threads import one_thread, use_double
 
-OUTPUT = Path(__file__).parent / "output"
-PAGE = Path(__file__).parents[2] / "docs" / "results" / "peers.md"
+PAGE = DOCS / "explanation" / "pyvbmc.md"
+KEPT = OUTPUT / "pyvbmc"
 WORKER = Path(__file__).parents[1] / "benchmarks" / "peers" / "vbmc.py"
 PEER = OWN["pyvbmc"][0]
 SETTINGS = Active(runs=200)
@@ -53,17 +51,12 @@ FAILED = {"biofilm": ("-1000", "lowest", "-inf"), "outline": ("-1000",)}
 """Log-likelihoods given to PyVBMC for failed runs; no run of the outline fails."""
 
 Problem = Biofilm | Outline
+Answer = Callable[[Sequence[float]], dict[str, float | None]]
 
 
 @dataclass(frozen=True)
 class Mark:
-    """An intermediate posterior.
-
-    Args:
-        runs: Number of runs of the model so far.
-        variation: Total variation to the truth.
-        overhead: The method's own processor seconds so far.
-    """
+    """A posterior on the way: runs of the model so far, total variation to the truth, the method's own CPU seconds."""
 
     runs: int
     variation: float
@@ -117,15 +110,8 @@ def ours(problem: Problem, seed: int) -> Trace:
             with one_thread():
                 known = learn(x, records, space, problem.observations, problem.discrepancy)
                 state = posterior_state(known, space, (seed, len(x)))
-                picked = choose(
-                    state,
-                    space,
-                    batch,
-                    explore=SETTINGS.explore,
-                    first=len(x),
-                    criterion=SETTINGS.criterion,
-                    seed=seed + 7919 * len(x),
-                )
+                options = {"explore": SETTINGS.explore, "criterion": SETTINGS.criterion, "seed": seed + 7919 * len(x)}
+                picked = choose(state, space, batch, first=len(x), **options)
             overhead += time.process_time() - begin
             marks.append(Mark(len(x), problem.ours(known), overhead))
             print(f"  {problem.key}, seed {seed}: {marks[-1]}", flush=True)
@@ -143,7 +129,7 @@ def ours(problem: Problem, seed: int) -> Trace:
 
 def theirs(problem: Problem, seed: int, failed: str) -> Trace:
     """Answer PyVBMC's requests until it stops by itself or has used up its evaluations."""
-    space, out = problem.space, OUTPUT / "pyvbmc" / "peer.npz"
+    space, out = problem.space, KEPT / "peer.npz"
     ends = [space.prior_quantiles(np.full((1, space.dim), p))[0].tolist() for p in (PLAUSIBLE, 1 - PLAUSIBLE)]
     task = {
         "lower": space.low.tolist(),
@@ -164,26 +150,15 @@ def theirs(problem: Problem, seed: int, failed: str) -> Trace:
     end = len(done["iterations"])
     final = variations[end] if done["error"] is None else None
     boosted = tuple(Mark(n, v, s) for (n, s), v in zip(done["boosted"], variations[end + 1 :], strict=True))
-    return Trace(
-        "PyVBMC",
-        problem.key,
-        failed,
-        seed,
-        marks,
-        done["evaluations"],
-        done["failures"],
-        done["error"],
-        final,
-        done["version"],
-        boosted,
-    )
+    told = (done["evaluations"], done["failures"], done["error"], final, done["version"])
+    return Trace("PyVBMC", problem.key, failed, seed, marks, *told, boosted)
 
 
-def answering(problem: Problem) -> Callable[[Sequence[float]], Mapping[str, float | None]]:
+def answering(problem: Problem) -> Answer:
     """Return a function that answers with the log prior and, unless the run fails, the log joint density."""
     likelihood = InterfaceLikelihood(problem.observations, problem.discrepancy)
 
-    def answer(x: Sequence[float]) -> Mapping[str, float | None]:
+    def answer(x: Sequence[float]) -> dict[str, float | None]:
         at = np.array(x)
         record, prior = problem.run(at), float(problem.space.log_prior(at))
         return {"y": likelihood(record.interfaces) + prior if record.ok else None, "prior": prior}
@@ -191,124 +166,90 @@ def answering(problem: Problem) -> Callable[[Sequence[float]], Mapping[str, floa
     return answer
 
 
-def conversation(
-    task: Mapping[str, object],
-    answer: Callable[[Sequence[float]], Mapping[str, float | None]],
-    python: Path = PEER / "bin" / "python",
-    *,
-    script: Path = WORKER,
-) -> Mapping[str, Any]:
+def conversation(task: Mapping[str, object], answer: Answer) -> dict[str, Any]:
     """Start the peer's process, answer its requests, and return its last message."""
     limited = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    with subprocess.Popen(
-        [str(python), str(script)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-        env=limited,
-    ) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    command = [str(PEER / "bin" / "python"), str(WORKER)]
+    with subprocess.Popen(command, text=True, bufsize=1, env=limited, **pipes) as process:
         process.stdin.write(json.dumps(task) + "\n")
-        process.stdin.flush()
         for line in process.stdout:
             said = json.loads(line)
             if "done" in said:
-                done: Mapping[str, Any] = said["done"]
-                return done
+                return said["done"]
             process.stdin.write(json.dumps(answer(said["x"])) + "\n")
-            process.stdin.flush()
     raise RuntimeError(f"PyVBMC's process ended without its last message, exit status {process.returncode}")
 
 
-def kept(name: str, make: Callable[[], Trace], *, at_hand: bool) -> list[Trace]:
-    """Return a kept run of either method; if there is none, make it, or leave it out with `at_hand`."""
-    path = OUTPUT / "pyvbmc" / f"{name}.json"
-    if not path.exists() and at_hand:
-        return []
+def kept(name: str, make: Callable[[], Trace]) -> Trace:
+    """Return a kept run of either method; if there is none, make it."""
+    path = KEPT / f"{name}.json"
     if not path.exists():
         begin = time.perf_counter()
         path.write_text(json.dumps(asdict(make())), "utf-8")
         print(f"{name}: {time.perf_counter() - begin:.0f} s", flush=True)
     found = json.loads(path.read_text("utf-8"))
-    marks = {name: tuple(Mark(**mark) for mark in found[name]) for name in ("marks", "boosted")}
-    return [Trace(**found | marks)]
+    return Trace(**found | {name: tuple(Mark(**mark) for mark in found[name]) for name in ("marks", "boosted")})
 
 
-def traces(problem: Problem, *, peer: bool, at_hand: bool) -> list[Trace]:
-    """Return all runs of both methods on a problem."""
+def traces(problem: Problem, *, peer: bool) -> Iterator[Trace]:
+    """Yield all runs of both methods on a problem."""
     seeds = range(1, problem.seeds + 1)
-    makers = {f"{problem.key}-ours-{seed}": partial(ours, problem, seed) for seed in seeds}
+    for seed in seeds:
+        yield kept(f"{problem.key}-ours-{seed}", partial(ours, problem, seed))
     for failed in FAILED[problem.key] if peer else ():
-        makers |= {f"{problem.key}-pyvbmc{failed}-{seed}": partial(theirs, problem, seed, failed) for seed in seeds}
-    return [trace for name, make in makers.items() for trace in kept(name, make, at_hand=at_hand)]
+        for seed in seeds:
+            yield kept(f"{problem.key}-pyvbmc{failed}-{seed}", partial(theirs, problem, seed, failed))
 
 
-def compared(problem: Problem, found: Sequence[Trace]) -> list[tuple[Cell, ...]]:
-    """Return a row for each level and each value given to PyVBMC for failed runs."""
+def compared(problem: Problem, found: Sequence[Trace]) -> Iterator[tuple]:
+    """Yield a row for each level and each value given to PyVBMC for failed runs."""
     mine = [trace for trace in found if trace.method == "strandline"]
-    peers = sorted({trace.failed for trace in found if trace.method == "PyVBMC"} - {"-inf"}) or [""]
-    rows: list[tuple[Cell, ...]] = []
-    for failed in peers:
+    for failed in sorted({trace.failed for trace in found if trace.method == "PyVBMC"} - {"-inf"}) or [""]:
         other = [trace for trace in found if trace.method == "PyVBMC" and trace.failed == failed]
         told = failed if any(trace.failures for trace in other) else "–"
         for level in problem.levels:
-            a, b, c = figures(mine, level), figures(other, level), figures(other, level, boosted=True)
-            ratios = [one.median / a.median if a.median and one.median else None for one in (b, c)]
+            (text, runs, seconds), *peers = (
+                figures(mine, level),
+                figures(other, level),
+                figures(other, level, boosted=True),
+            )
+            texts, medians, overheads = zip(*peers, strict=True)
+            ratios = [one / runs if runs and one else None for one in medians]
             seeds = f"{len(mine)}, {len(other)}"
-            cells = (a.text, b.text, c.text, *ratios, a.overhead, b.overhead, c.overhead)
-            rows.append((problem.title, told, level, seeds, *cells))
-    return rows
+            yield problem.title, told, level, seeds, text, *texts, *ratios, seconds, *overheads
 
 
-@dataclass(frozen=True)
-class Figures:
-    """Runs until a level is reached, over several seeds; None if too few seeds reached it."""
+def figures(found: Sequence[Trace], level: float, *, boosted: bool = False) -> tuple[str, float | None, float | None]:
+    """Return median and worst number of runs until `level` in words, the median, and the median overhead.
 
-    text: str
-    median: float | None
-    overhead: float | None
-
-
-def figures(found: Sequence[Trace], level: float, *, boosted: bool = False) -> Figures:
-    """Return median and worst number of runs until `level`; a seed that never reached it counts as the worst."""
+    A seed that never reached the level counts as the worst; without a median there are None.
+    """
     if not found:
-        return Figures("not measured", None, None)
+        return "not measured", None, None
     marks = [trace.reached(level, boosted=boosted) for trace in found]
     there = [mark for mark in marks if mark is not None]
     never = f"not by {len(found) - len(there)} of {len(found)}"
     middle = median([float("inf") if mark is None else float(mark.runs) for mark in marks])
     if not np.isfinite(middle):
-        return Figures(never, None, None)
+        return never, None, None
     worst = never if len(there) < len(found) else f"{max(mark.runs for mark in there)}"
     seconds = median([float("inf") if mark is None else mark.overhead for mark in marks])
-    return Figures(f"{middle:g} / {worst}", middle, seconds)
+    return f"{middle:g} / {worst}", middle, seconds
 
 
-def endings(problem: Problem, found: Sequence[Trace]) -> list[tuple[Cell, ...]]:
-    """Return how PyVBMC's runs ended, and how close the returned posterior is to the truth."""
-    rows: list[tuple[Cell, ...]] = []
+def endings(problem: Problem, found: Sequence[Trace]) -> Iterator[tuple[str, ...]]:
+    """Yield how PyVBMC's runs ended, and how close the returned posterior is to the truth."""
     for failed in FAILED[problem.key]:
         of_them = [trace for trace in found if trace.method == "PyVBMC" and trace.failed == failed]
         if not of_them:
             continue
         final = [trace.final for trace in of_them if trace.final is not None]
         runs, failures = ([getattr(t, name) for t in of_them] for name in ("runs", "failures"))
-        raised = sum(trace.error is not None for trace in of_them)
-        told = failed if any(failures) else "–"
+        raised = f"{sum(trace.error is not None for trace in of_them)} of {len(of_them)}"
+        ranges = (f"{min(some)} to {max(some)}" for some in (runs, failures))
         spread = f"{median(final):.3f} / {max(final):.3f}" if final else ""
-        rows.append(
-            (
-                problem.title,
-                told,
-                f"{raised} of {len(of_them)}",
-                f"{min(runs)} to {max(runs)}",
-                f"{min(failures)} to {max(failures)}",
-                spread,
-            )
-        )
-    return rows
+        yield problem.title, failed if any(failures) else "–", raised, *ranges, spread
 
 
 def tables(found: Mapping[str, Sequence[Trace]], problems: Sequence[Problem]) -> list[Table]:
@@ -316,63 +257,40 @@ def tables(found: Mapping[str, Sequence[Trace]], problems: Sequence[Problem]) ->
     comparison = [row for problem in problems for row in compared(problem, found[problem.key])]
     ends = [row for problem in problems for row in endings(problem, found[problem.key])]
     accuracy = [(p.title, what, value) for p in problems for what, value in p.accuracy().items()]
+    heading = (
+        "problem | log L given for a failure | below {.2f} | seeds | strandline, runs | PyVBMC, runs "
+        "| PyVBMC boosted, runs | ratio {.1f} | ratio, boosted {.1f} | strandline, overhead [CPU s] {.0f} "
+        "| PyVBMC, overhead [CPU s] {.0f} | boosted [CPU s] {.0f}"
+    )
+    end = "problem | log L given for a failure | ended by an exception | evaluations | failed runs | returned"
+    titles = (
+        "Runs of the model until the total variation to the true posterior is below a level: median / worst",
+        "How PyVBMC ended, and the total variation of what it returned: median / worst",
+        "What the true posteriors are worth",
+    )
     return [
-        Table(
-            "pyvbmc",
-            "Runs of the model until the total variation to the true posterior is below a level: median / worst",
-            (
-                "problem",
-                "log L given for a failure",
-                "below",
-                "seeds",
-                "strandline, runs",
-                "PyVBMC, runs",
-                "PyVBMC boosted, runs",
-                "ratio",
-                "ratio, boosted",
-                "strandline, overhead [CPU s]",
-                "PyVBMC, overhead [CPU s]",
-                "boosted [CPU s]",
-            ),
-            ("s", "s", ".2f", "s", "s", "s", "s", ".1f", ".1f", ".0f", ".0f", ".0f"),
-            tuple(comparison),
-        ),
-        Table(
-            "pyvbmc-end",
-            "How PyVBMC ended, and the total variation of what it returned: median / worst",
-            ("problem", "log L given for a failure", "ended by an exception", "evaluations", "failed runs", "returned"),
-            ("s",) * 6,
-            tuple(ends),
-        ),
-        Table(
-            "pyvbmc-truth",
-            "What the true posteriors are worth",
-            ("problem", "figure", "value"),
-            ("s", "s", ".3g"),
-            tuple(accuracy),
-        ),
+        table("pyvbmc", titles[0], heading, comparison),
+        table("pyvbmc-end", titles[1], end, ends),
+        table("pyvbmc-truth", titles[2], "problem | figure | value {.3g}", accuracy),
     ]
 
 
-def missing_peer(peer: Path = PEER) -> str | None:
+def missing_peer() -> str | None:
     """Return why PyVBMC cannot be measured, or None."""
-    if (peer / "bin" / "python").exists() and not not_installed(peer):
+    if (PEER / "bin" / "python").exists() and not not_installed(PEER):
         return None
-    return f"PyVBMC is not measured: {not_installed(peer) or 'it is not installed; make pyvbmc-env does'}"
+    return f"PyVBMC is not measured: {not_installed(PEER) or 'it is not installed; make pyvbmc-env does'}"
 
 
-def main(arguments: Sequence[str]) -> None:
+def main() -> None:
     """Run everything that is not kept; see the module's docstring."""
-    jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]
-    folder = OUTPUT / "pyvbmc"
-    folder.mkdir(parents=True, exist_ok=True)
-    missing = missing_peer()
+    options, missing = arguments(__doc__, publish=False), missing_peer()
+    use_double()
+    KEPT.mkdir(parents=True, exist_ok=True)
     if missing:
         print(missing, file=sys.stderr)
-    problems = (Biofilm(folder), Outline(folder))
-    found = {
-        problem.key: traces(problem, peer=missing is None, at_hand="--at-hand" in arguments) for problem in problems
-    }
+    problems = (Biofilm(KEPT), Outline(KEPT))
+    found = {problem.key: [*traces(problem, peer=missing is None)] for problem in problems}
     made = tables(found, problems)
     errors = sorted({trace.error for one in found.values() for trace in one if trace.error})
     raw = {
@@ -381,15 +299,11 @@ def main(arguments: Sequence[str]) -> None:
         "missing": missing,
         "traces": [asdict(trace) for one in found.values() for trace in one],
     }
-    text = json.dumps(raw, indent=1, ensure_ascii=False) + "\n"
-    shown = "\n".join(f"## {table.title}\n\n{table.markdown()}\n" for table in made)
-    said = "".join(f"\nException: `{error}`\n" for error in errors)
-    (OUTPUT / "pyvbmc.json").write_text(text, "utf-8")
-    (OUTPUT / "pyvbmc.md").write_text(f"# Active designs compared with PyVBMC\n\n{shown}{said}", "utf-8")
-    if "--publish" in arguments:
-        PAGE.with_name("pyvbmc.json").write_text(text, "utf-8")
-        PAGE.write_text(put_into_page(PAGE.read_text("utf-8"), made), "utf-8")
+    show(made, page=PAGE if options.publish else None)
+    print("".join(f"\nException: `{error}`\n" for error in errors))
+    for path in (OUTPUT / "pyvbmc.json", *([PAGE.with_suffix(".json")] if options.publish else [])):
+        path.write_text(as_text(raw), "utf-8")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

@@ -6,22 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from verification.reproduction.field_table import FieldTable, LoadCoordinates, tabulate
-from verification.reproduction.grid_posterior import (
-    GridPosterior,
-    ProductGrid,
-    posterior_on_grid,
-    product_grid,
-    total_variation,
-)
+from verification.reproduction.grid_posterior import GridPosterior, ProductGrid, posterior_on_grid, product_grid
+from verification.reproduction.grid_posterior import total_variation as variation
 from verification.reproduction.truth import TruePosterior, true_posterior
+from verification.validation.tables import STUDIES
 
 from strandline.design.active import Knowledge
-from strandline.discrepancy import Currents, Discrepancy, TrackedPoints
+from strandline.discrepancy import Currents, TrackedPoints
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
 from strandline.parameters import Parameter, ParameterSpace
@@ -29,7 +25,6 @@ from strandline.priors import Normal, Uniform
 from strandline.runs import InProcess, Ledger, RunRecord, RunRequest, attempt
 from strandline.studies import Study, load_study
 
-STUDY = Path(__file__).parents[2] / "studies" / "biofilm-uniform"
 NOISE = 0.0005
 """σ_N² in mm², as in the study."""
 RATE = 100.0
@@ -48,24 +43,22 @@ class Biofilm:
     """
 
     folder: Path
-    key: ClassVar[str] = "biofilm"
-    title: ClassVar[str] = "biofilm, E and ν"
-    measure: ClassVar[str] = "total variation"
-    levels: ClassVar[tuple[float, ...]] = (0.2, 0.1, 0.05)
-    batch: ClassVar[int] = 2
-    most: ClassVar[tuple[int, int]] = (60, 120)
-    boost: ClassVar[int] = 1
-    seeds: ClassVar[int] = 5
+    key = "biofilm"
+    title = "biofilm, E and ν"
+    levels = (0.2, 0.1, 0.05)
+    batch = 2
+    most = (60, 120)
+    boost = 1
+    seeds = 5
+    discrepancy = Currents(0.005, quadrature="refined")
     beyond: dict[bytes, RunRecord] = field(default_factory=dict)
 
     @cached_property
     def study(self) -> Study:
-        """The study with the model, the priors and the fixed inflow rate."""
-        return load_study(STUDY)
+        return load_study(STUDIES / "biofilm-uniform")
 
     @property
     def space(self) -> ParameterSpace:
-        """E and ν."""
         return self.study.space
 
     @cached_property
@@ -80,21 +73,14 @@ class Biofilm:
                 table = tabulate(model, start, intervals=INTERVALS, ledger=ledger, executor=runs, coordinates=box)
             likelihood = InterfaceLikelihood(self._observed(table), self.discrepancy)
             kept.write_bytes(pickle.dumps((table, true_posterior(table, likelihood, self.space, rate=RATE))))
-        found: tuple[FieldTable, TruePosterior] = pickle.loads(kept.read_bytes())
-        return found
+        return pickle.loads(kept.read_bytes())
 
     @staticmethod
     def _observed(table: FieldTable) -> tuple[Observation, ...]:
         return (Observation(Interface.polyline(table.at(np.array([[400.0, 0.3, RATE]]))[0]), NOISE),)
 
-    @property
-    def discrepancy(self) -> Discrepancy:
-        """The currents measure with refined quadrature."""
-        return Currents(0.005, quadrature="refined")
-
     @cached_property
     def observations(self) -> tuple[Observation, ...]:
-        """The interface of the table at the true inputs."""
         return self._observed(self.known[0])
 
     def run(self, x: Float[np.ndarray, " dim"]) -> RunRecord:
@@ -111,7 +97,7 @@ class Biofilm:
     def ours(self, known: Knowledge) -> float:
         """Return the total variation between the posterior from `known` and the truth."""
         found = posterior_on_grid(lambda x: known.expected(np.ascontiguousarray(x[:, :2])), self.space, self._grid)
-        return total_variation(found, self._truth)
+        return variation(found, self._truth)
 
     def asked(self) -> Mapping[str, object]:
         """Return what the peer must report on its posteriors: their densities at the points in a file."""
@@ -158,57 +144,50 @@ class Outline:
 
     folder: Path
     draws: int = 60_000_000
-    key: ClassVar[str] = "outline"
-    title: ClassVar[str] = "outline, 7 inputs"
-    measure: ClassVar[str] = "mean of marginal total variations"
-    levels: ClassVar[tuple[float, ...]] = (0.2, 0.1, 0.05)
-    batch: ClassVar[int] = 8
-    most: ClassVar[tuple[int, int]] = (122, 300)
-    boost: ClassVar[int] = 4
-    seeds: ClassVar[int] = 3
-    discrepancy: ClassVar[Discrepancy] = TrackedPoints()
-    space: ClassVar[ParameterSpace] = ParameterSpace(
+    key = "outline"
+    title = "outline, 7 inputs"
+    levels = (0.2, 0.1, 0.05)
+    batch = 8
+    most = (122, 300)
+    boost = 4
+    seeds = 3
+    discrepancy = TrackedPoints()
+    space = ParameterSpace(
         (
             *(Parameter(f"E{k}", Uniform(100.0, 800.0), unit="Pa") for k in (1, 2, 3)),
             *(Parameter(f"nu{k}", Uniform(-0.8, 0.5)) for k in (1, 2, 3)),
             Parameter("V", Normal(100.0, 10.0), unit="mm^2/s", box=(60.0, 140.0)),
         )
     )
-    truth: ClassVar[tuple[float, ...]] = (300.0, 400.0, 500.0, 0.3, 0.0, -0.3, 100.0)
-    points: ClassVar[int] = 41
-    scale: ClassVar[float] = 0.4
-    bins: ClassVar[int] = 25
-    kept_draws: ClassVar[int] = 20_000
-    block: ClassVar[int] = 1_000_000
+    truth = (300.0, 400.0, 500.0, 0.3, 0.0, -0.3, 100.0)
+    points = 41
+    scale = 0.4
+    bins = 25
+    kept_draws = 20_000
+    block = 1_000_000
 
     def amplitudes(self, x: Float[np.ndarray, "point 7"]) -> Float[np.ndarray, "point 3"]:
-        """Return aᵢ."""
         return np.asarray(x[:, 6:] * (1 + 0.5 * x[:, 3:6]) / x[:, :3])
 
     @cached_property
     def shapes(self) -> Float[np.ndarray, "3 point"]:
-        """φᵢ at the points."""
         s = np.linspace(0, 1, self.points)
         return np.asarray(np.exp(-0.5 * ((s - np.array([[0.2], [0.5], [0.8]])) / 0.15) ** 2))
 
     def interface(self, x: Float[np.ndarray, "7"]) -> Interface:
-        """Return the outline, mm."""
         angle = np.pi * (1 - np.linspace(0, 1, self.points))
         normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         push = self.scale * self.amplitudes(x[None])[0] @ self.shapes
         return Interface.polyline((0.5 + push)[:, None] * normal)
 
     def run(self, x: Float[np.ndarray, " dim"]) -> RunRecord:
-        """Return the run at `x`; none fails."""
         return RunRecord("", self.space.as_mapping(x), "ok", {"": self.interface(x)})
 
     @cached_property
     def observations(self) -> tuple[Observation, ...]:
-        """The outline at the true inputs."""
         return (Observation(self.interface(np.array(self.truth)), NOISE),)
 
     def log_likelihood(self, x: Float[np.ndarray, "point 7"]) -> Float[np.ndarray, " point"]:
-        """Return log L in closed form."""
         apart = self.amplitudes(x) - self.amplitudes(np.array([self.truth]))
         gram = self.scale**2 * self.shapes @ self.shapes.T
         return np.asarray(-0.5 / NOISE * np.einsum("pi,ij,pj->p", apart, gram, apart))
@@ -274,7 +253,6 @@ class Outline:
         return mean_variation(found, self.known["marginals"])
 
     def accuracy(self) -> dict[str, float]:
-        """Return the accuracy of the truth."""
         halves = self.known["halves"]
         return {
             "draws of the prior": float(self.draws),
