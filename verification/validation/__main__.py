@@ -9,7 +9,7 @@ Run it with:  python -m verification.validation [--publish]
 from verification.validation import analytic, biofilm_mesh, extremes, figures, generality, sensitivities, turek_hron
 from verification.validation.tables import DOCS, OUTPUT, Table, arguments, as_text, put_into_page
 
-PAGE = DOCS / "explanation" / "forward-model.md"
+PAGE = DOCS / "results" / "forward-model.md"
 PARTS = (turek_hron, analytic, biofilm_mesh, sensitivities, extremes, generality)
 
 if __name__ == "__main__":

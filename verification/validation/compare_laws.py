@@ -46,7 +46,7 @@ ROUGH = 1024
 """Draws of the prior that show where the posterior of a crossing lies."""
 WITHIN, COVERED = 0.2, 0.85
 """Largest error of ln B, and least share of the intervals that contain the truth."""
-PAGE = DOCS / "explanation" / "comparison.md"
+PAGE = DOCS / "results" / "accuracy.md"
 
 
 def model(law: str, rates: dict[str, float]) -> sl.Biofilm:
@@ -254,7 +254,7 @@ def main() -> None:
     tables = [table for table, _ in made]
     show(tables, page=PAGE if options.publish else None)
     if options.publish:
-        PAGE.with_suffix(".json").write_text(as_text(tables), "utf-8")
+        PAGE.with_name("comparison.json").write_text(as_text(tables), "utf-8")
     finish(said for _, missed in made for said in missed)
 
 

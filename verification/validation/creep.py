@@ -29,7 +29,7 @@ from strandline.models.biofilm.materials import LAWS
 from strandline.models.biofilm.memory import Branch
 from strandline.models.biofilm.outline import Channel, Outline
 
-PAGE = DOCS / "explanation" / "forward-model.md"
+PAGE = DOCS / "results" / "forward-model.md"
 BRANCHES = (Branch(0.7, 0.5), Branch(1.5, 4.0))
 SHEAR, RATE = 0.5, 2.0
 """Amplitude of the shear, and its angular frequency, 1/s."""

@@ -33,7 +33,7 @@ from strandline.models.protocol import ForwardModel, Simulation
 from strandline.report.plots.style import SKY
 from strandline.runs import Ledger, LocalProcesses, Progress, RunRecord, run_campaign
 
-PAGE = DOCS / "explanation" / "forward-model.md"
+PAGE = DOCS / "results" / "forward-model.md"
 POINTS = 1024
 PAIR = ("default", "fine")
 FOLD_RATIOS = (-0.8, -0.6, -0.45, -0.3, -0.15, 0.0, 0.1, 0.2, 0.3, 0.4, 0.48, 0.5)

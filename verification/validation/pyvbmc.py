@@ -8,7 +8,7 @@ those of its iterations (of every fourth on the outline) are boosted too, as if 
 log L = -inf, which PyVBMC refuses, so it needs an invented number.
 
 Prints the tables, and writes verification/validation/output/pyvbmc.json; with ``--publish`` the tables go into the page
-docs/explanation/pyvbmc.md and their raw numbers next to it. PyVBMC needs `make pyvbmc-env`; without it, a message says
+docs/results/peers.md and their raw numbers next to it. PyVBMC needs `make pyvbmc-env`; without it, a message says
 so. It takes an hour on one core; finished runs are kept in output/pyvbmc and not repeated.
 
 Run it with:  OMP_NUM_THREADS=1 python -m verification.validation.pyvbmc [--publish]
@@ -38,7 +38,7 @@ from strandline.errors import TooFewRuns
 from strandline.likelihood import InterfaceLikelihood
 from strandline.numerics.threads import one_thread, use_double
 
-PAGE = DOCS / "explanation" / "pyvbmc.md"
+PAGE = DOCS / "results" / "peers.md"
 KEPT = OUTPUT / "pyvbmc"
 WORKER = Path(__file__).parents[1] / "benchmarks" / "peers" / "vbmc.py"
 PEER = OWN["pyvbmc"][0]
@@ -301,7 +301,7 @@ def main() -> None:
     }
     show(made, page=PAGE if options.publish else None)
     print("".join(f"\nException: `{error}`\n" for error in errors))
-    for path in (OUTPUT / "pyvbmc.json", *([PAGE.with_suffix(".json")] if options.publish else [])):
+    for path in (OUTPUT / "pyvbmc.json", *([PAGE.with_name("pyvbmc.json")] if options.publish else [])):
         path.write_text(as_text(raw), "utf-8")
 
 
