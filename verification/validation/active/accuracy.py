@@ -1,6 +1,6 @@
 """Runs until the posterior is right: S3 and S5 against quadrature of the true model, S6 by importance weights."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,35 +11,21 @@ from verification.validation.active.grow import Grown, delivered, grow
 
 from strandline.posterior import reweight, subset
 
-__all__ = ["Course", "s3", "s5", "s6"]
-
 PANELS = (24, 12, 8)
 DRAWS = 100
 """Draws of the posterior of S6 at which the true model checks it: enough to see a shift of 0.1 standard deviations."""
 
 
-@dataclass(frozen=True)
-class Course:
-    """Figures against the number of runs, for one seed."""
-
-    study: str
-    quadrature: str
-    sensitivities: bool
-    criterion: str
-    seed: int
-    points: list[dict[str, Any]]
-    share: float = 0.0
-
-
-def s3(quadrature: str, *, sensitivities: bool, seed: int, most: int, criterion: str, share: float = 0.0) -> Course:
+def s3(
+    quadrature: str, *, sensitivities: bool, seed: int, most: int, criterion: str, share: float = 0.0
+) -> dict[str, Any]:
     """Return the total variation to the true posterior over the (E, nu) plane; a `share` of runs fails at random."""
     one = case("S3", quadrature)
     truth, grid = truth_of(one), product_grid(one.space, panels=PANELS, rate=100.0)
     true = posterior_on_grid(truth.field, one.space, grid)
     points = []
-    spoil = failing(share, seed)
-    options: dict[str, Any] = {"sensitivities": sensitivities, "criterion": criterion, "spoil": spoil}
-    for grown in grow(one, seed=seed, batch=2, most=most, **options):
+    options = {"sensitivities": sensitivities, "criterion": criterion, "seed": seed}
+    for grown in grow(one, batch=2, most=most, spoil=failing(share, seed), **options):
         known = grown.state.knowledge
         found = posterior_on_grid(lambda x, known=known: known.expected(x[:, :2]), one.space, grid)
         points.append(
@@ -50,16 +36,16 @@ def s3(quadrature: str, *, sensitivities: bool, seed: int, most: int, criterion:
                 "sd_error": float(np.abs(found.sd / true.sd - 1).max()),
             }
         )
-    return Course("S3", quadrature, sensitivities, criterion, seed, points, share)
+    return {"study": "S3", "quadrature": quadrature, **options, "points": points, "share": share}
 
 
-def s5(quadrature: str, *, sensitivities: bool, seed: int, most: int, criterion: str) -> Course:
+def s5(quadrature: str, *, sensitivities: bool, seed: int, most: int, criterion: str) -> dict[str, Any]:
     """Return the errors of mean and standard deviation of (E, nu) with the inflow integrated out: the joint reading."""
     one = case("S5", quadrature)
     truth = truth_of(one).posterior
     calibrated = [one.space.names.index(name) for name in ("E", "nu")]
-    points = []
-    for grown in grow(one, seed=seed, batch=4, most=most, sensitivities=sensitivities, criterion=criterion):
+    points, options = [], {"sensitivities": sensitivities, "criterion": criterion, "seed": seed}
+    for grown in grow(one, batch=4, most=most, **options):
         found = delivered(one, grown.state.knowledge, seed)
         mean, sd = found.mean[calibrated], found.sd[calibrated]
         points.append(
@@ -69,21 +55,23 @@ def s5(quadrature: str, *, sensitivities: bool, seed: int, most: int, criterion:
                 "sd_error": float(np.abs(sd / truth.sd - 1).max()),
             }
         )
-    return Course("S5", quadrature, sensitivities, criterion, seed, points)
+    return {"study": "S5", "quadrature": quadrature, **options, "points": points, "share": 0.0}
 
 
-def s6(quadrature: str, *, sensitivities: bool, seed: int, most: int, first: int, batch: int, criterion: str) -> Course:
+def s6(
+    quadrature: str, *, sensitivities: bool, seed: int, most: int, first: int, batch: int, criterion: str
+) -> dict[str, Any]:
     """Return the importance weights by the true model at draws of the posterior, from `first` runs on."""
     one = case("S6", quadrature)
-    points = []
-    for grown in grow(one, seed=seed, batch=batch, most=most, sensitivities=sensitivities, criterion=criterion):
+    points, options = [], {"sensitivities": sensitivities, "criterion": criterion, "seed": seed}
+    for grown in grow(one, batch=batch, most=most, **options):
         point = _common(grown)
         if grown.runs >= first:
             point |= checked(one, grown, seed)
         points.append(point)
         if point.get("effective", 0.0) >= 0.8 and point["k_hat"] < 0.5 and point["shift"] < 0.1:
             break
-    return Course("S6", quadrature, sensitivities, criterion, seed, points)
+    return {"study": "S6", "quadrature": quadrature, **options, "points": points, "share": 0.0}
 
 
 def checked(one: Case, grown: Grown, seed: int) -> dict[str, Any]:

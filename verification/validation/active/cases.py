@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from verification.reproduction.field_table import FieldTable, tabulate
 from verification.reproduction.truth import TruePosterior, true_posterior
+from verification.validation.tables import OUTPUT, STUDIES
 
 from strandline.discrepancy import Currents
 from strandline.interface import Interface, Observation
@@ -24,27 +25,15 @@ from strandline.runs.record import attempt
 from strandline.studies import load_study
 from strandline.studies.observed import noisy
 
-__all__ = ["STUDIES", "Case", "case", "truth_of"]
-
-STUDIES = {"S3": "biofilm-uniform", "S5": "biofilm-inflow", "S6": "biofilm-parts"}
-OUTPUT = Path("verification/validation/output")
+NAMES = {"S3": "biofilm-uniform", "S5": "biofilm-inflow", "S6": "biofilm-parts"}
 INTERVALS = (12, 6, 6)
 """Intervals of the table of true interfaces, in load, Poisson's ratio and inflow."""
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A study.
+    """A study; `run` makes a forward run at one point, with sensitivities if the second argument is true."""
 
-    Args:
-        name: S3, S5 or S6.
-        space: Unknown inputs.
-        observations: Observations.
-        measure: The currents measure with one of its quadratures.
-        run: Function that makes a forward run at one point, with sensitivities if the second argument is true.
-    """
-
-    name: str
     space: ParameterSpace
     observations: tuple[Observation, ...]
     measure: Currents
@@ -57,7 +46,7 @@ class Case:
 
 def case(name: str, quadrature: str) -> Case:
     """Return a study with one of the two quadratures."""
-    study = load_study(Path("studies") / STUDIES[name])
+    study = load_study(STUDIES / NAMES[name])
     model: Any = study.model
 
     def run(x: Float[np.ndarray, " dim"], sensitivities: bool) -> RunRecord:
@@ -66,12 +55,11 @@ def case(name: str, quadrature: str) -> Case:
         with tempfile.TemporaryDirectory() as folder:
             return attempt(with_sensitivities(model) if sensitivities else model, request, Path(folder))
 
-    assert study.truth is not None
     observed = run(np.array([study.truth[name] for name in study.space.names]), False).interfaces
     if study.synthetic_noise is not None:
         observed = noisy(observed, study.synthetic_noise)
     seen = study.observations(observed)
-    return Case(name, study.space, seen, Currents(0.005, quadrature=quadrature), run)
+    return Case(study.space, seen, Currents(0.005, quadrature=quadrature), run)
 
 
 def truth_of(one: Case) -> TruePosterior:
@@ -86,8 +74,8 @@ def _table() -> FieldTable:
     """Return the table of true interfaces; the table and its runs are kept in verification/validation/output."""
     kept = OUTPUT / "table.pickle"
     if kept.is_file():
-        return pickle.loads(kept.read_bytes())  # type: ignore[no-any-return]
-    model: Any = load_study(Path("studies") / STUDIES["S3"]).model
+        return pickle.loads(kept.read_bytes())
+    model: Any = load_study(STUDIES / NAMES["S3"]).model
     reference: Interface = model.undeformed()
     OUTPUT.mkdir(exist_ok=True)
     with Ledger.open(OUTPUT / "table.sqlite", model=model) as ledger:

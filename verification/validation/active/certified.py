@@ -4,13 +4,12 @@ The models are those of `hard_models`. The true posterior is integrated on a gri
 standard deviations in a mean, or a quarter in a width; "said" counts wrong ones where the certificate states that a
 region as small as the one that was missed may have been.
 
-    python -m verification.validation.active.certified [--seeds 40] [--unseen 0.1] [--workers 1] [MODEL ...]
+    python -m verification.validation.active.certified [--seeds 40] [--unseen 0.1] [--runs 120]
+        [--workers 2] [MODEL ...]
 """
 
-import argparse
-import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -18,7 +17,7 @@ from multiprocessing import get_context
 import numpy as np
 from jaxtyping import Float
 from verification.validation.active.hard_models import MODELS, Model, X
-from verification.validation.tables import Table
+from verification.validation.tables import arguments, show, table
 
 from strandline.design import sobol
 from strandline.design.active import Active, ActiveDesign, State, learn, posterior_state
@@ -93,7 +92,6 @@ def played(model: Model, seed: int, active: Active) -> Found:
             break
         x = np.concatenate([x, more.points])
         records += [model.run(row) for row in more.points]
-    assert design.state is not None
     true = true_moments(model, seen)
     off = np.abs(design.state.mean - true.mean) / true.sd
     width = np.abs(np.log(design.state.sd / true.sd))
@@ -102,40 +100,29 @@ def played(model: Model, seed: int, active: Active) -> Found:
     return Found(design.converged, right, len(x), least_found(x, space), reason)
 
 
-def start() -> None:
-    """Prepare a process."""
-    use_double()
-
-
 def task(name: str, seed: int, active: Active) -> Found:
     """Run the design of one model and seed."""
     return played(MODELS[name](seed), seed, active)
 
 
-def main() -> None:
-    """Print a table with a row for each model."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("models", nargs="*", default=[], metavar="MODEL", help=", ".join(MODELS))
-    parser.add_argument("--seeds", type=int, default=40)
-    parser.add_argument("--unseen", type=float, default=0.1)
-    parser.add_argument("--runs", type=int, default=120)
-    parser.add_argument("--workers", type=int, default=min(2, os.cpu_count() or 1))
-    given = parser.parse_args()
-    active, rows = Active(runs=given.runs, unseen=given.unseen), []
-    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn"), initializer=start) as pool:
-        for name in given.models or MODELS:
-            found = [*pool.map(task, [name] * given.seeds, range(given.seeds), [active] * given.seeds)]
+def rows(names: Sequence[str], seeds: int, active: Active, workers: int) -> Iterator[tuple]:
+    """Yield the row of each model."""
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=use_double) as pool:
+        for name in names:
+            found = [*pool.map(task, [name] * seeds, range(seeds), [active] * seeds)]
             wrong = [one for one in found if one.converged and not one.right]
             said = sum(one.region > MODELS[name](0).share > 0 for one in wrong)
             runs = np.array([one.runs for one in found])
-            reasons = Counter(one.reason for one in found if not one.converged).most_common(1)
             ended = sum(one.converged for one in found), len(wrong), said, sum(one.right for one in found)
-            rows.append((name, len(found), *ended, float(np.median(runs)), int(runs.max())))
-            print(*rows[-1], *reasons, flush=True)
-    columns = ("model", "designs", "converged", "wrong of these", "said", "right", "runs, median", "most")
-    formats = ("s", "d", "d", "d", "d", "d", "g", "d")
-    print(Table("certified", "Posteriors of hard models", columns, formats, tuple(rows)).markdown())
+            print(*Counter(one.reason for one in found if not one.converged).most_common(1))
+            yield name, len(found), *ended, float(np.median(runs)), int(runs.max())
 
 
 if __name__ == "__main__":
-    main()
+    given = arguments(__doc__, words=MODELS, seeds=40, unseen=0.1, runs=120, workers=2)
+    heading = (
+        "model | designs {d} | converged {d} | wrong of these {d} | said {d} | right {d} | runs, median {g} | most {d}"
+    )
+    active = Active(runs=given.runs, unseen=given.unseen)
+    found = rows(given.words or [*MODELS], given.seeds, active, given.workers)
+    show([table("certified", "Posteriors of hard models", heading, found, live=True)])

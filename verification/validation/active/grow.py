@@ -18,8 +18,6 @@ from strandline.posterior import Weighted
 from strandline.runs import RunRecord
 from strandline.smc import OnHost, SMCSettings, sample
 
-__all__ = ["Grown", "Moments", "delivered", "grow", "initial_runs"]
-
 PARTICLES = 6000
 RESTLESS = 1e-12
 """Change below which a design would go on to its check; none is as small."""
@@ -33,14 +31,6 @@ class Grown:
     runs: int
     failed: int
     seconds: float
-
-
-@dataclass(frozen=True, eq=False)
-class Moments:
-    """Means and standard deviations (dim,)."""
-
-    mean: Float[np.ndarray, " dim"]
-    sd: Float[np.ndarray, " dim"]
 
 
 def initial_runs(dim: int, *, sensitivities: bool) -> int:
@@ -58,17 +48,7 @@ def grow(
     criterion: str = "expected_variance",
     spoil: Callable[[RunRecord], RunRecord] = lambda record: record,
 ) -> Iterator[Grown]:
-    """Yield the design after each batch, up to `most` runs.
-
-    Args:
-        one: The study.
-        seed: Seed of the Sobol sequence's scrambling and of everything else.
-        batch: Number of runs chosen together.
-        most: Number of runs at the end.
-        sensitivities: Whether runs yield sensitivities.
-        criterion: Name of the criterion that chooses the runs.
-        spoil: Function of a record that makes runs fail.
-    """
+    """Yield the design after each batch, up to `most` runs; `spoil` is a function of a record that makes runs fail."""
     space, first = one.space, initial_runs(one.space.dim, sensitivities=sensitivities)
     most_asked = most + batch + Active.check
     active = Active(runs=most_asked, initial=first, batch=batch, criterion=criterion, change=RESTLESS)
@@ -88,7 +68,6 @@ def grow(
         try:
             with one_thread():
                 more = design.next(x, records)
-            assert design.state is not None
             yield Grown(design.state, len(x), sum(not r.ok for r in records), time.perf_counter() - begun)
         except TooFewRuns:
             more = design.more_of_the_first()
@@ -98,8 +77,8 @@ def grow(
         records += [spoil(one.run(row, sensitivities)) for row in more.points]
 
 
-def delivered(one: Case, knowledge: Knowledge, seed: int) -> Moments:
-    """Return the moments of the posterior as a study computes it at the end, with enough particles to judge it."""
+def delivered(one: Case, knowledge: Knowledge, seed: int) -> Weighted:
+    """Return the posterior as a study computes it at the end, with enough particles to judge it."""
     host = OnHost(knowledge.nearly_expected)
     initial = one.space.prior_quantiles(np.random.default_rng([seed, 9]).random((PARTICLES, one.space.dim)))
     settings = SMCSettings(rejuvenation_steps=15, zeta=0.5)
@@ -107,5 +86,4 @@ def delivered(one: Case, knowledge: Knowledge, seed: int) -> Moments:
         found = sample(jax.random.key(seed), host, one.space.log_prior, initial, settings=settings)
         expected = knowledge.expected(found.positions, plug_in=knowledge.plug_in(found.positions))
     weights = np.exp(log_softmax(found.log_weights + expected - found.log_likelihood))
-    moments = Weighted(found.positions, weights)
-    return Moments(moments.mean, moments.sd)
+    return Weighted(found.positions, weights)

@@ -17,8 +17,6 @@ from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import Uniform
 from strandline.runs import RunRecord
 
-__all__ = ["MODELS", "TRUTH", "Model", "X", "pocket", "smooth"]
-
 X = np.linspace(0.0, 1.0, 21)
 TRUTH = np.array([0.3, 0.35])
 

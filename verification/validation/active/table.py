@@ -5,9 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from statistics import median
 from typing import Any
 
-from verification.validation.tables import Cell, Table
-
-__all__ = ["needed", "runs_table", "stopping_table"]
+from verification.validation.tables import Table, table
 
 GOOD = {
     "S3": lambda p: p["total_variation"] < 0.05,
@@ -29,7 +27,7 @@ def needed(course: Mapping[str, Any]) -> int | None:
 
 def runs_table(courses: Rows) -> Table:
     """Return the number of runs until the posterior is right, median and worst over the seeds."""
-    rows: list[tuple[Cell, ...]] = []
+    rows = []
     keys = ("study", "quadrature", "criterion", "share", "sensitivities")
     for (study, rule, criterion, share, gradients), some in _grouped(courses, keys):
         runs = [needed(course) for course in some]
@@ -39,28 +37,16 @@ def runs_table(courses: Rows) -> Table:
         spent = median(point["seconds"] for course in some for point in course["points"])
         told = criterion.replace("_", " "), f"{share:.0%}", "yes" if gradients else "no"
         rows.append((study, rule, *told, len(runs), middle, worst, spent))
-    return Table(
-        "active-runs",
-        "Runs until the posterior is right",
-        (
-            "study",
-            "quadrature",
-            "criterion",
-            "failing at random",
-            "sensitivities",
-            "seeds",
-            "runs, median",
-            "runs, worst",
-            "s a batch",
-        ),
-        ("s", "s", "s", "s", "s", "d", "s", "s", ".1f"),
-        tuple(rows),
+    heading = (
+        "study | quadrature | criterion | failing at random | sensitivities | seeds {d} | runs, median | runs, worst "
+        "| s a batch {.1f}"
     )
+    return table("active-runs", "Runs until the posterior is right", heading, rows)
 
 
 def stopping_table(stopped: Rows) -> Table:
     """Return where calibrations stopped by themselves, and their errors there."""
-    rows: list[tuple[Cell, ...]] = []
+    rows = []
     for (study, rule, gradients), some in _grouped(stopped, ("study", "quadrature", "sensitivities")):
         ended = [one for one in some if one["converged"]]
         figures = [
@@ -69,23 +55,12 @@ def stopping_table(stopped: Rows) -> Table:
             if values
         ] or [""] * 4
         rows.append((study, rule, "yes" if gradients else "no", len(some), len(ended), *figures))
-    return Table(
-        "active-stopping",
-        "Where calibrations stop of themselves: medians, the worst in brackets",
-        (
-            "study",
-            "quadrature",
-            "sensitivities",
-            "seeds",
-            "converged",
-            "runs",
-            "runs before the last check",
-            "error of a mean, sd",
-            "relative error of an sd",
-        ),
-        ("s", "s", "s", "d", "d", "s", "s", "s", "s"),
-        tuple(rows),
+    heading = (
+        "study | quadrature | sensitivities | seeds {d} | converged {d} | runs | runs before the last check "
+        "| error of a mean, sd | relative error of an sd"
     )
+    title = "Where calibrations stop of themselves: medians, the worst in brackets"
+    return table("active-stopping", title, heading, rows)
 
 
 def _grouped(rows: Rows, keys: Sequence[str]) -> Iterable[tuple[tuple[Any, ...], list[Mapping[str, Any]]]]:

@@ -5,21 +5,19 @@ from pathlib import Path
 from statistics import median
 
 import numpy as np
-from verification.validation.planning.studies import finished, observed, rates_of, write_study
-from verification.validation.tables import Table
+from verification.validation.planning.studies import finished, observed, write_study
+from verification.validation.tables import Table, table
 
 import strandline as sl
-
-__all__ = ["table_of_advice"]
 
 RATES = (25.0, 50.0, 75.0, 125.0, 150.0, 175.0, 200.0)
 OTHER = 50.0
 LOW, HIGH = np.array([100.0, -0.8]), np.array([800.0, 0.5])
 
 
-def table_of_advice(output: Path, *, truths: int) -> tuple[Table, dict[str, object]]:
+def table_of_advice(output: Path, truths: int) -> tuple[Table, dict[str, object]]:
     """Return the widths after each second experiment, and a summary; finished truths are kept."""
-    kept = output / "advice.json"
+    kept = output / "advice-rows.json"
     rows = json.loads(kept.read_text()) if kept.is_file() else []
     random = np.random.default_rng(2026)
     for number in range(truths):
@@ -29,8 +27,10 @@ def table_of_advice(output: Path, *, truths: int) -> tuple[Table, dict[str, obje
         rows.append(_followed(output / f"truth-{number}", truth, first, seed))
         kept.write_text(json.dumps(rows))
         print(rows[-1], flush=True)
-    columns = ("E, Pa", "ν", "advised rate", "sd(ν) at 100", "with 50", "with the advised", "fall", "new runs")
-    formats = (".0f", ".2f", ".0f", ".3f", ".3f", ".3f", ".0%", ".0f")
+    heading = (
+        "E, Pa {.0f} | ν {.2f} | advised rate {.0f} | sd(ν) at 100 {.3f} | with 50 {.3f} | with the advised {.3f} "
+        "| fall {.0%} | new runs {.0f}"
+    )
     cells = [
         (*row["truth"], row["rate"], row["sd"], row["other"], row["advised"], _fall(row), row["new"]) for row in rows
     ]
@@ -41,10 +41,10 @@ def table_of_advice(output: Path, *, truths: int) -> tuple[Table, dict[str, obje
         "advised experiments that failed": sum(row["failed"] for row in rows),
         "expected over found sd, median": median(row["expected"] / row["advised"] for row in rows if not row["failed"]),
     }
-    return Table("planning-advice", "Following the advice", columns, formats, tuple(cells)), summary
+    return table("planning-advice", "Following the advice", heading, cells), summary
 
 
-def _fall(row: dict) -> float:  # type: ignore[type-arg]
+def _fall(row: dict) -> float:
     return float(1 - row["advised"] / row["other"])
 
 
@@ -61,7 +61,7 @@ def _truth(random: np.random.Generator) -> tuple[dict[str, float], np.ndarray, i
 
 def _followed(folder: Path, truth: dict[str, float], first: np.ndarray, seed: int) -> dict[str, object]:
     """Return the widths of ν after the first experiment, and with either second one."""
-    study = write_study(folder / "first", {100.0: first}, candidates=rates_of(RATES))
+    study = write_study(folder / "first", {100.0: first}, {"V_in": list(RATES)})
     sd = float(finished(study).sd[1])
     found = sl.next_experiment(study).content
     best = found["candidates"][0]
@@ -87,5 +87,5 @@ def _second(folder: Path, truth: dict[str, float], first: np.ndarray, rate: floa
         second = observed(rate, truth, np.random.default_rng(seed))
     except sl.ForwardModelError:
         return None
-    study = write_study(folder, {100.0: first, rate: second}, candidates="")
+    study = write_study(folder, {100.0: first, rate: second})
     return float(finished(study).sd[1])

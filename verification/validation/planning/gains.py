@@ -10,12 +10,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
-from verification.validation.planning.studies import SD, TRUTH, finished, observed, rates_of, write_study
-from verification.validation.tables import Table
+from verification.validation.planning.studies import SD, TRUTH, finished, observed, write_study
+from verification.validation.tables import Table, table
 
 import strandline as sl
-
-__all__ = ["RATES", "table_of_gains"]
 
 RATES = (15.0, 25.0, 35.0, 45.0, 55.0, 65.0, 75.0, 85.0, 95.0, 105.0, 115.0, 125.0)
 OBSERVATIONS = 10
@@ -64,9 +62,7 @@ def nested(signals: Float[np.ndarray, "draw signal"]) -> tuple[float, float]:
     return float(gains.mean()), float(gains.std() / np.sqrt(len(gains)))
 
 
-def _log_ratios(
-    signals: Float[np.ndarray, "draw signal"], noise: Float[np.ndarray, "draw signal"]
-) -> Float[np.ndarray, " draw"]:
+def _log_ratios(signals: Float[np.ndarray, "draw signal"], noise: Float[np.ndarray, "draw signal"]) -> np.ndarray:
     """Return log p(s | x) - log p(s) of the observation of each draw."""
     squares = -0.5 * cdist(signals + noise, signals, "sqeuclidean")
     fits = np.diag(squares).copy()
@@ -75,21 +71,13 @@ def _log_ratios(
 
 
 def _true_runs(kept: Path, draws: Float[np.ndarray, "draw dim"], processes: int) -> dict[float, Points]:
-    """Return the true interfaces by rate; those of the first draws that are kept already are not made again."""
-    known = dict(np.load(kept)) if kept.is_file() else {}
-    first = len(known["draws"]) if known else 0
-    if not known or not np.array_equal(known["draws"], draws[:first]):
-        first, known = 0, {}
-    points = {rate: true_points(rate, draws[first:], processes) for rate in RATES} if first < len(draws) else {}
-    if known:
-        old = dict(zip(RATES, known["points"], strict=True))
-        points = {rate: np.concatenate([old[rate], points[rate]] if points else [old[rate]]) for rate in RATES}
-    points = {rate: one[: len(draws)] for rate, one in points.items()}
-    np.savez(kept, draws=draws, points=np.array([*points.values()]))
-    return points
+    """Return the true interfaces by rate, which are kept for a later call."""
+    if not kept.is_file() or not np.array_equal(np.load(kept)["draws"], draws):
+        np.savez(kept, draws=draws, points=np.array([true_points(rate, draws, processes) for rate in RATES]))
+    return dict(zip(RATES, np.load(kept)["points"], strict=True))
 
 
-def table_of_gains(output: Path, *, draws: int, processes: int) -> tuple[Table, dict[str, object]]:
+def table_of_gains(output: Path, draws: int, processes: int) -> tuple[Table, dict[str, object]]:
     """Return the gains of all rates and of the best pairs, and a summary.
 
     Args:
@@ -97,10 +85,8 @@ def table_of_gains(output: Path, *, draws: int, processes: int) -> tuple[Table, 
         draws: Number of draws of the posterior at which the true model is run.
         processes: Number of processes for these runs.
     """
-    random = np.random.default_rng(1)
-    study = write_study(
-        output / "gains", {100.0: observed(100.0, TRUTH, random)}, candidates=f"{rates_of(RATES)}, together: 2"
-    )
+    seen = {100.0: observed(100.0, TRUTH, np.random.default_rng(1))}
+    study = write_study(output / "gains", seen, {"V_in": list(RATES), "together": 2})
     posterior = finished(study)
     found = sl.next_experiment(study, draws=4000).content
     chosen = np.unique(posterior.equally_weighted(7), axis=0)
@@ -109,7 +95,8 @@ def table_of_gains(output: Path, *, draws: int, processes: int) -> tuple[Table, 
     signals = {rate: offsets(one) for rate, one in points.items()}
     failing = {rate: float(np.isnan(one).any(axis=1).mean()) for rate, one in signals.items()}
     ours = {tuple(s["V_in"] for s in one["settings"]): one for one in found["candidates"]}
-    rows = [_row(rates, ours[rates], signals, failing) for rates in _candidates()]
+    candidates = [*((rate,) for rate in RATES), *combinations_with_replacement(RATES, 2)]
+    rows = [_row(rates, ours[rates], signals, failing) for rates in candidates]
     singles, pairs = ([row for row in rows if (row[0].count("+") > 0) is pair] for pair in (False, True))
     summary = {
         "largest difference, single": max(abs(row[1] - row[3]) for row in singles),
@@ -121,16 +108,14 @@ def table_of_gains(output: Path, *, draws: int, processes: int) -> tuple[Table, 
         "failures, predicted and true": {r: (ours[(r,)]["failing"], failing[r]) for r in RATES},
     }
     best = sorted(pairs, key=lambda row: -row[3])[:6]
-    columns = ("rates, mm²/s", "gain", "error", "gain, true model", "error", "runs that fail", "of the true model")
-    formats = ("s", ".3f", ".3f", ".3f", ".3f", ".1%", ".1%")
-    return Table("planning-gains", "Gains", columns, formats, (*singles, *best)), summary
+    heading = (
+        "rates, mm²/s | gain {.3f} | error {.3f} | gain, true model {.3f} | error {.3f} | runs that fail {.1%} "
+        "| of the true model {.1%}"
+    )
+    return table("planning-gains", "Gains", heading, (*singles, *best)), summary
 
 
-def _candidates() -> list[tuple[float, ...]]:
-    return [(rate,) for rate in RATES] + [*combinations_with_replacement(RATES, 2)]
-
-
-def _row(rates: Sequence[float], ours: dict, signals: dict, failing: dict) -> tuple:  # type: ignore[type-arg]
+def _row(rates: Sequence[float], ours: dict, signals: dict, failing: dict) -> tuple:
     both = np.hstack([signals[rate] for rate in rates])
     gain, error = nested(both[~np.isnan(both).any(axis=1)])
     fails = 1 - float(np.prod([1 - failing[rate] for rate in rates]))
@@ -138,5 +123,5 @@ def _row(rates: Sequence[float], ours: dict, signals: dict, failing: dict) -> tu
     return name, ours["gain"], ours["error"], gain, error, ours["failing"], fails
 
 
-def _top(rows: Sequence[tuple], column: int) -> list[str]:  # type: ignore[type-arg]
+def _top(rows: Sequence[tuple], column: int) -> list[str]:
     return [row[0] for row in sorted(rows, key=lambda row: -row[column])[:3]]

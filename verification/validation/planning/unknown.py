@@ -4,14 +4,11 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-from verification.validation.tables import Table
+from verification.validation.tables import STUDIES, Table, table
 
 import strandline as sl
 
-__all__ = ["table_of_unknown"]
-
-STUDY = Path(__file__).parents[3] / "studies" / "biofilm-parts-active"
-COLUMNS = ("combination", "left, expected", "left, found", "cosine with the posterior's least known")
+HEADING = "combination | left, expected {.2f} | left, found {.2f} | cosine with the posterior's least known {.2f}"
 
 
 def table_of_unknown(output: Path) -> tuple[Table, dict[str, object]]:
@@ -19,7 +16,7 @@ def table_of_unknown(output: Path) -> tuple[Table, dict[str, object]]:
     folder = output / "unknown"
     if not folder.is_dir():
         folder.mkdir(parents=True)
-        shutil.copy2(STUDY / "study.yaml", folder)
+        shutil.copy2(STUDIES / "biofilm-parts-active" / "study.yaml", folder)
     study = sl.load_study(folder)
     before = sl.next_experiment(study, source="prior").content
     posterior = sl.run_study(study).calibration.posterior
@@ -38,7 +35,7 @@ def table_of_unknown(output: Path) -> tuple[Table, dict[str, object]]:
         "cosine with all combinations said to be unknown": float(np.sqrt(inside)),
         "runs before any data": before["runs"],
     }
-    return Table("planning-unknown", "Unknown", COLUMNS, ("s", ".2f", ".2f", ".2f"), tuple(rows)), summary
+    return table("planning-unknown", "Unknown", HEADING, rows), summary
 
 
 def scaled_draws(study: sl.Study, posterior: sl.Posterior) -> np.ndarray:

@@ -1,1 +1,0 @@
-"""Active designs on a surrogate of the field, compared with the true model."""
