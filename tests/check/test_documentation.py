@@ -15,8 +15,8 @@ import click
 import numpy as np
 import pytest
 import yaml
+from tests.doors.models.command_faults import FAULTS
 from verification.reference_page import page
-from verification.validation.command_faults import FAULTS
 
 import strandline as sl
 from strandline.cli.main import COMMANDS

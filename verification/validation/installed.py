@@ -19,12 +19,12 @@ import time
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from verification.validation.interpreters import Interpreter, find_interpreters
+from verification.validation.tables import ROOT
 
-ROOT = Path(__file__).parents[2]
 STUDY = "studies/biofilm-uniform"
 """The same folder as in the documented programs."""
 SMALL = {
@@ -37,11 +37,55 @@ LEFT_OUT = (".ci/",)
 """Folders under version control that the source distribution leaves out."""
 ARVIZ = {0: "arviz>=0.21,<1", 1: "arviz>=1"}
 ARVIZ_1_NEEDS = (3, 12)
+OVERRIDE = "STRANDLINE_PYTHONS"
+"""Environment variable that lists the interpreters to use instead, separated as in PATH."""
+VERSION = "import sys, ensurepip, venv; print(sys.implementation.name, *sys.version_info[:4])"
 LINK = re.compile(r"\]\((?!https?://)[^)]*\)")
 
 
 class Failed(Exception):
     """A step has failed."""
+
+
+@dataclass(frozen=True, order=True)
+class Interpreter:
+    """A Python that can make virtual environments, and its version."""
+
+    version: tuple[int, int, int]
+    path: Path
+
+    @property
+    def name(self) -> str:
+        """The version as text, e.g. ``3.13.0``."""
+        return ".".join(map(str, self.version))
+
+
+def interpreters() -> Sequence[Interpreter]:
+    """Return one released CPython of each minor version, the newest first: on PATH, or installed by pyenv or uv."""
+    if override := os.environ.get(OVERRIDE):
+        candidates = [Path(item) for item in override.split(os.pathsep) if item]
+    else:
+        pyenv = Path(os.environ.get("PYENV_ROOT") or "~/.pyenv").expanduser()
+        uv = Path(os.environ.get("UV_PYTHON_INSTALL_DIR") or "~/.local/share/uv/python").expanduser()
+        folders = [Path(item) for item in os.environ.get("PATH", "").split(os.pathsep) if item]
+        folders += [*pyenv.glob("versions/*/bin"), *uv.glob("*/bin")]
+        paths = (path for folder in folders for path in sorted(folder.glob("python3*")))
+        candidates = [path for path in paths if re.fullmatch(r"python3(\.\d+)?", path.name)]
+    found: dict[tuple[int, int], Interpreter] = {}
+    for interpreter in sorted(filter(None, map(_asked, dict.fromkeys(candidates))), reverse=True):
+        found.setdefault(interpreter.version[:2], interpreter)
+    return list(found.values())
+
+
+def _asked(path: Path) -> Interpreter | None:
+    """Return the interpreter at a path; None if it does not run or is not suitable."""
+    try:
+        done = subprocess.run([path, "-c", VERSION], capture_output=True, text=True, timeout=30, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    kind, *version, level = done.stdout.split()
+    good = (kind, level) == ("cpython", "final")
+    return Interpreter(tuple(map(int, version)), path) if good else None
 
 
 def require(condition: object, message: str) -> None:
@@ -53,15 +97,8 @@ def require(condition: object, message: str) -> None:
 def command(*words: str | Path, folder: Path, **variables: str) -> str:
     """Run a command in `folder`, independent of this checkout's Python; return what it printed."""
     kept = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")}
-    done = subprocess.run(
-        words,
-        cwd=folder,
-        env=kept | variables,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        check=False,
-    )
+    together = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    done = subprocess.run(words, cwd=folder, env=kept | variables, check=False, **together)
     shown = " ".join(map(str, words))
     require(done.returncode == 0, f"exit code {done.returncode} of {shown}\n{done.stdout[-4000:]}")
     require("Traceback" not in done.stdout, f"traceback of {shown}\n{done.stdout[-4000:]}")
@@ -107,10 +144,8 @@ def build(folder: Path) -> Path:
     compare_sdist(sdist, tracked())
     compare_wheel(wheel_files(wheel), tracked())
     command(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", "from-sdist", sdist, folder=folder)
-    require(
-        wheel_files(folder / "from-sdist" / wheel.name) == wheel_files(wheel),
-        "the wheel built from the source distribution differs from the one built from the checkout",
-    )
+    same = wheel_files(folder / "from-sdist" / wheel.name) == wheel_files(wheel)
+    require(same, "the wheel built from the source distribution differs from the one built from the checkout")
     return wheel
 
 
@@ -131,48 +166,34 @@ def install(programs: Path, what: str, folder: Path) -> None:
     command(*pip, what, folder=folder)
 
 
-def small(text: str) -> str:
-    """Return the study that `init` wrote, with few runs and few particles."""
-    for key, value in SMALL.items():
-        text, number = re.subn(rf"^{key}: .*$", f"{key}: {value}", text, flags=re.MULTILINE)
-        require(number == 1, f"no {key} in the study that init writes")
-    return text
-
-
 def study(programs: Path, folder: Path) -> None:
-    """Make a study and its runs, and its report a second time."""
+    """Make a study and its runs, and its report a second time; and an example with its picture and its simulator."""
     home = {"XDG_CACHE_HOME": str(folder / "cache")}
     command(programs / "strandline", "init", STUDY, folder=folder)
     file = folder / STUDY / "study.yaml"
-    file.write_text(small(file.read_text("utf-8")), "utf-8")
+    text = file.read_text("utf-8")
+    for key, value in SMALL.items():
+        text, number = re.subn(rf"^{key}: .*$", f"{key}: {value}", text, flags=re.MULTILINE)
+        require(number == 1, f"no {key} in the study that init writes")
+    file.write_text(text, "utf-8")
     for words in (("run", "--quiet", STUDY), ("report", "--quiet", STUDY)):
         printed = command(programs / "strandline", *words, folder=folder, **home)
         require("report.html" in printed, f"no report named: {printed}")
         missing = [name for name in RESULTS if not (folder / STUDY / name).is_file()]
         require(not missing, f"missing after {words[0]}: {missing}")
         shutil.rmtree(folder / STUDY / "figures")
-
-
-def example(programs: Path, folder: Path) -> None:
-    """Write an example that comes with the wheel, with its picture and its simulator, and make a run of it."""
-    home = {"XDG_CACHE_HOME": str(folder / "cache")}
     command(programs / "strandline", "init", "drop", "--example", "pendant-drop", folder=folder)
     printed = command(programs / "strandline", "check", "drop", folder=folder, **home)
     require("study.yaml is sound" in printed, f"the check of the example: {printed}")
-
-
-def documented(importing: str) -> str:
-    """Return the program of the page on results that imports a package."""
-    page = (ROOT / "docs" / "how-to" / "results.md").read_text("utf-8")
-    (program,) = [text for text in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if f"import {importing}" in text]
-    return str(program)
 
 
 def arviz(python: Interpreter, programs: Path, folder: Path) -> str:
     """Read the posterior as the documentation says; return the version of ArviZ."""
     major = 1 if python.version >= ARVIZ_1_NEEDS else 0
     install(programs, ARVIZ[major], folder)
-    program = f"{documented('arviz')}print('version', az.__version__)\n"
+    page = (ROOT / "docs" / "how-to" / "read-results.md").read_text("utf-8")
+    (documented,) = [text for text in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "import arviz" in text]
+    program = f"{documented}print('version', az.__version__)\n"
     printed = command(programs / "python", "-W", "ignore", "-c", program, folder=folder)
     require(re.search(r"^E +\d", printed, re.MULTILINE), f"no summary of E: {printed}")
     version = printed.rpartition("version ")[2].strip()
@@ -186,7 +207,6 @@ def job(python: Interpreter, wheel: Path, folder: Path) -> str:
     programs = environment(python, wheel, folder)
     marks.append(time.monotonic())
     study(programs, folder)
-    example(programs, folder)
     marks.append(time.monotonic())
     version = arviz(python, programs, folder)
     marks.append(time.monotonic())
@@ -211,8 +231,8 @@ def newest_with_wheels(pythons: Sequence[Interpreter], wheel: Path, folder: Path
 
 def main() -> None:
     """Build, compare, and run the jobs of both Pythons in parallel."""
-    own = Interpreter((sys.version_info[0], sys.version_info[1], sys.version_info[2]), Path(sys.executable))
-    newer = [p for p in find_interpreters(os.environ, Path.home()) if p.version[:2] > own.version[:2]]
+    own = Interpreter(sys.version_info[:3], Path(sys.executable))
+    newer = [p for p in interpreters() if p.version[:2] > own.version[:2]]
     with tempfile.TemporaryDirectory(prefix="strandline-installed-") as name:
         folder = Path(name)
         wheel = build(folder)

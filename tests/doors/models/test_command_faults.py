@@ -10,9 +10,9 @@ from collections import Counter
 from dataclasses import replace
 
 import pytest
+from tests.doors.models.command_faults import FAULTS, MARKER, left_after, processes_with, study, zombies
 from tests.doors.models.waiting import until
 from tests.unit.models.command.commands import RESULT
-from verification.validation.command_faults import FAULTS, MARKER, left_after, processes_with, study, zombies
 
 from strandline.models.command.model import CommandModel
 from strandline.models.command.process import LOG_LIMIT

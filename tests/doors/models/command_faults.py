@@ -1,22 +1,13 @@
-"""Simulators that misbehave, each run as a command in one campaign together with well-behaved ones.
-
-The program prints how each run ended in the ledger, and how many of its processes were left after the campaign.
-
-Run it with:  python -m verification.validation.command_faults
-"""
+"""Simulators that misbehave, each run as a command in one campaign together with well-behaved ones; tests run them."""
 
 import os
-import sys
-import tempfile
 import time
-import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from strandline.models.command.model import CommandModel
 from strandline.readers import Reading
-from strandline.runs import Ledger, LocalProcesses, RunRecord, run_campaign
 
 TIMEOUT, GRACE = 3.0, 0.5
 MARKER = "STRANDLINE_FAULT"
@@ -48,14 +39,7 @@ print("this is", fault, flush=True)
 
 @dataclass(frozen=True)
 class Fault:
-    """A way to misbehave, and how the run must end.
-
-    Args:
-        what: What the simulator does.
-        code: Code of the simulator, after `SIMULATOR`.
-        state: State of the record.
-        kind: Kind of the failure; None if the run must not fail.
-    """
+    """What the simulator does, its code after `SIMULATOR`, and state and failure's kind, if any, of the record."""
 
     what: str
     code: str
@@ -137,14 +121,6 @@ def study(folder: Path, marker: str) -> CommandModel:
     )
 
 
-def campaign(folder: Path, marker: str, *, workers: int = 2) -> tuple[RunRecord, ...]:
-    """Make one run of each fault and return the records as the ledger keeps them."""
-    model = study(folder, marker)
-    inputs = [{"fault": float(k)} for k in range(len(FAULTS))]
-    with Ledger.open(folder / "ledger.sqlite", model=model) as ledger:
-        return run_campaign(model, inputs, ledger=ledger, executor=LocalProcesses(workers=workers, timeout=60.0))
-
-
 def processes_with(marker: str) -> list[int]:
     """Return the processes, except this one, that have `marker` in their environment."""
     found = []
@@ -176,23 +152,3 @@ def left_after(marker: str, patience: float = 0.0) -> Mapping[int, int]:
     while processes_with(f"{marker}-") and time.monotonic() < until:
         time.sleep(0.05)
     return {k: len(processes_with(f"{marker}-{k}-")) for k in range(len(FAULTS))}
-
-
-def main() -> None:
-    """Print the table; exit code 1 if a run did not end as it must, or left a process."""
-    marker, began = uuid.uuid4().hex, time.monotonic()
-    with tempfile.TemporaryDirectory() as name:
-        records = campaign(Path(name), marker)
-    left = left_after(marker)
-    print("| a simulator that … | state | kind | seconds | processes left |\n| --- | --- | --- | --- | --- |")
-    good = True
-    for k, (fault, record) in enumerate(zip(FAULTS, records, strict=True)):
-        kind = record.failure_kind or ""
-        print(f"| {fault.what} | {record.state} | {kind} | {record.seconds:.1f} | {left[k]} |")
-        good &= (record.state, record.failure_kind, left[k]) == (fault.state, fault.kind, 0)
-    print(f"\n{len(records)} runs in {time.monotonic() - began:.0f} s; zombies: {len(zombies())}")
-    sys.exit(not good)
-
-
-if __name__ == "__main__":
-    main()
