@@ -14,7 +14,7 @@ from netgen.geom2d import SplineGeometry
 from scipy.optimize import brentq
 from verification.validation.biofilm_mesh import flow_cell
 from verification.validation.energies import FURTHER, isochoric_piola, shear_modulus, symbolic_piola, volume_piola
-from verification.validation.tables import Table, observed_orders, show, table
+from verification.validation.tables import Table, observed_orders, table
 
 from strandline.models.biofilm import newton
 from strandline.models.biofilm.cell import FlowCell, Setting
@@ -284,7 +284,3 @@ def _balance_table() -> Table:
         "outflow against inflow past the deformed biofilm": mass_imbalance(cell),
     }
     return table("balances", "Poiseuille flow and balances", "what | relative error {.0e}", rows.items())
-
-
-if __name__ == "__main__":
-    show(tables())

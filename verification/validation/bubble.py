@@ -77,6 +77,10 @@ def _turning(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     return matrix, middle - matrix @ middle
 
 
+def _bytes(grey: Grey) -> np.ndarray:
+    return np.clip(np.round(grey), 0, 255).astype(np.uint8)
+
+
 def turned(grey: Grey) -> Grey:
     """Return the photograph turned about its middle."""
     matrix, _ = _turning(grey.shape[::-1])
@@ -204,10 +208,6 @@ def grey_of(photograph: Path) -> Grey:
     """Return the grey values of the photograph, 0 to 255."""
     with Image.open(photograph) as picture:
         return np.asarray(picture.convert("L"), float)
-
-
-def _bytes(grey: Grey) -> np.ndarray:
-    return np.clip(np.round(grey), 0, 255).astype(np.uint8)
 
 
 HEADING = (

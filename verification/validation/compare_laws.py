@@ -14,7 +14,6 @@ averaged over the laws. Its 90 % intervals should contain the truth whichever la
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
@@ -49,6 +48,20 @@ WITHIN, COVERED = 0.2, 0.85
 PAGE = DOCS / "results" / "accuracy.md"
 
 
+STUDY = """
+version: 1
+inputs:
+  E: {prior: {uniform: [100, 800]}, unit: Pa}
+  nu: {prior: {uniform: [-0.8, 0.5]}}
+discrepancy: {currents: {width: 0.005, quadrature: refined}}
+noise: {variance: 0.0005}
+design: {active: {runs: 100}}
+surrogate: {field: {}}
+sampler: {smc: {particles: 2000, rejuvenation_steps: 10, zeta: 0.5}}
+executor: {local: {workers: 1, timeout: 120}}
+"""
+
+
 def model(law: str, rates: dict[str, float]) -> sl.Biofilm:
     """Return the biofilm of one law, with one interface for each rate."""
     return sl.Biofilm(mesh="coarse", material=law, inflow_rates=tuple(rates.items()))
@@ -66,22 +79,9 @@ def study(law: str, rates: dict[str, float], folder: Path) -> sl.Study:
     """Write the study of one law, with the data in files beside it, and return it."""
     home = folder / f"{len(rates)}-rates" / law
     home.mkdir(parents=True, exist_ok=True)
-    content: dict[str, Any] = {
-        "version": 1,
-        "name": law,
-        "model": {"biofilm": {"mesh": "coarse", "material": law, "inflow_rates": rates}},
-        "inputs": {
-            "E": {"prior": {"uniform": [100, 800]}, "unit": "Pa"},
-            "nu": {"prior": {"uniform": [-0.8, 0.5]}},
-        },
-        "observation": [{"condition": name, "file": f"../{name}.csv", "unit": "mm"} for name in rates],
-        "discrepancy": {"currents": {"width": 0.005, "quadrature": "refined"}},
-        "noise": {"variance": VARIANCE},
-        "design": {"active": {"runs": 100}},
-        "surrogate": {"field": {}},
-        "sampler": {"smc": {"particles": 2000, "rejuvenation_steps": 10, "zeta": 0.5}},
-        "executor": {"local": {"workers": 1, "timeout": 120}},
-    }
+    content = yaml.safe_load(STUDY)
+    content |= {"name": law, "model": {"biofilm": {"mesh": "coarse", "material": law, "inflow_rates": rates}}}
+    content["observation"] = [{"condition": name, "file": f"../{name}.csv", "unit": "mm"} for name in rates]
     (home / "study.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
     return sl.load_study(home)
 

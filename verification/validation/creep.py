@@ -13,7 +13,6 @@ Run it with:  python -m verification.validation.creep [--publish]
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Any
 
 import ngsolve as ng
 import numpy as np
@@ -44,12 +43,7 @@ def block_stresses(
 ) -> np.ndarray:
     """Return the first Piola–Kirchhoff stresses (time, 2, 2) of a block whose boundary follows F(t), scaled.
 
-    Args:
-        law: Name of the law of the relaxed solid.
-        poisson: Its Poisson's ratio.
-        times: Ends of the steps, s; the first step begins at rest at 0 s. A step of length 0 is a sudden change.
-        gradient: F at a time.
-        branches: The branches.
+    Steps end at `times`, s; the first begins at rest at 0 s. A step of length 0 is a sudden change.
     """
     block = LoadedSolid(square(0.4), law, poisson, "bottom|right|top|left", remembers=True)
     memory, now = block.coupled.memory, 0.0
@@ -101,12 +95,7 @@ def relaxation_error(poisson: float = 0.3) -> float:
 
 
 def oscillation_errors(steps: Sequence[int], poisson: float = 0.4) -> list[float]:
-    """Return the largest errors of the shear stress over two periods, as a share of its largest value.
-
-    Args:
-        steps: Numbers of steps in a period.
-        poisson: Poisson's ratio.
-    """
+    """Return the largest errors of the shear stress over two periods, as a share of its largest, by steps a period."""
     shear = 0.5 * YOUNG / (1 + poisson)
     errors = []
     for number in steps:
@@ -124,12 +113,7 @@ def oscillation_errors(steps: Sequence[int], poisson: float = 0.4) -> list[float
 
 
 def creep_error(tolerance: float = 1e-4, law: str = "neo_hookean") -> tuple[float, int]:
-    """Return the largest error of the creeping interface, as a share of its largest displacement, and the steps.
-
-    Args:
-        tolerance: Largest error in time, as a share of the largest displacement.
-        law: Law of the relaxed solid.
-    """
+    """Return the largest error of the creeping interface, as a share of its largest displacement, and the steps."""
     branch, cell = Branch(1.5, 3.0), _cell(law)
     relaxed = cell.solve(Setting([400.0], [0.3], SLOW)).displacement
     size = np.linalg.norm(relaxed, axis=1).max()
@@ -150,14 +134,12 @@ def _crept(time: float, branch: Branch) -> float:
     return 1.0 - branch.ratio / (1.0 + branch.ratio) * float(np.exp(-time / (branch.time * (1.0 + branch.ratio))))
 
 
-def flow_errors(steps: Sequence[float], law: str = "neo_hookean") -> list[float]:
+def flow_errors(steps: Sequence[float]) -> list[float]:
     """Return how far the study's interface differs from that with half the step, µm, while it creeps.
 
-    Args:
-        steps: Constant steps, s, each half of the one before; the last serves only for the comparison.
-        law: Law of the relaxed solid.
+    Steps are constant, s, each half of the one before; the last serves only for the comparison.
     """
-    cell, found = _cell(law), []
+    cell, found = _cell("neo_hookean"), []
     times = tuple((f"{time:g}", time) for time in (1.0, 2.0, 4.0, 6.0))
     course = Course(((0.0, 0.0), (1.0, 1.0), (4.0, 0.3), (6.0, 0.3)), times)
     cell.set(Setting([400.0], [0.3], 100.0))
@@ -169,8 +151,8 @@ def flow_errors(steps: Sequence[float], law: str = "neo_hookean") -> list[float]
 
 
 def _cell(law: str) -> CreepingCell:
-    options: dict[str, Any] = {"channel": Channel(), "partition": Partition(), "law": LAWS[law]}
-    return CreepingCell(Outline().interface(), MESHES["coarse"], **options)
+    outline = Outline().interface()
+    return CreepingCell(outline, MESHES["coarse"], channel=Channel(), partition=Partition(), law=LAWS[law])
 
 
 def tables() -> list[Table]:

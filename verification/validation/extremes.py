@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 from verification.validation.biofilm_mesh import flow_cell
 from verification.validation.energies import FURTHER
-from verification.validation.tables import Table, show, table
+from verification.validation.tables import Table, table
 
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm.cell import Setting
@@ -40,7 +40,3 @@ def tables(*, mesh: str = "default", laws: Iterable[str] = tuple(LAWS)) -> list[
         "| min J solid {.3f} | Jacobians {d}"
     )
     return [table("extremes", "Extreme inputs", heading, rows)]
-
-
-if __name__ == "__main__":
-    show(tables())

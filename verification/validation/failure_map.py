@@ -47,11 +47,7 @@ Inputs = Mapping[str, float]
 
 @dataclass(frozen=True)
 class FirstOrder:
-    """The largest first-order compression of the solid, by which `steady_state` chooses its path, as a diagnostic.
-
-    Args:
-        mesh: Name of the mesh.
-    """
+    """The largest first-order compression of the solid, by which `steady_state` chooses its path, as a diagnostic."""
 
     mesh: str
 

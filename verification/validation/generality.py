@@ -1,7 +1,4 @@
-"""Other flow cells: sensitivities by each parameter of law and fluid, against differences; developed flow.
-
-Run it with:  python -m verification.validation.generality
-"""
+"""Other flow cells: sensitivities by each parameter of law and fluid, against differences; developed flow."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -11,7 +8,7 @@ from typing import Any
 import numpy as np
 from verification.validation.energies import FURTHER
 from verification.validation.sensitivities import extrapolated
-from verification.validation.tables import Table, show, table
+from verification.validation.tables import Table, table
 
 from strandline.models.biofilm.flow import Fluid
 from strandline.models.biofilm.materials import LAWS, further_parameters
@@ -136,7 +133,3 @@ def tables(mesh: str = "coarse") -> list[Table]:
         table("generality_sensitivities", "Sensitivities of other flow cells", heading, rows),
         table("generality_flow", "Developed flow", developed, developed_flow_errors().items()),
     ]
-
-
-if __name__ == "__main__":
-    show(tables())

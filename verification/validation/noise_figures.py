@@ -3,32 +3,21 @@
 They take a few seconds. Run it with:  python -m verification.validation.noise_figures
 """
 
-from pathlib import Path
-
 import numpy as np
 from contourpy import contour_generator
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from verification.validation.tables import DOCS
 
 from strandline.discrepancy import errors_from_repeats, errors_from_roughness, signed_distances
 from strandline.interface import Interface, PointErrors
 from strandline.report.plots.style import BLACK, BLUE, GREEN, GREY, RED, styled
 
-FIGURES = Path(__file__).parents[2] / "docs" / "figures"
 TRUE = PointErrors(0.003, 0.012)
 """The errors of the drawn contours, mm."""
 RADIUS, MIDDLE, BLUR, GRAIN = 14.3, (19.6, 20.2), 0.8, 0.04
 """A bright disk in a picture of 40 × 40 pixels: lengths in pixels, and the noise as a share of the contrast."""
-
-
-def main() -> None:
-    """Write noise-pixel.png, noise-repeats.png, noise-roughness.png and noise-unknown.png."""
-    for name, draw in (("pixel", pixel), ("repeats", repeats), ("roughness", roughness), ("unknown", unknown)):
-        with styled():
-            figure = Figure(figsize=(7.0, 2.6), layout="constrained")
-            draw(*figure.subplots(1, 2))
-            figure.savefig(FIGURES / f"noise-{name}.png", dpi=130)
 
 
 def outline() -> Interface:
@@ -42,43 +31,24 @@ def along(polyline: Interface) -> Float[np.ndarray, " point"]:
     return np.concatenate([[0.0], np.cumsum(polyline.lengths)])
 
 
-# From the pixel
-
-
 def pixel(left: Axes, right: Axes) -> None:
-    """Draw a picture with its contour in whole pixels and between them, and the errors of both."""
-    picture = disk()
+    """Draw a bright disk with soft edge and grain, and the errors of its contour in whole pixels and between them."""
+    y, x = np.mgrid[0:40, 0:40]
+    away = np.hypot(x - MIDDLE[0], y - MIDDLE[1]) - RADIUS
+    grain = GRAIN * np.random.default_rng(1).standard_normal(away.shape)
+    picture = 1 / (1 + np.exp(away / (0.6 * BLUR))) + grain
     left.imshow(picture, cmap="gray", origin="lower", interpolation="nearest")
     found = {"whole pixels": (np.round(np.clip(picture, 0, 1)), RED), "between pixels": (picture, BLUE)}
     for name, (grey, colour) in found.items():
         line = max(contour_generator(z=grey).lines(0.5), key=len)
         left.plot(*line.T, color=colour)
-        places, errors = about_the_disk(line)
-        right.plot(places, errors, color=colour, label=f"{name}, sd {errors.std():.2f}")
+        arm = line - np.array(MIDDLE)
+        places, errors = RADIUS * (np.arctan2(arm[:, 1], arm[:, 0]) % (2 * np.pi)), np.hypot(*arm.T) - RADIUS
+        order = np.argsort(places)
+        right.plot(places[order], errors[order], color=colour, label=f"{name}, sd {errors.std():.2f}")
     left.set(xlim=(2, 18), ylim=(22, 36), xticks=[], yticks=[])
     right.set(xlabel="along the edge, pixels", ylabel="error, pixels", ylim=(-0.9, 1.3), xlim=(0, 60))
     right.legend(loc="upper right", ncols=2)
-
-
-def disk() -> Float[np.ndarray, "row column"]:
-    """Return the picture: 1 inside the disk, 0 outside, a soft edge, and grain."""
-    y, x = np.mgrid[0:40, 0:40]
-    away = np.hypot(x - MIDDLE[0], y - MIDDLE[1]) - RADIUS
-    grain = GRAIN * np.random.default_rng(1).standard_normal(away.shape)
-    return np.asarray(1 / (1 + np.exp(away / (0.6 * BLUR))) + grain)
-
-
-def about_the_disk(
-    line: Float[np.ndarray, "point 2"],
-) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
-    """Return where the points of a contour lie along the disk's edge, in order, and how far outside it; in pixels."""
-    arm = line - np.array(MIDDLE)
-    places = RADIUS * (np.arctan2(arm[:, 1], arm[:, 0]) % (2 * np.pi))
-    order = np.argsort(places)
-    return places[order], np.linalg.norm(arm, axis=1)[order] - RADIUS
-
-
-# From repeated pictures
 
 
 def repeats(left: Axes, right: Axes) -> None:
@@ -95,9 +65,6 @@ def repeats(left: Axes, right: Axes) -> None:
     right.plot([0.4, 0.4 + found.length], 2 * [-3.4 * sd], color=RED, lw=2.5, label=f"length, {length:.0f} µm")
     right.set(xlabel="along the outline, mm", ylabel="offset, µm", xlim=(0.3, 0.7), ylim=(-4 * sd, 5.5 * sd))
     right.legend(loc="upper right", ncols=2)
-
-
-# From one contour
 
 
 def roughness(left: Axes, right: Axes) -> None:
@@ -122,9 +89,6 @@ def zoomed(ax: Axes) -> None:
     ax.set(xlim=(0.2, 0.5), ylim=(0.08, 0.36), xlabel="x, mm", ylabel="y, mm", aspect="equal")
 
 
-# Unknown
-
-
 def unknown(left: Axes, right: Axes) -> None:
     """Draw independent residuals, and the probability density of their sd after more and more of them."""
     residuals = 3.0 * np.random.default_rng(4).standard_normal(300)
@@ -142,4 +106,8 @@ def unknown(left: Axes, right: Axes) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    for draw in (pixel, repeats, roughness, unknown):
+        with styled():
+            figure = Figure(figsize=(7.0, 2.6), layout="constrained")
+            draw(*figure.subplots(1, 2))
+            figure.savefig(DOCS / "figures" / f"noise-{draw.__name__}.png", dpi=130)

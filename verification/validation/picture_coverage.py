@@ -132,7 +132,7 @@ def covered(field: FieldSurrogate, name: str, kind: Kind, pictures: int) -> Cove
     """Return the ranks of truths in the posteriors from so many pictures."""
     truths = LOW + (HIGH - LOW) * np.random.default_rng(12).random((pictures, 2))
     known = {what: GLOBAL[what] for what in ("shift", "rotation", "scale")}
-    ranks, control, sds = [], [], []
+    found, control = [], []
     for k, truth in enumerate(truths):
         random = np.random.default_rng([13, k])
         placed = moving(kind).moved(field.interfaces(truth)[""], random.standard_normal(5))
@@ -143,18 +143,11 @@ def covered(field: FieldSurrogate, name: str, kind: Kind, pictures: int) -> Cove
             continue
         own = edge.errors
         errors = PointErrors(own.sd, own.length, offset=own.offset, **known)
-        rank, sd = _posterior(field, seen, errors, truth)
-        ranks.append(rank)
-        sds.append(sd)
-        control.append(_posterior(field, seen, PointErrors(own.sd), truth)[0])
-    return Cover(name, np.array(ranks), np.array(control), np.array(sds), 1 - len(ranks) / pictures)
-
-
-def _posterior(
-    field: FieldSurrogate, seen: Interface, errors: PointErrors, truth: Float[np.ndarray, " 2"]
-) -> tuple[np.ndarray, np.ndarray]:
-    likelihood = FieldLikelihood(field, (Observation(seen, errors),), NormalOffset())
-    return posterior(likelihood, truth, *limit(field, seen, errors))
+        for noise, kept in ((errors, found), (PointErrors(own.sd), control)):
+            likelihood = FieldLikelihood(field, (Observation(seen, noise),), NormalOffset())
+            kept.append(posterior(likelihood, truth, *limit(field, seen, noise)))
+    (ranks, sds), (of_control, _) = ([np.array(part) for part in zip(*some, strict=True)] for some in (found, control))
+    return Cover(name, ranks, of_control, sds, 1 - len(ranks) / pictures)
 
 
 HEADING = (

@@ -12,8 +12,10 @@ from scipy.ndimage import gaussian_filter
 
 from strandline.models.biofilm.outline import Outline
 
-__all__ = ["Camera", "Scan", "arch", "clicks", "covered", "shaped"]
-
+Line, Corners = Float[np.ndarray, "point 2"], Float[np.ndarray, "corner 2"]
+Picture = Float[np.ndarray, "row column"]
+Shape = tuple[int, int]
+"""Rows and columns of a picture."""
 PIXEL = 0.005
 """Side of a pixel, mm: the arch of 1.4 mm is 280 pixels long."""
 _LINES = 16
@@ -34,9 +36,7 @@ class Camera:
     contrast_to_noise: float = 10.0
     light: float = 0.1
 
-    def __call__(
-        self, polygon: Float[np.ndarray, "corner 2"], shape: tuple[int, int], random: np.random.Generator
-    ) -> Float[np.ndarray, "row column"]:
+    def __call__(self, polygon: Corners, shape: Shape, random: np.random.Generator) -> Picture:
         """Return a picture of a bright region: 0.2 outside, 1.2 inside, at the left."""
         clean = gaussian_filter(0.2 + covered(polygon, shape), self.blur, mode="nearest")
         clean *= 1.0 - self.light * np.arange(shape[1]) / shape[1]
@@ -68,9 +68,7 @@ class Scan:
     shade: float = 0.25
     floor: float = 0.0
 
-    def __call__(
-        self, polygon: Float[np.ndarray, "corner 2"], shape: tuple[int, int], random: np.random.Generator
-    ) -> Float[np.ndarray, "row column"]:
+    def __call__(self, polygon: Corners, shape: Shape, random: np.random.Generator) -> Picture:
         """Return linear intensity, with a mean of 1 outside of the region."""
         share = covered(polygon, shape)
         reflects = 1 + (10 ** (self.contrast / 10) - 1) * share
@@ -80,9 +78,7 @@ class Scan:
             power += self.floor * np.abs(self._field(np.ones(shape), random)) ** 2
         return power
 
-    def _gain(
-        self, polygon: Float[np.ndarray, "corner 2"], shape: tuple[int, int], random: np.random.Generator
-    ) -> Float[np.ndarray, " column"]:
+    def _gain(self, polygon: Corners, shape: Shape, random: np.random.Generator) -> Float[np.ndarray, " column"]:
         """Return the light left in each column: Gaussian shadows, 4 to 8 px wide (sd)."""
         left, right = polygon[:, 0].min(), polygon[:, 0].max()
         low, high = (left + share * (right - left) for share in self.over)
@@ -92,39 +88,25 @@ class Scan:
             gain *= 1 - (1 - self.shade) * np.exp(-0.5 * ((x - middle) / width) ** 2)
         return gain
 
-    def _field(
-        self, amplitude: Float[np.ndarray, "row column"], random: np.random.Generator
-    ) -> Float[np.ndarray, "row column"]:
+    def _field(self, amplitude: Picture, random: np.random.Generator) -> Picture:
         white = amplitude * (random.standard_normal((2, *amplitude.shape)) * np.sqrt(0.5))
         real, imaginary = (gaussian_filter(part, self.speckle, mode="reflect") for part in white)
         return np.asarray((real + 1j * imaginary) * np.sqrt(4 * np.pi) * self.speckle)
 
 
-def arch(
-    shape: tuple[int, int], random: np.random.Generator, *, vary: float = 1.0
-) -> tuple[Float[np.ndarray, "point 2"], Float[np.ndarray, "corner 2"]]:
+def arch(shape: Shape, random: np.random.Generator) -> tuple[Line, Corners]:
     """Return an arch like the biofilm's in pixel coordinates, from the left to the right, and the region under it.
 
-    Args:
-        shape: Rows and columns of the picture.
-        random: Generator of a random shear (sd 0.1), height (sd 5 %) and position within a pixel.
-        vary: Factor of these.
+    Its shear (sd 0.1), its height (sd 5 %) and its position within a pixel are random.
     """
-    shear, height = vary * 0.1 * random.standard_normal(), vary * 0.05 * random.standard_normal()
-    return shaped(shape, shear, height, moved=(vary * random.uniform(-0.5, 0.5), vary * random.uniform(-0.5, 0.5)))
+    shear, height = 0.1 * random.standard_normal(), 0.05 * random.standard_normal()
+    return shaped(shape, shear, height, moved=(random.uniform(-0.5, 0.5), random.uniform(-0.5, 0.5)))
 
 
 def shaped(
-    shape: tuple[int, int], shear: float, height: float, *, moved: tuple[float, float] = (0.0, 0.0)
-) -> tuple[Float[np.ndarray, "point 2"], Float[np.ndarray, "corner 2"]]:
-    """Return the arch of this shear and this relative change of height, as `arch` does.
-
-    Args:
-        shape: Rows and columns of the picture.
-        shear: Change of x over height above the foot.
-        height: Relative change of the height.
-        moved: Displacement to the right and down, px.
-    """
+    shape: Shape, shear: float, height: float, *, moved: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Line, Corners]:
+    """Return the arch of this shear and this relative change of height, moved to the right and down, px."""
     points = np.array(Outline(nodes=400).interface().points)
     points[:, 0] += shear * points[:, 1]
     points[:, 1] *= 1 + height
@@ -136,15 +118,13 @@ def shaped(
     return line, np.concatenate([line, [[line[-1, 0], shape[0] + 40], [line[0, 0], shape[0] + 40]]])
 
 
-def clicks(
-    line: Float[np.ndarray, "point 2"], random: np.random.Generator, *, number: int = 12, sd: float = 2.5
-) -> Float[np.ndarray, "click 2"]:
-    """Return points along a line as a person clicks on them, off by `sd` pixels in x and in y."""
-    places = np.linspace(0, len(line) - 1, number).round().astype(int)
-    return line[places] + sd * random.standard_normal((number, 2))
+def clicks(line: Line, random: np.random.Generator) -> Float[np.ndarray, "click 2"]:
+    """Return points along a line as a person clicks on 12 of them, off by 2.5 pixels (sd) in x and in y."""
+    places = np.linspace(0, len(line) - 1, 12).round().astype(int)
+    return line[places] + 2.5 * random.standard_normal((12, 2))
 
 
-def covered(polygon: Float[np.ndarray, "corner 2"], shape: tuple[int, int]) -> Float[np.ndarray, "row column"]:
+def covered(polygon: Corners, shape: Shape) -> Picture:
     """Return the share of each pixel that a polygon covers: exact along lines, 16 of them a row of pixels."""
     ends = np.roll(polygon, -1, axis=0)
     columns = np.arange(shape[1]) + 0.5
@@ -159,7 +139,7 @@ def covered(polygon: Float[np.ndarray, "corner 2"], shape: tuple[int, int]) -> F
     return share / _LINES
 
 
-def _fine(points: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, "point 2"]:
+def _fine(points: Line) -> Line:
     """Return a line through the points with nodes a tenth of a pixel apart."""
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     return np.asarray(CubicSpline(arc, points)(np.linspace(0.0, arc[-1], 10 * round(arc[-1]))))

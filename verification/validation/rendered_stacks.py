@@ -12,8 +12,6 @@ from scipy.ndimage import gaussian_filter
 
 from strandline.imaging import Stack
 
-__all__ = ["Blob", "Microscope"]
-
 
 @dataclass(frozen=True)
 class Blob:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from verification.validation.biofilm_mesh import flow_cell
-from verification.validation.tables import Table, show, table
+from verification.validation.tables import Table, table
 
 from strandline.models.biofilm.cell import FlowCell, Setting
 from strandline.models.biofilm.geometry import MESHES, Partition
@@ -101,7 +101,3 @@ def tables(points: Sequence[Inputs] = POINTS, *, mesh: str = "default") -> list[
 def partition_of(parts: int) -> Partition:
     """Return the partition of the study's specimen into one or three parts."""
     return Partition.PRESETS["three_parts"] if parts == 3 else Partition()
-
-
-if __name__ == "__main__":
-    show(tables())

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import ngsolve as ng
 import numpy as np
-from verification.validation.tables import Table, observed_orders, show, table
+from verification.validation.tables import Table, observed_orders, table
 from verification.validation.turek_mesh import HEIGHT, TIP, Size, mesh_turek_hron
 
 from strandline.models.biofilm import newton
@@ -26,14 +26,9 @@ SETTINGS = newton.NewtonSettings(tolerance=1e-8, maximum_jacobians=30, smallest_
 
 @dataclass(frozen=True)
 class Benchmark:
-    """One of the four benchmarks: its parts and the published values.
+    """A benchmark: published displacement of the beam's tip, and drag and lift of cylinder and beam; and its parts.
 
-    Args:
-        name: Published name.
-        reference: Published displacement ux, uy of the beam's tip (m), drag and lift of cylinder and beam (N/m).
-        fluid: Whether there is a fluid.
-        young: Young's modulus of the beam, Pa; None for a rigid beam.
-        gravity: Gravity, m/s², downwards.
+    Units are SI; the beam is rigid without Young's modulus; gravity points downwards.
     """
 
     name: str
@@ -166,7 +161,3 @@ def _own_orders(values: Sequence[float]) -> list[float | None]:
     """Return log₂ of the ratio of successive differences (Richardson); this needs three meshes but no reference."""
     steps = np.abs(np.diff(values))
     return [None, None, *(float(np.log2(a / b)) for a, b in pairwise(steps))][: len(values)]
-
-
-if __name__ == "__main__":
-    show(tables())

@@ -32,14 +32,7 @@ Published = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Stage:
-    """A stretch of a run on one mesh with one step.
-
-    Args:
-        level: Place of the mesh in `MESHES`.
-        step: Step, s.
-        end: Time of its end, s.
-        shown: Whether the table shows its last period.
-    """
+    """A stretch of a run on one mesh of `MESHES` with one step, s, until a time, s; the table shows its last period."""
 
     level: int
     step: float
@@ -49,16 +42,10 @@ class Stage:
 
 @dataclass(frozen=True)
 class Case:
-    """One of the three benchmarks.
+    """A benchmark: published mean, amplitude and frequency (Hz) of displacement (m) and force (N/m), runs, and parts.
 
-    Args:
-        name: Published name.
-        reference: Published mean, amplitude and frequency (Hz) of displacement (m) and force (N/m).
-        runs: Runs of the table, each a list of stages that go on from one another.
-        velocity: Mean inflow velocity, m/s; 0: no fluid.
-        young: Young's modulus of the beam, Pa; None for a rigid beam.
-        gravity: Gravity, m/s², downwards.
-        density: Density of the beam, kg/m³.
+    Each run is a list of stages that go on from one another. Units are SI; without a mean inflow velocity there is no
+    fluid, without Young's modulus the beam is rigid; gravity points downwards.
     """
 
     name: str
@@ -99,14 +86,7 @@ CASES = {
                 "drag": (460.5, 27.74, 10.93),
                 "lift": (2.50, 153.91, 5.46),
             },
-            (
-                (
-                    Stage(0, 0.005, 6.0, shown=False),
-                    Stage(1, 0.0025, 8.8),
-                    Stage(2, 0.0025, 10.0),
-                    Stage(2, 0.00125, 11.2),
-                ),
-            ),
+            ((Stage(0, 0.005, 6.0, False), Stage(1, 0.0025, 8.8), Stage(2, 0.0025, 10.0), Stage(2, 0.00125, 11.2)),),
             velocity=2.0,
             young=5.6e6,
         ),
@@ -205,48 +185,33 @@ def simulate(case: Case, stages: Sequence[Stage]) -> Iterator[Run]:
         yield run
 
 
-@dataclass(frozen=True)
-class Oscillation:
-    """Mean and amplitude of the extremes in the last period, and the frequency, Hz; NaN if there is no period."""
+def oscillation(times: np.ndarray, values: np.ndarray, window: float, period: float) -> tuple[float, float, float]:
+    """Return mean and amplitude of the extremes in the last period, and the frequency, Hz, in the window at the end.
 
-    mean: float
-    amplitude: float
-    frequency: float
-
-
-def oscillation(
-    times: Sequence[float], values: Sequence[float], *, window: float, period: float | None = None
-) -> Oscillation:
-    """Return the oscillation in the last part of a series of even steps.
-
-    Args:
-        times: Times, s.
-        values: Values at the times.
-        window: Length of the last part, s, more than two periods.
-        period: Length of time over which extremes are taken, s; default: the period of the values.
+    Times and steps are in s, steps are even; the window is longer than two periods. Without a period, the frequency is
+    NaN, and mean and amplitude are those of the window.
     """
-    t, y = np.array(times), np.array(values)
-    chosen = t >= t[-1] - window
-    t, y = t[chosen], y[chosen]
+    chosen = times >= times[-1] - window
+    t, y = times[chosen], values[chosen]
     y_mean = 0.5 * (y.max() + y.min())
     rising = np.flatnonzero((y[:-1] < y_mean) & (y[1:] >= y_mean))
     if len(rising) < 2:
-        return Oscillation(float(y_mean), float(0.5 * (y.max() - y.min())), float("nan"))
+        return float(y_mean), float(0.5 * (y.max() - y.min())), float("nan")
     crossings = t[rising] + (y_mean - y[rising]) / (y[rising + 1] - y[rising]) * (t[rising + 1] - t[rising])
     frequency = (len(crossings) - 1) / (crossings[-1] - crossings[0])
-    last = y[t >= t[-1] - (period or 1.0 / frequency) - 1e-9]
-    return Oscillation(float(0.5 * (last.max() + last.min())), float(0.5 * (last.max() - last.min())), float(frequency))
+    last = y[t >= t[-1] - period - 1e-9]
+    return float(0.5 * (last.max() + last.min())), float(0.5 * (last.max() - last.min())), float(frequency)
 
 
 def rows(case: Case, stage: Stage, run: Run) -> list[tuple]:
     """Return a row of the table for each quantity."""
-    found = []
+    found, times, series = [], np.array(run.times), np.array(run.rows)
     period = 1.0 / min(frequency for _, _, frequency in case.reference.values())
+    window = min(3.2 * period, run.times[-1] - run.times[0])
     for k, (name, published) in enumerate(case.reference.items()):
-        window = min(3.2 * period, run.times[-1] - run.times[0])
-        own = oscillation(run.times, [row[k] for row in run.rows], window=window, period=period)
+        own = oscillation(times, series[:, k], window, period)
         size = (run.cylinder.mesh.ne, len(run.cylinder.system.free), stage.step, run.cost.jacobians, run.seconds)
-        found.append((name, *published, *size, own.mean, own.amplitude, own.frequency))
+        found.append((name, *published, *size, *own))
     return found
 
 
