@@ -4,9 +4,11 @@ Run it with:  python -m verification.validation.biofilm_mesh
 """
 
 import time
+from collections.abc import Iterable
 
 import numpy as np
 from jaxtyping import Float
+from verification.validation.energies import FURTHER
 from verification.validation.tables import Table, show, table
 
 from strandline.design import sobol
@@ -16,12 +18,40 @@ from strandline.models.biofilm.geometry import MESHES, MeshSize, Partition
 from strandline.models.biofilm.materials import LAWS
 from strandline.models.biofilm.outline import NODES, Channel, Outline
 
+CASES = (
+    (400.0, 0.5, 100.0),
+    (400.0, 0.4999999, 100.0),
+    (400.0, -0.9, 100.0),
+    (400.0, -0.99, 100.0),
+    (400.0, 0.3, 0.0),
+    (1e7, 0.3, 100.0),
+    (1e7, 0.5, 100.0),
+)
+"""E in Pa, ν, V_in in mm²/s."""
 REFERENCE = MeshSize(far=0.035, interface=0.0075, foot=0.0033, grading=0.22)
 BOX = ((100.0, 800.0), (-0.8, 0.5))
 RATE = 100.0
 POINTS = 24
-
 Points = Float[np.ndarray, "node 2"]
+
+
+def extremes(*, mesh: str = "default", laws: Iterable[str] = tuple(LAWS)) -> list[Table]:
+    """Return the table of outcomes at the limits of the model: ν = ½, ν near -1, no flow, a very stiff solid."""
+    rows = []
+    for law in laws:
+        cell = flow_cell(MESHES[mesh], law=law)
+        for young, poisson, rate in CASES:
+            try:
+                found = cell.solve(Setting([young], [poisson], rate, tuple([x] for x in FURTHER[law]))).diagnostics()
+                figures = (1e3 * found["max_displacement"], found["min_J_fluid"], found["min_J_solid"])
+                rows.append((law, young, poisson, rate, "solved", *figures, int(found["newton_jacobians"])))
+            except ForwardModelError as error:
+                rows.append((law, young, poisson, rate, error.kind, None, None, None, None))
+    heading = (
+        "law | E, Pa {g} | ν {.7g} | V_in, mm²/s {g} | outcome | largest displacement, µm {.4g} | min J fluid {.3f} "
+        "| min J solid {.3f} | Jacobians {d}"
+    )
+    return [table("extremes", "Extreme inputs", heading, rows)]
 
 
 def flow_cell(

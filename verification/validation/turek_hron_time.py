@@ -16,8 +16,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from verification.validation.tables import Table, arguments, show, table
-from verification.validation.turek_hron import BOUNDARIES, COARSEST, RIGID, force, norm_weights, set_inflow
-from verification.validation.turek_mesh import TIP, Size, mesh_turek_hron
+from verification.validation.turek_hron import (
+    BOUNDARIES,
+    COARSEST,
+    RIGID,
+    TIP,
+    Size,
+    force,
+    mesh_turek_hron,
+    norm_weights,
+    set_inflow,
+)
 
 from strandline.models.biofilm.moving import Moment, MovingSystem
 from strandline.models.biofilm.newton import NewtonSettings

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from verification.validation import analytic, extremes
+from verification.validation import analytic, biofilm_mesh
 from verification.validation.biofilm_mesh import flow_cell
 from verification.validation.sensitivities import POINTS, Inputs, partition_of, relative_differences
 from verification.validation.tables import observed_orders
@@ -73,7 +73,7 @@ def test_sensitivities_with_a_jacobian_from_elsewhere_do_not(monkeypatch):
 
 def test_extreme_inputs_are_solved():
     laws = ("saint_venant_kirchhoff", "neo_hookean")
-    (table,) = extremes.tables(mesh="coarse", laws=laws)
+    (table,) = biofilm_mesh.extremes(mesh="coarse", laws=laws)
     assert set(table.column("outcome")) == {"solved"}
     moved = dict(zip(((r[0], *r[1:4]) for r in table.rows), table.column("largest displacement, µm"), strict=True))
     for law in laws:

@@ -2,8 +2,15 @@
 
 import numpy as np
 import pytest
-from verification.validation.failure_map import FOLD_RATIOS, WIDTH, box_inputs, critical_moduli
-from verification.validation.failure_tables import BAND, band_table, tables_of
+from verification.validation.failure_map import (
+    BAND,
+    FOLD_RATIOS,
+    WIDTH,
+    band_table,
+    box_inputs,
+    critical_moduli,
+    tables_of,
+)
 
 from strandline.interface import Interface
 from strandline.runs import RunRecord

@@ -1,0 +1,316 @@
+"""S3, S5 and S6 with real runs: when the posterior is right, and where whole calibrations stop."""
+
+import pickle
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+from scipy.special import log_softmax
+from verification.reproduction.field_table import FieldTable, tabulate
+from verification.reproduction.grid_posterior import posterior_on_grid, product_grid, total_variation
+from verification.reproduction.truth import TruePosterior, true_posterior
+from verification.validation.tables import OUTPUT, STUDIES
+
+from strandline.calibration import Problem, Settings, calibrate
+from strandline.design import sobol
+from strandline.design.active import Active, ActiveDesign, Knowledge, State, learn, posterior_state
+from strandline.discrepancy import Currents
+from strandline.errors import TooFewRuns
+from strandline.interface import Interface, Observation
+from strandline.likelihood import InterfaceLikelihood
+from strandline.models.fingerprint import fingerprint
+from strandline.models.protocol import with_sensitivities
+from strandline.numerics.threads import one_thread
+from strandline.parameters import ParameterSpace
+from strandline.posterior import Weighted, reweight, subset
+from strandline.runs import InProcess, Ledger, LocalProcesses, RunRecord, RunRequest, run_key
+from strandline.runs.record import attempt
+from strandline.smc import OnHost, SMCSettings, sample
+from strandline.studies import load_study
+from strandline.studies.observed import noisy
+
+NAMES = {"S3": "biofilm-uniform", "S5": "biofilm-inflow", "S6": "biofilm-parts"}
+INTERVALS = (12, 6, 6)
+"""Intervals of the table of true interfaces, in load, Poisson's ratio and inflow."""
+PARTICLES = 6000
+RESTLESS = 1e-12
+"""Change below which a design would go on to its check; none is as small."""
+PANELS = (24, 12, 8)
+DRAWS = 100
+"""Draws of the posterior of S6 at which the true model checks it: enough to see a shift of 0.1 standard deviations."""
+ECONOMY = SMCSettings(rejuvenation_steps=15, zeta=0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A study; `run` makes a forward run at one point, with sensitivities if the second argument is true."""
+
+    space: ParameterSpace
+    observations: tuple[Observation, ...]
+    measure: Currents
+    run: Callable[[Float[np.ndarray, " dim"], bool], RunRecord]
+
+    def log_likelihood(self, record: RunRecord) -> float:
+        """Return log L of a successful run."""
+        return InterfaceLikelihood(self.observations, self.measure)(record.interfaces)
+
+
+def case(name: str, quadrature: str) -> Case:
+    """Return a study with one of the two quadratures."""
+    study = load_study(STUDIES / NAMES[name])
+    model: Any = study.model
+
+    def run(x: Float[np.ndarray, " dim"], sensitivities: bool) -> RunRecord:
+        inputs = {**study.fixed, **study.space.as_mapping(x)}
+        request = RunRequest(run_key(fingerprint(model), inputs), inputs)
+        with tempfile.TemporaryDirectory() as folder:
+            return attempt(with_sensitivities(model) if sensitivities else model, request, Path(folder))
+
+    observed = run(np.array([study.truth[name] for name in study.space.names]), False).interfaces
+    if study.synthetic_noise is not None:
+        observed = noisy(observed, study.synthetic_noise)
+    seen = study.observations(observed)
+    return Case(study.space, seen, Currents(0.005, quadrature=quadrature), run)
+
+
+def truth_of(one: Case) -> TruePosterior:
+    """Return the posterior of the true model by direct quadrature, for S3 and S5."""
+    likelihood = InterfaceLikelihood(one.observations, one.measure)
+    rate = None if "V_in" in one.space.names else 100.0
+    return true_posterior(_table(), likelihood, one.space, rate=rate)
+
+
+@cache
+def _table() -> FieldTable:
+    """Return the table of true interfaces; the table and its runs are kept in verification/validation/output."""
+    kept = OUTPUT / "table.pickle"
+    if kept.is_file():
+        return pickle.loads(kept.read_bytes())
+    model: Any = load_study(STUDIES / NAMES["S3"]).model
+    reference: Interface = model.undeformed()
+    OUTPUT.mkdir(exist_ok=True)
+    with Ledger.open(OUTPUT / "table.sqlite", model=model) as ledger:
+        table = tabulate(model, reference, intervals=INTERVALS, ledger=ledger, executor=LocalProcesses())
+    kept.write_bytes(pickle.dumps(table))
+    return table
+
+
+@dataclass(frozen=True, eq=False)
+class Grown:
+    """A design after a batch: its runs, its posterior, and the seconds that learning, sampling and choosing took."""
+
+    state: State
+    runs: int
+    failed: int
+    seconds: float
+
+
+def initial_runs(dim: int, *, sensitivities: bool) -> int:
+    """Return the size of the first design, the same as in a study."""
+    return max((4 + 2 * dim) // 2, 3) if sensitivities else 4 + 2 * dim
+
+
+def grow(
+    one: Case,
+    *,
+    seed: int,
+    batch: int,
+    most: int,
+    sensitivities: bool,
+    criterion: str = "expected_variance",
+    spoil: Callable[[RunRecord], RunRecord] = lambda record: record,
+) -> Iterator[Grown]:
+    """Yield the design after each batch, up to `most` runs; `spoil` is a function of a record that makes runs fail."""
+    space, first = one.space, initial_runs(one.space.dim, sensitivities=sensitivities)
+    most_asked = most + batch + Active.check
+    active = Active(runs=most_asked, initial=first, batch=batch, criterion=criterion, change=RESTLESS)
+
+    def posterior(x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]) -> State:
+        known = learn(x, records, space, one.observations, one.measure)
+        return posterior_state(known, space, (seed, len(x)))
+
+    design = ActiveDesign(
+        active, space, batch=batch, learn=posterior, log_likelihood=one.log_likelihood, seed=seed, scramble=seed
+    )
+    x = space.to_physical(sobol(first, space.dim, scramble=seed))
+    design.start(x)
+    records = [spoil(one.run(row, sensitivities)) for row in x]
+    while True:
+        begun = time.perf_counter()
+        try:
+            with one_thread():
+                more = design.next(x, records)
+            yield Grown(design.state, len(x), sum(not r.ok for r in records), time.perf_counter() - begun)
+        except TooFewRuns:
+            more = design.more_of_the_first()
+        if more is None or len(x) + batch > most:
+            return
+        x = np.concatenate([x, more.points])
+        records += [spoil(one.run(row, sensitivities)) for row in more.points]
+
+
+def delivered(one: Case, knowledge: Knowledge, seed: int) -> Weighted:
+    """Return the posterior as a study computes it at the end, with enough particles to judge it."""
+    host = OnHost(knowledge.nearly_expected)
+    initial = one.space.prior_quantiles(np.random.default_rng([seed, 9]).random((PARTICLES, one.space.dim)))
+    settings = SMCSettings(rejuvenation_steps=15, zeta=0.5)
+    with one_thread():
+        found = sample(jax.random.key(seed), host, one.space.log_prior, initial, settings=settings)
+        expected = knowledge.expected(found.positions, plug_in=knowledge.plug_in(found.positions))
+    weights = np.exp(log_softmax(found.log_weights + expected - found.log_likelihood))
+    return Weighted(found.positions, weights)
+
+
+def s3(
+    quadrature: str, *, sensitivities: bool, seed: int, most: int, criterion: str, share: float = 0.0
+) -> dict[str, Any]:
+    """Return the total variation to the true posterior over the (E, nu) plane; a `share` of runs fails at random."""
+    one = case("S3", quadrature)
+    truth, grid = truth_of(one), product_grid(one.space, panels=PANELS, rate=100.0)
+    true = posterior_on_grid(truth.field, one.space, grid)
+    points = []
+    options = {"sensitivities": sensitivities, "criterion": criterion, "seed": seed}
+    for grown in grow(one, batch=2, most=most, spoil=failing(share, seed), **options):
+        known = grown.state.knowledge
+        found = posterior_on_grid(lambda x, known=known: known.expected(x[:, :2]), one.space, grid)
+        points.append(
+            _common(grown)
+            | {
+                "total_variation": total_variation(found, true),
+                "mean_error": float(np.abs((found.mean - true.mean) / true.sd).max()),
+                "sd_error": float(np.abs(found.sd / true.sd - 1).max()),
+            }
+        )
+    return {"study": "S3", "quadrature": quadrature, **options, "points": points, "share": share}
+
+
+def s5(quadrature: str, *, sensitivities: bool, seed: int, most: int, criterion: str) -> dict[str, Any]:
+    """Return the errors of mean and standard deviation of (E, nu) with the inflow integrated out: the joint reading."""
+    one = case("S5", quadrature)
+    truth = truth_of(one).posterior
+    calibrated = [one.space.names.index(name) for name in ("E", "nu")]
+    points, options = [], {"sensitivities": sensitivities, "criterion": criterion, "seed": seed}
+    for grown in grow(one, batch=4, most=most, **options):
+        found = delivered(one, grown.state.knowledge, seed)
+        mean, sd = found.mean[calibrated], found.sd[calibrated]
+        points.append(
+            _common(grown)
+            | {
+                "mean_error": float(np.abs((mean - truth.mean) / truth.sd).max()),
+                "sd_error": float(np.abs(sd / truth.sd - 1).max()),
+            }
+        )
+    return {"study": "S5", "quadrature": quadrature, **options, "points": points, "share": 0.0}
+
+
+def s6(
+    quadrature: str, *, sensitivities: bool, seed: int, most: int, first: int, batch: int, criterion: str
+) -> dict[str, Any]:
+    """Return the importance weights by the true model at draws of the posterior, from `first` runs on."""
+    one = case("S6", quadrature)
+    points, options = [], {"sensitivities": sensitivities, "criterion": criterion, "seed": seed}
+    for grown in grow(one, batch=batch, most=most, **options):
+        point = _common(grown)
+        if grown.runs >= first:
+            point |= checked(one, grown, seed)
+        points.append(point)
+        if point.get("effective", 0.0) >= 0.8 and point["k_hat"] < 0.5 and point["shift"] < 0.1:
+            break
+    return {"study": "S6", "quadrature": quadrature, **options, "points": points, "share": 0.0}
+
+
+def checked(one: Case, grown: Grown, seed: int) -> dict[str, Any]:
+    """Run the true model at draws of the posterior; these runs only check it and do not train the surrogate."""
+    state = grown.state
+    chosen = subset(np.exp(state.log_weights), DRAWS, seed)
+    records = [one.run(x, False) for x in state.positions[chosen]]
+    good = np.array([record.ok for record in records])
+    true = np.array([one.log_likelihood(record) for record in records if record.ok])
+    found = reweight(state.positions[chosen][good], true - state.log_expected[chosen][good])
+    return {
+        "k_hat": found.smoothed.k_hat,
+        "effective": found.smoothed.ess / int(good.sum()),
+        "shift": float(np.abs(found.shift).max()),
+        "shift_error": float(found.shift_error[np.argmax(np.abs(found.shift))]),
+        "sd_error": float(np.abs(found.sd_ratio - 1).max()),
+        "failed_draws": int((~good).sum()),
+        "log_likelihood_rms": float(np.std(true - state.log_expected[chosen][good])),
+    }
+
+
+def failing(share: float, seed: int) -> Any:
+    """Return a function that makes a share of the successful runs fail, whatever their inputs."""
+    rng = np.random.default_rng([seed, 77])
+
+    def spoil(record: Any) -> Any:
+        fails = rng.random() < share
+        gone = {"state": "failed", "interfaces": {}, "sensitivities": {}, "failure_kind": "at_random"}
+        return replace(record, **gone) if record.ok and fails else record
+
+    return spoil
+
+
+def _common(grown: Grown) -> dict[str, Any]:
+    surrogate = grown.state.knowledge.surrogate
+    errors: Float[np.ndarray, " particle"] = surrogate.predicted_error(grown.state.positions)
+    return {
+        "runs": grown.runs,
+        "failed": grown.failed,
+        "seconds": grown.seconds,
+        "error_um": 1e3 * float(np.median(errors)),
+        "left_out_um": 1e3 * float(np.median(surrogate.left_out_error())),
+        "modes": len(surrogate.processes),
+    }
+
+
+def stopped(name: str, quadrature: str, *, sensitivities: bool, seed: int, most: int = 200) -> dict[str, Any]:
+    """Calibrate S3 or S5 (joint reading) with an active design, and compare with quadrature of the true model.
+
+    `chosen` are the runs without those of a check at the end; errors are the largest ones, of a mean in standard
+    deviations, of a standard deviation as a share; `seconds` are those of choosing, sampling and the like, by stage.
+    """
+    one = case(name, quadrature)
+    truth = truth_of(one).posterior
+    study = load_study(STUDIES / NAMES[name])
+    model: Any = with_sensitivities(study.model) if sensitivities else study.model
+    dim = one.space.dim
+    active = Active(runs=most, initial=initial_runs(dim, sensitivities=sensitivities), batch=2 if dim < 3 else 4)
+    settings = Settings(
+        runs=active.initial or 0,
+        scramble=seed,
+        surrogate="field",
+        active=active,
+        particles=4000,
+        smc=ECONOMY,
+        seed=seed,
+        nuisance_values=2,
+    )
+    problem = Problem(model, one.space, study.fixed, one.observations, {"currents": one.measure})
+    with tempfile.TemporaryDirectory() as home, Ledger.open(Path(home) / "l.sqlite", model=model) as ledger:
+        found = calibrate(problem, settings, ledger=ledger, executor=InProcess())
+    certificate = found.field.certificate
+    axes = [one.space.names.index(name) for name in ("E", "nu")]
+    check = None if certificate.checked is None else certificate.checked.check
+    weights = None if check is None else check.reweighting
+    last_check = len(certificate.batches[-1].points) if certificate.batches[-1].kind == "check" else 0
+    return {
+        "study": name,
+        "quadrature": quadrature,
+        "sensitivities": sensitivities,
+        "seed": seed,
+        "runs": len(found.records),
+        "chosen": len(found.records) - last_check,
+        "converged": certificate.converged,
+        "checks": sum(step.check is not None for step in certificate.steps),
+        "k_hat": None if weights is None else float(weights.smoothed.k_hat),
+        "mean_error": float(np.abs((found.posterior.mean[axes] - truth.mean) / truth.sd).max()),
+        "sd_error": float(np.abs(found.posterior.sd[axes] / truth.sd - 1).max()),
+        "seconds": dict(found.seconds),
+    }
