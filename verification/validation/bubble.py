@@ -96,7 +96,6 @@ def halved(grey: Grey) -> Grey:
 
 
 def compressed(grey: Grey) -> Grey:
-    """Return what is left after JPEG at quality 50."""
     memory = BytesIO()
     Image.fromarray(_bytes(grey)).save(memory, "JPEG", quality=50)
     return np.asarray(Image.open(memory), float)
@@ -127,7 +126,6 @@ class Found:
     verdict: str
 
     def row(self, original: "Found") -> tuple[str | float, ...]:
-        """Return this row of the table."""
         moved, ratio = (self.mean - original.mean) / original.sd, self.sd / original.sd
         return self.picture, self.mean, self.sd, self.low, self.high, moved, ratio, self.verdict
 
@@ -169,7 +167,6 @@ def pixel(grey: np.ndarray, sides: Float[np.ndarray, "side click 2"]) -> float:
 
 
 def answer(folder: Path, name: str) -> Found:
-    """Run the study in a folder and return its posterior."""
     if str(EXAMPLE) not in sys.path:
         sys.path.insert(0, str(EXAMPLE))
     run_study(load_study(folder), executor=InProcess())
@@ -193,7 +190,6 @@ def _found(name: str, posterior: Posterior, flagged: bool, verdict: str) -> Foun
 
 
 def missed(found: Found, original: Found) -> list[str]:
-    """Return the aims that a picture misses."""
     aims = {
         f"{TRUTH:g} mN/m in the 95 % interval": found.low <= TRUTH <= found.high,
         "a standard deviation of 0.4 to 1.5 mN/m": 0.4 <= found.sd <= 1.5,
@@ -205,7 +201,6 @@ def missed(found: Found, original: Found) -> list[str]:
 
 
 def grey_of(photograph: Path) -> Grey:
-    """Return the grey values of the photograph, 0 to 255."""
     with Image.open(photograph) as picture:
         return np.asarray(picture.convert("L"), float)
 
@@ -216,7 +211,6 @@ HEADING = (
 
 
 def main() -> None:
-    """Print the table, a row at a time; exit with 1 on a missed aim."""
     options = arguments(__doc__, photograph=PHOTOGRAPH, only=(), folder=Path)
     if not options.photograph.exists():
         print(f"no photograph at {options.photograph}")

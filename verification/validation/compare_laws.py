@@ -221,7 +221,6 @@ def holds(posterior: Weighted, truth: Float[np.ndarray, " 2"]) -> Float[np.ndarr
 
 
 def of_crossings(found: Sequence[Crossing]) -> tuple[Table, list[str]]:
-    """Return the table of the crossings, and the aims that are missed."""
     of_law = [[one for one in found if one.law == k] for k in range(2)]
     rows, missed = [], []
     for name, some in zip(("Saint-Venant–Kirchhoff", "neo-Hookean", "both"), (*of_law, found), strict=True):
@@ -242,7 +241,6 @@ def of_crossings(found: Sequence[Crossing]) -> tuple[Table, list[str]]:
 
 
 def main() -> None:
-    """Print both tables; exit with 1 on a missed aim."""
     options = arguments(__doc__, nodes=12, crossings=40, folder=Path, publish=False)
     use_double()
     made = []

@@ -23,7 +23,6 @@ RATE = 100.0
 
 
 def write(folder: Path, **changes: Any) -> sl.Study:
-    """Write the example with changes into a folder, and return it."""
     content = yaml.safe_load((EXAMPLES / "creep" / "study.yaml").read_text("utf-8"))
     content |= {"name": folder.name, **changes}
     folder.mkdir(parents=True, exist_ok=True)
@@ -87,7 +86,6 @@ def truths(study: sl.Study, number: int) -> list[dict[str, float]]:
 
 
 def main() -> None:
-    """Analyse the data sets and print a table."""
     options = arguments(__doc__, truths=20, shared=128, active=False, folder=OUTPUT / "creep", publish=False)
     shared, rows = options.folder / "shared", []
     design = {"active": {"runs": 100}} if options.active else {"sobol": {"runs": options.shared, "scramble": 1}}

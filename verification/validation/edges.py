@@ -40,7 +40,6 @@ class Case:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of a picture."""
         return CAMERA if isinstance(self.render, Camera) else SCAN
 
 
@@ -151,7 +150,6 @@ def megapixel(repeats: int = 3) -> Iterator[tuple]:
 
 
 def main() -> None:
-    """Print the tables, a row at a time."""
     options = arguments(__doc__, pictures=40, only=())
     cases = [case for case in CASES if not options.only or any(word in case.name for word in options.only)]
     rows = (row(case, options.pictures) for case in cases)

@@ -83,7 +83,6 @@ def tables_of(
 
 
 def failures_table(records: Mapping[str, Records]) -> Table:
-    """Return how many runs ended in each way on each mesh, and their cost."""
     kinds = sorted({_kind(run) for runs in records.values() for run in runs if not run.ok})
     rows = []
     for mesh, runs in records.items():
@@ -134,7 +133,6 @@ def band_table(default: Records, fine: Records, fold: Fold) -> Table:
 
 
 def differing_table(default: Records, fine: Records, fold: Fold) -> Table:
-    """Return the points with different outcomes, in order of ν."""
     rows = []
     for a, b in differing(default, fine):
         young, poisson, critical = a.inputs["E"], a.inputs["nu"], float(fold(a.inputs["nu"]))
@@ -164,7 +162,6 @@ def interfaces_table(default: Records, fine: Records, fold: Fold) -> Table:
 
 
 def fold_table(ratios: Sequence[float], critical: Mapping[str, Float[np.ndarray, " ratio"]]) -> Table:
-    """Return E of the fold by ν on each mesh, and that of an early prototype."""
     rows = [
         (ratio, *map(float, values), PROTOTYPE_FOLD.get(ratio))
         for ratio, *values in sorted(zip(ratios, *critical.values(), strict=True))
@@ -222,7 +219,6 @@ class FirstOrder:
 
     @property
     def fingerprint(self) -> str:
-        """The model's identity in a ledger."""
         return f"first-order compression:{Biofilm(mesh=self.mesh).fingerprint}"
 
     def __call__(self, inputs: Inputs, workdir: Path | None = None) -> Simulation:

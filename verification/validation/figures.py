@@ -32,7 +32,6 @@ def draw(tables: Sequence[Table], folder: Path) -> None:
 
 
 def convergence_of_benchmark(ax: Axes, table: Table) -> None:
-    """Draw the errors of FSI1 against the number of unknowns."""
     for k, key in enumerate(dict.fromkeys(table.column("quantity"))):
         for order, style in ((2, "o-"), (3, "s--")):
             rows = [row for row in table.rows if (row[0], row[2]) == (key, order)]
@@ -55,7 +54,6 @@ def convergence_of_solid(ax: Axes, table: Table) -> None:
 
 
 def mesh_of_three_parts(ax: Axes) -> None:
-    """Draw the default mesh of the specimen with three parts."""
     mesh: Any = mesh_flow_cell(Outline().interface(), MESHES["default"], Channel(), Partition.PRESETS["three_parts"])
     points = np.array([v.point for v in mesh.vertices])
     names = ("fluid", *(f"solid{k}" for k in (1, 2, 3)))

@@ -42,7 +42,6 @@ class Family:
         self.truth = random.uniform(0.3, 0.7, 2)
 
     def __call__(self, x: np.ndarray, nodes: int, *, begin: float = 0.0) -> np.ndarray:
-        """Return the points of the outline at inputs x, from an angle on."""
         a, b = x - 0.5
         terms = np.array([1.0, a, b, a * a, a * b, b * b]) @ self.terms
         t = begin + 2 * np.pi * np.arange(nodes) / nodes
@@ -86,7 +85,6 @@ class Simulator:
     fingerprint: str = "outlines"
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
-        """Return the outline."""
         return Simulation.of(self.make(np.array([inputs["a"], inputs["b"]])))
 
 
@@ -127,7 +125,6 @@ def compared(seed: int) -> list[tuple[str, float, float, str, int, int]]:
 
 
 def rows(problems: int) -> Iterator[tuple]:
-    """Yield the largest differences over the problems."""
     results = [one for seed in range(problems) for one in compared(seed)]
     for kind in dict.fromkeys(one[0] for one in results):
         mine = [one for one in results if one[0] == kind]

@@ -56,7 +56,6 @@ class Interpreter:
 
     @property
     def name(self) -> str:
-        """The version as text, e.g. ``3.13.0``."""
         return ".".join(map(str, self.version))
 
 
@@ -89,7 +88,6 @@ def _asked(path: Path) -> Interpreter | None:
 
 
 def require(condition: object, message: str) -> None:
-    """Raise `Failed` unless the condition holds."""
     if not condition:
         raise Failed(message)
 
@@ -106,7 +104,6 @@ def command(*words: str | Path, folder: Path, **variables: str) -> str:
 
 
 def tracked() -> set[str]:
-    """Return the files under version control that are not deleted."""
     listed = command("git", "ls-files", folder=ROOT).splitlines()
     return {name for name in listed if (ROOT / name).is_file()}
 
@@ -202,7 +199,6 @@ def arviz(python: Interpreter, programs: Path, folder: Path) -> str:
 
 
 def job(python: Interpreter, wheel: Path, folder: Path) -> str:
-    """Install and use the wheel with one Python; return a line about it."""
     marks = [time.monotonic()]
     programs = environment(python, wheel, folder)
     marks.append(time.monotonic())
@@ -230,7 +226,6 @@ def newest_with_wheels(pythons: Sequence[Interpreter], wheel: Path, folder: Path
 
 
 def main() -> None:
-    """Build, compare, and run the jobs of both Pythons in parallel."""
     own = Interpreter(sys.version_info[:3], Path(sys.executable))
     newer = [p for p in interpreters() if p.version[:2] > own.version[:2]]
     with tempfile.TemporaryDirectory(prefix="strandline-installed-") as name:

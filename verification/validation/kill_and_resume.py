@@ -83,7 +83,6 @@ def descendants(pid: int) -> list[tuple[int, str]]:
 
 
 def victims(driver: int, kind: str) -> list[int]:
-    """Return the running processes of a kind that belong to a driver."""
     if kind == "driver":
         return [driver]
     mark = "beam.py" if kind == "simulator" else "strandline.runs.worker"
@@ -91,13 +90,11 @@ def victims(driver: int, kind: str) -> list[int]:
 
 
 def start(folder: Path, environment: dict[str, str]) -> subprocess.Popen[bytes]:
-    """Start a driver on the study and return its process."""
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     return subprocess.Popen([*COMMAND, str(folder)], env=os.environ | environment, **quiet)
 
 
 def wait_for_two_more(driver: subprocess.Popen[bytes], folder: Path) -> None:
-    """Wait until two more runs are finished, or the driver has ended."""
     known, deadline = len(finished(folder)), time.monotonic() + 60.0
     while driver.poll() is None and len(finished(folder)) < known + 2 and time.monotonic() < deadline:
         time.sleep(0.02)

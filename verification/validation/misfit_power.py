@@ -39,7 +39,6 @@ def curve_in_micrometres(inputs: Mapping[str, float], workdir: Path) -> sl.Inter
 def judged(
     model: Any, parameters: Sequence[sl.Parameter], seen: Sequence[sl.Observation], runs: int, executor: Any = None
 ) -> tuple[Misfit, sl.Posterior]:
-    """Return the verdict on a calibration by a field learnt from Sobol runs."""
     problem = sl.Problem(
         model, sl.ParameterSpace(tuple(parameters)), {}, tuple(seen), {"normal_offset": sl.NormalOffset()}
     )
@@ -94,7 +93,6 @@ def often(number: int, wrong: float = 0.03) -> None:
 
 
 def main() -> None:
-    """Print a table of wrong models, then the share of false alarms."""
     options = arguments(__doc__, wrong=50, right=200, quick=False)
     rows = [row(f"{wrong:g} x sin 3πx added", of_curve(1, wrong), CURVE) for wrong in (0.0, 0.03, 0.08)]
     rows.append(row("observation shifted by 50 µm", of_curve(1, shift=(0.0, 0.05))))

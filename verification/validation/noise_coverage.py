@@ -90,7 +90,6 @@ def surrogate(runs: int, folder: Path) -> FieldSurrogate:
 
 
 def observed(field: FieldSurrogate, truth: Pair, errors: PointErrors, seed: int) -> Interface:
-    """Return an outline drawn around the predicted one."""
     predicted = field.interfaces(truth)[""]
     number = round(float(predicted.lengths.sum()) / SPACING) + 1
     return errors.draw(predicted.resampled(number), np.random.default_rng([7, seed]))
@@ -155,7 +154,6 @@ def measured(field: FieldSurrogate, errors: PointErrors, number: int, *, more: b
 
 
 def main() -> None:
-    """Print the table, a row at a time."""
     options = arguments(__doc__, words="NOISE", observations=200, others=False, runs=64, ledger=Path)
     use_double()
     with kept_or_scratch(options.ledger) as folder:

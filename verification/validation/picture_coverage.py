@@ -80,14 +80,12 @@ class Cover:
         return np.asarray(coverage_of(self.control, 0.9).found)
 
     def row(self) -> tuple[str | float, ...]:
-        """Return a row of the table."""
         p = [uniformity(self.ranks[:, k]).p_value for k in (0, 1)]
         sds = np.median(self.sds, axis=0).tolist()
         cover = [*(100 * self.found).tolist(), *(100 * self.of_control).tolist()]
         return self.kind, len(self.ranks), 100 * self.refused, *cover, *p, *sds
 
     def missed(self) -> list[str]:
-        """Return the aims that are missed."""
         said = []
         for name, share, control in zip(("E", "ν"), self.found, self.of_control, strict=True):
             if not AIM[0] <= share <= AIM[1]:
@@ -157,7 +155,6 @@ HEADING = (
 
 
 def main() -> None:
-    """Print the table, a row at a time; exit with 1 on a missed aim."""
     options = arguments(__doc__, words=KINDS, pictures=200, runs=64, ledger=Path)
     use_double()
     with kept_or_scratch(options.ledger) as folder:

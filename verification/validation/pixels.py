@@ -125,7 +125,6 @@ def integrated(log_density: LogDensity, truth: Shape, mean: Shape, sd: Shape) ->
 
 
 def outline(shape: tuple[int, int], x: Shape) -> Interface:
-    """Return the outline of a shape with y up."""
     return Interface.polyline(shaped(shape, float(x[1]), float(x[0]))[0] * (1, -1))
 
 
@@ -190,7 +189,6 @@ def by_pixels(edge: Edge, table: Tables, places: ManyShapes, share: float, offse
 
 
 def compared(kind: str, seed: int) -> dict[str, Posterior]:
-    """Return the posteriors of each way in one picture."""
     method, shape, render = KINDS[kind]
     random = np.random.default_rng([19, seed])
     truth = PRIOR * random.standard_normal(2)
@@ -216,7 +214,6 @@ def compared(kind: str, seed: int) -> dict[str, Posterior]:
 
 
 def rows(found: list[dict[str, Posterior]]) -> Iterator[tuple]:
-    """Yield the row of each way."""
     for way in found[0]:
         rank, sd, off = (np.array([getattr(one[way], name) for one in found]) for name in ("rank", "sd", "off"))
         covered, wide = 100 * (np.abs(rank - 0.5) < 0.45).mean(axis=0), 100 * 3.29 * sd.mean(axis=0)
@@ -225,7 +222,6 @@ def rows(found: list[dict[str, Posterior]]) -> Iterator[tuple]:
 
 
 def main() -> None:
-    """Print the tables."""
     options = arguments(__doc__, words=KINDS, pictures=100)
     for kind in options.words or KINDS:
         found = []

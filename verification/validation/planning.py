@@ -87,7 +87,6 @@ def write_study(
 
 
 def finished(study: sl.Study) -> sl.Posterior:
-    """Run a study to its end and return its posterior."""
     return sl.run_study(study).calibration.posterior
 
 

@@ -103,7 +103,6 @@ def populations(study: sl.Study, opened: Specimens, number: int, folder: Path) -
 
 
 def rows(options: Namespace, folder: Path) -> Iterator[tuple[str, str, str]]:
-    """Yield each quantity, its aim, and what was found."""
     (folder / "study.yaml").write_text(STUDY, encoding="utf-8")
     study = sl.load_study(folder)
     if not (folder / "posterior.nc").is_file():

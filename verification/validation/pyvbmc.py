@@ -94,7 +94,6 @@ class Trace:
     boosted: tuple[Mark, ...] = ()
 
     def reached(self, level: float, *, boosted: bool = False) -> Mark | None:
-        """Return the first mark below `level`."""
         return next((mark for mark in (self.boosted if boosted else self.marks) if mark.variation < level), None)
 
 
@@ -193,7 +192,6 @@ def kept(name: str, make: Callable[[], Trace]) -> Trace:
 
 
 def traces(problem: Problem, *, peer: bool) -> Iterator[Trace]:
-    """Yield all runs of both methods on a problem."""
     seeds = range(1, problem.seeds + 1)
     for seed in seeds:
         yield kept(f"{problem.key}-ours-{seed}", partial(ours, problem, seed))
@@ -276,14 +274,12 @@ def tables(found: Mapping[str, Sequence[Trace]], problems: Sequence[Problem]) ->
 
 
 def missing_peer() -> str | None:
-    """Return why PyVBMC cannot be measured, or None."""
     if (PEER / "bin" / "python").exists() and not not_installed(PEER):
         return None
     return f"PyVBMC is not measured: {not_installed(PEER) or 'it is not installed; make pyvbmc-env does'}"
 
 
 def main() -> None:
-    """Run everything that is not kept; see the module's docstring."""
     options, missing = arguments(__doc__, publish=False), missing_peer()
     use_double()
     KEPT.mkdir(parents=True, exist_ok=True)

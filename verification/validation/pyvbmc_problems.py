@@ -84,7 +84,6 @@ class Biofilm:
         return self._observed(self.known[0])
 
     def run(self, x: Float[np.ndarray, " dim"]) -> RunRecord:
-        """Return the outcome of the model at `x`."""
         table, inputs = self.known[0], {**self.space.as_mapping(x), "V_in": RATE}
         at = np.array([[x[0], x[1], RATE]])
         if table.coordinates.inside(at)[0]:
@@ -270,5 +269,4 @@ def marginals(
 
 
 def mean_variation(a: Float[np.ndarray, "dim bin"], b: Float[np.ndarray, "dim bin"]) -> float:
-    """Return the mean over the inputs of ½ Σ |a - b|."""
     return float(0.5 * np.abs(a - b).sum(axis=1).mean())

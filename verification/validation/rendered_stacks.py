@@ -79,11 +79,9 @@ class Microscope:
         return inside if self.bright else 1 - inside
 
     def __call__(self, blob: Blob, random: np.random.Generator) -> Stack:
-        """Return a stack with noise."""
         return self.with_noise(self.clean(blob), random)
 
     def with_noise(self, clean: Float[np.ndarray, "z row column"], random: np.random.Generator) -> Stack:
-        """Return a stack with noise from one without."""
         noise = random.standard_normal(self.shape) / self.contrast_to_noise
         return Stack(clean + noise, self.voxel, "rendered", "0" * 64)
 

@@ -26,7 +26,6 @@ class Inputs:
     rate: float
 
     def label(self) -> str:
-        """Return the values for a table."""
         return "; ".join((", ".join(f"{x:g}" for x in self.young), ", ".join(f"{x:g}" for x in self.poisson)))
 
     def names(self) -> list[str]:
@@ -86,7 +85,6 @@ def cost(cell: FlowCell, at: Inputs, *, repeats: int = 5) -> float:
 
 
 def tables(points: Sequence[Inputs] = POINTS, *, mesh: str = "default") -> list[Table]:
-    """Return the table of relative differences and of the cost."""
     rows = []
     cells = {n: flow_cell(MESHES[mesh], partition=partition_of(n)) for n in {len(at.young) for at in points}}
     for at in points:
@@ -99,5 +97,4 @@ def tables(points: Sequence[Inputs] = POINTS, *, mesh: str = "default") -> list[
 
 
 def partition_of(parts: int) -> Partition:
-    """Return the partition of the study's specimen into one or three parts."""
     return Partition.PRESETS["three_parts"] if parts == 3 else Partition()

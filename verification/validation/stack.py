@@ -36,7 +36,6 @@ def solid(along: float, planes: int) -> tuple[Blob, Microscope]:
 
 
 def seconds_of(measure: ClosestPoint | Currents, seen: Interface) -> float:
-    """Return how long one comparison with a surface of as many triangles takes."""
     simulated = Interface(1.01 * seen.points, seen.cells)
     start = time.perf_counter()
     measure(simulated, seen)

@@ -38,21 +38,17 @@ class Table:
     rows: tuple[tuple[Cell, ...], ...]
 
     def markdown(self) -> str:
-        """Return the table for a page."""
         lines = [self.columns, ["---"] * len(self.columns), *(self.cells(row) for row in self.rows)]
         return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
     def column(self, name: str) -> list[Cell]:
-        """Return one column's raw values."""
         k = self.columns.index(name)
         return [row[k] for row in self.rows]
 
     def as_json(self) -> dict[str, Any]:
-        """Return plain data that `from_json` reads."""
         return asdict(self)
 
     def cells(self, row: Sequence[Cell]) -> list[str]:
-        """Return the formatted values of a row."""
         return ["" if x is None else format(x, form) for x, form in zip(row, self.formats, strict=True)]
 
 
@@ -77,7 +73,6 @@ def table(name: str, title: str, heading: str, rows: Iterable[Sequence[Any]], *,
 
 
 def from_json(data: Mapping[str, Any]) -> Table:
-    """Return the table that `Table.as_json` wrote."""
     rows = tuple(tuple(row) for row in data["rows"])
     return Table(data["name"], data["title"], tuple(data["columns"]), tuple(data["formats"]), rows)
 

@@ -129,7 +129,6 @@ class Cylinder:
             self.system.values[:] = 0.0
 
     def at_rest(self) -> Moment:
-        """Return the state at time 0."""
         return Moment(0.0, np.zeros(self.system.space.ndof), np.zeros(self.system.space.ndof))
 
     def prescribe(self, moment: float) -> None:
@@ -169,7 +168,6 @@ class Run:
     rows: list[tuple[float, ...]] = field(default_factory=list)
 
     def advance(self, stage: Stage) -> None:
-        """Step through a stage."""
         began, cylinder = time.perf_counter(), self.cylinder
         options = {"prescribe": cylinder.prescribe, "weights": cylinder.weights, "cost": self.cost}
         settings = StepSettings(stage.step, corrector=NewtonSettings(1e-6, 12, 0.05))
@@ -213,7 +211,6 @@ def oscillation(times: np.ndarray, values: np.ndarray, window: float, period: fl
 
 
 def rows(case: Case, stage: Stage, run: Run) -> list[tuple]:
-    """Return a row of the table for each quantity."""
     found, times, series = [], np.array(run.times), np.array(run.rows)
     period = 1.0 / min(frequency for _, _, frequency in case.reference.values())
     window = min(3.2 * period, run.times[-1] - run.times[0])
@@ -225,7 +222,6 @@ def rows(case: Case, stage: Stage, run: Run) -> list[tuple]:
 
 
 def of_case(case: Case) -> Table:
-    """Return the table of a case: published and own values."""
     lines = [
         row
         for stages in case.runs

@@ -107,7 +107,6 @@ def _until(page: Any, act: Callable[[], object], done: str) -> float:
 
 
 def row(runs: int, repeats: int, folder: Path, browser: Any) -> tuple[str, ...]:
-    """Return the medians and the worst seconds of one size."""
     times, study = [], large_study(folder, runs)
     new = np.max([_new_process(study, browser) for _ in range(3)], axis=0)
     with serving(study) as server:
@@ -124,7 +123,6 @@ def row(runs: int, repeats: int, folder: Path, browser: Any) -> tuple[str, ...]:
 
 
 def main() -> None:
-    """Print the table; with `--publish`, put it into the how-to."""
     options = arguments(__doc__, repeats=7, publish=False)
     chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     with kept_or_scratch(None) as home, sync_playwright() as started:

@@ -41,7 +41,6 @@ CHANGES: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Any]]] = {
 
 
 def changed(folder: Path, number: int, changes: Mapping[str, Any]) -> Path:
-    """Write the changed study beside the finished one, and return its folder."""
     content = yaml.safe_load((folder / "study.yaml").read_text("utf-8"))
     inputs = {**content["inputs"], **changes.get("inputs", {})}
     target = folder.with_name(f"{folder.name}-what-if-{number}")
@@ -52,7 +51,6 @@ def changed(folder: Path, number: int, changes: Mapping[str, Any]) -> Path:
 
 
 def row(name: str, answer: Answer, full: sl.Posterior, runs: int, names: tuple[str, ...]) -> tuple:
-    """Return means and standard deviations from both, and how much they differ."""
     draws = answer.draws
     cells = [name, "weights" if answer.by == "reweighting" else "new draws"]
     for i in range(len(names)):
@@ -69,7 +67,6 @@ def new_runs(study: sl.Study, calibration: sl.Calibration) -> int:
 
 
 def rows(folder: Path) -> Iterator[tuple]:
-    """Yield the row of each change."""
     study = sl.load_study(folder)
     begun = time.perf_counter()
     asked = [{**question, "name": name} for name, (question, _) in CHANGES.items()]
@@ -83,7 +80,6 @@ def rows(folder: Path) -> Iterator[tuple]:
 
 
 def compared(folder: Path) -> Table:
-    """Return the table."""
     by_input = [f"{name}, {way}" for name in sl.load_study(folder).space.names for way in ("what-if", "full")]
     heading = f"changed | by | {' | '.join(by_input)} | means apart, sd {{.2f}} | sd apart {{.0%}} | new runs {{d}}"
     return table("what_if", "what-if beside full analyses", heading, rows(folder))

@@ -64,7 +64,6 @@ def runs_table(courses: Rows) -> Table:
 
 
 def stopping_table(stopped: Rows) -> Table:
-    """Return where calibrations stopped by themselves, and their errors there."""
     rows = []
     for (study, rule, gradients), some in _grouped(stopped, ("study", "quadrature", "sensitivities")):
         ended = [one for one in some if one["converged"]]
@@ -90,7 +89,6 @@ def _grouped(rows: Rows, keys: Sequence[str]) -> Iterable[tuple[tuple[Any, ...],
 
 
 def tasks(part: str, seed: int, criterion: str, rules: tuple[str, ...]) -> Iterator[Callable[[], dict[str, Any]]]:
-    """Yield the tasks of a part for one seed."""
     common = {"seed": seed, "criterion": criterion}
     if part == "stopping":
         yield partial(stopped, "S3", "refined", sensitivities=False, seed=seed)
@@ -110,7 +108,6 @@ def tasks(part: str, seed: int, criterion: str, rules: tuple[str, ...]) -> Itera
 
 
 def compute(part: str, seeds: int, criterion: str, rules: tuple[str, ...], workers: int) -> None:
-    """Run the tasks of a part and append their results to the file."""
     use_double()
     truth_of(case("S3", "refined"))  # makes the table of true interfaces once, before the workers start
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=use_double) as pool:
@@ -129,7 +126,6 @@ def compute(part: str, seeds: int, criterion: str, rules: tuple[str, ...], worke
 
 
 def main() -> None:
-    """Run the parts, or print the tables."""
     defaults = {"seeds": 5, "criterion": "expected_variance", "quadrature": "", "workers": 2, "publish": False}
     given = arguments(__doc__, words=PARTS, **defaults)
     rules = (given.quadrature,) if given.quadrature else ("refined", "centre")

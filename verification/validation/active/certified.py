@@ -64,11 +64,9 @@ class Model:
 
     @property
     def space(self) -> ParameterSpace:
-        """The unknown inputs."""
         return ParameterSpace(tuple(Parameter(name, Uniform(0.0, 1.0)) for name in "abc"[: len(self.truth)]))
 
     def run(self, x: Float[np.ndarray, " dim"]) -> RunRecord:
-        """Return the record of a run."""
         key, inputs = x.tobytes().hex(), self.space.as_mapping(x)
         if self.fails(x[None])[0]:
             return RunRecord(key, inputs, "failed", failure_kind="planted")
@@ -77,7 +75,6 @@ class Model:
 
 
 def smooth(x: Inputs) -> Heights:
-    """Return the heights of a smooth model of two inputs."""
     a, b = x[:, :1], x[:, 1:2]
     return np.asarray(0.3 * np.sin(2 * a + X) * X + 0.4 * b * X**2 + 0.2 * a * b * np.sin(3 * X))
 
@@ -124,7 +121,6 @@ def _turned(x: Inputs, apart: Float[np.ndarray, " run"], into: Heights) -> Heigh
 
 
 def kink(seed: int) -> Model:
-    """Return a model with a kink that crosses the posterior."""
     at = TRUTH[0] + 0.02 * np.random.default_rng([10, seed]).standard_normal()
     return Model(lambda x: smooth(x) + 0.5 * np.maximum(x[:, :1] - at, 0.0) * np.sin(5 * X), TRUTH)
 
@@ -217,7 +213,6 @@ class Found:
 
 
 def played(model: Model, seed: int, active: Active) -> Found:
-    """Run an active design to its end."""
     random, space = np.random.default_rng([8, seed]), model.space
     heights = model.heights(model.truth[None])[0] + NOISE * random.standard_normal(len(X))
     seen = Interface.polyline(np.stack([X, heights], axis=1))
@@ -260,12 +255,10 @@ def played(model: Model, seed: int, active: Active) -> Found:
 
 
 def task(name: str, seed: int, active: Active) -> Found:
-    """Run the design of one model and seed."""
     return played(MODELS[name](seed), seed, active)
 
 
 def rows(names: Sequence[str], seeds: int, active: Active, workers: int) -> Iterator[tuple]:
-    """Yield the row of each model."""
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=use_double) as pool:
         for name in names:
             found = [*pool.map(task, [name] * seeds, range(seeds), [active] * seeds)]

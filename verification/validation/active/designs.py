@@ -58,12 +58,10 @@ class Case:
     run: Callable[[Float[np.ndarray, " dim"], bool], RunRecord]
 
     def log_likelihood(self, record: RunRecord) -> float:
-        """Return log L of a successful run."""
         return InterfaceLikelihood(self.observations, self.measure)(record.interfaces)
 
 
 def case(name: str, quadrature: str) -> Case:
-    """Return a study with one of the two quadratures."""
     study = load_study(STUDIES / NAMES[name])
     model: Any = study.model
 
