@@ -14,7 +14,6 @@ shows the answer without it, where strandline must report that the model does no
 `--only` names parts of the names of pictures beside the original.
 """
 
-import json
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -53,6 +52,8 @@ CLICKS = np.array(
 """Clicks along the bubble."""
 TURN = 3.0
 """Degrees."""
+_C, _S = np.cos(np.radians(TURN)), np.sin(np.radians(TURN))
+TURNED = np.array([[_C, -_S], [_S, _C]])
 Grey = Float[np.ndarray, "row column"]
 Points = Float[np.ndarray, "*any 2"]
 
@@ -70,11 +71,10 @@ class Variant:
     rotation: float = 0.0
 
 
-def _turning(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return matrix and vector that take pixels of the photograph to those of the turned picture."""
-    c, s = np.cos(np.radians(TURN)), np.sin(np.radians(TURN))
-    matrix, middle = np.array([[c, -s], [s, c]]), 0.5 * (np.array(size) - 1.0)
-    return matrix, middle - matrix @ middle
+def _turning(points: Points, size: tuple[int, int]) -> Points:
+    """Return where pixels of the photograph are in the turned picture."""
+    middle = 0.5 * (np.array(size) - 1.0)
+    return points @ TURNED.T + (middle - TURNED @ middle)
 
 
 def _bytes(grey: Grey) -> np.ndarray:
@@ -83,8 +83,7 @@ def _bytes(grey: Grey) -> np.ndarray:
 
 def turned(grey: Grey) -> Grey:
     """Return the photograph turned about its middle."""
-    matrix, _ = _turning(grey.shape[::-1])
-    back = matrix.T[::-1, ::-1]  # rows come first
+    back = TURNED.T[::-1, ::-1]  # rows come first
     middle = 0.5 * (np.array(grey.shape) - 1.0)
     return np.asarray(affine_transform(grey, back, middle - back @ middle, order=3, mode="nearest"))
 
@@ -103,9 +102,7 @@ def compressed(grey: Grey) -> Grey:
 
 VARIANTS = (
     Variant("original", lambda grey: grey),
-    Variant(
-        f"turned by {TURN:g}°", turned, lambda points, size: points @ _turning(size)[0].T + _turning(size)[1], TURN
-    ),
+    Variant(f"turned by {TURN:g}°", turned, _turning, TURN),
     Variant("mirrored", lambda grey: grey[:, ::-1], lambda points, size: [size[0] - 1, 0] + points * [-1, 1]),
     Variant("half the resolution", halved, lambda points, size: 0.5 * (points - 0.5)),
     Variant("half the brightness", lambda grey: 0.5 * grey),
@@ -169,9 +166,7 @@ def pixel(grey: np.ndarray, sides: Float[np.ndarray, "side click 2"]) -> float:
 def answer(folder: Path, name: str) -> Found:
     if str(EXAMPLE) not in sys.path:
         sys.path.insert(0, str(EXAMPLE))
-    run_study(load_study(folder), executor=InProcess())
-    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    said = summary["misfit"]
+    said = run_study(load_study(folder), executor=InProcess()).summary["misfit"]
     return _found(name, load_result(folder).posterior, said["flagged"], said["verdict"])
 
 

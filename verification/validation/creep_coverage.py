@@ -30,19 +30,11 @@ def write(folder: Path, **changes: Any) -> sl.Study:
     return sl.load_study(folder)
 
 
-def shared_runs(folder: Path, number: int) -> None:
-    """Make the runs that all data sets share; those of an earlier call are kept."""
-    study = write(folder, design={"sobol": {"runs": number, "scramble": 1}})
-    with sl.Ledger.open(study.ledger_path, model=study.runs.identity, description="shared") as ledger:
-        sl.run_campaign(study.model, study.runs.design, ledger=ledger, executor=study.executor)
-
-
 def analysed(folder: Path, truth: Mapping[str, float], seed: int, shared: Path, design: Any) -> dict[str, Any]:
     """Return how one data set ended; kept in the folder for a later call."""
     kept = folder / "outcome.json"
     if kept.is_file():
-        found: dict[str, Any] = json.loads(kept.read_text("utf-8"))
-        return found
+        return json.loads(kept.read_text("utf-8"))
     observation = {"synthetic": {**truth, "V_in": RATE}, "noise": {"sd": 0.003, "seed": seed}}
     study = write(folder, observation=observation, reuse=[f"../{shared.name}"], design=design)
     outcome = sl.run_study(study)
@@ -87,9 +79,10 @@ def truths(study: sl.Study, number: int) -> list[dict[str, float]]:
 
 def main() -> None:
     options = arguments(__doc__, truths=20, shared=128, active=False, folder=OUTPUT / "creep", publish=False)
-    shared, rows = options.folder / "shared", []
-    design = {"active": {"runs": 100}} if options.active else {"sobol": {"runs": options.shared, "scramble": 1}}
-    shared_runs(shared, options.shared)
+    shared, rows, sobol = options.folder / "shared", [], {"sobol": {"runs": options.shared, "scramble": 1}}
+    design, study = {"active": {"runs": 100}} if options.active else sobol, write(shared, design=sobol)
+    with sl.Ledger.open(study.ledger_path, model=study.runs.identity, description="shared") as ledger:
+        sl.run_campaign(study.model, study.runs.design, ledger=ledger, executor=study.executor)
     for number, truth in enumerate(truths(write(options.folder / "truths"), options.truths)):
         found = analysed(options.folder / f"set-{number}", truth, number, shared, design)
         print(found, flush=True)

@@ -7,11 +7,10 @@ biofilm's. Paths are 12 clicks, off by 2.5 px; both ends are trimmed by 5 %.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 from verification.validation.rendered import Camera, Scan, arch, clicks, covered
 from verification.validation.tables import arguments, show, table
 
@@ -58,17 +57,8 @@ CASES = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Found:
-    """One picture: signed distances of the points from the truth, px, the edge, and seconds."""
-
-    off: Float[np.ndarray, " point"]
-    edge: Edge
-    seconds: float
-
-
-def found(case: Case, seed: int) -> Found | None:
-    """Return the edge in one picture, or None where it was refused."""
+def found(case: Case, seed: int) -> tuple[np.ndarray, Edge, float] | None:
+    """Return the edge in one picture with its signed distances from the truth, px, and seconds; None if refused."""
     random = np.random.default_rng([3, seed])
     line, region = arch(case.shape, random)
     picture, path = case.change(case.render(region, case.shape, random)), clicks(line, random)
@@ -80,10 +70,10 @@ def found(case: Case, seed: int) -> Found | None:
         print(f"  {case.name}, picture {seed}: {str(refusal).partition('.')[0]}", flush=True)
         return None
     seconds = time.perf_counter() - start
-    return Found(signed_distances(edge.points, Interface.polyline(line[::3])), edge, seconds)
+    return signed_distances(edge.points, Interface.polyline(line[::3])), edge, seconds
 
 
-def true_length(parts: list[Float[np.ndarray, " point"]], spacing: float) -> float:
+def true_length(parts: Sequence[np.ndarray], spacing: float) -> float:
     """Return the integral correlation length of errors about their means, px, up to the first zero."""
     lags = min(min(len(part) for part in parts) - 1, 150)
     centred = [part - part.mean() for part in parts]
@@ -95,31 +85,18 @@ def true_length(parts: list[Float[np.ndarray, " point"]], spacing: float) -> flo
 def row(case: Case, pictures: int) -> tuple:
     """Return bias, its sd over pictures, s, ℓ, s²ℓ, own values over these, and wrong points for one kind of picture."""
     all_found = [one for one in (found(case, seed) for seed in range(pictures)) if one is not None]
-    off = [one.off for one in all_found]
-    if not off:
+    if not all_found:
         return case.name, 0, *([None] * 13)
-    means = np.array([part.mean() for part in off])
-    sds = np.array([part.std() for part in off])
-    s, errors = float(np.sqrt(np.mean(sds**2))), [one.edge.errors for one in all_found]
+    off, edges, seconds = zip(*all_found, strict=True)
+    means, sds = (np.array([getattr(part, name)() for part in off]) for name in ("mean", "std"))
+    s, errors = float(np.sqrt(np.mean(sds**2))), [edge.errors for edge in edges]
     length = true_length(off, errors[0].spacing)
-    own, own_length, level = (np.array([getattr(e, name) for e in errors]) for name in ("sd", "length", "level"))
-    return (
-        case.name,
-        len(off),
-        float(means.mean()),
-        float(means.std()),
-        float(np.sqrt(np.mean([e.offset**2 for e in errors]))),
-        s,
-        length,
-        s**2 * length,
-        float(own.mean()) / s,
-        float((own / s).min()),
-        float((own / s).max()),
-        float(own_length.mean()) / length,
-        float(level.mean()) / (s**2 * length),
-        100 * float((np.abs(np.concatenate(off)) > FAR).mean()),
-        float(np.median([one.seconds for one in all_found])),
-    )
+    names = ("sd", "length", "level", "offset")
+    own, own_length, level, offset = (np.array([getattr(e, name) for e in errors]) for name in names)
+    of_truth = means.mean(), means.std(), np.sqrt(np.mean(offset**2)), s, length, s**2 * length
+    of_own = own.mean() / s, (own / s).min(), (own / s).max(), own_length.mean() / length, level.mean() / of_truth[-1]
+    wrong = 100 * (np.abs(np.concatenate(off)) > FAR).mean()
+    return case.name, len(off), *map(float, (*of_truth, *of_own, wrong, np.median(seconds)))
 
 
 HEADING = (

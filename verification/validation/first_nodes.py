@@ -94,8 +94,7 @@ def runs_of_a_design(family: Family, make: Callable[[np.ndarray], Interface]) ->
     space = sl.ParameterSpace(tuple(sl.Parameter(name, sl.Uniform(0.0, 1.0)) for name in "ab"))
     problem = Problem(Simulator(make), space, {}, (Observation(seen, PointErrors(SD)),), {"offset": NormalOffset()})
     found = calibrate(problem, DESIGN)
-    certificate = None if found.field is None else found.field.certificate
-    if certificate is None or not certificate.converged:
+    if not found.field.certificate.converged:
         raise RuntimeError("an active design ended without a certificate")
     return len(found.records)
 

@@ -13,7 +13,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -42,19 +42,14 @@ def large_study(folder: Path, runs: int) -> sl.Study:
     random = np.random.default_rng(1)
     with study.runs.ledger() as ledger:
         ledger.plan(study.runs.plan)
-        for record in _records(study, random):
-            ledger.started(RunRequest(record.key, record.inputs))
-            ledger.finished(record)
+        for number, inputs in enumerate([dict(study.truth or {}), *study.runs.design]):
+            key, seconds = study.runs.key(inputs), float(random.random())
+            ledger.started(RunRequest(key, inputs))
+            if number and random.random() < FAILING:
+                ledger.finished(sl.RunRecord(key, inputs, "failed", seconds=seconds, failure_kind="diverged"))
+            else:
+                ledger.finished(sl.RunRecord(key, inputs, "ok", beam(inputs, Path()).interfaces, seconds=seconds))
     return study
-
-
-def _records(study: sl.Study, random: np.random.Generator) -> Iterator[sl.RunRecord]:
-    for number, inputs in enumerate([dict(study.truth or {}), *study.runs.design]):
-        key, seconds = study.runs.key(inputs), float(random.random())
-        if number and random.random() < FAILING:
-            yield sl.RunRecord(key, inputs, "failed", seconds=seconds, failure_kind="diverged", message="it diverged")
-        else:
-            yield sl.RunRecord(key, inputs, "ok", beam(inputs, Path()).interfaces, seconds=seconds)
 
 
 def opened(browser: Any, server: Server) -> tuple[Any, list[float]]:

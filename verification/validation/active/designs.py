@@ -36,6 +36,10 @@ from strandline.smc import OnHost, SMCSettings, sample
 from strandline.studies import load_study
 from strandline.studies.observed import noisy
 
+Options = dict[str, Any]
+"""Of a design: seed, sensitivities, criterion."""
+Course = dict[str, Any]
+"""Figures against the number of runs, for one seed."""
 NAMES = {"S3": "biofilm-uniform", "S5": "biofilm-inflow", "S6": "biofilm-parts"}
 INTERVALS = (12, 6, 6)
 """Intervals of the table of true interfaces, in load, Poisson's ratio and inflow."""
@@ -102,12 +106,15 @@ def _table() -> FieldTable:
 
 @dataclass(frozen=True, eq=False)
 class Grown:
-    """A design after a batch: its runs, its posterior, and the seconds that learning, sampling and choosing took."""
+    """A design after a batch: its posterior, its runs, and the seconds that learning, sampling and choosing took."""
 
     state: State
     runs: int
     failed: int
     seconds: float
+
+    def figures(self) -> dict[str, Any]:
+        return {"runs": self.runs, "failed": self.failed, "seconds": self.seconds}
 
 
 def initial_runs(dim: int, *, sensitivities: bool) -> int:
@@ -115,31 +122,29 @@ def initial_runs(dim: int, *, sensitivities: bool) -> int:
     return max((4 + 2 * dim) // 2, 3) if sensitivities else 4 + 2 * dim
 
 
-def grow(
-    one: Case,
-    *,
-    seed: int,
-    batch: int,
-    most: int,
-    sensitivities: bool,
-    criterion: str = "expected_variance",
-    spoil: Callable[[RunRecord], RunRecord] = lambda record: record,
-) -> Iterator[Grown]:
-    """Yield the design after each batch, up to `most` runs; `spoil` is a function of a record that makes runs fail."""
-    space, first = one.space, initial_runs(one.space.dim, sensitivities=sensitivities)
-    most_asked = most + batch + Active.check
-    active = Active(runs=most_asked, initial=first, batch=batch, criterion=criterion, change=RESTLESS)
+def grow(one: Case, options: Options, *, batch: int, most: int, share: float = 0.0) -> Iterator[Grown]:
+    """Yield the design after each batch, up to `most` runs; a share of the runs fails at random, wherever they are."""
+    space, seed, sensitivities = one.space, options["seed"], options["sensitivities"]
+    first, chance = initial_runs(space.dim, sensitivities=sensitivities), np.random.default_rng([seed, 77])
+    active = Active(
+        runs=most + batch + Active.check, initial=first, batch=batch, criterion=options["criterion"], change=RESTLESS
+    )
 
     def posterior(x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]) -> State:
         known = learn(x, records, space, one.observations, one.measure)
         return posterior_state(known, space, (seed, len(x)))
+
+    def runs(x: Float[np.ndarray, "run dim"]) -> list[RunRecord]:
+        gone = {"state": "failed", "interfaces": {}, "sensitivities": {}, "failure_kind": "at_random"}
+        found = [(one.run(row, sensitivities), chance.random() < share) for row in x]
+        return [replace(record, **gone) if record.ok and fails else record for record, fails in found]
 
     design = ActiveDesign(
         active, space, batch=batch, learn=posterior, log_likelihood=one.log_likelihood, seed=seed, scramble=seed
     )
     x = space.to_physical(sobol(first, space.dim, scramble=seed))
     design.start(x)
-    records = [spoil(one.run(row, sensitivities)) for row in x]
+    records = runs(x)
     while True:
         begun = time.perf_counter()
         try:
@@ -151,77 +156,62 @@ def grow(
         if more is None or len(x) + batch > most:
             return
         x = np.concatenate([x, more.points])
-        records += [spoil(one.run(row, sensitivities)) for row in more.points]
+        records += runs(more.points)
 
 
 def delivered(one: Case, knowledge: Knowledge, seed: int) -> Weighted:
     """Return the posterior as a study computes it at the end, with enough particles to judge it."""
     host = OnHost(knowledge.nearly_expected)
     initial = one.space.prior_quantiles(np.random.default_rng([seed, 9]).random((PARTICLES, one.space.dim)))
-    settings = SMCSettings(rejuvenation_steps=15, zeta=0.5)
     with one_thread():
-        found = sample(jax.random.key(seed), host, one.space.log_prior, initial, settings=settings)
+        found = sample(jax.random.key(seed), host, one.space.log_prior, initial, settings=ECONOMY)
         expected = knowledge.expected(found.positions, plug_in=knowledge.plug_in(found.positions))
     weights = np.exp(log_softmax(found.log_weights + expected - found.log_likelihood))
     return Weighted(found.positions, weights)
 
 
-def s3(
-    quadrature: str, *, sensitivities: bool, seed: int, most: int, criterion: str, share: float = 0.0
-) -> dict[str, Any]:
+def s3(quadrature: str, options: Options, *, most: int, share: float = 0.0) -> Course:
     """Return the total variation to the true posterior over the (E, nu) plane; a `share` of runs fails at random."""
-    one = case("S3", quadrature)
-    truth, grid = truth_of(one), product_grid(one.space, panels=PANELS, rate=100.0)
-    true = posterior_on_grid(truth.field, one.space, grid)
-    points = []
-    options = {"sensitivities": sensitivities, "criterion": criterion, "seed": seed}
-    for grown in grow(one, batch=2, most=most, spoil=failing(share, seed), **options):
+    one, points = case("S3", quadrature), []
+    grid = product_grid(one.space, panels=PANELS, rate=100.0)
+    true = posterior_on_grid(truth_of(one).field, one.space, grid)
+    for grown in grow(one, options, batch=2, most=most, share=share):
         known = grown.state.knowledge
         found = posterior_on_grid(lambda x, known=known: known.expected(x[:, :2]), one.space, grid)
-        points.append(
-            _common(grown)
-            | {
-                "total_variation": total_variation(found, true),
-                "mean_error": float(np.abs((found.mean - true.mean) / true.sd).max()),
-                "sd_error": float(np.abs(found.sd / true.sd - 1).max()),
-            }
-        )
+        variation = {"total_variation": total_variation(found, true)}
+        points.append(grown.figures() | variation | errors(found.mean, found.sd, true))
     return {"study": "S3", "quadrature": quadrature, **options, "points": points, "share": share}
 
 
-def s5(quadrature: str, *, sensitivities: bool, seed: int, most: int, criterion: str) -> dict[str, Any]:
+def s5(quadrature: str, options: Options, *, most: int) -> Course:
     """Return the errors of mean and standard deviation of (E, nu) with the inflow integrated out: the joint reading."""
-    one = case("S5", quadrature)
-    truth = truth_of(one).posterior
-    calibrated = [one.space.names.index(name) for name in ("E", "nu")]
-    points, options = [], {"sensitivities": sensitivities, "criterion": criterion, "seed": seed}
-    for grown in grow(one, batch=4, most=most, **options):
-        found = delivered(one, grown.state.knowledge, seed)
-        mean, sd = found.mean[calibrated], found.sd[calibrated]
-        points.append(
-            _common(grown)
-            | {
-                "mean_error": float(np.abs((mean - truth.mean) / truth.sd).max()),
-                "sd_error": float(np.abs(sd / truth.sd - 1).max()),
-            }
-        )
+    one, points = case("S5", quadrature), []
+    truth, axes = truth_of(one).posterior, [one.space.names.index(name) for name in ("E", "nu")]
+    for grown in grow(one, options, batch=4, most=most):
+        found = delivered(one, grown.state.knowledge, options["seed"])
+        points.append(grown.figures() | errors(found.mean[axes], found.sd[axes], truth))
     return {"study": "S5", "quadrature": quadrature, **options, "points": points, "share": 0.0}
 
 
-def s6(
-    quadrature: str, *, sensitivities: bool, seed: int, most: int, first: int, batch: int, criterion: str
-) -> dict[str, Any]:
+def s6(quadrature: str, options: Options, *, most: int, first: int) -> Course:
     """Return the importance weights by the true model at draws of the posterior, from `first` runs on."""
-    one = case("S6", quadrature)
-    points, options = [], {"sensitivities": sensitivities, "criterion": criterion, "seed": seed}
-    for grown in grow(one, batch=batch, most=most, **options):
-        point = _common(grown)
-        if grown.runs >= first:
-            point |= checked(one, grown, seed)
-        points.append(point)
-        if point.get("effective", 0.0) >= 0.8 and point["k_hat"] < 0.5 and point["shift"] < 0.1:
+    one, points = case("S6", quadrature), []
+    for grown in grow(one, options, batch=4, most=most):
+        points.append(grown.figures() | (checked(one, grown, options["seed"]) if grown.runs >= first else {}))
+        if right(points[-1]):
             break
     return {"study": "S6", "quadrature": quadrature, **options, "points": points, "share": 0.0}
+
+
+def right(point: dict[str, Any]) -> bool:
+    """Return whether a posterior of S6 is right."""
+    return point.get("effective", 0.0) >= 0.8 and point["k_hat"] < 0.5 and point["shift"] < 0.1
+
+
+def errors(mean: np.ndarray, sd: np.ndarray, truth: Any) -> dict[str, float]:
+    """Return the largest errors of a mean, in standard deviations, and of a standard deviation, as a share."""
+    off, wide = np.abs((mean - truth.mean) / truth.sd), np.abs(sd / truth.sd - 1)
+    return {"mean_error": float(off.max()), "sd_error": float(wide.max())}
 
 
 def checked(one: Case, grown: Grown, seed: int) -> dict[str, Any]:
@@ -236,79 +226,28 @@ def checked(one: Case, grown: Grown, seed: int) -> dict[str, Any]:
         "k_hat": found.smoothed.k_hat,
         "effective": found.smoothed.ess / int(good.sum()),
         "shift": float(np.abs(found.shift).max()),
-        "shift_error": float(found.shift_error[np.argmax(np.abs(found.shift))]),
-        "sd_error": float(np.abs(found.sd_ratio - 1).max()),
         "failed_draws": int((~good).sum()),
-        "log_likelihood_rms": float(np.std(true - state.log_expected[chosen][good])),
     }
 
 
-def failing(share: float, seed: int) -> Any:
-    """Return a function that makes a share of the successful runs fail, whatever their inputs."""
-    rng = np.random.default_rng([seed, 77])
-
-    def spoil(record: Any) -> Any:
-        fails = rng.random() < share
-        gone = {"state": "failed", "interfaces": {}, "sensitivities": {}, "failure_kind": "at_random"}
-        return replace(record, **gone) if record.ok and fails else record
-
-    return spoil
-
-
-def _common(grown: Grown) -> dict[str, Any]:
-    surrogate = grown.state.knowledge.surrogate
-    errors: Float[np.ndarray, " particle"] = surrogate.predicted_error(grown.state.positions)
-    return {
-        "runs": grown.runs,
-        "failed": grown.failed,
-        "seconds": grown.seconds,
-        "error_um": 1e3 * float(np.median(errors)),
-        "left_out_um": 1e3 * float(np.median(surrogate.left_out_error())),
-        "modes": len(surrogate.processes),
-    }
-
-
-def stopped(name: str, quadrature: str, *, sensitivities: bool, seed: int, most: int = 200) -> dict[str, Any]:
+def stopped(name: str, quadrature: str, *, sensitivities: bool, seed: int) -> dict[str, Any]:
     """Calibrate S3 or S5 (joint reading) with an active design, and compare with quadrature of the true model.
 
-    `chosen` are the runs without those of a check at the end; errors are the largest ones, of a mean in standard
-    deviations, of a standard deviation as a share; `seconds` are those of choosing, sampling and the like, by stage.
+    `chosen` are the runs without those of a check at the end.
     """
-    one = case(name, quadrature)
-    truth = truth_of(one).posterior
-    study = load_study(STUDIES / NAMES[name])
+    one, study = case(name, quadrature), load_study(STUDIES / NAMES[name])
     model: Any = with_sensitivities(study.model) if sensitivities else study.model
     dim = one.space.dim
-    active = Active(runs=most, initial=initial_runs(dim, sensitivities=sensitivities), batch=2 if dim < 3 else 4)
-    settings = Settings(
-        runs=active.initial or 0,
-        scramble=seed,
-        surrogate="field",
-        active=active,
-        particles=4000,
-        smc=ECONOMY,
-        seed=seed,
-        nuisance_values=2,
-    )
+    first = initial_runs(dim, sensitivities=sensitivities)
+    active = Active(runs=200, initial=first, batch=2 if dim < 3 else 4)
+    design = {"runs": first, "scramble": seed, "active": active, "surrogate": "field"}
+    settings = Settings(particles=4000, smc=ECONOMY, seed=seed, nuisance_values=2, **design)
     problem = Problem(model, one.space, study.fixed, one.observations, {"currents": one.measure})
     with tempfile.TemporaryDirectory() as home, Ledger.open(Path(home) / "l.sqlite", model=model) as ledger:
         found = calibrate(problem, settings, ledger=ledger, executor=InProcess())
-    certificate = found.field.certificate
+    certificate, posterior = found.field.certificate, found.posterior
     axes = [one.space.names.index(name) for name in ("E", "nu")]
-    check = None if certificate.checked is None else certificate.checked.check
-    weights = None if check is None else check.reweighting
     last_check = len(certificate.batches[-1].points) if certificate.batches[-1].kind == "check" else 0
-    return {
-        "study": name,
-        "quadrature": quadrature,
-        "sensitivities": sensitivities,
-        "seed": seed,
-        "runs": len(found.records),
-        "chosen": len(found.records) - last_check,
-        "converged": certificate.converged,
-        "checks": sum(step.check is not None for step in certificate.steps),
-        "k_hat": None if weights is None else float(weights.smoothed.k_hat),
-        "mean_error": float(np.abs((found.posterior.mean[axes] - truth.mean) / truth.sd).max()),
-        "sd_error": float(np.abs(found.posterior.sd[axes] / truth.sd - 1).max()),
-        "seconds": dict(found.seconds),
-    }
+    runs = {"runs": len(found.records), "chosen": len(found.records) - last_check, "converged": certificate.converged}
+    of = {"study": name, "quadrature": quadrature, "sensitivities": sensitivities, "seed": seed}
+    return of | runs | errors(posterior.mean[axes], posterior.sd[axes], truth_of(one).posterior)
