@@ -4,7 +4,6 @@ The reference stresses are derived independently from the energies (`energies.py
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import ngsolve as ng
@@ -33,25 +32,12 @@ VISCOSITY = 0.01
 SETTINGS = newton.NewtonSettings(tolerance=1e-12, maximum_jacobians=40, smallest_damping=1e-3)
 
 
-@dataclass(frozen=True, eq=False)
-class Homogeneous:
-    """A homogeneous deformation in equilibrium: gradient F, pressure-like stress pₛ, first Piola–Kirchhoff stress P."""
+def homogeneous(kind: str, law: str, poisson: float, amount: float) -> tuple[Tensor, Tensor]:
+    """Return F and first Piola–Kirchhoff stress of ``uniaxial`` stretch with free sides, or simple ``shear``.
 
-    F: Tensor
-    pressure: float
-    P: Tensor
-
-
-def first_piola(law: str, F: Tensor, pressure: float, poisson: float) -> Tensor:
-    """Return P of a law; `pressure` is λ tr E (Saint-Venant–Kirchhoff) or λ ln J (the others)."""
-    return isochoric_piola(law, F, shear_modulus(YOUNG, poisson)) + np.asarray(volume_piola(law, F, pressure))
-
-
-def homogeneous(kind: str, law: str, poisson: float, amount: float = 1.0) -> Homogeneous:
-    """Return ``uniaxial`` stretch with free sides, or simple ``shear``; a share `amount` in [0, 1] of it is applied.
-
-    At ν = ½ the pressure follows from equilibrium; if the law's constraint excludes simple shear (tr E = 0 of
-    Saint-Venant–Kirchhoff), the height shrinks to satisfy it.
+    A share `amount` in [0, 1] of it is applied. The stress pₛ is λ tr E (Saint-Venant–Kirchhoff) or λ ln J. At ν = ½
+    it follows from equilibrium; if the law's constraint excludes simple shear (tr E = 0 of Saint-Venant–Kirchhoff), the
+    height shrinks to satisfy it.
     """
     free = poisson == 0.5
     F = np.eye(2)
@@ -64,7 +50,8 @@ def homogeneous(kind: str, law: str, poisson: float, amount: float = 1.0) -> Hom
         F[0, 0] = 1 + amount * (STRETCH - 1)
         F[1, 1] = _free_side(law, F[0, 0], poisson)
         pressure = _pressure_of_free_side(law, F, poisson)
-    return Homogeneous(F, float(pressure), first_piola(law, F, float(pressure), poisson))
+    P = isochoric_piola(law, F, shear_modulus(YOUNG, poisson)) + np.asarray(volume_piola(law, F, float(pressure)))
+    return F, P
 
 
 def _pressure_of_free_side(law: str, F: Tensor, poisson: float) -> float:
@@ -145,22 +132,18 @@ def block_error(kind: str, law: str, poisson: float) -> tuple[float, float]:
     """
     block = LoadedSolid(square(0.3), law, poisson, "bottom")
     for amount in np.linspace(0.1, 1.0, 10):
-        exact = homogeneous(kind, law, poisson, amount)
-        moved = _affine(exact.F)
-        traction = ng.CF(tuple(exact.P.ravel()), dims=(2, 2)) * ng.specialcf.normal(2)
+        F, P = homogeneous(kind, law, poisson, amount)
+        G, P = F - np.eye(2), ng.CF(tuple(P.ravel()), dims=(2, 2))
+        moved = ng.CF(tuple(G[i, 0] * ng.x + G[i, 1] * ng.y for i in range(2)))
+        traction = P * ng.specialcf.normal(2)
         block.set_load(lambda test, t=traction: t * test * ng.ds("right|top|left"))
         block.prescribe(moved, "bottom")
         block.solve()
     d, pressure = block.coupled.state.components[2:]
     off = _largest(d - moved, block.coupled.mesh)
     mixed = LAWS[law](d, pressure, YOUNG, poisson, *FURTHER[law])
-    stress = (ng.Id(2) + ng.Grad(d)) * mixed.second_piola - ng.CF(tuple(exact.P.ravel()), dims=(2, 2))
+    stress = (ng.Id(2) + ng.Grad(d)) * mixed.second_piola - P
     return off, _largest(stress, block.coupled.mesh) / YOUNG
-
-
-def _affine(F: Tensor) -> Any:
-    G = F - np.eye(2)
-    return ng.CF(tuple(G[i, 0] * ng.x + G[i, 1] * ng.y for i in range(2)))
 
 
 def _largest(function: Any, mesh: Any) -> float:

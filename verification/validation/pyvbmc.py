@@ -20,7 +20,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -51,56 +50,25 @@ FAILED = {"biofilm": ("-1000", "lowest", "-inf"), "outline": ("-1000",)}
 """Log-likelihoods given to PyVBMC for failed runs; no run of the outline fails."""
 
 Problem = Biofilm | Outline
+Trace = dict[str, Any]
+"""One method on one problem from one seed; None or empty for ours is what only PyVBMC has.
+
+method, problem, seed, version; failed: log L given to PyVBMC for failed runs; runs and failures: their numbers; error:
+what ended the run; final: total variation of the posterior that PyVBMC returns, after its own choice and boost. marks:
+posteriors on the way, as runs of the model so far, total variation to the truth and the method's own CPU seconds;
+boosted: those that PyVBMC would have returned if it had ended there.
+"""
 Answer = Callable[[Sequence[float]], dict[str, float | None]]
 
 
-@dataclass(frozen=True)
-class Mark:
-    """A posterior on the way: runs of the model so far, total variation to the truth, the method's own CPU seconds."""
-
-    runs: int
-    variation: float
-    overhead: float
-
-
-@dataclass(frozen=True)
-class Trace:
-    """One method on one problem from one seed.
-
-    Args:
-        method: ``strandline`` or ``PyVBMC``.
-        problem: Key of the problem.
-        failed: Log L given to PyVBMC for failed runs; empty for ours.
-        seed: Seed of the random numbers.
-        marks: Marks after each batch or iteration.
-        runs: Total number of runs.
-        failures: Number of failed runs.
-        error: Error that ended the run, or None.
-        final: Total variation of the posterior that PyVBMC returns, after its own choice and boost; None for ours.
-        version: Version of the method.
-        boosted: Marks of the boosted posteriors that PyVBMC would have returned if it had ended there.
-    """
-
-    method: str
-    problem: str
-    failed: str
-    seed: int
-    marks: tuple[Mark, ...]
-    runs: int
-    failures: int
-    error: str | None = None
-    final: float | None = None
-    version: str = ""
-    boosted: tuple[Mark, ...] = ()
-
-    def reached(self, level: float, *, boosted: bool = False) -> Mark | None:
-        return next((mark for mark in (self.boosted if boosted else self.marks) if mark.variation < level), None)
+def _mark(runs: int, variation: float, overhead: float) -> dict[str, float]:
+    return {"runs": runs, "variation": variation, "overhead": overhead}
 
 
 def ours(problem: Problem, seed: int) -> Trace:
     """Make an active design of fixed batches, without the check that ends it, until it stays below the last level."""
     space, batch, most = problem.space, problem.batch, problem.most[0]
-    marks, overhead = list[Mark](), 0.0
+    marks, overhead = [], 0.0
     x = space.to_physical(sobol(4 + 2 * space.dim, space.dim, scramble=seed))
     records = [problem.run(row) for row in x]
     while True:
@@ -112,18 +80,20 @@ def ours(problem: Problem, seed: int) -> Trace:
                 options = {"explore": SETTINGS.explore, "criterion": SETTINGS.criterion, "seed": seed + 7919 * len(x)}
                 picked = choose(state, space, batch, first=len(x), **options)
             overhead += time.process_time() - begin
-            marks.append(Mark(len(x), problem.ours(known), overhead))
+            marks.append(_mark(len(x), problem.ours(known), overhead))
             print(f"  {problem.key}, seed {seed}: {marks[-1]}", flush=True)
         except TooFewRuns:
             overhead += time.process_time() - begin
             picked = space.to_physical(sobol(len(x) + batch, space.dim, scramble=seed)[len(x) :])
-        held = [mark.variation < problem.levels[-1] for mark in marks[-HELD:]]
+        held = [mark["variation"] < problem.levels[-1] for mark in marks[-HELD:]]
         if len(x) + batch > most or (len(held) == HELD and all(held)):
             break
         x = np.concatenate([x, picked])
         records += [problem.run(row) for row in picked]
     failures = sum(not record.ok for record in records)
-    return Trace("strandline", problem.key, "", seed, tuple(marks), len(x), failures)
+    of = {"method": "strandline", "problem": problem.key, "failed": "", "seed": seed, "marks": marks}
+    none = {"error": None, "final": None, "version": "", "boosted": []}
+    return of | {"runs": len(x), "failures": failures} | none
 
 
 def theirs(problem: Problem, seed: int, failed: str) -> Trace:
@@ -145,12 +115,13 @@ def theirs(problem: Problem, seed: int, failed: str) -> Trace:
     done = conversation(task, answering(problem))
     with np.load(out) as content:
         variations = [problem.theirs(answer) for answer in content["posteriors"]]
-    marks = tuple(Mark(n, v, s) for (n, s), v in zip(done["iterations"], variations, strict=False))
+    marks = [_mark(n, v, s) for (n, s), v in zip(done["iterations"], variations, strict=False)]
     end = len(done["iterations"])
+    boosted = [_mark(n, v, s) for (n, s), v in zip(done["boosted"], variations[end + 1 :], strict=True)]
+    of = {"method": "PyVBMC", "problem": problem.key, "failed": failed, "seed": seed, "marks": marks}
+    ended = {"runs": done["evaluations"], "failures": done["failures"], "error": done["error"]}
     final = variations[end] if done["error"] is None else None
-    boosted = tuple(Mark(n, v, s) for (n, s), v in zip(done["boosted"], variations[end + 1 :], strict=True))
-    told = (done["evaluations"], done["failures"], done["error"], final, done["version"])
-    return Trace("PyVBMC", problem.key, failed, seed, marks, *told, boosted)
+    return of | ended | {"final": final, "version": done["version"], "boosted": boosted}
 
 
 def answering(problem: Problem) -> Answer:
@@ -185,10 +156,9 @@ def kept(name: str, make: Callable[[], Trace]) -> Trace:
     path = KEPT / f"{name}.json"
     if not path.exists():
         begin = time.perf_counter()
-        path.write_text(json.dumps(asdict(make())), "utf-8")
+        path.write_text(json.dumps(make()), "utf-8")
         print(f"{name}: {time.perf_counter() - begin:.0f} s", flush=True)
-    found = json.loads(path.read_text("utf-8"))
-    return Trace(**found | {name: tuple(Mark(**mark) for mark in found[name]) for name in ("marks", "boosted")})
+    return json.loads(path.read_text("utf-8"))
 
 
 def traces(problem: Problem, *, peer: bool) -> Iterator[Trace]:
@@ -202,49 +172,46 @@ def traces(problem: Problem, *, peer: bool) -> Iterator[Trace]:
 
 def compared(problem: Problem, found: Sequence[Trace]) -> Iterator[tuple]:
     """Yield a row for each level and each value given to PyVBMC for failed runs."""
-    mine = [trace for trace in found if trace.method == "strandline"]
-    for failed in sorted({trace.failed for trace in found if trace.method == "PyVBMC"} - {"-inf"}) or [""]:
-        other = [trace for trace in found if trace.method == "PyVBMC" and trace.failed == failed]
-        told = failed if any(trace.failures for trace in other) else "–"
+    mine = [trace for trace in found if trace["method"] == "strandline"]
+    for failed in sorted({trace["failed"] for trace in found if trace["method"] == "PyVBMC"} - {"-inf"}) or [""]:
+        other = [trace for trace in found if trace["method"] == "PyVBMC" and trace["failed"] == failed]
+        told = failed if any(trace["failures"] for trace in other) else "–"
         for level in problem.levels:
-            (text, runs, seconds), *peers = (
-                figures(mine, level),
-                figures(other, level),
-                figures(other, level, boosted=True),
-            )
+            text, runs, seconds = figures(mine, level)
+            peers = figures(other, level), figures(other, level, "boosted")
             texts, medians, overheads = zip(*peers, strict=True)
             ratios = [one / runs if runs and one else None for one in medians]
             seeds = f"{len(mine)}, {len(other)}"
             yield problem.title, told, level, seeds, text, *texts, *ratios, seconds, *overheads
 
 
-def figures(found: Sequence[Trace], level: float, *, boosted: bool = False) -> tuple[str, float | None, float | None]:
+def figures(found: Sequence[Trace], level: float, marks: str = "marks") -> tuple[str, float | None, float | None]:
     """Return median and worst number of runs until `level` in words, the median, and the median overhead.
 
     A seed that never reached the level counts as the worst; without a median there are None.
     """
     if not found:
         return "not measured", None, None
-    marks = [trace.reached(level, boosted=boosted) for trace in found]
-    there = [mark for mark in marks if mark is not None]
+    first = [next((mark for mark in trace[marks] if mark["variation"] < level), None) for trace in found]
+    there = [mark["runs"] for mark in first if mark is not None]
     never = f"not by {len(found) - len(there)} of {len(found)}"
-    middle = median([float("inf") if mark is None else float(mark.runs) for mark in marks])
+    middle, seconds = (
+        median([float("inf") if mark is None else float(mark[key]) for mark in first]) for key in ("runs", "overhead")
+    )
     if not np.isfinite(middle):
         return never, None, None
-    worst = never if len(there) < len(found) else f"{max(mark.runs for mark in there)}"
-    seconds = median([float("inf") if mark is None else mark.overhead for mark in marks])
-    return f"{middle:g} / {worst}", middle, seconds
+    return f"{middle:g} / {never if len(there) < len(found) else max(there)}", middle, seconds
 
 
 def endings(problem: Problem, found: Sequence[Trace]) -> Iterator[tuple[str, ...]]:
     """Yield how PyVBMC's runs ended, and how close the returned posterior is to the truth."""
     for failed in FAILED[problem.key]:
-        of_them = [trace for trace in found if trace.method == "PyVBMC" and trace.failed == failed]
+        of_them = [trace for trace in found if trace["method"] == "PyVBMC" and trace["failed"] == failed]
         if not of_them:
             continue
-        final = [trace.final for trace in of_them if trace.final is not None]
-        runs, failures = ([getattr(t, name) for t in of_them] for name in ("runs", "failures"))
-        raised = f"{sum(trace.error is not None for trace in of_them)} of {len(of_them)}"
+        final = [trace["final"] for trace in of_them if trace["final"] is not None]
+        runs, failures = ([trace[name] for trace in of_them] for name in ("runs", "failures"))
+        raised = f"{sum(trace['error'] is not None for trace in of_them)} of {len(of_them)}"
         ranges = (f"{min(some)} to {max(some)}" for some in (runs, failures))
         spread = f"{median(final):.3f} / {max(final):.3f}" if final else ""
         yield problem.title, failed if any(failures) else "–", raised, *ranges, spread
@@ -288,12 +255,13 @@ def main() -> None:
     problems = (Biofilm(KEPT), Outline(KEPT))
     found = {problem.key: [*traces(problem, peer=missing is None)] for problem in problems}
     made = tables(found, problems)
-    errors = sorted({trace.error for one in found.values() for trace in one if trace.error})
+    traces_of_all = [trace for one in found.values() for trace in one]
+    errors = sorted({trace["error"] for trace in traces_of_all if trace["error"]})
     raw = {
         "tables": {table.name: table.as_json() for table in made},
         "errors": errors,
         "missing": missing,
-        "traces": [asdict(trace) for one in found.values() for trace in one],
+        "traces": traces_of_all,
     }
     show(made, page=PAGE if options.publish else None)
     print("".join(f"\nException: `{error}`\n" for error in errors))
