@@ -10,7 +10,6 @@ NOISE is part of the name of a noise; `--others` adds further measures.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +33,7 @@ from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
 LOW, HIGH = np.array([100.0, -0.8]), np.array([800.0, 0.5])
 SPACING = 0.005
 """Distance of the observed points, mm."""
-Pair = Float[np.ndarray, " 2"]
+Pair, Pairs = Float[np.ndarray, " 2"], Float[np.ndarray, "observation 2"]
 GLOBAL = {"shift": 0.008, "rotation": 0.5, "scale": 0.005, "offset": 0.002}
 NOISES = {
     "white 1 µm": PointErrors(0.001),
@@ -63,19 +62,11 @@ REACH, PLACES = 5.0, 25
 """Half the width of the grid in standard deviations of the linearised posterior, and its nodes along each input."""
 
 
-@dataclass(frozen=True, eq=False)
-class Found:
-    """Ranks of the truths and standard deviations of the posteriors, shape (observation, 2), and those of the limit."""
-
-    ranks: Float[np.ndarray, "observation 2"]
-    sds: Float[np.ndarray, "observation 2"]
-    limits: Float[np.ndarray, "observation 2"]
-
-    def row(self) -> list[float]:
-        """Return coverage in %, p-values of the ranks' uniformity, and widths relative to the Cramér–Rao limit."""
-        p = [uniformity(self.ranks[:, k]).p_value for k in (0, 1)]
-        cover, wide = 100 * coverage_of(self.ranks, 0.9).found, np.median(self.sds / self.limits, axis=0)
-        return [*cover.tolist(), *p, *wide.tolist()]
+def figures(ranks: Pairs, sds: Pairs, limits: Pairs) -> list[float]:
+    """Return coverage in %, p-values of the ranks' uniformity, and widths relative to the Cramér–Rao limit."""
+    p = [uniformity(ranks[:, k]).p_value for k in (0, 1)]
+    cover, wide = 100 * coverage_of(ranks, 0.9).found, np.median(sds / limits, axis=0)
+    return [*cover.tolist(), *p, *wide.tolist()]
 
 
 def surrogate(runs: int, folder: Path) -> FieldSurrogate:
@@ -126,31 +117,31 @@ def posterior(likelihood: FieldLikelihood, truth: Pair, at: Pair, sd: Pair) -> t
     return np.array(ranks), found
 
 
-def measured(field: FieldSurrogate, errors: PointErrors, number: int, *, more: bool) -> Iterator[tuple[str, Found]]:
-    """Yield what each measure finds, a control with points taken as independent, and inferred noise."""
+def measured(field: FieldSurrogate, errors: PointErrors, number: int, more: bool) -> Iterator[tuple[str, list[float]]]:
+    """Yield the figures of each measure, a control with points taken as independent, and inferred noise."""
     truths = LOW + (HIGH - LOW) * np.random.default_rng(11).random((number, 2))
     seen = [observed(field, truth, errors, k) for k, truth in enumerate(truths)]
     limits = [limit(field, one, errors) for one in seen]
     others = {name: getattr(errors, name) for name in ("shift", "rotation", "scale", "offset")}
-    cases: list[tuple[str, Discrepancy, PointErrors | UnknownErrors]] = [
+    cases = [
         *((name, measure, errors) for name, measure in (MEASURES | (OTHERS if more else {})).items()),
         ("normal_offset, s and ℓ unknown", NormalOffset(), UnknownErrors(**others)),
         ("control: points independent, no global errors", NormalOffset(), PointErrors(errors.sd)),
     ]
     nodes = len(field.interfaces(truths[0])[""].points)
     for name, measure, noise in cases:
-        found, sds, used = [], [], noise
+        found, used = [], noise
         for k, (truth, one, at) in enumerate(zip(truths, seen, limits, strict=True)):
             try:
                 if k % SERVES == 0 and not isinstance(measure, NormalOffset):
                     used = with_variance(Observation(one, noise), measure, nodes)
-                found.append(posterior(FieldLikelihood(field, (Observation(one, used),), measure), truth, *at))
-                sds.append(at[1])
+                likelihood = FieldLikelihood(field, (Observation(one, used),), measure)
+                found.append((*posterior(likelihood, truth, *at), at[1]))
             except InvalidInput:  # no variance of the measure fits this noise
                 continue
-        said = name if len(found) == number else f"{name} ({number - len(found)} refused)"
         if found:
-            yield said, Found(*(np.array(part) for part in zip(*found, strict=True)), np.array(sds))
+            said = name if len(found) == number else f"{name} ({number - len(found)} refused)"
+            yield said, figures(*(np.array(part) for part in zip(*found, strict=True)))
 
 
 def main() -> None:
@@ -159,10 +150,10 @@ def main() -> None:
     with kept_or_scratch(options.ledger) as folder:
         field = surrogate(options.runs, folder)
     rows = (
-        (name, measure, *found.row())
+        (name, measure, *found)
         for name, errors in NOISES.items()
         if not options.words or any(word in name for word in options.words)
-        for measure, found in measured(field, errors, options.observations, more=options.others)
+        for measure, found in measured(field, errors, options.observations, options.others)
     )
     heading = (
         "noise | measure | E covered, % {.1f} | ν covered, % {.1f} | p(E) {.3f} | p(ν) {.3f} "

@@ -76,22 +76,13 @@ def rows(study: Study, replicates: int, published: int, planted: int, mistake: s
             replicates_of_it = tuple(replicated(one, source, seed=3, number=k) for k in range(number))
             found = CoverageFound(study.space.names, replicates_of_it)
             seconds = perf_counter() - begun
+            fits = "yes" if found.fit_band.inside else "no"
+            of_all = 100 * float(found.regions[-1].found[0]), fits, seconds / number
             for i, parameter in enumerate(study.space):
                 cover = [100 * interval.found[i] for interval in found.intervals]
-                yield (
-                    study.name,
-                    label,
-                    number,
-                    parameter.name,
-                    float(found.sd[i]),
-                    float(found.of_limit[i]),
-                    *cover,
-                    float(found.z[:, i].std()),
-                    "yes" if found.bands[i].inside else "no",
-                    100 * float(found.regions[-1].found[0]),
-                    "yes" if found.fit_band.inside else "no",
-                    seconds / number,
-                )
+                ranks = "yes" if found.bands[i].inside else "no"
+                of_input = float(found.sd[i]), float(found.of_limit[i]), *cover, float(found.z[:, i].std()), ranks
+                yield study.name, label, number, parameter.name, *of_input, *of_all
 
 
 HEADING = (

@@ -97,43 +97,34 @@ class Cover:
         return said
 
 
-def rendered(true: Interface, kind: Kind, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a picture of the region under an outline, clicks along it, and the pixel of the model's (0, 0)."""
+def seen_in(true: Interface, kind: Kind, random: np.random.Generator) -> tuple[Interface, Edge]:
+    """Return the edge in a picture of the region under an outline, in the model's coordinates and in pixels.
+
+    Its errors are in mm; the search begins at clicks along the outline.
+
+    Raises:
+        InvalidInput: The picture shows no edge.
+    """
     fine = true.resampled(round(FINE * float(true.lengths.sum()) / PIXEL)).points
     low, high = fine.min(axis=0), fine.max(axis=0)
     columns, rows = np.ceil((high - low) / PIXEL).astype(int) + 2 * MARGIN
     origin = np.array([MARGIN - low[0] / PIXEL, rows - MARGIN + low[1] / PIXEL]) + random.uniform(-0.5, 0.5, 2)
     line = origin + fine * [1, -1] / PIXEL
     region = np.concatenate([line, [[line[-1, 0], rows + 40.0], [line[0, 0], rows + 40.0]]])
-    shape = int(rows), int(columns)
-    picture = kind.render(region, shape, random)
-    return picture, np.clip(clicks(line, random), 0.0, np.array(shape[::-1]) - 1.0), origin
-
-
-def seen_in(true: Interface, kind: Kind, random: np.random.Generator) -> tuple[Interface, Edge]:
-    """Return the edge in a picture of an outline, in the model's coordinates and in pixels, with errors in mm.
-
-    Raises:
-        InvalidInput: The picture shows no edge.
-    """
-    picture, path, origin = rendered(true, kind, random)
+    picture = kind.render(region, (int(rows), int(columns)), random)
+    path = np.clip(clicks(line, random), 0.0, np.array([columns, rows]) - 1.0)
     edge = find_edge(picture, path, method=kind.method, pixel=(PIXEL, PIXEL))
     return Interface.polyline((edge.points - origin) * [PIXEL, -PIXEL]), edge
-
-
-def moving(kind: Kind) -> PointErrors:
-    """Return the errors from which the place and the offset of an outline are drawn."""
-    return PointErrors(PIXEL, **(GLOBAL | {"offset": PIXEL * kind.method_bias}))
 
 
 def covered(field: FieldSurrogate, name: str, kind: Kind, pictures: int) -> Cover:
     """Return the ranks of truths in the posteriors from so many pictures."""
     truths = LOW + (HIGH - LOW) * np.random.default_rng(12).random((pictures, 2))
     known = {what: GLOBAL[what] for what in ("shift", "rotation", "scale")}
-    found, control = [], []
+    moving, found, control = PointErrors(PIXEL, **(GLOBAL | {"offset": PIXEL * kind.method_bias})), [], []
     for k, truth in enumerate(truths):
         random = np.random.default_rng([13, k])
-        placed = moving(kind).moved(field.interfaces(truth)[""], random.standard_normal(5))
+        placed = moving.moved(field.interfaces(truth)[""], random.standard_normal(5))
         try:
             seen, edge = seen_in(placed, kind, random)
         except InvalidInput as refusal:

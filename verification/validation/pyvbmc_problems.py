@@ -27,6 +27,9 @@ from strandline.studies import Study, load_study
 
 NOISE = 0.0005
 """σ_N² in mm², as in the study."""
+LEVELS = (0.2, 0.1, 0.05)
+"""Of the total variation. Further figures of a problem: runs of a batch, most runs of ours and of the peer's, which
+iterations of the peer are boosted, and seeds."""
 RATE = 100.0
 INTERVALS = (16, 8, 0)
 """Intervals of the table in s and ν, with V fixed."""
@@ -36,20 +39,14 @@ INTERVALS = (16, 8, 0)
 class Biofilm:
     """(E, ν) of the built-in biofilm, observed without noise; the true posterior comes from quadrature.
 
-    Within its range, a table of the model replaces runs; outside it the model itself is run.
-
-    Args:
-        folder: Folder that keeps the table between calls.
+    Within its range, a table of the model replaces runs; outside it the model itself is run. The folder keeps it.
     """
 
     folder: Path
     key = "biofilm"
     title = "biofilm, E and ν"
-    levels = (0.2, 0.1, 0.05)
-    batch = 2
-    most = (60, 120)
-    boost = 1
-    seeds = 5
+    levels = LEVELS
+    batch, most, boost, seeds = 2, (60, 120), 1, 5
     discrepancy = Currents(0.005, quadrature="refined")
     beyond: dict[bytes, RunRecord] = field(default_factory=dict)
 
@@ -135,21 +132,15 @@ class Outline:
 
     The data inform only aᵢ = V (1 + νᵢ/2)/Eᵢ: four directions in the space of inputs are ridges, bounded by the priors.
     With tracked points log L is a quadratic form in a, so that 10⁷ draws from the prior are weighted in seconds.
-
-    Args:
-        folder: Folder that keeps the truth between calls.
-        draws: Number of draws from the prior for the truth.
+    The folder keeps the truth.
     """
 
     folder: Path
     draws: int = 60_000_000
     key = "outline"
     title = "outline, 7 inputs"
-    levels = (0.2, 0.1, 0.05)
-    batch = 8
-    most = (122, 300)
-    boost = 4
-    seeds = 3
+    levels = LEVELS
+    batch, most, boost, seeds = 8, (122, 300), 4, 3
     discrepancy = TrackedPoints()
     space = ParameterSpace(
         (
@@ -159,11 +150,8 @@ class Outline:
         )
     )
     truth = (300.0, 400.0, 500.0, 0.3, 0.0, -0.3, 100.0)
-    points = 41
-    scale = 0.4
-    bins = 25
-    kept_draws = 20_000
-    block = 1_000_000
+    points, scale, bins = 41, 0.4, 25
+    kept_draws, block = 20_000, 1_000_000
 
     def amplitudes(self, x: Float[np.ndarray, "point 7"]) -> Float[np.ndarray, "point 3"]:
         return np.asarray(x[:, 6:] * (1 + 0.5 * x[:, 3:6]) / x[:, :3])
@@ -197,8 +185,7 @@ class Outline:
         kept = self.folder / "outline.npz"
         if not kept.exists():
             self._agree()
-            made: dict[str, Any] = self._weighted()
-            np.savez(kept, **made)
+            np.savez(kept, **self._weighted())
         with np.load(kept) as content:
             return dict(content)
 
@@ -261,9 +248,7 @@ class Outline:
         }
 
 
-def marginals(
-    x: Float[np.ndarray, "draw dim"], weight: Float[np.ndarray, " draw"], edges: Float[np.ndarray, "dim edge"]
-) -> Float[np.ndarray, "dim bin"]:
+def marginals(x: np.ndarray, weight: np.ndarray, edges: np.ndarray) -> Float[np.ndarray, "dim bin"]:
     """Return the weight in each bin of each input."""
     return np.stack([np.histogram(x[:, k], edges[k], weights=weight)[0] for k in range(x.shape[1])])
 

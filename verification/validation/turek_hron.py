@@ -134,15 +134,10 @@ def solve(benchmark: Benchmark, level: int, *, order: int) -> Outcome:
     """Return the steady state of a benchmark; its seconds include mesh generation."""
     start = time.perf_counter()
     mesh = mesh_turek_hron(COARSEST, level, order=order, fluid=benchmark.fluid, solid=benchmark.young is not None)
-    system = CoupledSystem(
-        mesh,
-        BOUNDARIES if benchmark.young else RIGID,
-        viscosity=1.0,
-        density=1e3,
-        order=order,
-        solids=("solid",) if benchmark.young else (),
-        body_force=(0.0, -SOLID_DENSITY * benchmark.gravity),
-    )
+    solids, weight = ("solid",) if benchmark.young else (), (0.0, -SOLID_DENSITY * benchmark.gravity)
+    fluid = {"viscosity": 1.0, "density": 1e3}
+    boundaries = BOUNDARIES if benchmark.young else RIGID
+    system = CoupledSystem(mesh, boundaries, order=order, solids=solids, body_force=weight, **fluid)
     system.set_unknowns(_steady_state(system, benchmark))
     values: dict[str, float] = {}
     if benchmark.young:

@@ -89,12 +89,8 @@ CASES = {
         ),
         Case(
             "FSI3",
-            {
-                "ux": (-2.88e-3, 2.72e-3, 10.93),
-                "uy": (1.47e-3, 34.99e-3, 5.46),
-                "drag": (460.5, 27.74, 10.93),
-                "lift": (2.50, 153.91, 5.46),
-            },
+            {"ux": (-2.88e-3, 2.72e-3, 10.93), "uy": (1.47e-3, 34.99e-3, 5.46)}
+            | {"drag": (460.5, 27.74, 10.93), "lift": (2.50, 153.91, 5.46)},
             ((Stage(0, 0.005, 6.0, False), Stage(1, 0.0025, 8.8), Stage(2, 0.0025, 10.0), Stage(2, 0.00125, 11.2)),),
             velocity=2.0,
             young=5.6e6,
@@ -110,15 +106,9 @@ class Cylinder:
         self.case, self.level = case, level
         fluid, solid = case.velocity > 0, case.young is not None
         self.mesh = mesh_turek_hron(*MESHES[level], order=2, fluid=fluid, solid=solid)
-        self.system = MovingSystem(
-            self.mesh,
-            BOUNDARIES if solid else RIGID,
-            solid_density=case.density,
-            viscosity=1.0,
-            density=1e3,
-            solids=("solid",) if solid else (),
-            body_force=(0.0, -case.density * case.gravity),
-        )
+        parts = {"solids": ("solid",) if solid else (), "body_force": (0.0, -case.density * case.gravity)}
+        densities = {"solid_density": case.density, "density": 1e3, "viscosity": 1.0}
+        self.system = MovingSystem(self.mesh, BOUNDARIES if solid else RIGID, **densities, **parts)
         if case.young is not None:
             self.system.set_material([case.young], [POISSON])
         self.weights = norm_weights(self.system)
