@@ -143,13 +143,7 @@ def disturb(
 
 
 def main(
-    drivers: int = 20,
-    workers: int = 15,
-    simulators: int = 20,
-    *,
-    active: bool = False,
-    journal: str = "",
-    runs: int = RUNS,
+    drivers: int, workers: int, simulators: int, *, active: bool = False, journal: str = "", runs: int = RUNS
 ) -> None:
     """Print the table; end with an error if anything was repeated, lost or different."""
     rng = random.Random(0)

@@ -117,10 +117,10 @@ def arguments(doc: str | None, *, words: Any = None, **defaults: Any) -> argpars
         defaults: Default of each option. False is a flag, `Path` a path that is None by default, () words.
     """
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
-    if isinstance(words, str):
-        parser.add_argument("words", nargs="*", metavar=words, default=[])
-    elif words is not None:
-        parser.add_argument("words", nargs="*", metavar="|".join(words), default=[])
+    allowed = () if isinstance(words, str | None) else tuple(words)
+    if words is not None:
+        said = {"metavar": "WORD", "help": ", ".join(allowed).replace("%", "%%")} if allowed else {"metavar": words}
+        parser.add_argument("words", nargs="*", default=[], **said)
     for name, default in defaults.items():
         if default is False:
             parser.add_argument(f"--{name}", action="store_true")
@@ -131,9 +131,8 @@ def arguments(doc: str | None, *, words: Any = None, **defaults: Any) -> argpars
         else:
             parser.add_argument(f"--{name}", type=type(default), default=default)
     found = parser.parse_args()
-    wrong = set(found.words) - set(words) if words is not None and not isinstance(words, str) else ()
-    if wrong:
-        parser.error(f"unknown: {', '.join(sorted(wrong))}; expected some of {', '.join(words)}")
+    if allowed and not set(found.words) <= set(allowed):
+        parser.error(f"expected some of {', '.join(allowed)}, got {', '.join(found.words)}")
     return found
 
 
