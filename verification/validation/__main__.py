@@ -1,14 +1,27 @@
 """All verifications of the forward model; they take a few minutes on one core.
 
-Writes verification/validation/output/verification.md and .json. With ``--publish`` the tables also go into the page
-docs/results/forward-model.md, their raw numbers into verification.json next to it, and the figures are drawn again.
+Prints the tables and writes their raw numbers to verification/validation/output/verification.json. With ``--publish``
+the tables go into the page docs/results/forward-model.md, their numbers next to it, and the figures are drawn again.
 
 Run it with:  python -m verification.validation [--publish]
 """
 
-from verification.validation import analytic, biofilm_mesh, figures, generality, sensitivities, turek_hron
-from verification.validation.tables import DOCS, OUTPUT, Table, arguments, as_text, put_into_page
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
+import matplotlib.pyplot as plt
+import ngsolve as ng
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from verification.validation import analytic, biofilm_mesh, generality, sensitivities, turek_hron
+from verification.validation.tables import DOCS, OUTPUT, Table, arguments, as_text, show
+
+from strandline.models.biofilm.geometry import MESHES, Partition, mesh_flow_cell
+from strandline.models.biofilm.outline import Channel, Outline
+
+COLOURS = ("#dbe9f4", "#7fb3d5", "#f0b27a", "#82c39b")
 PAGE = DOCS / "results" / "forward-model.md"
 PARTS = (
     turek_hron.tables,
@@ -19,16 +32,63 @@ PARTS = (
     generality.tables,
 )
 
+
+def draw(tables: Sequence[Table], folder: Path) -> None:
+    """Write forward-convergence.png and forward-mesh.png into `folder`."""
+    named = {table.name: table for table in tables}
+    figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
+    convergence_of_benchmark(axes[0], named["FSI1"])
+    convergence_of_solid(axes[1], named["manufactured"])
+    figure.savefig(folder / "forward-convergence.png", dpi=130)
+    plt.close(figure)
+    figure, axes = plt.subplots(figsize=(8, 4.2), layout="constrained")
+    mesh_of_three_parts(axes)
+    figure.savefig(folder / "forward-mesh.png", dpi=130)
+    plt.close(figure)
+
+
+def convergence_of_benchmark(ax: Axes, table: Table) -> None:
+    for k, key in enumerate(dict.fromkeys(table.column("quantity"))):
+        for order, style in ((2, "o-"), (3, "s--")):
+            rows = [row for row in table.rows if (row[0], row[2]) == (key, order)]
+            errors = [abs(float(row[7] or 0.0)) for row in rows]
+            ax.loglog([row[4] for row in rows], errors, style, color=f"C{k}", label=f"{key}, P{order}")
+    ax.set(xlabel="unknowns", ylabel="error against the published value, %", title="FSI1")
+    ax.legend(fontsize="x-small", ncols=2)
+
+
+def convergence_of_solid(ax: Axes, table: Table) -> None:
+    """Draw the errors of the manufactured solution against the element size; other laws are as good as neo-Hookean."""
+    for k, law in enumerate(("saint_venant_kirchhoff", "neo_hookean")):
+        for poisson, style in ((-0.5, "o-"), (0.49, "s--")):
+            rows = [row for row in table.rows if row[:2] == (law, poisson)]
+            ax.loglog([r[2] for r in rows], [r[3] for r in rows], style, color=f"C{k}", label=f"{law}, ν = {poisson}")
+    h = np.array([0.05, 0.2])
+    ax.loglog(h, 3e-6 * (h / 0.05) ** 3, "k:", label="order 3")
+    ax.set(xlabel="element size", ylabel="L² error of the displacement", title="Manufactured solution")
+    ax.legend(fontsize="x-small")
+
+
+def mesh_of_three_parts(ax: Axes) -> None:
+    mesh: Any = mesh_flow_cell(Outline().interface(), MESHES["default"], Channel(), Partition.PRESETS["three_parts"])
+    points = np.array([v.point for v in mesh.vertices])
+    names = ("fluid", *(f"solid{k}" for k in (1, 2, 3)))
+    for name, colour in zip(names, COLOURS, strict=True):
+        cells = [[v.nr for v in e.vertices] for e in mesh.Elements(ng.VOL) if e.mat == name]
+        ax.tripcolor(
+            *points.T, cells, facecolors=np.zeros(len(cells)), cmap=ListedColormap([colour]), edgecolors="0.4", lw=0.3
+        )
+    ax.set(aspect="equal", xlabel="x, mm", ylabel="y, mm")
+
+
 if __name__ == "__main__":
     options, tables = arguments(__doc__, publish=False), list[Table]()
     for part in PARTS:
         tables += part()
         print(f"{tables[-1].title} done", flush=True)
+    show(tables, page=PAGE if options.publish else None)
     OUTPUT.mkdir(exist_ok=True)
-    text = "\n".join(f"## {table.title}\n\n{table.markdown()}\n" for table in tables)
-    (OUTPUT / "verification.md").write_text(f"# Verification of the forward model\n\n{text}", "utf-8")
     (OUTPUT / "verification.json").write_text(as_text(tables), "utf-8")
     if options.publish:
         PAGE.with_name("verification.json").write_text(as_text(tables), "utf-8")
-        PAGE.write_text(put_into_page(PAGE.read_text("utf-8"), tables), "utf-8")
-        figures.draw(tables, DOCS / "figures")
+        draw(tables, DOCS / "figures")
