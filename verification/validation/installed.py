@@ -188,7 +188,7 @@ def arviz(python: Interpreter, programs: Path, folder: Path) -> str:
     """Read the posterior as the documentation says; return the version of ArviZ."""
     major = 1 if python.version >= ARVIZ_1_NEEDS else 0
     install(programs, ARVIZ[major], folder)
-    page = (ROOT / "docs" / "how-to" / "read-results.md").read_text("utf-8")
+    page = (ROOT / "docs" / "how-to" / "results.md").read_text("utf-8")
     (documented,) = [text for text in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "import arviz" in text]
     program = f"{documented}print('version', az.__version__)\n"
     printed = command(programs / "python", "-W", "ignore", "-c", program, folder=folder)
