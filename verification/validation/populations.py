@@ -26,7 +26,7 @@ from strandline.questions.opened import Specimens
 from strandline.questions.population import population_of, shrunk
 from strandline.questions.specimen import SpecimenPosterior
 
-PAGE = DOCS / "how-to" / "specimens.md"
+PAGE = DOCS / "results" / "accuracy.md"
 STUDY = """\
 version: 1
 name: many-biofilms

@@ -26,7 +26,7 @@ from strandline.runs import RunRequest
 from strandline.testing.studies import beam, write_study
 from strandline.view import Server, serving
 
-PAGE = DOCS / "how-to" / "results.md"
+PAGE = DOCS / "results" / "speed.md"
 SIZES = (100, 10_000, 100_000)
 FAILING = 0.1
 HEADING = "runs | start | first opening | first paint | counts | runs drawn | a run | prediction | posterior"

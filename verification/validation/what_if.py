@@ -18,7 +18,7 @@ from verification.validation.tables import DOCS, Table, arguments, show, table
 import strandline as sl
 from strandline.calibration.what_if import Answer
 
-PAGE = DOCS / "how-to" / "what-if.md"
+PAGE = DOCS / "results" / "accuracy.md"
 E = {"unit": "Pa", "box": [100, 800]}
 POINTS = {"sd": 10, "unit": "um"}
 CHANGES: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Any]]] = {
