@@ -39,7 +39,7 @@ TIERS = ("study", "doors", "statistical", "unit", "check")
 """Folders of tests, slowest files first: the quick ones come last, so that all processes finish together."""
 OPTIONAL = {
     "arviz", "axe_playwright_python", "blackjax", "cryptography", "dask", "dask_jobqueue", "distributed", "httpx",
-    "ipykernel", "meshio", "mkl", "nbclient", "nbformat", "playwright", "shapely", "skimage", "sklearn", "tifffile",
+    "ipykernel", "meshio", "nbclient", "nbformat", "playwright", "shapely", "skimage", "sklearn", "tifffile",
     "tornado", "umbridge",
 }  # fmt: skip
 """Packages of extras, and those that tests alone need."""
@@ -82,12 +82,17 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items.sort(key=lambda item: rank.get(item.path.relative_to(tests).parts[0], len(rank)))
 
 
-def _needed(longrepr: object) -> str | None:
-    """Return the package of an extra that is not installed, if that is why something failed."""
+def needed(longrepr: object) -> str | None:
+    """Return the package of an extra that is not installed, if that is why something failed.
+
+    Only the error counts: the lines of the test before it may name an extra too.
+    """
+    crash = getattr(longrepr, "reprcrash", None)
+    said = str(longrepr if crash is None else crash.message)
     absent = [name for name in sorted(OPTIONAL) if find_spec(name) is None]
-    if absent and re.search(r"pip install .strandline\[", str(longrepr)):  # as strandline itself says it
+    if absent and re.search(r"pip install .strandline\[", said):  # as strandline itself says it
         return ", ".join(absent)
-    return next((name for name in re.findall(r"No module named '(\w+)", str(longrepr)) if name in absent), None)
+    return next((name for name in re.findall(r"No module named '(\w+)", said) if name in absent), None)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -96,7 +101,7 @@ def pytest_make_collect_report(
 ) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
     """Skip a file that needs a package of an extra that is not installed."""
     report = yield
-    if report.failed and (name := _needed(report.longrepr)):
+    if report.failed and (name := needed(report.longrepr)):
         report.outcome, report.longrepr = "skipped", (str(collector.path), 0, f"Skipped: needs the package {name}")
     return report
 
@@ -105,7 +110,7 @@ def pytest_make_collect_report(
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Skip a test that needs a package of an extra that is not installed."""
     report = yield
-    if report.failed and (name := _needed(report.longrepr)):
+    if report.failed and (name := needed(report.longrepr)):
         report.outcome, report.longrepr = "skipped", (str(item.path), 0, f"Skipped: needs the package {name}")
     return report
 

@@ -6,8 +6,10 @@ import pkgutil
 import re
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from tests import conftest
 
 import strandline
 
@@ -76,3 +78,21 @@ def test_the_packages_names_exist_where_they_are_said_to_be_for_checkers_too():
     assert typed == {name: f"strandline.{module}" for name, module in strandline._HOME.items()}
     with pytest.raises(AttributeError, match="no attribute 'calibrat'"):
         _ = strandline.calibrat
+
+
+def test_a_failure_is_skipped_for_a_missing_package_alone_and_not_for_what_its_test_names(monkeypatch):
+    """Planted: lines of the test count as well, and one that names an extra is never seen to fail."""
+
+    class Failure:
+        def __init__(self, error):
+            self.reprcrash = SimpleNamespace(message=error)
+
+        def __str__(self):
+            return f'raises(match="pip install \\"strandline[dask]\\"")\n{self.reprcrash.message}'
+
+    monkeypatch.setattr(conftest, "OPTIONAL", {"absent_package"})
+    assert conftest.needed(Failure("assert 1 == 2")) is None
+    assert conftest.needed(Failure("No module named 'absent_package'")) == "absent_package"
+    assert conftest.needed(Failure('dask is missing: pip install "strandline[dask]"')) == "absent_package"
+    monkeypatch.setattr(conftest, "OPTIONAL", {"json"})
+    assert conftest.needed(Failure('dask is missing: pip install "strandline[dask]"')) is None
