@@ -12,8 +12,9 @@ averaged over the laws. Its 90 % intervals should contain the truth whichever la
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import yaml
@@ -152,20 +153,18 @@ def against_quadrature(nodes: int, folder: Path) -> tuple[Table, list[str]]:
     return table("compare-quadrature", "ln B of Saint-Venant–Kirchhoff over neo-Hookean", heading, rows), missed
 
 
-@dataclass(frozen=True, eq=False)
-class Crossing:
-    """A crossing: the number of the right law, ln B of it over the other one, and whether one of them is preferred.
+class Crossing(NamedTuple):
+    """Number of the right law, ln B of it over the other one, whether one is preferred, and inputs inside intervals.
 
-    `averaged`, `right` and `wrong` tell which inputs the 90 % intervals contain: those averaged over the laws, those
-    under the right law alone, those under the other one.
+    The 90 % intervals are those averaged over the laws, those under the right law alone, and those under the other one.
     """
 
     law: int
     ln: float
     decided: bool
-    averaged: Float[np.ndarray, " 2"]
-    right: Float[np.ndarray, " 2"]
-    wrong: Float[np.ndarray, " 2"]
+    averaged: np.ndarray
+    right: np.ndarray
+    wrong: np.ndarray
 
 
 def crossings(number: int, folder: Path) -> list[Crossing]:
@@ -204,14 +203,9 @@ def _crossing(
     compared = ModelComparison(dict(zip(LAWS, evidences, strict=True)))
     posteriors = [pool.weighted for pool in pools]
     together = averaged(posteriors, [compared.probabilities[name] for name in LAWS])
-    return Crossing(
-        law=law,
-        ln=evidences[law].log - evidences[1 - law].log,
-        decided=compared.favoured is not None,
-        averaged=holds(together, truth),
-        right=holds(posteriors[law], truth),
-        wrong=holds(posteriors[1 - law], truth),
-    )
+    ln, decided = evidences[law].log - evidences[1 - law].log, compared.favoured is not None
+    inside = (holds(one, truth) for one in (together, posteriors[law], posteriors[1 - law]))
+    return Crossing(law, ln, decided, *inside)
 
 
 def holds(posterior: Weighted, truth: Float[np.ndarray, " 2"]) -> Float[np.ndarray, " 2"]:

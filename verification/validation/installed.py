@@ -17,7 +17,7 @@ import tarfile
 import tempfile
 import time
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
@@ -210,19 +210,18 @@ def job(python: Interpreter, wheel: Path, folder: Path) -> str:
     return f"Python {python.name}: installed in {seconds[0]}, study in {seconds[1]}, ArviZ {version} in {seconds[2]}"
 
 
-def newest_with_wheels(pythons: Sequence[Interpreter], wheel: Path, folder: Path) -> Iterator[str | Interpreter]:
-    """Yield a line for each Python for which a dependency lacks a wheel, then the first one for which none does."""
-    for python in pythons:
-        try:
-            command(python.path, "-m", "venv", folder / python.name, folder=folder)
-            pip = (folder / python.name / "bin" / "python", "-m", "pip", "install", "--quiet", "--dry-run")
-            command(*pip, "--only-binary", ":all:", wheel, folder=folder)
-        except Failed as failure:
-            require("No matching distribution" in str(failure), str(failure))
-            yield f"Python {python.name}: {str(failure).strip().splitlines()[-1]}"
-        else:
-            yield python
-            return
+def has_wheels(python: Interpreter, wheel: Path, folder: Path) -> bool:
+    """Return whether each dependency has a wheel for a Python, and print it."""
+    command(python.path, "-m", "venv", folder / python.name, folder=folder)
+    pip = (folder / python.name / "bin" / "python", "-m", "pip", "install", "--quiet", "--dry-run")
+    try:
+        command(*pip, "--only-binary", ":all:", wheel, folder=folder)
+    except Failed as failure:
+        require("No matching distribution" in str(failure), str(failure))
+        print(f"Python {python.name}: {str(failure).strip().splitlines()[-1]}")
+        return False
+    print(f"Python {python.name}: every dependency has a wheel")
+    return True
 
 
 def main() -> None:
@@ -232,10 +231,8 @@ def main() -> None:
         folder = Path(name)
         wheel = build(folder)
         print(f"{wheel.name} has the files under version control, and is the same from the source distribution")
-        chosen = [own]
-        for found in newest_with_wheels(newer, wheel, folder):
-            chosen += [found] if isinstance(found, Interpreter) else []
-            print(found if isinstance(found, str) else f"Python {found.name}: every dependency has a wheel")
+        newest = next((python for python in newer if has_wheels(python, wheel, folder)), None)
+        chosen = [own, newest] if newest else [own]
         folders = [folder / f"job-{python.name}" for python in chosen]
         for each in folders:
             each.mkdir()

@@ -19,16 +19,16 @@ from multiprocessing import get_context
 
 import numpy as np
 from jaxtyping import Bool, Float
+from verification.validation.active.designs import play
 from verification.validation.tables import arguments, show, table
 
 from strandline.design import sobol
 from strandline.design.active import Active, ActiveDesign, State, learn, posterior_state
 from strandline.design.active.coverage_runs import least_found
 from strandline.discrepancy import TrackedPoints
-from strandline.errors import TooFewRuns
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
-from strandline.numerics.threads import one_thread, use_double
+from strandline.numerics.threads import use_double
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.posterior import Weighted
 from strandline.priors import Uniform
@@ -121,14 +121,19 @@ def _turned(x: Inputs, apart: Float[np.ndarray, " run"], into: Heights) -> Heigh
 
 
 def kink(seed: int) -> Model:
-    at = TRUTH[0] + 0.02 * np.random.default_rng([10, seed]).standard_normal()
+    """Return a model with a kink that crosses the posterior."""
+    at = _near(10, seed)
     return Model(lambda x: smooth(x) + 0.5 * np.maximum(x[:, :1] - at, 0.0) * np.sin(5 * X), TRUTH)
 
 
 def jump(seed: int) -> Model:
     """Return a model that jumps by several noise lengths along a line through the posterior."""
-    at = TRUTH[0] + 0.02 * np.random.default_rng([11, seed]).standard_normal()
+    at = _near(11, seed)
     return Model(lambda x: smooth(x) + 0.04 * (x[:, :1] > at) * np.sin(4 * X), TRUTH)
+
+
+def _near(kind: int, seed: int) -> float:
+    return TRUTH[0] + 0.02 * np.random.default_rng([kind, seed]).standard_normal()
 
 
 def failing(seed: int) -> Model:
@@ -223,29 +228,14 @@ def played(model: Model, seed: int, active: Active) -> Found:
         known = learn(x, records, space, observations, measure)
         return posterior_state(known, space, (seed, len(x)), before=design.state)
 
-    design = ActiveDesign(
-        active,
-        space,
-        batch=4,
-        learn=posterior,
-        log_likelihood=lambda record: likelihood(record.interfaces),
-        afresh=lambda state: posterior_state(state.knowledge, space, (seed, len(state.knowledge.x), 1)),
-        seed=seed,
-        scramble=seed,
-    )
-    x = space.to_physical(sobol(4 + 2 * space.dim, space.dim, scramble=seed))
-    design.start(x)
-    records = [model.run(row) for row in x]
-    while True:
-        try:
-            with one_thread():
-                more = design.next(x, records)
-        except TooFewRuns:
-            more = design.more_of_the_first()
-        if more is None:
-            break
-        x = np.concatenate([x, more.points])
-        records += [model.run(row) for row in more.points]
+    functions = {
+        "learn": posterior,
+        "log_likelihood": lambda record: likelihood(record.interfaces),
+        "afresh": lambda state: posterior_state(state.knowledge, space, (seed, len(state.knowledge.x), 1)),
+    }
+    design = ActiveDesign(active, space, batch=4, seed=seed, scramble=seed, **functions)
+    first = space.to_physical(sobol(4 + 2 * space.dim, space.dim, scramble=seed))
+    *_, (x, _, _) = play(design, first, lambda x: [model.run(row) for row in x])
     true = true_moments(model, seen)
     off = np.abs(design.state.mean - true.mean) / true.sd
     width = np.abs(np.log(design.state.sd / true.sd))

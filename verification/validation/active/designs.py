@@ -142,7 +142,17 @@ def grow(one: Case, options: Options, *, batch: int, most: int, share: float = 0
     design = ActiveDesign(
         active, space, batch=batch, learn=posterior, log_likelihood=one.log_likelihood, seed=seed, scramble=seed
     )
-    x = space.to_physical(sobol(first, space.dim, scramble=seed))
+    for x, records, seconds in play(design, space.to_physical(sobol(first, space.dim, scramble=seed)), runs):
+        if design.state is not None:
+            yield Grown(design.state, len(x), sum(not record.ok for record in records), seconds)
+        if len(x) + batch > most:
+            return
+
+
+def play(
+    design: ActiveDesign, x: Float[np.ndarray, "run dim"], runs: Callable[[np.ndarray], list[RunRecord]]
+) -> Iterator[tuple[Float[np.ndarray, "run dim"], list[RunRecord], float]]:
+    """Yield inputs, records and the seconds of choosing after each batch of a design, from first inputs to its end."""
     design.start(x)
     records = runs(x)
     while True:
@@ -150,13 +160,13 @@ def grow(one: Case, options: Options, *, batch: int, most: int, share: float = 0
         try:
             with one_thread():
                 more = design.next(x, records)
-            yield Grown(design.state, len(x), sum(not r.ok for r in records), time.perf_counter() - begun)
         except TooFewRuns:
             more = design.more_of_the_first()
-        if more is None or len(x) + batch > most:
+        yield x, records, time.perf_counter() - begun
+        if more is None:
             return
         x = np.concatenate([x, more.points])
-        records += runs(more.points)
+        records = records + runs(more.points)
 
 
 def delivered(one: Case, knowledge: Knowledge, seed: int) -> Weighted:
