@@ -1,5 +1,7 @@
 """The biofilm's interface on the coarse, default and fine mesh against a reference mesh, in the study's (E, ν) box.
 
+Inputs at the limits of what the model admits are tried too, with all laws, by `python -m verification.validation`.
+
 Run it with:  python -m verification.validation.biofilm_mesh
 """
 

@@ -2,6 +2,8 @@
 
 Reference: Turek and Hron, Proposal for numerical benchmarking of fluid–structure interaction between an elastic object
 and laminar incompressible flow, in: Fluid–Structure Interaction, LNCSE 53 (2006), tables for the four. SI units.
+
+Elements are smallest at the four corners where the solution is singular: the beam's root and tip.
 """
 
 import time
