@@ -25,7 +25,7 @@ from verification.validation.tables import DOCS, Table, arguments, as_text, fini
 import strandline as sl
 from strandline.calibration.evidence import ModelComparison, averaged, evidence_of, integrated
 from strandline.design import sobol
-from strandline.design.active import learn
+from strandline.design.active import Knowledge, learn
 from strandline.likelihood import FieldLikelihood
 from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import Weighted
