@@ -74,6 +74,8 @@ def test_the_distance_is_in_micrometres_and_from_1_mm_in_millimetres(tmp_path):
         (line,) = [line for line in shown.splitlines() if "distance of the observed points from this run:" in line]
         assert line.endswith(f" {unit}")
         assert float(line.split()[-2]) == pytest.approx(distance, rel=0.06)
+    first, last = np.round(points[[0, -1]], 4).tolist()
+    assert f"from {first} to {last}, length" in shown
 
 
 def test_another_size_is_refused_with_the_unit_that_was_mistaken(tmp_path):
