@@ -184,6 +184,7 @@ def test_the_places_of_regions():
     for options, said in (
         ({"voxels": [[0, 0, 0], [1, 1, 1]], "unit": "um"}, "unit.*voxels"),
         ({"ball": [0, 0], "radius": 1, "unit": "um"}, r"exclude\[0\]\.ball"),
+        ({**BALL, "radius": 0}, "a length above 0"),
     ):
         with pytest.raises(InvalidInput, match=said):
             region(options)

@@ -103,7 +103,8 @@ class StatedRegion:
         stated = {f.name for f in fields(self) if getattr(self, f.name) is not None}
         if stated not in ({"voxels"}, {"box", "unit"}, {"ball", "radius", "unit"}):
             raise unfit("region of a stack", ", ".join(sorted(stated)) or None, f"one of {REGIONS}")
-        number(self.radius or 1.0, "radius", "a length above 0", low=5e-324)
+        if self.radius is not None:
+            number(self.radius, "radius", "a length above 0", low=5e-324)
 
     def within(self, frame: StackFrame) -> Region:
         """Return the region in voxels of a stack in which the model lies as `frame` says."""
