@@ -16,8 +16,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-
-__all__ = ["PROGRAMS", "TemporarySlurm", "missing_programs", "temporary_slurm"]
+from unittest.mock import patch
 
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "sinfo", "scancel", "scontrol")
 NODES = ("n1", "n2", "n3")
@@ -55,6 +54,7 @@ SlurmdTimeout={timeout}
 SchedulerParameters=sched_interval=1,bf_interval=1
 PartitionName=debug Nodes=ALL Default=YES MaxTime=INFINITE State=UP
 """
+NODE = "NodeName={node} NodeHostname={host} NodeAddr=127.0.0.1 Port={port} CPUs={cpus} RealMemory=1000 State=UNKNOWN\n"
 
 
 @dataclass(frozen=True)
@@ -84,13 +84,8 @@ class TemporarySlurm:
         """Kill the controller as a crash of its machine would, but only after it has saved its state.
 
         slurmctld saves every five seconds. If it dies before, it forgets the jobs submitted since, gives their numbers
-        to new jobs, and the nodes that still run the old ones refuse the new ones.
-
-        Args:
-            saved_after: Time, in seconds since the epoch, of the last job that the saved state must include.
-
-        Raises:
-            RuntimeError: The controller does not save within 15 s.
+        to new jobs, and the nodes that still run the old ones refuse the new ones. `saved_after` is the time, in
+        seconds since the epoch, of the last job that the saved state must include.
         """
         saved = self.base / "ctld" / "job_state"
         if not _wait_until(lambda: saved.exists() and saved.stat().st_mtime > saved_after + SAVING, 15.0):
@@ -122,39 +117,31 @@ def temporary_slurm() -> Iterator[TemporarySlurm]:
     with tempfile.TemporaryDirectory(prefix="strandline-slurm-", ignore_cleanup_errors=True) as folder:
         slurm = TemporarySlurm(Path(folder))
         _write_settings(slurm)
-        before = os.environ.get("SLURM_CONF")
         try:
             _start(slurm)
-            os.environ["SLURM_CONF"] = str(slurm.conf)
-            yield slurm
+            with patch.dict(os.environ, {"SLURM_CONF": str(slurm.conf)}):
+                yield slurm
         finally:
             _stop(slurm)
-            os.environ.pop("SLURM_CONF", None)
-            if before is not None:
-                os.environ["SLURM_CONF"] = before
 
 
 def _write_settings(slurm: TemporarySlurm) -> None:
-    base, ports = slurm.base, _free_ports(1 + len(NODES))
+    base, host = slurm.base, socket.gethostname().partition(".")[0]
     base.chmod(0o755)  # munge refuses other modes
     for name in ("ctld", "log"):
         (base / name).mkdir()
     (base / "munge.key").write_bytes(os.urandom(1024))
     (base / "munge.key").chmod(0o600)
-    host = socket.gethostname().partition(".")[0]
-    text = SETTINGS.format(timeout=NODE_TIMEOUT, host=host, user=getpass.getuser(), base=base, port=ports[0])
-    for node, port in zip(NODES, ports[1:], strict=True):
-        text += (
-            f"NodeName={node} NodeHostname={host} NodeAddr=127.0.0.1 Port={port} CPUs={CPUS} RealMemory=1000 "
-            f"State=UNKNOWN\n"
-        )
-    slurm.conf.write_text(text.lstrip(), encoding="utf-8")
+    port, *ports = _free_ports(1 + len(NODES))
+    text = SETTINGS.format(timeout=NODE_TIMEOUT, host=host, user=getpass.getuser(), base=base, port=port).lstrip()
+    nodes = (NODE.format(node=node, host=host, port=one, cpus=CPUS) for node, one in zip(NODES, ports, strict=True))
+    slurm.conf.write_text(text + "".join(nodes), encoding="utf-8")
 
 
 def _start(slurm: TemporarySlurm) -> None:
     files = {"key-file": "munge.key", "socket": "munge.sock", "pid-file": "m.pid", "log-file": "log/m.log"}
-    options = [f"--{name}={slurm.base / file}" for name, file in (files | {"seed-file": "munge.seed"}).items()]
-    slurm.command("munged", *options)
+    files |= {"seed-file": "munge.seed"}
+    slurm.command("munged", *(f"--{name}={slurm.base / file}" for name, file in files.items()))
     slurm.start_controller()
     for node in NODES:
         slurm.command("slurmd", "-N", node, "-f", str(slurm.conf))

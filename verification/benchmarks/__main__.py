@@ -11,8 +11,11 @@ import sys
 import time
 
 from verification.benchmarks import results
+from verification.benchmarks.figures import Figure
+from verification.benchmarks.results import PARTS
 
-PARTS = ("inference", "surrogate", "sampler", "norms", "executors", "startup", "forward", "scaling")
+from strandline.cli.main import environment
+
 ALONE = "--here"
 HERE = "verification.benchmarks"
 
@@ -20,32 +23,49 @@ HERE = "verification.benchmarks"
 def main(arguments: list[str]) -> int:
     if arguments[:1] == [ALONE]:
         (part,) = arguments[1:]
-        results.save(part, importlib.import_module(f"{HERE}.{part}").main(), parts=PARTS)
+        results.save(part, measured(part))
         return 0
     if not set(arguments) <= set(PARTS):
-        sys.exit(f"usage: python -m verification.benchmarks [{'|'.join(PARTS)}]")
+        sys.exit(f"usage: python -m {HERE} [{'|'.join(PARTS)}]")
     print(f"{os.cpu_count()} cores, OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'unset')}")
     if not arguments or not results.from_this_machine():
         print("all earlier results are dropped" if results.RESULTS.exists() else "")
-        results.forget()
+        for path in (results.RESULTS, results.MACHINE, results.SCALING):
+            path.unlink(missing_ok=True)
     failed = [part for part in arguments or PARTS if not run(part)]
-    missed = [record for record in results.load() if record["met"] is False]
     print(f"\nwritten: {results.RESULTS}")
-    for record in missed:
+    for record in (record for record in results.load() if record["met"] is False):
         figure = record["ours"] if record["ratio"] is None else record["ratio"]
-        print(f"aim missed: {record['what']} {record.get('case', '')}: {figure:.3g}, aim {record['aim']:g}")
+        print(f"aim missed: {results.task(record)}: {figure:.3g}, aim {record['aim']:g}")
     return 1 if failed else 0
 
 
+def measured(part: str) -> list[Figure]:
+    """Return the figures of a part; print each as soon as it is measured."""
+    widths = (52, 34, 20, 20, 6, 6, 0)
+    titles = ("task", "against", "strandline", "other", "ratio", "core", "remark")
+    print("  ".join(f"{title:{width}}" for title, width in zip(titles, widths, strict=True)))
+    found = []
+    for figure in importlib.import_module(f"{HERE}.{part}").figures():
+        found.append(figure)
+        cells = results.row(results.judged(figure, part))
+        print("  ".join(f"{cell:{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip(), flush=True)
+    return found
+
+
 def run(part: str) -> bool:
-    """Run a part in its own process; if it failed, write a line into the results and return False."""
+    """Run a part in its own process; if it failed, write a line into the results and return False.
+
+    JAX fixes its devices when it starts, so the sampler's process starts as the command line does.
+    """
     print(f"\n{part}", flush=True)
     load, begun = results.load_average(), time.perf_counter()
-    status = subprocess.run([sys.executable, "-m", HERE, ALONE, part]).returncode
+    devices = environment() if part == "sampler" else {}
+    status = subprocess.run([sys.executable, "-m", HERE, ALONE, part], env={**devices, **os.environ}).returncode
     seconds = time.perf_counter() - begun
     if status:
         why = f"the part ended with status {status}"
-        results.save(part, [{"what": part, "value": None, "unit": "", "remark": why}], parts=PARTS)
+        results.save(part, [Figure(part, unit="", remark=why)])
         print(f"{part}: not measured, {why}")
     results.note_run(part, seconds=seconds, load_average=load)
     return status == 0

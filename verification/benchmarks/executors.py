@@ -5,19 +5,16 @@ load: the best of the repeats is reported.
 """
 
 import time
-from collections.abc import Callable
-from dataclasses import asdict
-from typing import Any
+from collections.abc import Callable, Iterator
 
-from verification.benchmarks.forward import Figure
+from verification.benchmarks.figures import Figure
 
 from strandline.runs import Executor, InProcess, LocalProcesses
 from strandline.runs.executors.dask import DaskCluster
 from strandline.testing.executors import requests_for
 from strandline.testing.models import Cantilever
 
-RUNS = 1000
-REPEATS = 3
+RUNS, REPEATS = 1000, 3
 EXECUTORS: dict[str, Callable[[], Executor]] = {
     "in process": InProcess,
     "2 worker processes": lambda: LocalProcesses(2),
@@ -25,36 +22,21 @@ EXECUTORS: dict[str, Callable[[], Executor]] = {
 }
 
 
-def main() -> list[dict[str, Any]]:
-    """Print each figure as it is made; return them all."""
-    found = []
-    print(f"{'task':<28} {'case':<20} {'value':>9}")
+def figures() -> Iterator[Figure]:
     for name, executor in EXECUTORS.items():
         per_run, first = map(min, zip(*(overhead(executor()) for _ in range(REPEATS)), strict=True))
-        figures = [
-            Figure(f"overhead a run, {RUNS} runs", name, 1000 * per_run, "ms", "aims: 5 ms local, 20 ms Dask"),
-            Figure("until the first record", name, first, "s", ""),
-        ]
-        for figure in figures:
-            found.append(asdict(figure))
-            print(
-                f"{figure.what:<28} {figure.case:<20} {figure.value:>9.3g} {figure.unit:<4} {figure.remark}", flush=True
-            )
-    return found
+        yield Figure(f"overhead a run, {RUNS} runs", name, 1000 * per_run, "ms")
+        yield Figure("until the first record", name, first)
 
 
-def overhead(executor: Executor) -> tuple[float, float]:
+def overhead(executor: Executor, runs: int = RUNS) -> tuple[float, float]:
     """Return the seconds per run, for all runs but the first, and the seconds until the first record."""
-    requests = requests_for(Cantilever(), [300.0 + 0.1 * number for number in range(RUNS)])
+    requests = requests_for(Cantilever(), [300.0 + 0.1 * number for number in range(runs)])
     begin = time.perf_counter()
     records = iter(executor(Cantilever(), requests))
     if not next(records).ok:
         raise RuntimeError("the beam's run failed")
     first = time.perf_counter() - begin
-    if sum(record.ok for record in records) != RUNS - 1:
+    if sum(record.ok for record in records) != runs - 1:
         raise RuntimeError("runs failed or are missing")
-    return (time.perf_counter() - begin - first) / (RUNS - 1), first
-
-
-if __name__ == "__main__":
-    main()
+    return (time.perf_counter() - begin - first) / (runs - 1), first

@@ -10,13 +10,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
-from verification.benchmarks.comparison import Comparison, compare_all, compared, summarised
+from verification.benchmarks.figures import Figure, compared, in_turns
+from verification.benchmarks.norms import arches
 
 from strandline import Currents, Interface, LocalProcesses
 from strandline.runs import RunRequest
@@ -29,13 +29,16 @@ WIDTH = 0.005
 PEER_NODES = 7
 
 
-def main() -> list[dict[str, Any]]:
-    """Print each comparison as it is made; return them all."""
+def figures() -> Iterator[Figure]:
     jax.config.update("jax_enable_x64", True)
-    return compare_all(gp_fit, currents_centre, currents_refined, executor)
+    yield gp_fit()
+    yield currents("centre", f"currents, centre rule, {INTERFACES} interfaces", "all pairs in NumPy", 1, 7)
+    what = f"currents, refined quadrature, {INTERFACES} interfaces"
+    yield currents("refined", what, f"{PEER_NODES} Gauss points a segment", PEER_NODES, 5)
+    yield executor()
 
 
-def gp_fit() -> Comparison:
+def gp_fit() -> Figure:
     """Compare the evidence and its gradient by the hyperparameters of the published study's kernel."""
     x, y = training()
     standard, centred = (x - x.mean(0)) / x.std(0), y - y.mean()
@@ -44,14 +47,8 @@ def gp_fit() -> Comparison:
     theta = peer.kernel_.theta
 
     def mine() -> float:
-        return evidence(
-            standard,
-            centred,
-            kernel=KERNELS["matern32"],
-            length_scale=LENGTH,
-            signal_variance=VARIANCE,
-            nugget=NUGGET,
-        ).value
+        settings = {"length_scale": LENGTH, "signal_variance": VARIANCE, "nugget": NUGGET}
+        return evidence(standard, centred, kernel=KERNELS["matern32"], **settings).value
 
     def theirs() -> float:
         return float(peer.log_marginal_likelihood(theta, eval_gradient=True, clone_kernel=False)[0])
@@ -59,37 +56,27 @@ def gp_fit() -> Comparison:
     return compared(f"GP: evidence and gradient, n = {RUNS}", "scikit-learn", mine, theirs, rtol=1e-6)
 
 
-def currents_centre() -> Comparison:
-    """Compare d² of a campaign's interfaces by the centre rule."""
-    observed, simulated = interfaces()
-    measure = Currents(WIDTH, quadrature="centre")
+def currents(quadrature: str, what: str, peer_name: str, nodes: int, repeats: int) -> Figure:
+    """Compare d² of a campaign's interfaces, of the order of ⟨T,T⟩; the peer has Gauss points on each segment.
 
-    def mine() -> Any:
-        return np.array([measure(one, observed) for one in simulated])
+    Those of the refined quadrature are enough for 1e-6 of ⟨T,T⟩.
+    """
+    observed, shapes = arches(66, INTERFACES)
+    simulated = [Interface.polyline(points) for points in shapes]
+    measure = Currents(WIDTH, quadrature=quadrature)
+    scale = measure.inner(observed, observed) if quadrature == "refined" else 1.0
+    tolerance = {"rtol": 0.0, "atol": 1e-6} if quadrature == "refined" else {"rtol": 1e-6}
 
-    def theirs() -> Any:
-        return np.array([all_pairs(one, observed, nodes=1) for one in simulated])
-
-    return compared(f"currents, centre rule, {INTERFACES} interfaces", "all pairs in NumPy", mine, theirs, rtol=1e-6)
-
-
-def currents_refined() -> Comparison:
-    """Compare d² by the refined quadrature; the peer has enough Gauss points per segment for 1e-6 of ⟨T,T⟩."""
-    observed, simulated = interfaces()
-    measure = Currents(WIDTH)
-    scale = measure.inner(observed, observed)
-
-    def mine() -> Any:
+    def mine() -> np.ndarray:
         return np.array([measure(one, observed) for one in simulated]) / scale
 
-    def theirs() -> Any:
-        return np.array([all_pairs(one, observed, nodes=PEER_NODES) for one in simulated]) / scale
+    def theirs() -> np.ndarray:
+        return np.array([all_pairs(one, observed, nodes=nodes) for one in simulated]) / scale
 
-    what = f"currents, refined quadrature, {INTERFACES} interfaces"
-    return compared(what, f"{PEER_NODES} Gauss points a segment", mine, theirs, rtol=0.0, atol=1e-6, repeats=5)
+    return compared(what, peer_name, mine, theirs, repeats=repeats, **tolerance)
 
 
-def executor() -> Comparison:
+def executor() -> Figure:
     """Compare the time per run of a model that costs nothing, from the first record to the last."""
     inputs = [{"E": 1e4 + i, "load": 0.01} for i in range(TRIVIAL_RUNS)]
 
@@ -102,23 +89,13 @@ def executor() -> Comparison:
             yield from as_completed([pool.submit(Cantilever(), one, Path()) for one in inputs])
 
     seconds = [(paced(mine), paced(theirs)) for _ in range(5)]
-    return summarised(f"executor: overhead of a run, {TRIVIAL_RUNS} runs", "concurrent.futures", seconds)
+    return in_turns(f"executor: overhead of a run, {TRIVIAL_RUNS} runs", "concurrent.futures", seconds)
 
 
 def training() -> tuple[np.ndarray, np.ndarray]:
     """Return inputs and the values of a ridge that looks like a log-likelihood."""
     x = np.random.default_rng(0).random((RUNS, 2))
     return x, -30.0 * (x[:, 0] * (1 + x[:, 1] ** 2) - 0.6) ** 2
-
-
-def interfaces() -> tuple[Interface, list[Interface]]:
-    """Return an arch of 66 nodes, as large as the biofilm, and deformed ones."""
-    t = np.linspace(0.0, np.pi, 66)
-    rng = np.random.default_rng(2)
-    arch = np.stack([1.0 - 0.43 * np.cos(t), 0.47 * np.sin(t)], axis=1)
-    bends = 0.05 * rng.random((INTERFACES, 1)) * np.sin(t)
-    moved = [arch + np.stack([bend, np.zeros_like(bend)], axis=1) for bend in bends]
-    return Interface.polyline(arch), [Interface.polyline(points) for points in moved]
 
 
 def all_pairs(a: Interface, b: Interface, *, nodes: int) -> float:

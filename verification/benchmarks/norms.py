@@ -7,17 +7,14 @@ it, and in blocks that fit the cache. Times depend on the machine and its load; 
 """
 
 import statistics
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict
 from functools import partial
 from multiprocessing import get_context
-from typing import Any
 
 import jax
 import numpy as np
-from verification.benchmarks.comparison import Comparison, compare_all, compared, timed
-from verification.benchmarks.forward import Figure, peak_memory
+from verification.benchmarks.figures import Figure, compared, peak_memory, timed
 
 from strandline import Currents, Interface, NormalOffset, PointErrors
 from strandline.discrepancy import squared_discrepancies
@@ -35,27 +32,21 @@ SEEN, PARTICLES = 1600, 10_000
 """Points of a long contour, and interfaces predicted at the particles of a sampler."""
 
 
-def main() -> list[dict[str, Any]]:
-    """Print each comparison and figure as it is made; return them all."""
+def figures() -> Iterator[Figure]:
     jax.config.update("jax_enable_x64", True)
-    wide, narrow = partial(currents, WIDE), partial(currents, NARROW)
-    naive = partial(inner_product, at_once=True), partial(closest_on_polyline, at_once=True)
-    many = (partial(many_polylines, width, batched=batched) for width in (0.005, 0.05) for batched in (False, True))
-    found = compare_all(inner_product, wide, narrow, closest_on_polyline, *naive, *many)
-    print(f"\n{'task':<42} {'case':<22} {'value':>9}")
-    for figure in [
-        long_contour(),
-        closest_on_surface(0.01),
-        closest_on_surface(0.3),
-        *large(NARROW),
-        *large(WIDE, repeats=1),
-    ]:
-        found.append(asdict(figure))
-        print(f"{figure.what:<42} {figure.case:<22} {figure.value:>9.4g} {figure.unit:<4} {figure.remark}", flush=True)
-    return found
+    yield inner_product()
+    yield from map(currents, (WIDE, NARROW))
+    yield closest_on_polyline()
+    yield inner_product(at_once=True)
+    yield closest_on_polyline(at_once=True)
+    yield from (many_polylines(width, batched=batched) for width in (0.005, 0.05) for batched in (False, True))
+    yield long_contour()
+    yield from map(closest_on_surface, (0.01, 0.3))
+    yield from large(NARROW)
+    yield from large(WIDE, repeats=1)
 
 
-def inner_product(*, at_once: bool = False) -> Comparison:
+def inner_product(*, at_once: bool = False) -> Figure:
     """Compare one inner product of two surfaces, every facet with every other."""
     one, other = sheet(NODES, bend=0.20), sheet(NODES, bend=0.21)
     measure = Currents(WIDE, quadrature="centre")
@@ -72,7 +63,7 @@ def _peer(at_once: bool) -> tuple[str, int]:
     return ("all pairs in NumPy, at once", ALL_AT_ONCE_REPEATS) if at_once else ("all pairs in NumPy, blocks", 7)
 
 
-def currents(width: float) -> Comparison:
+def currents(width: float) -> Figure:
     """Compare d² of a simulated surface; both know the norm of the observed one."""
     simulated, observed = sheet(NODES, bend=0.20), sheet(NODES, bend=0.21)
     measure = Currents(width, quadrature="centre")
@@ -85,7 +76,7 @@ def currents(width: float) -> Comparison:
     return compared(what, "all pairs in NumPy, blocks", partial(measure, simulated, observed), theirs, rtol=1e-6)
 
 
-def closest_on_polyline(*, at_once: bool = False) -> Comparison:
+def closest_on_polyline(*, at_once: bool = False) -> Figure:
     """Compare the distances of points to a polyline."""
     rng = np.random.default_rng(3)
     x = np.linspace(0.0, 2.0, SEGMENTS + 1)
@@ -98,12 +89,9 @@ def closest_on_polyline(*, at_once: bool = False) -> Comparison:
     return compared(what, name, ours, theirs, rtol=1e-9, atol=1e-15, repeats=repeats)
 
 
-def many_polylines(width: float, *, batched: bool) -> Comparison:
+def many_polylines(width: float, *, batched: bool) -> Figure:
     """Compare d² of a campaign's polylines by the centre rule, one by one or as a batch."""
-    t = np.linspace(0.0, np.pi, NODES_2D)
-    bends = 0.05 * np.random.default_rng(2).random((INTERFACES, 1)) * np.sin(t)
-    arch = np.stack([1.0 - 0.43 * np.cos(t), 0.47 * np.sin(t)], axis=1)
-    observed, shapes = Interface.polyline(arch), arch + np.stack([bends, 0 * bends], axis=2)
+    observed, shapes = arches(NODES_2D, INTERFACES)
     simulated = [Interface.polyline(points) for points in shapes]
     measure = Currents(width, quadrature="centre")
     known = all_pairs_at_once(observed, observed, width)
@@ -125,12 +113,12 @@ def long_contour() -> Figure:
     """Return the time of `normal_offset` for many predicted interfaces, all errors of the contour integrated out."""
     errors = PointErrors(4e-4, 0.004, shift=0.004, rotation=0.2, scale=0.003, offset=0.003)
 
-    def arches(heights: np.ndarray, nodes: int) -> np.ndarray:
+    def bows(heights: np.ndarray, nodes: int) -> np.ndarray:
         x = np.linspace(0.0, 1.0, nodes)
         return np.stack(np.broadcast_arrays(x, heights[:, None] * x * (1 - x)), axis=2)
 
-    observed = errors.draw(Interface.polyline(arches(np.array([1.2]), SEEN)[0]), np.random.default_rng(5))
-    predicted = arches(np.linspace(1.15, 1.25, PARTICLES), 161)
+    observed = errors.draw(Interface.polyline(bows(np.array([1.2]), SEEN)[0]), np.random.default_rng(5))
+    predicted = bows(np.linspace(1.15, 1.25, PARTICLES), 161)
     measure, template = NormalOffset().whitened(errors), Interface.polyline(predicted[0])
     seconds, first = repeated(partial(measure.many, predicted, template, observed))
     what = f"normal_offset: {SEEN} points × {PARTICLES} interfaces"
@@ -167,6 +155,14 @@ def repeated(task: Callable[[], object], repeats: int = REPEATS) -> tuple[float,
     """Return the median time of some calls, and the time of the first call before them."""
     first = timed(task)
     return statistics.median(timed(task) for _ in range(repeats)), first
+
+
+def arches(nodes: int, number: int) -> tuple[Interface, np.ndarray]:
+    """Return an arch as large as the biofilm, and the points of deformed ones."""
+    t = np.linspace(0.0, np.pi, nodes)
+    bends = 0.05 * np.random.default_rng(2).random((number, 1)) * np.sin(t)
+    arch = np.stack([1.0 - 0.43 * np.cos(t), 0.47 * np.sin(t)], axis=1)
+    return Interface.polyline(arch), arch + np.stack([bends, 0 * bends], axis=2)
 
 
 def sheet(nodes: int, *, bend: float) -> Interface:

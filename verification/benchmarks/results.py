@@ -15,96 +15,101 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from verification.benchmarks.aims import AIMS, LEAST, MOST, Aim, aim_of
+from verification.benchmarks.aims import AIMS, LEAST, MOST, aim_of
+from verification.benchmarks.figures import Figure
 
 HERE = Path(__file__).parent
 RESULTS, MACHINE, SCALING = (HERE / f"{name}.json" for name in ("results", "machine", "scaling"))
+PARTS = ("inference", "surrogate", "sampler", "norms", "executors", "startup", "forward", "scaling")
 PACKAGES = ("strandline", "numpy", "scipy", "jax", "jaxlib", "scikit-learn", "blackjax", "ngsolve", "mkl")
 MISSING = "not measured: there is no such figure"
+UNITS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
 
 Record = dict[str, Any]
 
 
-def save(part: str, found: Sequence[Mapping[str, Any]], *, parts: Sequence[str], results: Path = RESULTS) -> None:
-    """Replace the figures of a part in the list, which is in the order of `parts`."""
-    known = [record for record in load(results) if record["part"] in parts and not is_missing(record)]
-    kept = [record for record in known if record["part"] != part] + [judged(one, part) for one in found]
-    kept += [placeholder(aim) for aim in AIMS if aim.part in parts and not any(aim_of(one) is aim for one in kept)]
-    kept.sort(key=lambda record: parts.index(record["part"]))
-    write(results, kept)
+def load(path: Path = RESULTS) -> Any:
+    """Return the figures of all parts, or what else a file says; an empty list without the file."""
+    return json.loads(path.read_text("utf-8")) if path.exists() else []
 
 
-def load(results: Path = RESULTS) -> list[Record]:
-    """Return the figures of all parts."""
-    return json.loads(results.read_text("utf-8")) if results.exists() else []
+def save(part: str, found: Sequence[Figure], path: Path = RESULTS) -> None:
+    """Replace the figures of a part in the list, which is in the order of `PARTS`; each aim has a figure."""
+    kept = [record for record in load(path) if record["part"] != part and record["remark"] != MISSING]
+    kept += [judged(one, part) for one in found]
+    kept += [missing(aim) for aim in AIMS if not any(aim_of(one) is aim for one in kept)]
+    write(path, sorted(kept, key=lambda record: PARTS.index(record["part"])))
 
 
-def judged(found: Mapping[str, Any], part: str, aims: Sequence[Aim] = AIMS) -> Record:
-    """Return a figure or comparison as a record of the list, with its aim."""
-    record = {"what": found["what"], **figures_of(found), "part": part}
-    record |= {key: found[key] for key in ("case", "peer_name", "repeats") if found.get(key)}
-    record["remark"] = remark_of(found, measured=record["ours"] is not None)
-    aim = aim_of(record, aims)
+def judged(figure: Figure, part: str) -> Record:
+    """Return a figure as a record of the list, with its aim."""
+    numbers: Record = {"ours": figure.ours, "peer": figure.peer, "ratio": figure.ratio}
+    rest: Record = {"unit": figure.unit}
+    if figure.cpu:
+        ours, peer = figure.cpu
+        rest |= {"cpu_ours": ours, "cpu_peer": peer, "ratio_per_core": peer / ours}
+    rest |= {"part": part}
+    rest |= {key: value for key in ("case", "peer_name", "repeats") if (value := getattr(figure, key))}
+    measured = figure.ours is not None or figure.remark.startswith("not measured")
+    rest |= {"remark": figure.remark if measured else f"not measured: {figure.remark}"}
+    record = {"what": figure.what, **numbers, **rest}
+    aim = aim_of(record)
     bound = {"aim": aim.bound, "met": aim.met(record), "aim_kind": aim.kind} if aim else {"aim": None, "met": None}
-    order = ("what", "ours", "peer", "ratio", *bound)
-    return {key: (record | bound)[key] for key in (*order, *(key for key in record if key not in order))}
+    return {"what": figure.what, **numbers, **bound, **rest}
 
 
-def figures_of(found: Mapping[str, Any]) -> Record:
-    """Return ours, peer, ratio, unit and, if known, the seconds of all cores and their ratio.
-
-    Seconds are of the whole task or, if the part gives the number of evaluations, of one evaluation, whichever has the
-    ratio that the part gives.
-    """
-    ours, peer, ratio = found.get("ours", found.get("value")), found.get("peer"), found.get("ratio")
-    if isinstance(ours, Mapping) and isinstance(peer, Mapping):
-        each = not math.isclose(peer["wall"] / ours["wall"], found["ratio"], rel_tol=1e-6)
-        numbers = [cost["evaluations"] if each else 1 for cost in (ours, peer)]
-        seconds = [[cost[key] / n for key in ("wall", "cpu")] for cost, n in zip((ours, peer), numbers, strict=True)]
-        cores = {"cpu_ours": seconds[0][1], "cpu_peer": seconds[1][1], "ratio_per_core": found["cpu_ratio"]}
-        unit = "s per evaluation" if each else "s"
-        return {"ours": seconds[0][0], "peer": seconds[1][0], "ratio": ratio, "unit": unit, **cores}
-    record: Record = {"ours": ours, "peer": peer, "ratio": ratio, "unit": found.get("unit", "s")}
-    if found.get("cpu_ours"):
-        cpu = found["cpu_ours"], found["cpu_peer"]
-        record |= {"cpu_ours": cpu[0], "cpu_peer": cpu[1], "ratio_per_core": cpu[1] / cpu[0]}
-    return record
-
-
-def remark_of(found: Mapping[str, Any], *, measured: bool) -> str:
-    said = str(found.get("remark", ""))
-    return said if measured or said.startswith("not measured") else f"not measured: {said}"
-
-
-def placeholder(aim: Aim) -> Record:
+def missing(aim: Any) -> Record:
     """Return the line for an aim without a figure."""
-    nothing: Record = {"what": aim.name, "ours": None, "peer": None, "ratio": None}
-    unit = {"unit": aim.of} if aim.kind in (MOST, LEAST) else {}
-    return nothing | {"aim": aim.bound, "met": None, "aim_kind": aim.kind, "part": aim.part, **unit, "remark": MISSING}
+    unit = {"unit": aim.peer_or_unit} if aim.kind in (MOST, LEAST) else {}
+    judgement = {"aim": aim.bound, "met": None, "aim_kind": aim.kind, "part": aim.part}
+    return {"what": aim.name, "ours": None, "peer": None, "ratio": None, **judgement, **unit, "remark": MISSING}
 
 
-def is_missing(record: Mapping[str, Any]) -> bool:
-    return bool(record["remark"] == MISSING)
+def row(record: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return a figure as text: task, peer, our number, the peer's, their ratio, that per core, remark."""
+    unit = record.get("unit", "")
+    numbers = amount(record["ours"], unit), amount(record["peer"], unit)
+    ratios = ratio(record["ratio"]), ratio(record.get("ratio_per_core"))
+    return task(record), record.get("peer_name", ""), *numbers, *ratios, record["remark"]
 
 
-def note_run(part: str, *, seconds: float, load_average: float | None, machine: Path = MACHINE) -> None:
+def task(record: Mapping[str, Any]) -> str:
+    return ", ".join(filter(None, (record["what"], record.get("case", ""))))
+
+
+def ratio(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}" if value < 100 else f"{value:.0f}"
+
+
+def amount(value: float | None, unit: str) -> str:
+    """Return a number with its unit; seconds in a suitable multiple."""
+    if value is None:
+        return ""
+    if unit.split(" ")[0] != "s" or value <= 0:
+        return f"{digits(value)} {unit}".strip()
+    size, name = next(((size, name) for size, name in UNITS if value >= size), UNITS[-1])
+    return f"{digits(value / size)} {name}{unit[1:]}"
+
+
+def digits(value: float) -> str:
+    """Return a number with three significant digits; large ones as whole numbers or powers of ten."""
+    if value == 0 or abs(value) >= 1e6 or abs(value) < 1e-3:
+        return f"{value:.3g}"
+    return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
+
+
+def note_run(part: str, *, seconds: float, load_average: float | None) -> None:
     """Note when a part was run, and keep the notes of other parts from the same machine with the same packages."""
-    runs = json.loads(machine.read_text("utf-8"))["runs"] if from_this_machine(machine) else {}
+    runs = load(MACHINE)["runs"] if from_this_machine() else {}
     date = datetime.now(UTC).isoformat(timespec="minutes")
     runs[part] = {"date": date, "seconds": round(seconds, 1), "load_average_before": load_average}
-    write(machine, {**this_machine(), "runs": runs})
+    write(MACHINE, {**this_machine(), "runs": runs})
 
 
-def from_this_machine(machine: Path = MACHINE) -> bool:
+def from_this_machine() -> bool:
     """Return whether the known figures were measured on this machine with these packages."""
-    known = json.loads(machine.read_text("utf-8")) if machine.exists() else {}
+    known = dict(load(MACHINE))
     return all(known.get(key) == value for key, value in this_machine().items())
-
-
-def forget() -> None:
-    """Remove all results."""
-    for path in (RESULTS, MACHINE, SCALING):
-        path.unlink(missing_ok=True)
 
 
 def this_machine() -> dict[str, Any]:

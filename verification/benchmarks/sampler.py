@@ -3,8 +3,6 @@
 All get the same surrogate. Means must agree to 1e-9, whole posteriors within the tolerances of `require_right`, or the
 benchmark stops. Schedules of temperatures differ in their numbers of evaluations, so samplers are compared by the
 seconds of one evaluation of the log-likelihood. If only a part of a program is timed, the remark says so.
-
-JAX fixes its devices when it starts, so everything runs in a process that starts as the command line does.
 """
 
 import json
@@ -15,14 +13,28 @@ import subprocess
 import sys
 import tempfile
 import time
+import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial, reduce
 from operator import mul
-from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.scipy.linalg import cho_solve
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import ConstantKernel, Matern
+from verification.benchmarks import inference, surrogate
+from verification.benchmarks.figures import Figure, in_turns
+
+from strandline.design import sobol
+from strandline.numerics.compiled import WIDEST
+from strandline.posterior.quadrature import integrate
+from strandline.smc import SMCSettings, sample
+from strandline.smc.sampler import spread as over_devices
+from strandline.surrogate import KERNELS, batched_mean, condition
 
 RUNS, LENGTH, VARIANCE, NUGGET, PARTICLES, MOVES, ZETA = 1000, 1.3, 500.0, 5e-4, 5000, 20, 0.995
 PARTS_RUNS, PARTS_PARTICLES, PARTS_MOVES, PARTS_ZETA = 2000, 10_000, 30, 0.998
@@ -43,24 +55,6 @@ class Cost:
     cpu: float
     evaluations: int
 
-    def each(self) -> "Cost":
-        """Return the cost of one evaluation."""
-        return Cost(self.wall / self.evaluations, self.cpu / self.evaluations, 1)
-
-
-@dataclass(frozen=True)
-class Figure:
-    """Medians of strandline and of another program; ratios are of the seconds of one evaluation."""
-
-    what: str
-    peer_name: str
-    ours: Cost
-    peer: Cost
-    ratio: float
-    cpu_ratio: float
-    repeats: int
-    remark: str = ""
-
 
 @dataclass(frozen=True, eq=False)
 class Task:
@@ -70,70 +64,19 @@ class Task:
     mean: Log
     initial: np.ndarray
 
-    @property
-    def dim(self) -> int:
-        return int(self.initial.shape[1])
-
-
-def main() -> list[dict[str, Any]]:
-    """Print each figure as it is made; return them all."""
-    with tempfile.TemporaryDirectory() as folder:
-        output = Path(folder) / "figures.json"
-        subprocess.run(
-            [sys.executable, "-m", "verification.benchmarks.sampler", str(output)], check=True, env=environment()
-        )
-        found: list[dict[str, Any]] = json.loads(output.read_text("utf-8"))
-    return found
-
-
-def environment(**changed: str) -> dict[str, str]:
-    """Return the environment of the command line."""
-    from strandline.cli.main import environment as command_line_environment
-
-    return {**command_line_environment(), **os.environ, **changed}
-
-
-def measure() -> list[dict[str, Any]]:
-    """Return all figures; called in a process whose JAX has its devices."""
-    titles = "ours [s]", "peer [s]", "ours/eval [µs]", "peer/eval [µs]", "ratio", "per core"
-    print(f"{'task':<44} {'peer':<34} " + " ".join(f"{title:>14}" for title in titles))
-    found = []
-    for figure in figures():
-        found.append(asdict(figure))
-        numbers = figure.ours.wall, figure.peer.wall, *(1e6 * c.each().wall for c in (figure.ours, figure.peer))
-        shown = (*numbers, figure.ratio, figure.cpu_ratio)
-        print(f"{figure.what:<44} {figure.peer_name:<34} " + " ".join(f"{n:>14.4g}" for n in shown), flush=True)
-        if figure.remark:
-            print(f"    {figure.remark}", flush=True)
-    return found
-
 
 def figures() -> Iterator[Figure]:
-    yield mean_of_two()
-    yield mean_of_seven()
-    task = two_inputs(RUNS)
+    task, seven = two_inputs(RUNS), parts(PARTS_RUNS)
+    yield mean_beside(task, scikit_learn_of_two(task), "GP mean, 2 inputs", 9)
+    yield mean_beside(seven, scikit_learn_of_seven(seven), "GP mean, 7 inputs, product", 5)
     yield from whole_runs(task)
-    yield seven_inputs()
-    yield from compilation()
-
-
-def mean_of_two(runs: int = RUNS, points: int = PARTICLES, repeats: int = 9) -> Figure:
-    """Compare the mean at the sampler's particles, isotropic kernel."""
-    return mean_beside(two_inputs(runs, points), scikit_learn_of_two(runs), "GP mean, 2 inputs", repeats)
-
-
-def mean_of_seven(runs: int = PARTS_RUNS, points: int = PARTS_PARTICLES, repeats: int = 5) -> Figure:
-    """Compare the mean at the sampler's particles, product kernel."""
-    return mean_beside(parts(runs, points), scikit_learn_of_seven(runs), "GP mean, 7 inputs, product", repeats)
+    yield seven_inputs(seven)
+    yield compilation()
 
 
 def mean_beside(task: Task, peer: Log, what: str, repeats: int) -> Figure:
-    import jax
-
-    from strandline.numerics.compiled import WIDEST
-    from strandline.smc.sampler import spread
-
-    compiled, points = jax.jit(task.mean, compiler_options=WIDEST), spread(jax.numpy.asarray(task.initial))
+    """Compare the mean at the sampler's particles."""
+    compiled, points = jax.jit(task.mean, compiler_options=WIDEST), over_devices(jnp.asarray(task.initial))
 
     def ours() -> Any:
         return np.asarray(compiled(points))
@@ -147,9 +90,6 @@ def mean_beside(task: Task, peer: Log, what: str, repeats: int) -> Figure:
 
 def whole_runs(task: Task, moves: int = MOVES, zeta: float = ZETA, repeats: int = 3) -> Iterator[Figure]:
     """Yield the sampler in the study's settings compared with others; each run is whole or only its first steps."""
-    from strandline.posterior.quadrature import integrate
-    from strandline.smc import SMCSettings
-
     settings = SMCSettings(rejuvenation_steps=moves, zeta=zeta)
     exact = integrate(task.process.mean, np.zeros(2), np.ones(2))
     spread = 0.5 * exact.sd
@@ -157,7 +97,7 @@ def whole_runs(task: Task, moves: int = MOVES, zeta: float = ZETA, repeats: int 
     ours = partial(strandline_run, task, settings)
     naive = blackjax_run(task, naive_mean(task.process), spread, moves, zeta)
     refactored = blackjax_run(task, refactoring_mean(task.process), spread, moves, zeta)
-    peer = scikit_learn_of_two(len(task.process.alpha))
+    peer = scikit_learn_of_two(task)
     for found in (ours()[0], naive()[0]):
         require_right(found, exact)
     busy: list[Cost] = []
@@ -167,7 +107,7 @@ def whole_runs(task: Task, moves: int = MOVES, zeta: float = ZETA, repeats: int 
         for _ in range(repeats):
             costs.append((ours()[1], other()[1]))
             busy.append(costs[-1][0])
-        return figure(what, name, costs, remark=remark)
+        return figure(what, name, costs, remark, unit="s per evaluation")
 
     criterion = "its own criterion; evaluations: particles × (moves + 3) × steps"
     yield beside("BlackJAX, (B, n) @ α", naive, criterion)
@@ -183,27 +123,13 @@ def whole_runs(task: Task, moves: int = MOVES, zeta: float = ZETA, repeats: int 
         partial(numpy_run, task, peer, spread, moves, zeta, part),
         f"the first {part} tempering steps are timed",
     )
-    middle = median(busy)
-    load = os.getloadavg()[0]
-    yield Figure(
-        "cores kept busy while sampling",
-        "one core",
-        middle,
-        replace(middle, wall=middle.cpu),
-        middle.cpu / middle.wall,
-        1.0,
-        len(busy),
-        f"ratio: core-seconds per second; {os.cpu_count()} cores, load of the machine {load:.1f}",
-    )
+    remark = f"ratio: core-seconds per second; {os.cpu_count()} cores, load of the machine {os.getloadavg()[0]:.1f}"
+    pairs = [(cost, replace(cost, wall=cost.cpu)) for cost in busy]
+    yield figure("cores kept busy while sampling", "one core", pairs, remark)
 
 
-def seven_inputs(
-    runs: int = PARTS_RUNS, particles: int = PARTS_PARTICLES, moves: int = PARTS_MOVES, zeta: float = PARTS_ZETA
-) -> Figure:
+def seven_inputs(task: Task, moves: int = PARTS_MOVES, zeta: float = PARTS_ZETA) -> Figure:
     """Compare the default settings with the study's on the same surrogate, and report how far the moments differ."""
-    from strandline.smc import SMCSettings
-
-    task = parts(runs, particles)
     default = SMCSettings()
     strandline_run(task, default)
     (study, theirs), *ours = [
@@ -215,68 +141,44 @@ def seven_inputs(
     worst = max(float(np.abs(one).max()) for one in apart)
     root = float(np.sqrt(np.mean(np.square(apart))))
     middle = median([cost for _, cost in ours])
-    return Figure(
-        f"SMC, 7 inputs, n = {runs}, {particles} particles",
-        f"{moves} moves, ζ {zeta}, ours too",
-        middle,
-        theirs,
-        theirs.wall / middle.wall,
-        theirs.cpu / middle.cpu,
-        1,
+    remark = (
         f"ratios of whole runs, {theirs.evaluations / middle.evaluations:.0f} times the evaluations; study run once, "
-        f"the defaults with 3 seeds; means and sd apart by {root:.3f} sd (rms), {worst:.3f} (worst)",
+        f"the defaults with 3 seeds; means and sd apart by {root:.3f} sd (rms), {worst:.3f} (worst)"
     )
+    what = f"SMC, 7 inputs, n = {len(task.process.alpha)}, {len(task.initial)} particles"
+    return figure(what, f"{moves} moves, ζ {zeta}, ours too", [(middle, theirs)], remark)
 
 
-def compilation(repeats: int = 3) -> Iterator[Figure]:
-    """Yield how many seconds the first sampling of a process takes longer than the second."""
-    costs: list[list[Cost]] = [[], []]
+def compilation(repeats: int = 3) -> Figure:
+    """Return how many seconds the first sampling of a process takes longer than the second."""
+    kinds: list[list[float]] = [[], []]
     for _ in range(repeats):
         with tempfile.TemporaryDirectory() as folder:
-            for kind in costs:
-                chosen = environment(JAX_COMPILATION_CACHE_DIR=folder)
+            for kind in kinds:
+                chosen = {**os.environ, "JAX_COMPILATION_CACHE_DIR": folder}
                 ended = subprocess.run([sys.executable, "-c", COLD], check=True, env=chosen, capture_output=True)
                 first, second = json.loads(ended.stdout)
-                kind.append(Cost(first - second, first - second, 1))
-    cold, cached = (median(kind) for kind in costs)
-    yield Figure(
-        "compiling the sampler, 2 inputs",
-        "the same without kept programs",
-        cached,
-        cold,
-        cold.wall / cached.wall,
-        1.0,
-        repeats,
-        "seconds that the first sampling takes longer than the second; ours: from the cache of a former process",
-    )
+                kind.append(first - second)
+    what, peer = "compiling the sampler, 2 inputs", "the same without kept programs"
+    remark = "seconds that the first sampling takes longer than the second; ours: from the cache of a former process"
+    return in_turns(what, peer, list(zip(*reversed(kinds), strict=True)), remark=remark)
 
 
 def first_and_second_call() -> tuple[float, float]:
     """Return the seconds of two samplings of one tempering step and one move."""
-    from strandline.smc import SMCSettings
-
     task, settings = two_inputs(RUNS), SMCSettings(rejuvenation_steps=1, zeta=1e-9)
     seconds = [strandline_run(task, settings)[1].wall for _ in "ab"]
     return seconds[0], seconds[1]
 
 
 def two_inputs(runs: int, particles: int = PARTICLES) -> Task:
-    from verification.benchmarks.inference import training
-
-    from strandline.surrogate import KERNELS, batched_mean, condition
-
-    x, y = (part[:runs] for part in training())
+    x, y = (part[:runs] for part in inference.training())
     process = condition(x, y, kernel=KERNELS["matern32"], length_scale=LENGTH, signal_variance=VARIANCE, nugget=NUGGET)
     return Task(process, batched_mean(process), np.random.default_rng(1).random((particles, 2)))
 
 
 def parts(runs: int, particles: int = PARTS_PARTICLES) -> Task:
     """Return the surrogate of a function of seven inputs: a ridge, a product, and three inputs of little influence."""
-    from verification.benchmarks import surrogate
-
-    from strandline.design import sobol
-    from strandline.surrogate import KERNELS, batched_mean, condition
-
     process = condition(
         sobol(runs, 7),
         surrogate.training(runs)[1],
@@ -288,27 +190,17 @@ def parts(runs: int, particles: int = PARTS_PARTICLES) -> Task:
     return Task(process, batched_mean(process), np.random.default_rng(1).random((particles, 7)))
 
 
-def scikit_learn_of_two(runs: int) -> Log:
-    from sklearn.gaussian_process.kernels import ConstantKernel, Matern
-
-    process = two_inputs(runs, 2).process
-    return scikit_learn(process, ConstantKernel(VARIANCE) * Matern(LENGTH, nu=1.5), NUGGET)
+def scikit_learn_of_two(task: Task) -> Log:
+    return scikit_learn(task.process, ConstantKernel(VARIANCE) * Matern(LENGTH, nu=1.5), NUGGET)
 
 
-def scikit_learn_of_seven(runs: int) -> Log:
-    from sklearn.gaussian_process.kernels import ConstantKernel
-    from verification.benchmarks.surrogate import LENGTHS, Column
-    from verification.benchmarks.surrogate import NUGGET as FLAT
-    from verification.benchmarks.surrogate import VARIANCE as HIGH
-
-    factors = [Column(length, nu=1.5, column=d) for d, length in enumerate(LENGTHS)]
-    return scikit_learn(parts(runs, 2).process, ConstantKernel(HIGH) * reduce(mul, factors), FLAT)
+def scikit_learn_of_seven(task: Task) -> Log:
+    factors = [surrogate.Column(length, nu=1.5, column=d) for d, length in enumerate(surrogate.LENGTHS)]
+    return scikit_learn(task.process, ConstantKernel(surrogate.VARIANCE) * reduce(mul, factors), surrogate.NUGGET)
 
 
 def scikit_learn(process: Any, kernel: Any, nugget: float) -> Log:
     """Return the mean that scikit-learn computes by solving the same equations itself."""
-    from sklearn.gaussian_process import GaussianProcessRegressor
-
     centred = process.signal_variance * correlations(process) @ process.alpha + process.nugget * process.alpha
     peer = GaussianProcessRegressor(kernel, alpha=nugget, optimizer=None).fit(process.x_train, centred)
     return lambda x: peer.predict((x - process.shift) / process.scale) + process.target_mean
@@ -322,8 +214,6 @@ def correlations(process: Any) -> np.ndarray:
 
 def naive_mean(process: Any) -> Log:
     """Return the mean at one point in its simplest form."""
-    import jax.numpy as jnp
-
     train, weight = jnp.asarray(process.x_train), jnp.asarray(process.signal_variance * process.alpha)
 
     def mean(x: Any) -> Any:
@@ -335,9 +225,6 @@ def naive_mean(process: Any) -> Log:
 
 def refactoring_mean(process: Any) -> Log:
     """Return the mean at one point by a function that takes the training data, as `predict` of a library does."""
-    import jax.numpy as jnp
-    from jax.scipy.linalg import cho_solve
-
     train = jnp.asarray(process.x_train)
     targets = jnp.asarray(process.signal_variance * correlations(process) @ process.alpha)
     targets = targets + process.nugget * process.alpha
@@ -357,24 +244,14 @@ def refactoring_mean(process: Any) -> Log:
 
 def strandline_run(task: Task, settings: Any, seed: int = 1) -> tuple[Any, Cost]:
     """Return (log evidence, positions, weights) and the cost."""
-    import jax
-
-    from strandline.smc import sample
-
-    found: list[Any] = []
     begun = clocks()
-    found.append(sample(jax.random.key(seed), task.mean, unit_prior, task.initial, settings=settings))
-    result = found[0]
+    result = sample(jax.random.key(seed), task.mean, unit_prior, task.initial, settings=settings)
     cost = since(begun, result.likelihood_evaluations)
     return (result.log_evidence, result.positions, np.exp(result.log_weights)), cost
 
 
 def blackjax_run(task: Task, mean: Log, spread: np.ndarray, moves: int, zeta: float) -> Callable[..., tuple[Any, Cost]]:
     """Return BlackJAX's sampler of the same posterior; its number of steps can be limited."""
-    import warnings
-
-    import jax
-
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import blackjax
@@ -386,19 +263,12 @@ def blackjax_run(task: Task, mean: Log, spread: np.ndarray, moves: int, zeta: fl
         return kernel(key, state, log_density, lambda k, x: spread * jax.random.normal(k, x.shape))
 
     algorithm = blackjax.adaptive_tempered_smc(
-        lambda x: unit_prior(x[None])[0],
-        mean,
-        move,
-        walk.init,
-        {},
-        resampling.systematic,
-        zeta,
-        num_mcmc_steps=moves,
+        lambda x: unit_prior(x[None])[0], mean, move, walk.init, {}, resampling.systematic, zeta, num_mcmc_steps=moves
     )
     step = jax.jit(algorithm.step)
 
     def run(steps: int | None = None) -> tuple[Any, Cost]:
-        key, state, done, log_evidence = jax.random.key(2), algorithm.init(jax.numpy.asarray(task.initial)), 0, 0.0
+        key, state, done, log_evidence = jax.random.key(2), algorithm.init(jnp.asarray(task.initial)), 0, 0.0
         begun = clocks()
         while float(state.tempering_param) < 1 and done != steps:
             key, now = jax.random.split(key)
@@ -453,8 +323,6 @@ def numpy_run(
 
 def unit_prior(x: Any) -> Any:
     """Return the log density of the uniform prior on the unit cube."""
-    import jax.numpy as jnp
-
     return jnp.where(jnp.all((x >= 0) & (x <= 1), axis=1), 0.0, -jnp.inf)
 
 
@@ -472,10 +340,12 @@ def require_right(found: tuple[float, np.ndarray, np.ndarray], exact: Any) -> No
     np.testing.assert_allclose(found[0], exact.log_evidence, atol=TOLERANCE_EVIDENCE)
 
 
-def figure(what: str, peer_name: str, costs: list[tuple[Cost, Cost]], remark: str) -> Figure:
+def figure(what: str, peer_name: str, costs: list[tuple[Cost, Cost]], remark: str, unit: str = "s") -> Figure:
+    """Return the medians of costs (ours, peer), of the whole task or ``per evaluation``."""
     ours, peer = (median(list(column)) for column in zip(*costs, strict=True))
-    mine, its = ours.each(), peer.each()
-    return Figure(what, peer_name, ours, peer, its.wall / mine.wall, its.cpu / mine.cpu, len(costs), remark)
+    mine, its = (cost.evaluations if unit != "s" else 1 for cost in (ours, peer))
+    cores = ours.cpu / mine, peer.cpu / its
+    return Figure(what, "", ours.wall / mine, unit, remark, peer_name, peer.wall / its, len(costs), cores)
 
 
 def median(costs: list[Cost]) -> Cost:
@@ -497,7 +367,3 @@ def clocks() -> tuple[float, float]:
 def since(begun: tuple[float, float], evaluations: int) -> Cost:
     wall, cpu = (now - then for now, then in zip(clocks(), begun, strict=True))
     return Cost(wall, cpu, evaluations)
-
-
-if __name__ == "__main__":
-    Path(sys.argv[1]).write_text(json.dumps(measure()), encoding="utf-8")

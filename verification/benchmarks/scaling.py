@@ -8,8 +8,7 @@ symmetry saves; narrow currents leave out most pairs and have no share). A share
 
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -17,13 +16,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from verification.benchmarks import results, surrogate
-from verification.benchmarks.forward import Figure
+from verification.benchmarks.figures import Figure
 from verification.benchmarks.norms import NARROW, WIDE, sheet
 
 from strandline import Currents
 from strandline.design import sobol
 from strandline.smc import SMCSettings, sample
-from strandline.surrogate import KERNELS, batched_mean, condition
+from strandline.surrogate import KERNELS, GaussianProcess, batched_mean, condition
 from strandline.surrogate.hyperparameters import Objective
 
 RUNS = (250, 500, 1000, 2000, 4000)
@@ -38,83 +37,48 @@ LONG = 3.0
 """Core-seconds above which a task is timed once."""
 
 
-@dataclass(frozen=True)
-class Point:
-    """Core-seconds of a task of size `x`, and the operations counted for its share."""
-
-    x: int
-    seconds: float
-    operations: float
-
-
-@dataclass(frozen=True)
-class Series:
-    """A task at several sizes; `limit` names the peak that its operations are a share of, if any."""
-
-    name: str
-    axis: str
-    limit: str | None
-    points: tuple[Point, ...]
-
-
-def main() -> list[dict[str, Any]]:
-    """Print each series as it is measured; write all of them; return the shares at the largest sizes."""
+def figures() -> Iterator[Figure]:
+    """Yield the shares at the largest sizes; print each series as it is measured, and write all of them."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:1])
     jax.config.update("jax_enable_x64", True)
-    peaks, found, figures = {GEMM: gemm_peak(), EXPONENTIALS: exponential_peak()}, list[Series](), list[Figure]()
+    peaks, found = {GEMM: gemm_peak(), EXPONENTIALS: exponential_peak()}, []
     for name, rate in peaks.items():
-        figures.append(Figure("peak of one core", name, rate, "per core-second"))
-        print(f"peak of one core, {name}: {rate:.3g} a second", flush=True)
+        yield Figure("peak of one core", name, rate, "per core-second")
     for series in all_series():
         found.append(series)
-        shares = [share(series, point, peaks) for point in series.points]
-        for point, reached in zip(series.points, shares, strict=True):
-            shown = "" if reached is None else f"{reached:.1f} %"
-            print(f"{series.name:<32} {series.axis} {point.x:>7} {point.seconds:>10.4g} s {shown:>8}", flush=True)
-        if shares[-1] is not None:
-            case = f"{series.axis} = {series.points[-1].x}"
-            figures.append(Figure(f"share of the peak: {series.name}", case, shares[-1], "%", f"of {series.limit}"))
-    results.write(results.SCALING, {"peaks": peaks, "series": [asdict(series) for series in found]})
-    return [asdict(figure) for figure in figures]
+        last, limit = series["points"][-1], series["limit"]
+        if limit is not None:
+            case, share = f"{series['axis']} = {last['x']}", 100 * last["operations"] / last["seconds"] / peaks[limit]
+            yield Figure(f"share of the peak: {series['name']}", case, share, "%", f"of {limit}")
+    results.write(results.SCALING, {"peaks": peaks, "series": found})
 
 
-def share(series: Series, point: Point, peaks: Mapping[str, float]) -> float | None:
-    """Return which share of its peak a task reaches, per cent."""
-    return None if series.limit is None else 100 * point.operations / point.seconds / peaks[series.limit]
-
-
-def triangles(nodes: int) -> int:
-    """Return the number of triangles of a sheet with `nodes` along its edges."""
-    return 2 * (nodes - 1) ** 2
-
-
-def all_series() -> Iterator[Series]:
+def all_series() -> Iterator[dict[str, Any]]:
     yield measured("fit, 7 inputs", "runs", GEMM, RUNS, partial(fit, inputs=7))
     yield measured("sampler, 2 inputs, 1000 runs", "particles", EXPONENTIALS, PARTICLES, sampling)
     yield measured("fit, 1000 runs", "inputs", GEMM, DIMENSIONS, partial(fit, FIXED_RUNS))
     yield measured("mean, 1000 runs, 4000 points", "inputs", EXPONENTIALS, DIMENSIONS, mean)
     for width, limit in ((NARROW, None), (WIDE, EXPONENTIALS)):
-        name = f"currents, width {width}"
-        yield measured(name, "triangles", limit, NODES, partial(currents, width), shown=triangles)
+        yield measured(f"currents, width {width}", "triangles", limit, NODES, partial(currents, width))
 
 
 def measured(
-    name: str,
-    axis: str,
-    limit: str | None,
-    sizes: Sequence[int],
-    prepare: Callable[[int], Task],
-    *,
-    shown: Callable[[int], int] = int,
-) -> Series:
-    """Time each size after a first, unmeasured call; a task returns the number of its operations."""
+    name: str, axis: str, limit: str | None, sizes: Sequence[int], prepare: Callable[[int], Task]
+) -> dict[str, Any]:
+    """Return the core-seconds of a task at each size, after a first, unmeasured call, and its number of operations.
+
+    `limit` names the peak that its operations are a share of, if any.
+    """
     points = []
     for size in sizes:
         task = prepare(size)
         task()
-        points.append(Point(shown(size), *least(task)))
-    return Series(name, axis, limit, tuple(points))
+        seconds, operations = least(task)
+        x = 2 * (size - 1) ** 2 if axis == "triangles" else size
+        points.append({"x": x, "seconds": seconds, "operations": operations})
+        print(f"{name:<32} {axis} {x:>7} {seconds:>10.4g} s", flush=True)
+    return {"name": name, "axis": axis, "limit": limit, "points": points}
 
 
 def least(task: Callable[[], float], repeats: int = 3) -> tuple[float, float]:
@@ -129,6 +93,13 @@ def least(task: Callable[[], float], repeats: int = 3) -> tuple[float, float]:
     return best, operations
 
 
+def rate(task: Task) -> float:
+    """Return the operations per core-second of a task, after an unmeasured call."""
+    task()
+    seconds, operations = least(task)
+    return operations / seconds
+
+
 def gemm_peak(size: int = 1500) -> float:
     """Return the operations per core-second of a matrix product."""
     a = np.random.default_rng(0).random((size, size))
@@ -138,9 +109,7 @@ def gemm_peak(size: int = 1500) -> float:
         np.matmul(a, a, out=out)
         return 2.0 * size**3
 
-    task()
-    seconds, operations = least(task)
-    return operations / seconds
+    return rate(task)
 
 
 def exponential_peak(size: int = 2**13, rounds: int = 4000) -> float:
@@ -156,9 +125,7 @@ def exponential_peak(size: int = 2**13, rounds: int = 4000) -> float:
         repeated(x).block_until_ready()
         return float(size * rounds)
 
-    task()
-    seconds, operations = least(task)
-    return operations / seconds
+    return rate(task)
 
 
 def fit(runs: int, inputs: int) -> Task:
@@ -177,15 +144,7 @@ def fit(runs: int, inputs: int) -> Task:
 def mean(inputs: int) -> Task:
     """Return a task: the mean of a product kernel at the particles."""
     x, y = training(FIXED_RUNS, inputs)
-    process = condition(
-        x,
-        y,
-        kernel=KERNELS["matern32_product"],
-        length_scale=np.full(inputs, 2.0),
-        signal_variance=surrogate.VARIANCE,
-        nugget=NUGGET,
-    )
-    compiled = jax.jit(batched_mean(process))
+    compiled = jax.jit(batched_mean(conditioned(x, y, "matern32_product", np.full(inputs, 2.0))))
     points = jnp.asarray(np.random.default_rng(1).normal(size=(FIXED_PARTICLES, inputs)))
 
     def task() -> float:
@@ -198,10 +157,7 @@ def mean(inputs: int) -> Task:
 def sampling(particles: int) -> Task:
     """Return a task: the sampler with five moves on a ridge."""
     x, y = training(FIXED_RUNS, 2)
-    process = condition(
-        x, y, kernel=KERNELS["matern32"], length_scale=1.3, signal_variance=surrogate.VARIANCE, nugget=NUGGET
-    )
-    log_likelihood = batched_mean(process)
+    log_likelihood = batched_mean(conditioned(x, y, "matern32", 1.3))
     initial = np.random.default_rng(1).uniform(x.min(), x.max(), (particles, 2))
 
     def task() -> float:
@@ -210,6 +166,11 @@ def sampling(particles: int) -> Task:
         return float(found.likelihood_evaluations * FIXED_RUNS)
 
     return task
+
+
+def conditioned(x: np.ndarray, y: np.ndarray, kernel: str, length: float | np.ndarray) -> GaussianProcess:
+    fixed = {"length_scale": length, "signal_variance": surrogate.VARIANCE, "nugget": NUGGET}
+    return condition(x, y, kernel=KERNELS[kernel], **fixed)
 
 
 def flat(x: jax.Array) -> jax.Array:

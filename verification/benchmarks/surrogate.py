@@ -7,8 +7,8 @@ the same number of cores.
 """
 
 import sys
-from collections.abc import Callable
-from functools import partial, reduce
+from collections.abc import Callable, Iterator
+from functools import reduce
 from operator import mul
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import lapack
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
-from verification.benchmarks.comparison import Comparison, NotMeasured, compare_all, compared, unmeasured
+from verification.benchmarks.figures import Figure, NotMeasured, compared
 from verification.benchmarks.workers import PEERS_PYTHON, core_counts, cores_case, versus
 
 from strandline.design import sobol
@@ -28,29 +28,24 @@ from strandline.surrogate.hyperparameters import Objective
 LENGTHS, VARIANCE, NUGGET = np.array([1.3, 2.5, 3.1, 4.0, 6.0, 8.0, 10.0]), 500.0, 5e-3
 USUAL, LARGE, REPEATS = 2000, 5000, 5
 PEERS = (
-    ("JAX, autodiff of a Cholesky", "evidence_jax.py", Path(sys.executable)),
-    ("GPJax", "evidence_gpjax.py", PEERS_PYTHON),
-    ("GPyTorch", "evidence_gpytorch.py", PEERS_PYTHON),
+    ("JAX, autodiff of a Cholesky", "jax", Path(sys.executable)),
+    ("GPJax", "gpjax", PEERS_PYTHON),
+    ("GPyTorch", "gpytorch", PEERS_PYTHON),
 )
-"""Name, script and environment."""
+"""Name, program of ``peers/evidence.py``, and Python."""
 
 
-def main() -> list[dict[str, Any]]:
-    """Print each comparison as it is made; return them all."""
+def figures() -> Iterator[Figure]:
     jax.config.update("jax_enable_x64", True)
-    return compare_all(
-        partial(floor, "matern32", USUAL),
-        partial(floor, "matern32_ard", USUAL),
-        partial(floor, "matern32_product", USUAL),
-        partial(floor, "matern52_product", USUAL),
-        partial(floor, "matern32_product", LARGE),
-        partial(scikit_learn, "matern32_ard", USUAL),
-        partial(scikit_learn, "matern32_product", USUAL),
-        *(partial(in_processes, *peer, cores=cores) for cores in core_counts() for peer in PEERS),
-    )
+    for name in ("matern32", "matern32_ard", "matern32_product", "matern52_product"):
+        yield floor(name, USUAL)
+    yield floor("matern32_product", LARGE)
+    yield scikit_learn("matern32_ard", USUAL)
+    yield scikit_learn("matern32_product", USUAL)
+    yield from (in_processes(*peer, cores=cores) for cores in core_counts() for peer in PEERS)
 
 
-def floor(name: str, runs: int) -> Comparison:
+def floor(name: str, runs: int) -> Figure:
     """Compare with Cholesky factor and inverse alone; the aim for 5000 runs is a ratio of 1 / 1.4."""
     x, y = training(runs)
     u = x / (LENGTHS if KERNELS[name].per_input else LENGTHS[0])
@@ -70,7 +65,7 @@ def floor(name: str, runs: int) -> Comparison:
     return compared(what(name, runs), "dpotrf + dpotri alone", ours(name, x, y), theirs, rtol=1e-6, repeats=REPEATS)
 
 
-def scikit_learn(name: str, runs: int) -> Comparison:
+def scikit_learn(name: str, runs: int) -> Figure:
     """Compare with scikit-learn, which takes each factor of the product as a kernel of one column."""
     x, y = training(runs)
     correlation = (
@@ -87,16 +82,15 @@ def scikit_learn(name: str, runs: int) -> Comparison:
     return compared(what(name, runs), "scikit-learn", ours(name, x, y), theirs, rtol=1e-6, repeats=REPEATS)
 
 
-def in_processes(peer_name: str, script: str, python: Path, *, cores: int) -> Comparison:
+def in_processes(peer_name: str, program: str, python: Path, *, cores: int, runs: int = USUAL) -> Figure:
     """Compare with a peer in its own process and environment; gradients must agree as well."""
-    x, y = training(USUAL)
+    x, y = training(runs)
     content = {"x": x, "y": y, "lengths": LENGTHS, "variance": VARIANCE, "nugget": NUGGET}
-    scripts = ("evidence_strandline.py", script)
-    task = what("matern32_product", USUAL)
+    programs, task = (["evidence.py", "strandline"], ["evidence.py", program]), what("matern32_product", runs)
     try:
-        return versus(task, peer_name, scripts, content, cores=cores, python=python, repeats=REPEATS)
+        return versus(task, peer_name, programs, content, cores=cores, python=python, repeats=REPEATS)
     except NotMeasured as why:
-        return unmeasured(task, peer_name, why, case=cores_case(cores))
+        return Figure(task, cores_case(cores), peer_name=peer_name, remark=f"not measured: {why}")
 
 
 class Column(Matern):

@@ -5,97 +5,75 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
-from verification.benchmarks.comparison import Comparison, NotMeasured, summarised
+from verification.benchmarks.figures import Figure, NotMeasured, in_turns
 from verification.benchmarks.peers.install import not_installed
 from verification.benchmarks.peers.worker import CORES
 
 PEERS = Path(__file__).parent / "peers"
 PEERS_PYTHON = PEERS / ".venv" / "bin" / "python"
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", CORES)
 REPEATS = 5
 
 
-@dataclass(frozen=True)
-class Reply:
-    """One answer, with its wall seconds and the seconds of all cores together."""
+@contextmanager
+def working(
+    python: Path, program: Sequence[str], folder: Path, task: Path, cores: int
+) -> Iterator[tuple[dict[str, str], Callable[[], Any]]]:
+    """Start a program of a folder, script and arguments, and let it answer its task once; see ``peers/worker.py``.
 
-    wall: float
-    cpu: float
-    answer: list[float]
-
-
-class Worker:
-    """A program that has its task and has answered it once; see ``peers/worker.py``.
+    Yields:
+        The versions of its packages, and a function that returns its next answer with its seconds.
 
     Raises:
         NotMeasured: It could not be started, or it ended.
     """
+    if not python.exists():
+        raise NotMeasured("the environment of the peers does not exist (`make bench-env`)")
+    complaints, environment = (
+        task.with_suffix(f".{program[-1]}.txt"),
+        {**os.environ, **dict.fromkeys(THREADS, str(cores))},
+    )
+    with (
+        complaints.open("w") as stream,
+        subprocess.Popen(
+            [python, "-W", "ignore", *program, task],
+            cwd=folder,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=stream,
+            env=environment,
+            text=True,
+        ) as process,
+    ):
+        assert process.stdin is not None
+        assert process.stdout is not None
 
-    def __init__(self, script: Path, python: Path, task: Path, *, cores: int) -> None:
-        threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", CORES), str(cores))
-        self._complaints = task.with_name(f"{script.stem}.txt")
-        if not python.exists():
-            raise NotMeasured("the environment of the peers does not exist (`make bench-env`)")
-        with self._complaints.open("w") as complaints:
-            self._process = subprocess.Popen(
-                [python, "-W", "ignore", script, task],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=complaints,
-                env={**os.environ, **threads},
-                text=True,
-            )
-        try:
-            self.versions: dict[str, str] = self._read()["ready"]
-        except NotMeasured:
-            self.__exit__()
-            raise
+        def next_line() -> Any:
+            line = process.stdout.readline()
+            if line:
+                return json.loads(line)
+            said = complaints.read_text("utf-8").strip().splitlines()
+            why = said[-1] if said else f"the program ended with status {process.wait()}"
+            raise NotMeasured("; ".join(filter(None, [why, not_installed()])) if "ModuleNotFound" in why else why)
 
-    def __enter__(self) -> Self:
-        return self
+        def answer() -> Any:
+            process.stdin.write("again\n")
+            process.stdin.flush()
+            return next_line()
 
-    def __exit__(self, *_: object) -> None:
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.close()
-        self._process.wait()
-        self._process.stdout.close()
-
-    def ask(self) -> Reply:
-        """Return the program's answer to its task, computed once more."""
-        assert self._process.stdin is not None
-        self._process.stdin.write("again\n")
-        self._process.stdin.flush()
-        return Reply(**self._read())
-
-    def _read(self) -> Any:
-        assert self._process.stdout is not None
-        line = self._process.stdout.readline()
-        if line:
-            return json.loads(line)
-        self._process.wait()
-        said = self._complaints.read_text("utf-8").strip().splitlines()
-        why = said[-1] if said else f"the program ended with status {self._process.returncode}"
-        raise NotMeasured("; ".join(filter(None, [why, not_installed()])) if "ModuleNotFound" in why else why)
-
-
-def our_worker(script: Path, task: Path, *, cores: int) -> Worker:
-    try:
-        return Worker(script, Path(sys.executable), task, cores=cores)
-    except NotMeasured as why:
-        raise RuntimeError(f"strandline's own side of the comparison: {why}") from why
+        yield next_line()["ready"], answer
 
 
 def versus(
     what: str,
     peer_name: str,
-    scripts: tuple[str, str],
+    programs: tuple[Sequence[str], Sequence[str]],
     content: Mapping[str, Any],
     *,
     cores: int,
@@ -103,8 +81,8 @@ def versus(
     rtol: float = 1e-6,
     repeats: int = REPEATS,
     folder: Path = PEERS,
-) -> Comparison:
-    """Compare two scripts of a folder, the first in this environment, on the same task in turns.
+) -> Figure:
+    """Compare two programs, the first in this environment, on the same task in turns.
 
     Their answers, a value and its gradient, must agree: the value to `rtol`, the gradient to `rtol` times its largest
     entry.
@@ -115,25 +93,24 @@ def versus(
     with ExitStack() as stack:
         task = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "task.npz"
         np.savez(task, **content)
-        theirs = stack.enter_context(Worker(folder / scripts[1], python, task, cores=cores))
-        mine = stack.enter_context(our_worker(folder / scripts[0], task, cores=cores))
-        pairs = [(mine.ask(), theirs.ask()) for _ in range(repeats)]
+        versions, theirs = stack.enter_context(working(python, programs[1], folder, task, cores))
+        try:
+            _, ours = stack.enter_context(working(Path(sys.executable), programs[0], folder, task, cores))
+        except NotMeasured as why:
+            raise RuntimeError(f"strandline's own side of the comparison: {why}") from why
+        pairs = [(ours(), theirs()) for _ in range(repeats)]
     for one, other in pairs:
-        np.testing.assert_allclose(one.answer[0], other.answer[0], rtol=rtol)
-        np.testing.assert_allclose(one.answer, other.answer, rtol=0.0, atol=rtol * np.max(np.abs(other.answer[1:])))
-    return summarised(
-        what,
-        peer_name,
-        [(one.wall, other.wall) for one, other in pairs],
-        cpu=[(one.cpu, other.cpu) for one, other in pairs],
-        case=cores_case(cores),
-        remark=", ".join(f"{package} {version}" for package, version in theirs.versions.items()),
-    )
+        mine, its = one["answer"], other["answer"]
+        np.testing.assert_allclose(mine[0], its[0], rtol=rtol)
+        np.testing.assert_allclose(mine, its, rtol=0.0, atol=rtol * np.max(np.abs(its[1:])))
+    seconds, cpu = ([(one[key], other[key]) for one, other in pairs] for key in ("wall", "cpu"))
+    remark = ", ".join(f"{package} {version}" for package, version in versions.items())
+    return in_turns(what, peer_name, seconds, cpu=cpu, case=cores_case(cores), remark=remark)
 
 
-def core_counts(available: int | None = None) -> Sequence[int]:
+def core_counts() -> Sequence[int]:
     """Return the numbers of cores to compare on: one and all."""
-    return sorted({1, available or os.cpu_count() or 1})
+    return sorted({1, os.cpu_count() or 1})
 
 
 def cores_case(cores: int) -> str:

@@ -1,4 +1,4 @@
-"""The claims of the study about two inputs, C1 to C8, each judged by numbers (Willmann et al. 2022, Figs. 3-10)."""
+"""The ten claims of the study, each judged by numbers (Willmann et al. 2022): C1 to C8 two inputs, C9 and C10 parts."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -6,33 +6,13 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from verification.reproduction.grid_posterior import GridPosterior
-from verification.reproduction.judgement import (
-    Claim,
-    LikelihoodField,
-    Verdict,
-    angle_between_axes,
-    correlation_ratio,
-    distance_to_prior,
-    mass_within,
-    modes,
-    plateau,
-)
+from verification.reproduction import judgement
+from verification.reproduction.grid_posterior import GridPosterior, Reading
+from verification.reproduction.judgement import Claim, LikelihoodField, Verdict, distance_to_prior
 
 from strandline.calibration import Calibration
-from strandline.posterior import Posterior
+from strandline.posterior import Posterior, histogram_mode
 from strandline.runs import RunRecord
-
-__all__ = [
-    "failed_where_unlikely",
-    "informed_prior",
-    "laplace_misleads",
-    "measures_compared",
-    "ridge_and_peak",
-    "training_size",
-    "uncertain_inflow",
-    "uniform_prior",
-]
 
 CURRENTS, CLOSEST, LINES = "currents", "closest_point", "measurement_lines"
 BENT = 0.05
@@ -52,36 +32,32 @@ FOLDS = {"limit_point", "continuation_stalled"}
 """How runs end at the fold; the second kind if the solver gives up before it has passed the fold."""
 FOUND = 0.15
 """A mean within this many standard deviations of the true model's counts as found."""
+STUDY_MAP = {"E1": 345.0, "nu1": 0.43, "E2": 135.0, "nu2": 0.30, "E3": 1034.0, "nu3": -0.47}
+STUDY_MEAN = {"E1": 443.0, "nu1": -0.15, "E2": 431.0, "nu2": -0.13, "E3": 637.0, "nu3": -0.14}
+INFORMED = 0.2
+"""Total variation to the prior above which the data inform an input; a triangle on a uniform prior has 0.25."""
+LITTLE = 0.1
+"""Relative fall of the error that counts as no significant improvement."""
 
 
 def ridge_and_peak(
     fields: Mapping[str, LikelihoodField], truth: Sequence[float], posterior: Posterior, spacing: Sequence[float]
 ) -> Claim:
-    """Judge C1 by the shape of the likelihood.
-
-    Args:
-        fields: Log-likelihood by measure.
-        truth: Inputs of the observation.
-        posterior: Posterior under the uniform prior.
-        spacing: Mean distance of design points along each input.
-    """
+    """Judge C1 by the shape of the likelihood under each measure; `spacing` is the mean distance of design points."""
     field = fields[CURRENTS]
     off = {name: [abs(p - t) for p, t in zip(f.peak, truth, strict=True)] for name, f in fields.items()}
     ridge = field.ridge
-    chord = np.linspace(ridge[0], ridge[-1], len(ridge))
     extent = float(np.ptp(ridge))
-    bend = float(np.abs(ridge - chord).max())
-    correlation = float(_correlation(posterior.covariance)[0, 1])
-    ratio = correlation_ratio(posterior, "E", given="nu")
+    bend = float(np.abs(ridge - np.linspace(ridge[0], ridge[-1], len(ridge))).max())
+    correlation = float(posterior.covariance[0, 1] / np.sqrt(np.diag(posterior.covariance)).prod())
+    ratio = judgement.correlation_ratio(posterior, "E", given="nu")
     at_truth = all(d <= s for distances in off.values() for d, s in zip(distances, spacing, strict=True))
-    rounding = 2 * float(np.diff(field.x).max())
-    curved = bend > max(BENT * extent, rounding)
-    coupled = ratio >= COUPLED
+    curved = bend > max(BENT * extent, 2 * float(np.diff(field.x).max()))  # more than what the grid rounds
     return Claim(
         "C1",
         "The likelihood is a curved ridge that couples E and ν, and its peak is at the ground truth.",
         (5, 6),
-        "confirmed" if at_truth and curved and coupled else "refuted",
+        "confirmed" if at_truth and curved and ratio >= COUPLED else "refuted",
         f"Along the ridge E runs over {extent:.0f} Pa while ν crosses its box, up to {bend:.0f} Pa off a straight "
         f"line; in the posterior E and ν correlate by {correlation:.2f}, and the mean of E given ν explains "
         f"{100 * ratio**2:.0f} % of the variance of E. The peaks of the three measures lie at most "
@@ -120,38 +96,28 @@ def failed_where_unlikely(
     records: Sequence[RunRecord], fields: Mapping[str, LikelihoodField], names: Sequence[str]
 ) -> Claim:
     """Judge C3 by the highest likelihood of each measure's surrogate at a failed run."""
+    statement = "Forward runs fail at low E only, where the likelihood is nearly zero."
     failed = np.array([[record.inputs[name] for name in names] for record in records if not record.ok])
     if not len(failed):
         words = f"None of {len(records)} runs failed."
-        return Claim("C3", _C3, (5, 6, 7), "differs", words, {"failed": 0, "runs": len(records)})
+        return Claim("C3", statement, (5, 6, 7), "differs", words, {"failed": 0, "runs": len(records)})
     kinds = Counter(record.failure_kind or record.state for record in records if not record.ok)
-    share = {name: float(np.exp(_nearest(f, failed).max() - f.values.max())) for name, f in fields.items()}
+    share = {name: float(np.exp(f.at(failed).max() - f.values.max())) for name, f in fields.items()}
     low, high = float(fields[CURRENTS].x[0]), float(failed[:, 0].max())
     softest = (high - low) / float(np.ptp(fields[CURRENTS].x))
+    fold = " The reason is not the mesh: beyond a fold of the Saint-Venant–Kirchhoff law no steady state exists."
     return Claim(
         "C3",
-        _C3,
+        statement,
         (5, 6, 7),
         "confirmed" if max(share.values()) < NEGLIGIBLE and softest < 1 / 3 else "refuted",
         f"{len(failed)} of {len(records)} runs failed ({', '.join(f'{kind}: {n}' for kind, n in kinds.most_common())})"
         f", at E up to {high:.0f} Pa, {100 * softest:.0f} % of the way through its interval. The highest likelihood "
         f"that a surrogate puts at one of them is {max(share.values()):.1g} of its maximum."
-        + (
-            " The reason is not the mesh: beyond a fold of the Saint-Venant–Kirchhoff law no steady state exists."
-            if set(kinds) <= FOLDS
-            else ""
-        ),
-        {
-            "failed": len(failed),
-            "runs": len(records),
-            "by_kind": dict(kinds),
-            "highest_E_of_a_failed_run": high,
-            "likelihood_there": share,
-        },
+        + (fold if set(kinds) <= FOLDS else ""),
+        {"failed": len(failed), "runs": len(records), "by_kind": dict(kinds)}
+        | {"highest_E_of_a_failed_run": high, "likelihood_there": share},
     )
-
-
-_C3 = "Forward runs fail at low E only, where the likelihood is nearly zero."
 
 
 def training_size(
@@ -161,18 +127,16 @@ def training_size(
 ) -> Claim:
     """Judge C4: from 200 runs on, the posterior stays near the truth, and the estimate at 200 runs is good.
 
-    If no design is larger than the one nearest to 200 runs, the effect of more runs is not known.
-
-    Args:
-        distance: Total variation to the posterior of the true model, by quadrature rule and number of runs.
-        best: Inputs of maximum likelihood, by quadrature rule and number of runs.
-        truth: Inputs of the observation.
+    `distance` is the total variation to the posterior of the true model, `best` the inputs of maximum likelihood, both
+    by quadrature rule and number of runs. Without a design larger than about 200 runs, what more bring is not known.
     """
     centre, refined = distance["centre"], distance["refined"]
     numbers = sorted(centre)
     at = min(numbers, key=lambda n: abs(n - 200))
     last = numbers[-1]
     good_from = {rule: _good_from(d) for rule, d in distance.items()}
+    since = {rule: runs or f"more than {last}" for rule, runs in good_from.items()}
+    (e, nu), (finer_e, finer_nu) = best["centre"][at], best["refined"][at]
     shape = good_from["centre"] is not None and good_from["centre"] <= at
     estimate = all(abs(b - t) <= near for b, t, near in zip(best["centre"][at], truth, AGREES, strict=True))
     return Claim(
@@ -181,12 +145,11 @@ def training_size(
         (8,),
         "differs" if at == last else "confirmed" if shape and estimate else "refuted",
         f"With the centre rule the posterior from {at} runs is {centre[at]:.2f} in total variation from that of the "
-        f"true model, from {last} runs {centre[last]:.2f}; it stays within {GOOD:g} from "
-        f"{good_from['centre'] or f'more than {last}'} runs on. With the refined quadrature it is {refined[at]:.2f} at "
-        f"{at} runs, and within {GOOD:g} from {good_from['refined'] or f'more than {last}'} runs on. The "
-        f"maximum-likelihood estimate at {at} runs is ({best['centre'][at][0]:.0f} Pa, {best['centre'][at][1]:.2f}), "
-        f"refined ({best['refined'][at][0]:.0f} Pa, {best['refined'][at][1]:.2f}); the truth is ({truth[0]:.0f} Pa, "
-        f"{truth[1]:.2f})." + (" No design is larger: what more runs bring is not known." if at == last else ""),
+        f"true model, from {last} runs {centre[last]:.2f}; it stays within {GOOD:g} from {since['centre']} runs on. "
+        f"With the refined quadrature it is {refined[at]:.2f} at {at} runs, and within {GOOD:g} from "
+        f"{since['refined']} runs on. The maximum-likelihood estimate at {at} runs is ({e:.0f} Pa, {nu:.2f}), refined "
+        f"({finer_e:.0f} Pa, {finer_nu:.2f}); the truth is ({truth[0]:.0f} Pa, {truth[1]:.2f})."
+        + (" No design is larger: what more runs bring is not known." if at == last else ""),
         {
             "total_variation": {rule: {str(n): d[n] for n in numbers} for rule, d in distance.items()},
             "maximum_likelihood": {rule: {str(n): list(b[n]) for n in numbers} for rule, b in best.items()},
@@ -198,8 +161,8 @@ def training_size(
 
 def uniform_prior(posterior: Posterior, refined: Posterior) -> Claim:
     """Judge C5 by posteriors under the uniform prior with the centre rule and the refined quadrature."""
-    peaks, flat = modes(posterior, "E"), {n: plateau(posterior, n) for n in ("E", "nu")}
-    wide = {n: plateau(refined, n) for n in ("E", "nu")}
+    peaks, flat = judgement.modes(posterior, "E"), {n: judgement.plateau(posterior, n) for n in ("E", "nu")}
+    wide = {n: judgement.plateau(refined, n) for n in ("E", "nu")}
     one_mode = len(peaks) == 1
     is_plateau = flat["nu"] >= 2.0
     sd = posterior.sd
@@ -230,24 +193,24 @@ def laplace_misleads(calibrations: Mapping[str, Calibration]) -> Claim:
     posterior, holds less than half.
     """
     found = {rule: _laplace_figures(c) for rule, c in calibrations.items()}
-    centre, refined = found["centre"], found["refined"]
+    (angle, inside), (finer, finer_inside) = (
+        (found[rule]["angle_deg"], 100 * found[rule].get("mass_in_its_90_%_ellipse", 0.0))
+        for rule in ("centre", "refined")
+    )
     verdict: Verdict = "differs"
-    if centre["angle_deg"] is None:
+    if angle is None:
         words = "With the centre rule the Hessian is indefinite: there is no approximation at all."
     else:
-        misled = centre["angle_deg"] >= FAR
-        verdict = "confirmed" if misled else "differs" if centre["mass_in_its_90_%_ellipse"] < 0.5 else "refuted"
+        verdict = "confirmed" if angle >= FAR else "differs" if inside < 50 else "refuted"
         words = (
-            f"With the centre rule its main axis is {centre['angle_deg']:.0f}° off the posterior's (in standardised "
-            f"inputs), and its 90 % ellipse holds {100 * centre['mass_in_its_90_%_ellipse']:.0f} % of the posterior."
+            f"With the centre rule its main axis is {angle:.0f}° off the posterior's (in standardised inputs), and its "
+            f"90 % ellipse holds {inside:.0f} % of the posterior."
         )
-    if refined["angle_deg"] is None:
-        words += " With the refined quadrature the Hessian is indefinite."
-    else:
-        words += (
-            f" With the refined quadrature it is {refined['angle_deg']:.0f}° off and the ellipse holds "
-            f"{100 * refined['mass_in_its_90_%_ellipse']:.0f} %."
-        )
+    words += (
+        " With the refined quadrature the Hessian is indefinite."
+        if finer is None
+        else f" With the refined quadrature it is {finer:.0f}° off and the ellipse holds {finer_inside:.0f} %."
+    )
     return Claim(
         "C6",
         "The Laplace approximation at the MAP misleads: its main axis is far from the posterior's.",
@@ -288,17 +251,13 @@ def informed_prior(informed: Posterior, uniform: Posterior) -> Claim:
 
 
 def uncertain_inflow(
-    uncertain: Mapping[str, Any], certain: Posterior, truth: Mapping[str, GridPosterior], certain_truth: GridPosterior
+    uncertain: Mapping[str, Any], certain: Posterior, truth: Mapping[Reading, GridPosterior], known: GridPosterior
 ) -> Claim:
-    """Judge C8 by the true model; the surrogate's figures are given as well.
+    """Judge C8 by the true model with the inflow uncertain, in both readings, and known; the surrogate's figures too.
 
-    Args:
-        uncertain: Entry `under_uncertainty` of the summary of the study with uncertain inflow.
-        certain: Posterior of the same study with the inflow known.
-        truth: Posterior of the true model with uncertain inflow, ``joint`` and ``cut``.
-        certain_truth: Posterior of the true model with the inflow known.
+    `uncertain` is the entry `under_uncertainty` of the study's summary, `certain` the posterior with the inflow known.
     """
-    exact, known = truth["joint"], certain_truth
+    exact = truth["joint"]
     figures = {
         reading: {n: {key: uncertain[reading]["inputs"][key][n] for key in ("E", "nu")} for n in ("map", "mean", "sd")}
         for reading in ("joint", "cut")
@@ -335,6 +294,80 @@ def uncertain_inflow(
     )
 
 
+def heterogeneous(posterior: Posterior, checks: Mapping[str, Mapping[str, Any]], truth: Mapping[str, float]) -> Claim:
+    """Judge C9 by the marginals and by the check of the posterior with the true model.
+
+    A marginal gathers around the truth if it is not broad and is denser there than its prior. The claim holds if E2 and
+    ν2 gather and no other input does; the study does not say whether ν1 stays broad. If the check finds the posterior
+    unreliable, it does not show what the data say, and the claim is neither confirmed nor refuted.
+
+    `checks` has the content of check.json by study: first that of this posterior, then others to compare with.
+    """
+    names = list(STUDY_MAP)
+    shift = {name: distance_to_prior(posterior, name) for name in names}
+    ranked = sorted(names, key=lambda n: -shift[n])
+    denser = {name: judgement.density_over_prior(posterior, name, truth[name]) for name in names}
+    gathered = [name for name in ranked if shift[name] >= INFORMED and denser[name] > 1]
+    broad = all(shift[name] < INFORMED for name in ("E1", "E3", "nu3"))
+    holds = ranked[0] == "E2" and set(gathered) == {"E2", "nu2"} and broad
+    bounds = [posterior.space[name].interval for name in names]
+    mode = histogram_mode(posterior.columns(names), posterior.weights, bounds=bounds, bins=10)
+    mean = posterior.weights @ posterior.columns(names)
+    first, k_hat = next(iter(checks.values())), {name: c["k_hat"] for name, c in checks.items()}
+    median, expected = (float(np.median(first["particles"][which])) for which in ("true", "surrogate"))
+    believed = first["verdict"] != "bad"
+    can = "can be used." if believed else "is not the true one."
+    verdict: Verdict = ("confirmed" if holds else "refuted") if believed else "differs"
+    return Claim(
+        "C9",
+        "Of six material parameters E2, that of the largest part, dominates; only E2 and ν2 gather around the truth.",
+        (13, 14, 15),
+        verdict,
+        "By total variation between marginal and prior the order is "
+        + ", ".join(f"{name} {shift[name]:.2f}" for name in ranked)
+        + f". {' and '.join(gathered) or 'None'} gather around the truth: at least {INFORMED:g}, and denser there than "
+        f"the prior (E2 {denser['E2']:.1f} times, nu2 {denser['nu2']:.1f} times). At draws of this posterior the "
+        f"surrogate puts log L at {expected:.1f} in the median, the true model at {median:.1f}; "
+        f"k̂ = {first['k_hat']:.2f}, so that the surrogate's posterior {can}"
+        + "".join(f" {name.capitalize()}: k̂ = {k:.2f}." for name, k in list(k_hat.items())[1:]),
+        {
+            "distance_to_prior": shift,
+            "density_at_truth_over_prior": denser,
+            "map": dict(zip(names, mode.tolist(), strict=True)),
+            "mean": dict(zip(names, mean.tolist(), strict=True)),
+            "truth": {name: truth[name] for name in names},
+            "k_hat": k_hat,
+            "median_log_likelihood": {"surrogate": expected, "true": median},
+        },
+        {"map": STUDY_MAP, "mean": STUDY_MEAN},
+    )
+
+
+def more_runs(numbers: Sequence[int], errors: Mapping[str, Sequence[float]]) -> Claim:
+    """Judge C10 by the fall of the surrogate's errors, the study's case first, from about 1000 runs to the most."""
+    at = int(np.argmin([abs(n - 1000) for n in numbers]))
+    gains = {name: _fall(values[at], values[-1]) for name, values in errors.items()}
+    name, gain = next(iter(gains.items()))
+    alone = at == len(numbers) - 1
+    return Claim(
+        "C10",
+        "From 1000 to 5000 training runs in seven inputs the surrogate does not improve significantly.",
+        (12,),
+        "differs" if alone else "confirmed" if gain <= LITTLE else "refuted",
+        f"The relative L2 error ({name}) goes from {errors[name][at]:.3f} at {numbers[at]} runs to "
+        f"{errors[name][-1]:.3f} at {numbers[-1]}, by {-100 * gain:+z.0f} %"
+        + "".join(f"; {other}: {-100 * g:+z.0f} %" for other, g in list(gains.items())[1:])
+        + (". No training set is larger: what more runs bring is not known." if alone else ".")
+        + " A plateau of this error does not mean that the surrogate is good enough: see the check of the posterior.",
+        {"runs": list(numbers), "errors": {n: list(v) for n, v in errors.items()}, "fall": gains},
+    )
+
+
+def _fall(before: float, after: float) -> float:
+    """Return the relative fall of an error, negative for a rise; 0 for an error of 0, which cannot fall."""
+    return 1.0 - after / before if before > 0 else 0.0
+
+
 def _good_from(distance: Mapping[int, float]) -> int | None:
     """Return the number of runs from which on all distances are good; None if the last one is not."""
     last_bad = max((n for n, d in distance.items() if d > GOOD), default=0)
@@ -354,22 +387,10 @@ def _laplace_figures(calibration: Calibration) -> dict[str, Any]:
         return figures
     width = np.array([np.ptp(parameter.interval) for parameter in posterior.space])
     return figures | {
-        "angle_deg": angle_between_axes(laplace.covariance, posterior.covariance, width),
-        "mass_in_its_90_%_ellipse": mass_within(posterior, laplace.gaussian, 0.9),
+        "angle_deg": judgement.angle_between_axes(laplace.covariance, posterior.covariance, width),
+        "mass_in_its_90_%_ellipse": judgement.mass_within(posterior, laplace.gaussian, 0.9),
         "sd_ratio": (np.sqrt(np.diag(laplace.covariance)) / posterior.sd).tolist(),
     }
-
-
-def _nearest(field: LikelihoodField, points: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, " point"]:
-    """Return the field at the grid points next to `points`."""
-    i = np.abs(field.x[:, None] - points[:, 0]).argmin(axis=0)
-    j = np.abs(field.y[:, None] - points[:, 1]).argmin(axis=0)
-    return np.asarray(field.values[i, j])
-
-
-def _correlation(covariance: Float[np.ndarray, "dim dim"]) -> Float[np.ndarray, "dim dim"]:
-    sd = np.sqrt(np.diag(covariance))
-    return np.asarray(covariance / np.outer(sd, sd))
 
 
 def _point(values: Float[np.ndarray, "2"]) -> dict[str, float]:

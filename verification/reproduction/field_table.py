@@ -7,35 +7,22 @@ smooth up to the fold, ν and V; the load is V/E relative to its value at the fo
 is needed.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.interpolate import BarycentricInterpolator
 
-from strandline.errors import InvalidInput, NumericsError
+from strandline.errors import NumericsError
 from strandline.interface import Interface
 from strandline.models.protocol import ForwardModel
-from strandline.runs import Executor, Ledger, RunRecord, run_campaign
-
-__all__ = ["BIOFILM_FOLD", "FieldTable", "LoadCoordinates", "TableErrors", "tabulate", "withheld"]
+from strandline.runs import Executor, Ledger, run_campaign
 
 BIOFILM_FOLD = (
-    (-0.8, 44.6),
-    (-0.6, 84.1),
-    (-0.45, 110.2),
-    (-0.3, 134.6),
-    (-0.15, 165.7),
-    (0.0, 196.8),
-    (0.1, 216.8),
-    (0.2, 235.2),
-    (0.3, 250.9),
-    (0.4, 260.7),
-    (0.48, 265.7),
-    (0.5, 264.0),
-)
+    (-0.8, 44.6), (-0.6, 84.1), (-0.45, 110.2), (-0.3, 134.6), (-0.15, 165.7), (0.0, 196.8),
+    (0.1, 216.8), (0.2, 235.2), (0.3, 250.9), (0.4, 260.7), (0.48, 265.7), (0.5, 264.0),
+)  # fmt: skip
 """(ν, E in Pa) of the fold of the built-in biofilm at V_in = 100 mm²/s on its default mesh."""
 
 
@@ -63,19 +50,12 @@ class LoadCoordinates:
     rate: tuple[float, float] = (1.0, 110.0)
     names: ClassVar[tuple[str, ...]] = ("E", "nu", "V_in")
 
-    def __post_init__(self) -> None:
-        if not 0 < self.reach < 1:
-            raise InvalidInput(
-                "reach of the table", value=self.reach, expected="a share in (0, 1)", remedy="Take 0.88, a tenth off."
-            )
-
     def fold_load(
         self, nu: Float[np.ndarray, "*point"], rate: float | Float[np.ndarray, "*point"]
     ) -> Float[np.ndarray, "*point"]:
         """Return V/E at the fold, mm²/(s Pa), from the fit."""
         at, young = np.array(self.fold).T
-        degree = min(3, len(at) - 1)
-        stiffness = np.polynomial.Polynomial.fit(at, young / (1 + at), degree)
+        stiffness = np.polynomial.Polynomial.fit(at, young / (1 + at), 3)
         at_fold_rate = self.fold_rate / ((1 + nu) * stiffness(nu))
         if self.inertia is None:
             return np.asarray(at_fold_rate)
@@ -95,15 +75,12 @@ class LoadCoordinates:
 
     def to_box(self, x: Float[np.ndarray, "*point 3"]) -> Float[np.ndarray, "*point 3"]:
         """Map (E, ν, V) to [-1, 1]³; the first coordinate is -1 without load and 1 at `reach`."""
-        s = np.sqrt(1 - np.minimum(self.load(x), 1.0))
-        ends = ((1.0, self._softest), self.nu, self.rate)
-        columns = (s, x[..., 1], x[..., 2])
-        return np.stack([2 * (c - a) / (b - a) - 1 for c, (a, b) in zip(columns, ends, strict=True)], axis=-1)
+        columns = (np.sqrt(1 - np.minimum(self.load(x), 1.0)), x[..., 1], x[..., 2])
+        return np.stack([2 * (c - a) / (b - a) - 1 for c, (a, b) in zip(columns, self._ends, strict=True)], axis=-1)
 
     def from_box(self, z: Float[np.ndarray, "*point 3"]) -> Float[np.ndarray, "*point 3"]:
         """Invert `to_box`; without load E is infinite."""
-        ends = ((1.0, self._softest), self.nu, self.rate)
-        s, nu, rate = (a + 0.5 * (z[..., k] + 1) * (b - a) for k, (a, b) in enumerate(ends))
+        s, nu, rate = (a + 0.5 * (z[..., k] + 1) * (b - a) for k, (a, b) in enumerate(self._ends))
         with np.errstate(divide="ignore"):
             young = rate / ((1 - s**2) * self.fold_load(nu, rate))
         return np.stack([young, nu, rate], axis=-1)
@@ -113,8 +90,9 @@ class LoadCoordinates:
         return np.asarray(rate / (self.reach * self.fold_load(nu, rate)))
 
     @property
-    def _softest(self) -> float:
-        return float(np.sqrt(1 - self.reach))
+    def _ends(self) -> tuple[tuple[float, float], ...]:
+        """The values of s, ν and V at both ends of the box."""
+        return (1.0, float(np.sqrt(1 - self.reach))), self.nu, self.rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,9 +101,9 @@ class FieldTable:
 
     Args:
         coordinates: Coordinates of the box.
-        reference: Interface without load (point, 2), mm.
-        axes: Nodes of each coordinate; with a single node the table is constant in it.
-        values: Displacements (s, nu, rate, coordinate), mm; the coordinates of all points in a row.
+        reference: Interface without load, mm.
+        axes: Nodes of each coordinate.
+        values: Displacements, mm; the coordinates of all points in a row.
         runs: Number of forward runs in the table.
     """
 
@@ -158,27 +136,14 @@ class FieldTable:
         a, b, c = (axis[::2] for axis in self.axes)
         return FieldTable(self.coordinates, self.reference, (a, b, c), self.values[::2, ::2, ::2])
 
-    def coefficients(self) -> tuple[Float[np.ndarray, " degree"], ...]:
-        """Return, for each coordinate, the largest Chebyshev coefficient of each degree, mm: how fast they decay."""
-        c = self.values
-        for k, axis in enumerate(self.axes):
-            inverse = np.linalg.inv(np.polynomial.chebyshev.chebvander(axis, len(axis) - 1))
-            c = np.moveaxis(np.tensordot(inverse, c, axes=(1, k)), 0, k)
-        size = np.abs(c).max(axis=-1)
-        return tuple(size.max(axis=tuple(j for j in range(3) if j != k)) for k in range(3))
-
 
 def lagrange(nodes: Float[np.ndarray, " node"], z: Float[np.ndarray, " point"]) -> Float[np.ndarray, "point node"]:
     """Return the Lagrange basis of `nodes` at `z`."""
-    if len(nodes) == 1:
-        return np.ones((len(z), 1))
     return np.asarray(BarycentricInterpolator(nodes, np.eye(len(nodes)))(z))
 
 
 def lobatto(intervals: int) -> Float[np.ndarray, " node"]:
-    """Return the Chebyshev–Lobatto nodes from -1 to 1; only the upper end for 0 intervals."""
-    if intervals == 0:
-        return np.ones(1)
+    """Return the Chebyshev–Lobatto nodes from -1 to 1."""
     return np.asarray(-np.cos(np.pi * np.arange(intervals + 1) / intervals))
 
 
@@ -196,80 +161,37 @@ def tabulate(
     Args:
         model: Model with the inputs E, nu and V_in.
         reference: Interface of the model without load.
-        intervals: Number of intervals in s, ν and V; even numbers have a nested table with half as many. 0 in V fixes V
-            at its upper end.
+        intervals: Number of intervals in s, ν and V; even numbers have a nested table with half as many.
         ledger: Ledger of this model.
         executor: Executor of the runs.
         coordinates: Box of the table; by default that of the built-in biofilm.
-
-    Raises:
-        NumericsError: No state exists at a node of the table.
     """
     box = coordinates or LoadCoordinates()
     a, b, c = (lobatto(n) for n in intervals)
     loaded = np.stack(np.meshgrid(a[1:], b, c, indexing="ij"), axis=-1)
-    x = box.from_box(loaded.reshape(-1, 3))
-    records = run_at(model, x, ledger=ledger, executor=executor)
-    failed = [dict(record.inputs) for record in records if not record.ok]
-    if failed:
-        raise NumericsError(
-            f"{len(failed)} of {len(records)} nodes of the table failed, e.g. {failed[0]}; lower its reach"
-        )
-    moved = np.array([r.interface.points - reference.points for r in records if r.interface is not None])
+    moved = run_at(model, box.from_box(loaded.reshape(-1, 3)), ledger, executor) - reference.points
     values = np.zeros((len(a), len(b), len(c), reference.points.size))
     values[1:] = moved.reshape(len(a) - 1, len(b), len(c), -1)
-    return FieldTable(box, reference.points, (a, b, c), values, len(records))
-
-
-def run_at(
-    model: ForwardModel, x: Float[np.ndarray, "run 3"], *, ledger: Ledger, executor: Executor
-) -> tuple[RunRecord, ...]:
-    """Return the records of forward runs at (E, ν, V)."""
-    inputs: Sequence[Mapping[str, float]] = [
-        dict(zip(LoadCoordinates.names, row.tolist(), strict=True)) for row in np.asarray(x, float)
-    ]
-    return run_campaign(model, inputs, ledger=ledger, executor=executor)
-
-
-@dataclass(frozen=True, eq=False)
-class TableErrors:
-    """Forward runs that the table was not made from, compared with it.
-
-    Args:
-        x: (E, ν, V) of the runs.
-        simulated: Interfaces of the runs (run, point, 2), mm.
-        distance: Largest distance of a point from its interpolated place (run,), mm.
-    """
-
-    x: Float[np.ndarray, "run 3"]
-    simulated: Float[np.ndarray, "run point 2"]
-    distance: Float[np.ndarray, " run"] = field(repr=False)
+    return FieldTable(box, reference.points, (a, b, c), values, len(moved))
 
 
 def withheld(
-    table: FieldTable,
-    model: ForwardModel,
-    x: Float[np.ndarray, "run 3"],
-    *,
-    ledger: Ledger,
-    executor: Executor,
-) -> TableErrors:
-    """Run the model at (E, ν, V) inside the table and compare; a run that fails is a hole in the table.
+    table: FieldTable, model: ForwardModel, x: Float[np.ndarray, "run 3"], *, ledger: Ledger, executor: Executor
+) -> Float[np.ndarray, " run"]:
+    """Run the model at (E, ν, V) inside the table; return the largest distance of a point from its place there, mm."""
+    distance = np.linalg.norm(run_at(model, x, ledger, executor) - table.at(x), axis=-1)
+    return np.asarray(distance.max(axis=-1))
 
-    Raises:
-        InvalidInput: Points lie outside the table.
-        NumericsError: A run failed.
-    """
-    if not table.coordinates.inside(x).all():
-        raise InvalidInput(
-            "points to withhold from the table",
-            value=f"{int((~table.coordinates.inside(x)).sum())} outside it",
-            expected="points inside",
-            remedy="Draw them in the box of its coordinates.",
+
+def run_at(
+    model: ForwardModel, x: Float[np.ndarray, "run 3"], ledger: Ledger, executor: Executor
+) -> Float[np.ndarray, "run point 2"]:
+    """Return the interfaces of forward runs at (E, ν, V); a run that fails is a hole in the table, and an error."""
+    inputs = [dict(zip(LoadCoordinates.names, row.tolist(), strict=True)) for row in np.asarray(x, float)]
+    records = run_campaign(model, inputs, ledger=ledger, executor=executor)
+    failed = [dict(record.inputs) for record in records if not record.ok]
+    if failed:
+        raise NumericsError(
+            f"{len(failed)} of {len(records)} runs in the table failed, e.g. {failed[0]}; lower its reach"
         )
-    records = run_at(model, x, ledger=ledger, executor=executor)
-    if not all(record.ok for record in records):
-        raise NumericsError(f"{sum(not r.ok for r in records)} runs inside the table failed; lower its reach")
-    simulated = np.array([r.interface.points for r in records if r.interface is not None])
-    distance = np.linalg.norm(simulated - table.at(x), axis=-1).max(axis=-1)
-    return TableErrors(x, simulated, np.asarray(distance))
+    return np.array([record.interface.points for record in records if record.interface is not None])

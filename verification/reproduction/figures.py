@@ -1,95 +1,126 @@
-"""Figures of the reproduction: nested likelihoods (Fig. 8), errors against runs (Fig. 12), parts (Fig. 11)."""
+"""The pictures of the page, numbered as the study's figures: from the studies' reports, and further ones."""
 
-from collections.abc import Mapping, Sequence
+import base64
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
+import ngsolve as ng
 import numpy as np
-from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import NullLocator
-from verification.reproduction.grid_posterior import GridPosterior
-from verification.reproduction.nested import NestedStep
+from verification.reproduction.designs import NestedStep
+from verification.reproduction.evidence import Evidence
 
-from strandline.parameters import ParameterSpace
-from strandline.report.plots.style import (
-    BLACK,
-    CYCLE,
-    DASHES,
-    DOUBLE,
-    GREY,
-    RED,
-    SINGLE,
-    axes_or_new,
-    below,
-    figure_or_new,
-    mark,
-    styled,
+from strandline.models.biofilm.geometry import MESHES, mesh_flow_cell
+from strandline.models.biofilm.model import Biofilm
+from strandline.report.figure_files import PAGE_PIXELS_PER_INCH
+from strandline.report.plots import style
+from strandline.report.plots.style import CYCLE, DASHES, DOTS_PER_INCH, axes_or_new, styled
+
+WINDOW_SDS, POINTS, COLUMNS = 5.0, (121, 101), 3
+LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
+COLOURS = ("#dbe9f4", "#7fb3d5", "#f0b27a", "#82c39b", "#c39bd3", "#f7dc6f")
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture of the page: its number in the study, with a letter if there are several, its caption and its PNG."""
+
+    number: str
+    caption: str
+    png: bytes
+
+    @property
+    def data(self) -> str:
+        """The PNG as HTML needs it."""
+        return base64.b64encode(self.png).decode("ascii")
+
+    @property
+    def width(self) -> int:
+        """Width on the page in pixels: the width of the PNG at the resolution of the page."""
+        return round(int.from_bytes(self.png[16:20], "big") * PAGE_PIXELS_PER_INCH / DOTS_PER_INCH)
+
+
+FROM_REPORTS = (
+    ("3", "biofilm-uniform", "flow", "Velocity, pressure and displacement at the ground truth."),
+    ("4", "biofilm-uniform", "interfaces", "The observed interface, the undeformed one, and those of some runs."),
+    ("5", "biofilm-measures", "likelihood", "Likelihood over its maximum under three measures; grey: failed runs."),
+    ("6", "biofilm-measures", "log_likelihood", "Log-likelihood under three measures."),
+    ("7", "biofilm-measures", "log_likelihood_sd", "Standard deviation of the surrogates."),
+    ("9a", "biofilm-uniform", "posterior", "S3: posterior under the uniform prior."),
+    ("9a, refined", "biofilm-uniform-refined", "posterior", "The same with the refined quadrature of the currents."),
+    ("9b", "biofilm-uniform", "particles", "S3: the particles, area and colour by weight."),
+    ("9c", "biofilm-informed", "posterior", "S4: posterior under the informed prior."),
+    ("9d", "biofilm-inflow", "posterior_joint", "S5: posterior under uncertainty, joint reading."),
+    ("9d, cut", "biofilm-inflow", "posterior_cut", "S5: posterior under uncertainty, cut reading."),
+    ("10", "biofilm-inflow", "nuisance", "S5: prior of the inflow, and its posterior in the joint reading."),
+    ("13", "biofilm-parts", "marginals", "S6: marginals with priors."),
+    ("14", "biofilm-parts", "posterior", "S6: pairs of inputs."),
+    ("15", "biofilm-parts", "parallel", "S6: all particles, drawn from low to high posterior density."),
 )
-
-__all__ = ["plot_convergence", "plot_nested_likelihoods", "plot_parts", "plot_surrogate_errors"]
-
-_WINDOW_SDS = 5.0
-_POINTS = (121, 101)
-_LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
-_COLOURS = ("#dbe9f4", "#7fb3d5", "#f0b27a", "#82c39b", "#c39bd3", "#f7dc6f")
+"""Number, study, name of the file in its folder of figures, caption."""
 
 
-def plot_nested_likelihoods(
-    steps: Sequence[NestedStep],
-    truth: GridPosterior,
-    space: ParameterSpace,
-    *,
-    training: Float[np.ndarray, "run 2"],
-    ground_truth: Float[np.ndarray, "2"] | None = None,
-    columns: int = 3,
-    figure: Figure | SubFigure | None = None,
-) -> Figure | SubFigure:
-    """Draw exp(surrogate - its maximum) of each nested design around the true posterior, with the latter's contours.
+def draw(evidence: Evidence) -> Iterator[Picture]:
+    """Yield all pictures; those of the reports are taken from the studies' folders of figures."""
+    for number, study, name, caption in FROM_REPORTS:
+        path = evidence.studies[study].folder / "figures" / f"{name}.png"
+        yield Picture(number, caption, path.read_bytes())
+    for rule in evidence.nested:
+        caption = (
+            f"S2: likelihood of nested designs, {rule} quadrature, with the contours of the true model's (dashed); "
+            "TV is the total variation between the two posteriors."
+        )
+        yield Picture("8" if rule == "centre" else f"8, {rule}", caption, png(plot_nested_likelihoods(evidence, rule)))
+    caption = "S2: total variation to the true posterior and leave-one-out error, which a user sees, against the runs."
+    yield Picture("8, errors", caption, png(plot_convergence(evidence.nested).figure))
+    yield Picture("11", "S6: the three parts of the specimen.", png(plot_parts(evidence).figure))
+    for key, words in (("log_likelihood", "log-likelihood"), ("likelihood", "likelihood")):
+        errors = {rule: getattr(found, key) for rule, found in evidence.convergence.items()}
+        sizes = evidence.convergence["centre"].sizes
+        axes = plot_surrogate_errors(sizes, errors, quantity=f"relative L² error of the {words}")
+        caption = f"S6: error of the surrogate of the {words} at later points of the Sobol sequence."
+        yield Picture("12" if key == "log_likelihood" else "12, likelihood", caption, png(axes.figure))
 
-    Args:
-        steps: Steps from `nested_surrogates`.
-        truth: True posterior under uniform priors, which is the likelihood.
-        space: Space of E and ν.
-        training: Inputs of the successful runs in the order of the design; each panel shows those its design uses.
-        ground_truth: Inputs of the synthetic observation.
-        columns: Number of panels side by side.
-        figure: Figure to draw in; a new one by default.
-    """
-    low = np.maximum(truth.mean - _WINDOW_SDS * truth.sd, space.low)
-    high = np.minimum(truth.mean + _WINDOW_SDS * truth.sd, space.high)
-    e, nu = (np.linspace(a, b, n) for a, b, n in zip(low, high, _POINTS, strict=True))
-    points = np.stack(np.meshgrid(e, nu, indexing="ij"), axis=-1).reshape(-1, 2)
-    rows = -(-len(steps) // columns)
+
+def png(figure: Any) -> bytes:
+    """Return the figure as a file of the page's resolution."""
+    buffer = io.BytesIO()
     with styled():
-        figure = figure_or_new(figure, (DOUBLE, 0.6 + 1.8 * rows))
-        panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+        figure.savefig(buffer, format="png", dpi=DOTS_PER_INCH)
+    return buffer.getvalue()
+
+
+def plot_nested_likelihoods(evidence: Evidence, rule: str) -> Figure:
+    """Draw exp(surrogate - its maximum) of each nested design, the runs it used, and contours of the true posterior."""
+    steps, truth = evidence.nested[rule], evidence.truths.certain[rule].posterior
+    study, calibration = evidence.studies["biofilm-uniform"], evidence.outcomes["biofilm-uniform"].calibration
+    space = study.space
+    training = np.array([[record.inputs[name] for name in space.names] for record in calibration.records if record.ok])
+    low = np.maximum(truth.mean - WINDOW_SDS * truth.sd, space.low)
+    high = np.minimum(truth.mean + WINDOW_SDS * truth.sd, space.high)
+    e, nu = (np.linspace(a, b, n) for a, b, n in zip(low, high, POINTS, strict=True))
+    points = np.stack(np.meshgrid(e, nu, indexing="ij"), axis=-1).reshape(-1, 2)
+    colours = {"cmap": "viridis", "vmin": 0, "vmax": 1, "shading": "gouraud", "rasterized": True}
+    contours = {"levels": LEVELS, "colors": "white", "linewidths": 0.6, "linestyles": "dashed"}
+    rows = -(-len(steps) // COLUMNS)
+    with styled():
+        figure = style.figure_or_new(None, (style.DOUBLE, 0.6 + 1.8 * rows))
+        panels = figure.subplots(rows, COLUMNS, sharex=True, sharey=True, squeeze=False).ravel()
         for ax, step in zip(panels, steps, strict=False):
-            values = step.surrogate.process.mean(points).reshape(_POINTS)
-            drawn = ax.pcolormesh(
-                e,
-                nu,
-                np.exp(values - values.max()).T,
-                cmap="viridis",
-                vmin=0,
-                vmax=1,
-                shading="gouraud",
-                rasterized=True,
-            )
-            ax.contour(
-                truth.grid.young,
-                truth.grid.nu,
-                (truth.density / truth.density.max()).T,
-                levels=_LEVELS,
-                colors="white",
-                linewidths=0.6,
-                linestyles="dashed",
-            )
+            values = step.surrogate.process.mean(points).reshape(POINTS)
+            drawn = ax.pcolormesh(e, nu, np.exp(values - values.max()).T, **colours)
+            ax.contour(truth.grid.young, truth.grid.nu, (truth.density / truth.density.max()).T, **contours)
             used = training[: step.succeeded]
-            ax.plot(*used.T, "o", color="white", markersize=2.6, markeredgecolor=BLACK, markeredgewidth=0.3)
-            if ground_truth is not None:
-                mark(ax, ground_truth, RED, "ground truth", marker="o", size=6.0)
+            ax.plot(*used.T, "o", color="white", markersize=2.6, markeredgecolor=style.BLACK, markeredgewidth=0.3)
+            if study.truth is not None:
+                at = np.array([study.truth[name] for name in space.names])
+                style.mark(ax, at, style.RED, "ground truth", marker="o", size=6.0)
             ax.set_title(f"{step.runs} runs, TV {step.total_variation:.2g}")
             ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         for ax in panels[len(steps) :]:
@@ -101,49 +132,30 @@ def plot_nested_likelihoods(
     return figure
 
 
-def plot_convergence(steps: Mapping[str, Sequence[NestedStep]], *, ax: Axes | None = None) -> Axes:
-    """Draw total variation to the truth (lines) and leave-one-out error near the mode (dashed) against the runs.
-
-    Args:
-        steps: Steps from `nested_surrogates`, by the name of the measure.
-        ax: Axes to draw in; new ones by default.
-    """
+def plot_convergence(steps: Mapping[str, Sequence[NestedStep]]) -> Axes:
+    """Draw total variation to the truth (lines) and leave-one-out error near the mode (dashed) against the runs."""
+    proxy = {"marker": "s", "linestyle": DASHES[1], "fillstyle": "none"}
     with styled():
-        ax = axes_or_new(ax, (SINGLE, 3.0))
+        ax = axes_or_new(None, (style.SINGLE, 3.0))
         for colour, (name, sequence) in zip(CYCLE, steps.items(), strict=False):
             runs = [step.runs for step in sequence]
             ax.plot(runs, [s.total_variation for s in sequence], "o-", color=colour, label=name)
-            proxy = [s.loo_rms_near_mode for s in sequence]
-            ax.plot(runs, proxy, "s", linestyle=DASHES[1], fillstyle="none", color=colour)
-        ax.plot([], [], "o-", color=GREY, label="total variation")
-        ax.plot([], [], "s", linestyle=DASHES[1], fillstyle="none", color=GREY, label="leave-one-out near the mode")
+            ax.plot(runs, [s.surrogate.validation.loo_rms_near_mode for s in sequence], color=colour, **proxy)
+        ax.plot([], [], "o-", color=style.GREY, label="total variation")
+        ax.plot([], [], color=style.GREY, label="leave-one-out near the mode", **proxy)
         ax.set(xscale="log", yscale="log", xlabel="forward runs of the design", ylabel="error")
         ticks = sorted({step.runs for sequence in steps.values() for step in sequence})
         ax.set_xticks(ticks, labels=[str(n) for n in ticks], minor=False)
         ax.minorticks_off()
-        below(ax, columns=2)
+        style.below(ax, columns=2)
     return ax
 
 
-def plot_surrogate_errors(
-    sizes: Sequence[int] | Int[np.ndarray, " size"],
-    errors: Mapping[str, Sequence[float] | Float[np.ndarray, " size"]],
-    *,
-    quantity: str = "relative L² error at the test points",
-    ax: Axes | None = None,
-) -> Axes:
-    """Draw errors against the number of training runs, both on logarithmic scales.
-
-    Args:
-        sizes: numbers of training runs (size,).
-        errors: error at each size (size,), by the name of the case.
-        quantity: what the errors are.
-        ax: axes to draw in.
-    """
+def plot_surrogate_errors(sizes: Sequence[int], errors: Mapping[str, Sequence[float]], *, quantity: str) -> Axes:
+    """Draw the errors of each case against the number of training runs, both on logarithmic scales."""
     with styled():
-        ax = axes_or_new(ax, (SINGLE, 2.8))
-        for k, (case, values) in enumerate(errors.items()):
-            colour, dashes = CYCLE[k % len(CYCLE)], DASHES[k % len(DASHES)]
+        ax = axes_or_new(None, (style.SINGLE, 2.8))
+        for (case, values), colour, dashes in zip(errors.items(), CYCLE, DASHES, strict=False):
             ax.loglog(sizes, values, linestyle=dashes, marker="o", markersize=4, color=colour, label=case)
         ax.set(xlabel="training runs", ylabel=quantity)
         ax.set_xticks(list(sizes), [f"{n:d}" for n in sizes])
@@ -152,26 +164,20 @@ def plot_surrogate_errors(
     return ax
 
 
-def plot_parts(
-    points: Float[np.ndarray, "point 2"],
-    cells: Mapping[str, Int[np.ndarray, "_ 3"]],
-    *,
-    ax: Axes | None = None,
-) -> Axes:
-    """Draw the triangles of each part in its own colour.
-
-    Args:
-        points: vertices of the mesh, mm.
-        cells: vertex numbers of the triangles by name of the part, in the order of the legend; at most six parts.
-        ax: axes to draw in.
-    """
+def plot_parts(evidence: Evidence) -> Axes:
+    """Draw the triangles of the fluid and of each part of the specimen in its own colour."""
+    model: Any = evidence.studies["biofilm-parts"].model
+    assert isinstance(model, Biofilm)
+    mesh: Any = mesh_flow_cell(model.outline.interface(), MESHES[model.mesh], model.channel, model.partition)
+    x, y = np.array([vertex.point for vertex in mesh.vertices], float).T
+    names = {"fluid": "fluid"} | {f"solid{k}": f"part {k}" for k in range(1, 1 + len(model.partition.markers))}
     with styled():
-        ax = axes_or_new(ax, (DOUBLE, 3.8))
-        for (_, triangles), colour in zip(cells.items(), _COLOURS, strict=False):
-            shade, faces = ListedColormap([colour]), np.zeros(len(triangles))
-            x, y = points.T
-            ax.tripcolor(x, y, triangles, facecolors=faces, cmap=shade, edgecolors="0.4", lw=0.3, rasterized=True)
-        handles = [Patch(facecolor=colour, edgecolor="0.4") for colour in _COLOURS[: len(cells)]]
+        ax = axes_or_new(None, (style.DOUBLE, 3.8))
+        for name, colour in zip(names, COLOURS, strict=False):
+            cells = np.array([[v.nr for v in e.vertices] for e in mesh.Elements(ng.VOL) if e.mat == name])
+            look = {"cmap": ListedColormap([colour]), "edgecolors": "0.4", "lw": 0.3, "rasterized": True}
+            ax.tripcolor(x, y, cells, facecolors=np.zeros(len(cells)), **look)
+        handles = [Patch(facecolor=colour, edgecolor="0.4") for colour in COLOURS[: len(names)]]
         ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
-        ax.legend(handles, list(cells), loc="upper right", ncols=len(cells))
+        ax.legend(handles, list(names.values()), loc="upper right", ncols=len(names))
     return ax

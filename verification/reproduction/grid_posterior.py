@@ -10,20 +10,8 @@ from jaxtyping import Float
 from scipy.special import logsumexp
 from verification.reproduction.field_table import LoadCoordinates
 
-from strandline.errors import InvalidInput, NumericsError
+from strandline.errors import NumericsError
 from strandline.parameters import ParameterSpace
-
-__all__ = [
-    "Difference",
-    "GridPosterior",
-    "LogLikelihood",
-    "ProductGrid",
-    "Reading",
-    "compare",
-    "posterior_on_grid",
-    "product_grid",
-    "total_variation",
-]
 
 Reading = Literal["joint", "cut"]
 LogLikelihood = Callable[[Float[np.ndarray, "point 3"]], Float[np.ndarray, " point"]]
@@ -57,24 +45,10 @@ class ProductGrid:
 def product_grid(
     space: ParameterSpace, *, panels: tuple[int, int, int] = (64, 32, 24), rate: float | None = None
 ) -> ProductGrid:
-    """Return Gauss points on equal panels of log E, ν and V over the box of `space`.
+    """Return four Gauss points on each of equal panels of log E, ν and V over the box of `space`.
 
-    Args:
-        space: Space of E and nu, and of V_in unless `rate` is given.
-        panels: Number of panels in log E, ν and V, of four points each.
-        rate: Fixed inflow rate, mm²/s.
-
-    Raises:
-        InvalidInput: The space has other inputs.
+    The space has E and nu, and V_in unless its fixed value, `rate` in mm²/s, is given.
     """
-    wanted = {"E", "nu"} if rate is not None else {"E", "nu", "V_in"}
-    if set(space.names) != wanted:
-        raise InvalidInput(
-            "inputs of the posterior by quadrature",
-            value=list(space.names),
-            expected=f"{', '.join(sorted(wanted))}",
-            remedy="Give the inflow rate if, and only if, it is fixed.",
-        )
     softest, stiffest = space["E"].interval
     log_e, log_weight = _gauss(math.log(softest), math.log(stiffest), panels[0])
     nu, nu_weight = _gauss(*space["nu"].interval, panels[1])
@@ -102,7 +76,6 @@ class GridPosterior:
         mean: Mean of E and ν (2,).
         covariance: Covariance of E and ν (2, 2).
         log_evidence: log ∫ L p; also given for the cut reading, whose posterior does not use it.
-        log_evidence_at_rate: log Z(V) at the points in V.
         edge_mass: Mass that would lie beyond the soft end of the table if the likelihood kept its value there, as a
             share of the mass inside. Everywhere else that likelihood is taken as zero.
     """
@@ -112,7 +85,6 @@ class GridPosterior:
     mean: Float[np.ndarray, "2"]
     covariance: Float[np.ndarray, "2 2"]
     log_evidence: float
-    log_evidence_at_rate: Float[np.ndarray, " rate"]
     edge_mass: float
 
     @property
@@ -121,76 +93,67 @@ class GridPosterior:
         return np.asarray(np.sqrt(np.diagonal(self.covariance)))
 
 
-def posterior_on_grid(
+def posteriors_on_grid(
     log_likelihood: LogLikelihood,
     space: ParameterSpace,
     grid: ProductGrid,
     *,
-    reading: Reading = "joint",
     coordinates: LoadCoordinates | None = None,
-) -> GridPosterior:
-    """Integrate prior times likelihood.
+) -> dict[Reading, GridPosterior]:
+    """Integrate prior times likelihood in both readings of V, which are the same if V is fixed.
+
+    ``joint`` integrates V out of the posterior of all inputs; ``cut`` averages the posteriors at each V, each
+    normalised by its own evidence, over the prior of V: the data do not update V.
 
     Args:
         log_likelihood: Log-likelihood of the true model, or a surrogate's.
         space: The inputs with their priors.
         grid: Grid from `product_grid`, with V fixed or not.
-        reading: ``joint`` integrates V out of the posterior of all inputs; ``cut`` averages the posteriors at each V,
-            each normalised by its own evidence, over the prior of V: the data do not update V. The same if V is fixed.
         coordinates: Coordinates of the table behind the likelihood, for the mass at its soft end.
-
-    Raises:
-        NumericsError: No state exists in the box at a V that the prior admits.
     """
     log_area = np.log(grid.area)
     slices, edges = [], []
     for rate in grid.rate.tolist():
         x = grid.plane(rate)
-        prior = _log_prior(space, x, without_rate=True).reshape(log_area.shape)
-        slices.append(log_likelihood(x).reshape(log_area.shape) + prior)
+        slices.append((log_likelihood(x) + _log_prior(space, x)).reshape(log_area.shape))
         edges.append(-np.inf if coordinates is None else _log_edge(log_likelihood, space, grid, coordinates, rate))
     log_values = np.array(slices)
     log_z = logsumexp(log_values + log_area, axis=(1, 2))
     if not np.isfinite(log_z).all():
         where = float(grid.rate[np.argmin(np.isfinite(log_z))])
         raise NumericsError(f"the likelihood is zero all over the box at V_in = {where:g}; widen the box of E")
-    log_rate = np.log(grid.rate_weight) + _log_rate_prior(space, grid.rate)
+    fixed = "V_in" not in space.names
+    log_rate = np.log(grid.rate_weight) + (0.0 if fixed else space["V_in"].truncated_prior.log_density(grid.rate))
     evidence = float(logsumexp(log_rate + log_z))
-    log_weight = log_rate - log_z if reading == "cut" else log_rate - evidence
-    density = np.exp(logsumexp(log_values + log_weight[:, None, None], axis=0))
-    edge = float(np.exp(logsumexp(np.array(edges) + log_weight)))
-    return _moments(grid, density, evidence, log_z, edge)
+    weights: dict[Reading, Float[np.ndarray, " rate"]] = {"joint": log_rate - evidence, "cut": log_rate - log_z}
+    found = {}
+    for reading, log_weight in weights.items():
+        density = np.exp(logsumexp(log_values + log_weight[:, None, None], axis=0))
+        edge = float(np.exp(logsumexp(np.array(edges) + log_weight)))
+        found[reading] = _normalised(grid, density, evidence, edge)
+    return found
 
 
-def _moments(
-    grid: ProductGrid,
-    density: Float[np.ndarray, "e nu"],
-    evidence: float,
-    log_z: Float[np.ndarray, " rate"],
-    edge: float,
-) -> GridPosterior:
+def posterior_on_grid(log_likelihood: LogLikelihood, space: ParameterSpace, grid: ProductGrid) -> GridPosterior:
+    """Return the joint reading, the posterior if V is fixed."""
+    return posteriors_on_grid(log_likelihood, space, grid)["joint"]
+
+
+def _normalised(grid: ProductGrid, density: Float[np.ndarray, "e nu"], evidence: float, edge: float) -> GridPosterior:
     mass = density * grid.area
     total = float(mass.sum())
     mass = mass / total
     x = np.stack(np.meshgrid(grid.young, grid.nu, indexing="ij"), axis=-1)
     mean = np.einsum("ij,ijk->k", mass, x)
     covariance = np.einsum("ij,ijk,ijl->kl", mass, x - mean, x - mean)
-    return GridPosterior(grid, density / total, mean, covariance, evidence, log_z, edge / total)
+    return GridPosterior(grid, density / total, mean, covariance, evidence, edge / total)
 
 
-def _log_prior(
-    space: ParameterSpace, x: Float[np.ndarray, "point 3"], *, without_rate: bool
-) -> Float[np.ndarray, " point"]:
-    names = [name for name in space.names if not (without_rate and name == "V_in")]
+def _log_prior(space: ParameterSpace, x: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " point"]:
+    """Return the log prior of E and ν."""
     columns = {name: x[:, k] for k, name in enumerate(LoadCoordinates.names)}
+    names = [name for name in space.names if name != "V_in"]
     return np.asarray(sum(space[name].truncated_prior.log_density(columns[name]) for name in names))
-
-
-def _log_rate_prior(space: ParameterSpace, rate: Float[np.ndarray, " rate"]) -> Float[np.ndarray, " rate"]:
-    """Return the log prior of V; a fixed V has the prior 1."""
-    if "V_in" not in space.names:
-        return np.zeros(len(rate))
-    return np.asarray(space["V_in"].truncated_prior.log_density(rate))
 
 
 def _log_edge(
@@ -203,50 +166,34 @@ def _log_edge(
     if not (beyond > 0).any():
         return -np.inf
     x = np.stack([np.maximum(softest, low), grid.nu, np.full(len(grid.nu), rate)], axis=1)
-    values = log_likelihood(x) + _log_prior(space, x, without_rate=True)
+    values = log_likelihood(x) + _log_prior(space, x)
     return float(logsumexp(values, b=beyond * grid.nu_weight))
 
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """The difference of one posterior from another, in the other's standard deviations.
+    """The difference of one posterior from another.
 
     Args:
-        mean: Difference of the means, in standard deviations.
+        mean: Difference of the means, in the other's standard deviations.
         sd_ratio: Ratio of the standard deviations minus 1.
-        correlation: Difference of the correlations of E and ν.
         log_evidence: Difference of the log evidences.
-        total_variation: ½ ∫ |p - q|; None for grids of different sizes.
+        total_variation: ½ ∫ |p - q| over the (E, ν) plane: 0 for equal densities, 1 for densities that do not overlap;
+            None for different grids.
     """
 
     mean: Float[np.ndarray, "2"]
     sd_ratio: Float[np.ndarray, "2"]
-    correlation: float
     log_evidence: float
     total_variation: float | None
 
 
 def compare(one: GridPosterior, other: GridPosterior) -> Difference:
     """Return the difference of `one` from `other`."""
-    a, b = (p.covariance[0, 1] / p.sd.prod() for p in (one, other))
+    same = np.array_equal(one.grid.young, other.grid.young) and np.array_equal(one.grid.nu, other.grid.nu)
     return Difference(
         mean=(one.mean - other.mean) / other.sd,
         sd_ratio=one.sd / other.sd - 1,
-        correlation=float(a - b),
         log_evidence=one.log_evidence - other.log_evidence,
-        total_variation=total_variation(one, other) if one.density.shape == other.density.shape else None,
+        total_variation=float(0.5 * np.sum(np.abs(one.density - other.density) * one.grid.area)) if same else None,
     )
-
-
-def total_variation(one: GridPosterior, other: GridPosterior) -> float:
-    """Return ½ ∫ |p - q| over the (E, ν) plane: 0 for equal densities, 1 for densities that do not overlap.
-
-    Raises:
-        InvalidInput: The grids differ.
-    """
-    same = np.array_equal(one.grid.young, other.grid.young) and np.array_equal(one.grid.nu, other.grid.nu)
-    if not same:
-        raise InvalidInput(
-            "grids of two posteriors", value="different points", expected="the same", remedy="Use one grid for both."
-        )
-    return float(0.5 * np.sum(np.abs(one.density - other.density) * one.grid.area))

@@ -9,21 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import find_peaks
 
-from strandline.parameters import Parameter
 from strandline.posterior import GaussianApproximation, KernelDensity, Posterior, Weighted, histogram
-
-__all__ = [
-    "Claim",
-    "LikelihoodField",
-    "Verdict",
-    "angle_between_axes",
-    "correlation_ratio",
-    "density_over_prior",
-    "distance_to_prior",
-    "mass_within",
-    "modes",
-    "plateau",
-]
 
 Verdict = Literal["confirmed", "refuted", "differs"]
 _GRID = 401
@@ -60,13 +46,7 @@ class Claim:
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodField:
-    """A log-likelihood on a grid of two inputs.
-
-    Args:
-        x: Grid of the first input (x,).
-        y: Grid of the second input (y,).
-        values: Log-likelihood (x, y).
-    """
+    """A log-likelihood on a grid of two inputs."""
 
     x: Float[np.ndarray, " x"]
     y: Float[np.ndarray, " y"]
@@ -82,6 +62,12 @@ class LikelihoodField:
         """Return the share of the box where the likelihood exceeds `fraction` of its maximum."""
         return float(np.mean(self.values > self.values.max() + np.log(fraction)))
 
+    def at(self, points: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, " point"]:
+        """Return the log-likelihood at the grid points next to `points`."""
+        i = np.abs(self.x[:, None] - points[:, 0]).argmin(axis=0)
+        j = np.abs(self.y[:, None] - points[:, 1]).argmin(axis=0)
+        return np.asarray(self.values[i, j])
+
     @property
     def ridge(self) -> Float[np.ndarray, " y"]:
         """The value of the first input with the highest likelihood at each value of the second (y,)."""
@@ -90,35 +76,34 @@ class LikelihoodField:
 
 def modes(posterior: Posterior, name: str) -> list[float]:
     """Return the local maxima of the kernel density estimate of a marginal, the highest first."""
-    parameter = posterior.space[name]
-    grid, density = _marginal(posterior, parameter)
+    grid, density = _marginal(posterior, name)
     padded = np.concatenate([[0.0], density, [0.0]])
     found, _ = find_peaks(padded, prominence=PROMINENCE * density.max())
     ordered = sorted(found - 1, key=lambda i: -density[i])
     return [float(grid[i]) for i in ordered]
 
 
-def plateau(posterior: Posterior, name: str, *, level: float = 0.8) -> float:
-    """Return the length over which a marginal exceeds `level` times its maximum, in its standard deviations.
+def plateau(posterior: Posterior, name: str) -> float:
+    """Return the length over which a marginal exceeds 0.8 of its maximum, in its standard deviations.
 
-    At a level of 0.8 it is 1.34 for a Gaussian and √12 = 3.46 for a uniform density.
+    It is 1.34 for a Gaussian and √12 = 3.46 for a uniform density.
     """
-    grid, density = _marginal(posterior, posterior.space[name])
+    grid, density = _marginal(posterior, name)
     step = grid[1] - grid[0]
     (sd,) = Weighted(posterior.columns([name]), posterior.weights).sd
-    return float(step * np.count_nonzero(density >= level * density.max()) / sd)
+    return float(step * np.count_nonzero(density >= 0.8 * density.max()) / sd)
 
 
-def distance_to_prior(posterior: Posterior, name: str, *, bins: int = 30) -> float:
+def distance_to_prior(posterior: Posterior, name: str) -> float:
     """Return the total variation between a marginal and its prior, both as histograms over the box."""
-    _, mass, prior = _beside_prior(posterior, name, bins)
+    _, mass, prior = _beside_prior(posterior, name)
     return float(0.5 * np.abs(mass - prior).sum())
 
 
-def density_over_prior(posterior: Posterior, name: str, value: float, *, bins: int = 30) -> float:
+def density_over_prior(posterior: Posterior, name: str, value: float) -> float:
     """Return the ratio of a marginal to its prior at `value`, both as histograms over the box."""
-    edges, mass, prior = _beside_prior(posterior, name, bins)
-    at = int(np.clip(np.searchsorted(edges, value, side="right") - 1, 0, bins - 1))
+    edges, mass, prior = _beside_prior(posterior, name)
+    at = int(np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(mass) - 1))
     return float(mass[at] / prior[at])
 
 
@@ -162,7 +147,7 @@ def _finite(value: Any) -> Any:
 
 
 def _beside_prior(
-    posterior: Posterior, name: str, bins: int
+    posterior: Posterior, name: str, bins: int = 30
 ) -> tuple[Float[np.ndarray, " edge"], Float[np.ndarray, " bin"], Float[np.ndarray, " bin"]]:
     """Return the edges of bins over the box, and the mass of a marginal and of its prior in each bin."""
     parameter = posterior.space[name]
@@ -171,10 +156,9 @@ def _beside_prior(
     return bars.edges, bars.mass, np.diff(below)
 
 
-def _marginal(
-    posterior: Posterior, parameter: Parameter
-) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
+def _marginal(posterior: Posterior, name: str) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
     """Return a grid over the box and the kernel density estimate there."""
-    grid = np.linspace(*parameter.interval, _GRID)
-    estimate = KernelDensity.fit(posterior.columns([parameter.name]), posterior.weights, bounds=[parameter.interval])
+    interval = posterior.space[name].interval
+    grid = np.linspace(*interval, _GRID)
+    estimate = KernelDensity.fit(posterior.columns([name]), posterior.weights, bounds=[interval])
     return grid, np.asarray(estimate.density(grid[:, None]))

@@ -1,37 +1,172 @@
-"""reproduction/report.html and claims.json."""
+"""reproduction/report.html and claims.json, and the tables in them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from verification.reproduction.evidence import Evidence
+import numpy as np
+from jaxtyping import Float
+from verification.reproduction.designs import FITTED, MEAN_WITHIN, READINGS, SD_WITHIN, runs_to_find
+from verification.reproduction.evidence import RULES, Cost, Evidence
+from verification.reproduction.figures import Picture, draw
 from verification.reproduction.judgement import Claim
-from verification.reproduction.pictures import Picture
-from verification.reproduction.tables import (
-    Table,
-    against_truth,
-    as_json,
-    checks,
-    cost,
-    larger,
-    sensitivities,
-    uncertain_against_truth,
-)
+from verification.reproduction.truth import TruePosterior
 
 from strandline import __version__
 from strandline.report import template
 from strandline.studies.folder import whole_file, write_json
 
-__all__ = ["write_claims", "write_page"]
-
-
 WORDS = {"map": "MAP", "mean": "mean"}
 """Names on the page for the keys of a claim's numbers."""
+Cell = str | float | int | None
 
 
 @dataclass(frozen=True)
-class Section:
+class Table:
+    """A table: names of its columns, rows of numbers and words, and a note below."""
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    note: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the table as stored in claims.json."""
+        return {"columns": list(self.columns), "rows": [list(row) for row in self.rows]}
+
+
+TRUTH_COLUMNS = ("posterior", "input", "mean", "true model", "off, sd", "sd", "true model", "ratio")
+INPUTS = ("E [Pa]", "ν")
+
+
+def against_truth(evidence: Evidence) -> Table:
+    """Return the posterior of S3 from the sampler against the true model, by quadrature rule."""
+    rows: list[tuple[Cell, ...]] = []
+    for rule, end in RULES.items():
+        posterior = evidence.outcomes[f"biofilm-uniform{end}"].calibration.posterior
+        rows += _truth_rows(rule, posterior.mean, posterior.sd, evidence.truths.certain[rule])
+    errors, truth = evidence.truths.errors, evidence.truths.certain
+    worst = max(float(np.abs(t.from_half_table.mean).max()) for t in truth.values())
+    return Table(
+        TRUTH_COLUMNS,
+        tuple(rows),
+        f"The true model's posterior comes from a table of {evidence.truths.table.runs} forward runs, the interface "
+        f"interpolated between them. At {len(errors)} further runs the median error of the table is "
+        f"{1e3 * float(np.median(errors)):.2g} µm and the largest {1e3 * errors.max():.2g} µm; "
+        f"a table of half the intervals moves a mean by at most {worst:.2g} sd.",
+    )
+
+
+def uncertain_against_truth(evidence: Evidence) -> Table:
+    """Return the posterior of S5, joint and cut, from the sampler and from quadrature, against the true model."""
+    truths = evidence.truths.uncertain
+    rows: list[tuple[Cell, ...]] = []
+    for rule, end in RULES.items():
+        outcome = evidence.outcomes[f"biofilm-inflow{end}"]
+        found = outcome.calibration.under_uncertainty
+        assert found is not None
+        of_cut = outcome.summary["under_uncertainty"]["cut"]["quadrature_check"]
+        for name, reading, check, truth in (
+            ("joint", found.joint, outcome.summary["quadrature_check"], truths[rule]["joint"]),
+            ("cut", found.cut, of_cut, truths[rule]["cut"]),
+        ):
+            rows += _truth_rows(f"{name}, {rule}", reading.mean, reading.sd, truth)
+            mean, sd = (np.array([check[key][figure] for key in ("E", "nu")]) for figure in ("mean", "sd"))
+            rows += _truth_rows(f"{name}, {rule}, by quadrature", mean, sd, truth)
+    halves = [truth for both in truths.values() for truth in both.values()]
+    worst = max(float(np.abs(t.from_half_table.mean).max()) for t in halves)
+    edge = max(t.posterior.edge_mass for t in halves)
+    return Table(
+        TRUTH_COLUMNS,
+        tuple(rows),
+        "The surrogate's posterior from the sampler's particles and, to check them, from quadrature, each against the "
+        f"true model. A table of half the intervals moves a mean of the true model by at most {worst:.2g} sd. If the "
+        f"likelihood beyond the soft end of the table were as it is at that end, {100 * edge:.2g} % of the mass would "
+        "lie there.",
+    )
+
+
+def larger(evidence: Evidence) -> Table:
+    """Return how far the surrogate of S5 is from the true model with more runs, and how many runs it needs."""
+    rows: list[tuple[Cell, ...]] = []
+    words = []
+    for rule, designs in evidence.larger.items():
+        for reading in READINGS:
+            for design in designs:
+                off = design.differences[reading]
+                figures = (off.mean[0], 1 + off.sd_ratio[0], off.mean[1], 1 + off.sd_ratio[1])
+                name = f"{reading}, {rule}" if design is designs[0] else ""
+                found = "yes" if design.found(reading) else "no"
+                rows.append((name, design.runs, *(float(v) for v in figures), found))
+            runs = runs_to_find(designs, reading)
+            words.append(f"{reading}, {rule}: " + (f"{runs}" if runs else f"more than {designs[-1].runs}"))
+    return Table(
+        ("posterior", "runs", "E: off, sd", "ratio of sd", "ν: off, sd", "ratio of sd", "found"),
+        tuple(rows),
+        f"The surrogate of S5 with more runs, by quadrature, against the true model; no forward run is made, the "
+        f"log-likelihood of the design comes from the table, and hyperparameters from its first {FITTED} runs. Found: "
+        f"means within {MEAN_WITHIN:g} sd and standard deviations within {100 * SD_WITHIN:g} %. Runs needed: "
+        + "; ".join(words)
+        + ".",
+    )
+
+
+def _truth_rows(
+    name: str, mean: Float[np.ndarray, " dim"], sd: Float[np.ndarray, " dim"], truth: TruePosterior
+) -> list[tuple[Cell, ...]]:
+    """Return a row for each input: the posterior's figures and those of the true model."""
+    exact = truth.posterior
+    return [
+        (name if k == 0 else "", label, float(mean[k]), float(exact.mean[k]),
+         float((mean[k] - exact.mean[k]) / exact.sd[k]), float(sd[k]), float(exact.sd[k]), float(sd[k] / exact.sd[k]))
+        for k, label in enumerate(INPUTS)
+    ]  # fmt: skip
+
+
+def checks(evidence: Evidence, names: Sequence[str]) -> Table:
+    """Return the checks of posteriors with the true model."""
+    rows: list[tuple[Cell, ...]] = []
+    for name in names:
+        content = evidence.checks[name].content
+        shifts = {key: item["shift"] for key, item in content["inputs"].items()}
+        worst = max(shifts, key=lambda key: abs(shifts[key]))
+        true, surrogate = (float(np.median(content["particles"][k])) for k in ("true", "surrogate"))
+        rows.append((name, content["draws"], content["runs"]["failed"], content["k_hat"], content["verdict"],
+                     content["ess"], surrogate, true, f"{worst}: {shifts[worst]:+.2f}"))  # fmt: skip
+    return Table(
+        ("study", "draws", "failed", "k̂", "verdict", "effective draws", "median log L, surrogate", "true",
+         "largest shift, sd"),
+        tuple(rows),
+        "k̂ is the shape of the Pareto distribution fitted to the largest importance weights: below 0.5 the reweighted "
+        "moments can be trusted, above 0.7 nothing can. If nearly all draws are effective, the surrogate's posterior "
+        "is the true one, and the tail that k̂ describes does not matter.",
+    )  # fmt: skip
+
+
+def sensitivities(evidence: Evidence, name: str) -> tuple[Table, ...]:
+    """Return the Sobol indices of a study's log-likelihood, first order and total, if it has them."""
+    inputs = (evidence.outcomes[name].summary.get("sensitivity") or {"inputs": {}})["inputs"]
+    rows = tuple((name, key, item["first"], item["total"]) for key, item in inputs.items())
+    note = "Sobol indices of the surrogate of the log-likelihood under the prior: shares of its variance."
+    return (Table(("study", "input", "first order", "total"), rows, note),) if rows else ()
+
+
+def cost(costs: Sequence[Cost]) -> Table:
+    """Return the runs and seconds of each part of the work, and their sums."""
+    stages = list(dict.fromkeys(stage for c in costs for stage in c.seconds))
+    rows: list[tuple[Cell, ...]] = [
+        (c.name, c.made, c.reused, sum(c.seconds.values()), *(c.seconds.get(stage) for stage in stages)) for c in costs
+    ]
+    total = sum(sum(c.seconds.values()) for c in costs)
+    rows.append(("in all", sum(c.made for c in costs), sum(c.reused for c in costs), total, *(None for _ in stages)))
+    return Table(
+        ("part", "runs made", "runs found", "seconds", *stages),
+        tuple(rows),
+        f"{total / 60:.0f} minutes in all. A run found in a ledger is not made again.",
+    )
+
+
+class Section(NamedTuple):
     """One example of the study: titles, tables, pictures, claims."""
 
     key: str
@@ -56,8 +191,7 @@ def sections(evidence: Evidence, pictures: Mapping[str, Picture]) -> tuple[Secti
         chosen = (p for n, p in pictures.items() if n.split(",")[0].rstrip("abcd") in numbers or n in numbers)
         return tuple(sorted(chosen, key=_place))
 
-    indices = {name: sensitivities(evidence, [name]) for name in ("biofilm-inflow", "biofilm-parts")}
-    inflow, parts = (() if table is None else (table,) for table in indices.values())
+    inflow, parts = (sensitivities(evidence, name) for name in ("biofilm-inflow", "biofilm-parts"))
     by_parts = [name for name in evidence.checks if name.startswith("biofilm-parts")]
     others = [name for name in evidence.checks if name not in by_parts]
     return (
@@ -87,18 +221,15 @@ def compared(claim: Claim) -> list[tuple[str, float, float]]:
     ]
 
 
-def write_page(
-    evidence: Evidence, claims: Mapping[str, Claim], pictures: Sequence[Picture], folder: Path, seconds: float
-) -> Path:
+def write_page(evidence: Evidence, claims: Mapping[str, Claim], folder: Path) -> Path:
     """Write report.html into `folder`, whole or not at all, and return its path."""
-    named = {picture.number: picture for picture in pictures}
+    named = {picture.number: picture for picture in draw(evidence)}
     text = template("reproduction.html.j2", package="verification.reproduction").render(
         version=__version__,
         claims=claims,
         compared=compared,
         sections=sections(evidence, named),
         cost=cost(evidence.costs),
-        seconds=seconds,
     )
     path = folder / "report.html"
     with whole_file(path) as unfinished:
@@ -115,11 +246,11 @@ def write_claims(evidence: Evidence, claims: Mapping[str, Claim], folder: Path, 
         for name, check in evidence.checks.items()
     }
     content["truth"] = {
-        "uniform": as_json(against_truth(evidence)),
-        "uncertain_inflow": as_json(uncertain_against_truth(evidence)),
-        "uncertain_inflow_with_more_runs": as_json(larger(evidence)),
+        "uniform": against_truth(evidence).as_json(),
+        "uncertain_inflow": uncertain_against_truth(evidence).as_json(),
+        "uncertain_inflow_with_more_runs": larger(evidence).as_json(),
     }
-    content["cost"] = as_json(cost(evidence.costs)) | {"seconds": seconds}
+    content["cost"] = cost(evidence.costs).as_json() | {"seconds": seconds}
     path = folder / "claims.json"
     write_json(path, content)
     return path

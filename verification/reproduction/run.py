@@ -4,17 +4,17 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from verification.reproduction.evidence import Evidence, Plan, gather, require_studies
-from verification.reproduction.judge import judge
-from verification.reproduction.judgement import Claim
+import numpy as np
+from verification.reproduction import claims
+from verification.reproduction.evidence import RULES, Evidence, Plan, gather, require_studies
+from verification.reproduction.judgement import Claim, LikelihoodField
 from verification.reproduction.page import write_claims, write_page
-from verification.reproduction.pictures import draw
 
-from strandline.calibration import Observer
+from strandline.calibration import Calibration, Observer
 from strandline.runs import Executor
 from strandline.studies.folder import told_if_unwritable
 
-__all__ = ["Reproduction", "reproduce"]
+GRID = 241
 
 
 @dataclass(frozen=True)
@@ -45,18 +45,65 @@ def reproduce(
         plan: Extent of the work in addition to the studies.
         executor: Executor of forward runs; by default that of the studies.
         observer: Observer of the progress.
-
-    Raises:
-        InvalidInput: A study is missing; also everything that `run_study` and `check_posterior` raise.
     """
     begun, tell = time.perf_counter(), observer or Observer()
     require_studies(studies)
     with told_if_unwritable(folder):
         folder.mkdir(parents=True, exist_ok=True)
     evidence = gather(studies, folder, plan=plan or Plan(), executor=executor, observer=tell)
-    claims = judge(evidence)
+    judged = judge(evidence)
     tell.stage("page")
-    pictures = list(draw(evidence))
-    seconds = time.perf_counter() - begun
-    page = write_page(evidence, claims, pictures, folder, seconds)
-    return Reproduction(evidence, claims, page, write_claims(evidence, claims, folder, seconds))
+    page = write_page(evidence, judged, folder)
+    return Reproduction(evidence, judged, page, write_claims(evidence, judged, folder, time.perf_counter() - begun))
+
+
+def judge(evidence: Evidence) -> dict[str, Claim]:
+    """Return the claims by key, C1 to C10; every verdict follows from numbers."""
+    found = {name: outcome.calibration for name, outcome in evidence.outcomes.items()}
+    uniform, refined, measures = (found[f"biofilm-{n}"] for n in ("uniform", "uniform-refined", "measures"))
+    truth, space = evidence.studies["biofilm-uniform"].truth or {}, uniform.problem.space
+    at = [truth[name] for name in space.names]
+    spacing = ((space.high - space.low) / np.sqrt(len(measures.records))).tolist()
+    fields = likelihood_fields(measures)
+    nested = {rule: {step.runs: step for step in steps} for rule, steps in evidence.nested.items()}
+    convergence, truths = evidence.convergence, evidence.truths
+    judged = (
+        claims.ridge_and_peak(fields, at, uniform.posterior, spacing),
+        claims.measures_compared(fields),
+        claims.failed_where_unlikely(measures.records, fields, space.names),
+        claims.training_size(
+            {rule: {n: s.total_variation for n, s in steps.items()} for rule, steps in nested.items()},
+            {rule: {n: s.maximum_likelihood.tolist() for n, s in steps.items()} for rule, steps in nested.items()},
+            at,
+        ),
+        claims.uniform_prior(uniform.posterior, refined.posterior),
+        claims.laplace_misleads({"centre": uniform, "refined": refined}),
+        claims.informed_prior(found["biofilm-informed"].posterior, uniform.posterior),
+        claims.uncertain_inflow(
+            evidence.outcomes["biofilm-inflow"].summary["under_uncertainty"],
+            uniform.posterior,
+            {reading: one.posterior for reading, one in truths.uncertain["centre"].items()},
+            truths.certain["centre"].posterior,
+        ),
+        claims.heterogeneous(
+            found["biofilm-parts"].posterior,
+            {name: check.content for name, check in evidence.checks.items() if name.startswith("biofilm-parts")},
+            evidence.studies["biofilm-parts"].truth or {},
+        ),
+        claims.more_runs(
+            convergence["centre"].sizes,
+            {f"log-likelihood, {rule}": convergence[rule].log_likelihood for rule in RULES}
+            | {f"likelihood, {rule}": convergence[rule].likelihood for rule in RULES},
+        ),
+    )
+    return {claim.key: claim for claim in judged}
+
+
+def likelihood_fields(calibration: Calibration) -> dict[str, LikelihoodField]:
+    """Return the mean of each measure's surrogate on a grid over the box of two inputs."""
+    x, y = (np.linspace(*parameter.interval, GRID) for parameter in calibration.problem.space)
+    points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    return {
+        name: LikelihoodField(x, y, surrogate.process.mean(points).reshape(GRID, GRID))
+        for name, surrogate in calibration.surrogates.items()
+    }

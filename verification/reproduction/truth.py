@@ -8,91 +8,139 @@ inflow rate or reading of an uncertain one needs no new evaluation of the measur
 
 from dataclasses import dataclass
 
-from verification.reproduction.field_table import FieldTable
+import jax
+import numpy as np
+from jaxtyping import Float
+from scipy.interpolate import NdBSpline, make_interp_spline
+from verification.reproduction.field_table import FieldTable, LoadCoordinates
 from verification.reproduction.grid_posterior import (
     Difference,
     GridPosterior,
-    ProductGrid,
     Reading,
     compare,
-    posterior_on_grid,
+    posteriors_on_grid,
     product_grid,
 )
-from verification.reproduction.log_likelihood_field import LogLikelihoodField, log_likelihood_field
 
+from strandline.discrepancy import squared_discrepancies
+from strandline.interface import Interface
 from strandline.likelihood import InterfaceLikelihood
 from strandline.parameters import ParameterSpace
 
-__all__ = ["TruePosterior", "true_fields", "true_posterior"]
+_SPLINE_DEGREE = 5
 
 
 @dataclass(frozen=True, eq=False)
-class TruePosterior:
-    """The posterior of the true model with its own errors.
+class LogLikelihoodField:
+    """log L on the box of a table as a tensor spline; -inf outside it.
 
     Args:
-        posterior: Posterior with the finest discretisation.
-        field: Log-likelihood behind it.
-        from_half_table: Difference of the posterior from the nested table of half the intervals.
-        from_half_field: Difference of the posterior from every second node of the log-likelihood.
-        from_half_grid: Difference of the posterior on half the panels.
+        coordinates: Coordinates of the box.
+        axes: Nodes of each box coordinate; with a single node the field is constant in it.
+        values: log L at the nodes.
+        spline: Spline through the values, over the coordinates with more than one node.
     """
 
-    posterior: GridPosterior
-    field: LogLikelihoodField
-    from_half_table: Difference
-    from_half_field: Difference
-    from_half_grid: Difference
+    coordinates: LoadCoordinates
+    axes: tuple[Float[np.ndarray, " s"], Float[np.ndarray, " nu"], Float[np.ndarray, " rate"]]
+    values: Float[np.ndarray, "s nu rate"]
+    spline: NdBSpline
+
+    def __call__(self, x: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, " point"]:
+        """Return log L at (E, ν, V)."""
+        result = np.full(len(x), -np.inf)
+        inside = self.coordinates.inside(x)
+        z = np.clip(self.coordinates.to_box(x[inside]), [-1.0, -1.0, -np.inf], 1.0)
+        varying = [k for k, axis in enumerate(self.axes) if len(axis) > 1]
+        if inside.any():
+            result[inside] = self.spline(np.ascontiguousarray(z[:, varying]))
+        return result
+
+    def halved(self) -> "LogLikelihoodField":
+        """Return the field through every second node."""
+        a, b, c = (axis[::2] for axis in self.axes)
+        return spline_field(self.coordinates, (a, b, c), self.values[::2, ::2, ::2])
 
 
-def true_posterior(
+def log_likelihood_field(
     table: FieldTable,
     likelihood: InterfaceLikelihood,
-    space: ParameterSpace,
     *,
-    rate: float | None = None,
-    reading: Reading = "joint",
     nodes: tuple[int, int, int] = (97, 41, 33),
-    panels: tuple[int, int, int] = (64, 32, 24),
-    fields: tuple[LogLikelihoodField, LogLikelihoodField] | None = None,
-) -> TruePosterior:
-    """Return the posterior of the true model and the effect of halving each of its three discretisations.
+    rate: float | None = None,
+) -> LogLikelihoodField:
+    """Return the log-likelihood of one observed polyline, without its constant, on equally spaced nodes.
 
     Args:
         table: Table of the interfaces.
         likelihood: Likelihood of one observation.
-        space: Space of E and nu, and of V_in unless `rate` is given.
-        rate: Fixed inflow rate, mm²/s.
-        reading: Reading of an uncertain inflow rate.
-        nodes: Number of nodes of the log-likelihood in s, ν and V.
-        panels: Number of panels of the quadrature in log E, ν and V, even.
-        fields: Log-likelihoods of `table` and of its halved table from `true_fields`, if already known.
+        nodes: Number of nodes in s, ν and V, at least 11 each (the halved field needs 6); odd numbers are nested.
+        rate: Fixed inflow rate, which has one node; then `nodes[2]` is not used.
     """
-    field, coarse = fields or true_fields(table, likelihood, nodes=nodes, rate=rate)
-    grid = product_grid(space, panels=panels, rate=rate)
-    half_grid = product_grid(space, panels=(panels[0] // 2, panels[1] // 2, panels[2] // 2), rate=rate)
+    s, nu = (np.linspace(-1.0, 1.0, n) for n in nodes[:2])
+    low, high = table.coordinates.rate
+    rates = np.linspace(-1.0, 1.0, nodes[2]) if rate is None else np.array([2 * (rate - low) / (high - low) - 1])
+    values = np.empty((len(s), len(nu), len(rates)))
+    (seen,) = likelihood.observations
+    jax.config.update("jax_enable_x64", True)
+    for i in range(len(s)):
+        for k in range(len(rates)):
+            shapes = table.on_grid(s[i : i + 1], nu, rates[k : k + 1])[0, :, 0]
+            template = Interface.polyline(shapes[0])
+            squares = squared_discrepancies(likelihood.discrepancy, shapes, template, seen.interface)
+            values[i, :, k] = seen.noise.log_density(squares)
+    return spline_field(table.coordinates, (s, nu, rates), values)
 
-    def result(source: LogLikelihoodField, points: ProductGrid) -> GridPosterior:
-        return posterior_on_grid(source, space, points, reading=reading, coordinates=table.coordinates)
 
-    best = result(field, grid)
-    return TruePosterior(
-        posterior=best,
-        field=field,
-        from_half_table=compare(result(coarse, grid), best),
-        from_half_field=compare(result(field.halved(), grid), best),
-        from_half_grid=compare(result(field, half_grid), best),
-    )
+def spline_field(
+    coordinates: LoadCoordinates,
+    axes: tuple[Float[np.ndarray, " s"], Float[np.ndarray, " nu"], Float[np.ndarray, " rate"]],
+    values: Float[np.ndarray, "s nu rate"],
+) -> LogLikelihoodField:
+    """Return the field through values of log L at equally spaced nodes, at least six in a coordinate, or one."""
+    coefficients, knots = values, []
+    for k, axis in enumerate(axes):
+        if len(axis) > 1:
+            line = make_interp_spline(axis, np.moveaxis(coefficients, k, 0), k=_SPLINE_DEGREE)
+            coefficients = np.moveaxis(line.c, 0, k)
+            knots.append(line.t)
+    squeezed = np.ascontiguousarray(coefficients.reshape([len(axis) for axis in axes if len(axis) > 1]))
+    return LogLikelihoodField(coordinates, axes, values, NdBSpline(tuple(knots), squeezed, k=_SPLINE_DEGREE))
 
 
 def true_fields(
-    table: FieldTable,
-    likelihood: InterfaceLikelihood,
-    *,
-    nodes: tuple[int, int, int] = (97, 41, 33),
-    rate: float | None = None,
+    table: FieldTable, likelihood: InterfaceLikelihood, *, nodes: tuple[int, int, int], rate: float | None = None
 ) -> tuple[LogLikelihoodField, LogLikelihoodField]:
     """Return the log-likelihood of a table and, on half the nodes, that of its nested table of half the intervals."""
-    fine = log_likelihood_field(table, likelihood, nodes=nodes, rate=rate)
     half = (nodes[0] // 2 + 1, nodes[1] // 2 + 1, nodes[2] // 2 + 1)
+    fine = log_likelihood_field(table, likelihood, nodes=nodes, rate=rate)
     return fine, log_likelihood_field(table.halved(), likelihood, nodes=half, rate=rate)
+
+
+@dataclass(frozen=True, eq=False)
+class TruePosterior:
+    """The posterior of the true model, its log-likelihood, and what half the intervals of the table change."""
+
+    posterior: GridPosterior
+    field: LogLikelihoodField
+    from_half_table: Difference
+
+
+def true_posteriors(
+    fields: tuple[LogLikelihoodField, LogLikelihoodField],
+    space: ParameterSpace,
+    *,
+    rate: float | None = None,
+    panels: tuple[int, int, int] = (64, 32, 24),
+) -> dict[Reading, TruePosterior]:
+    """Return the posterior of the true model in both readings of an uncertain inflow rate.
+
+    Args:
+        fields: Log-likelihoods of the table and of its halved table from `true_fields`.
+        space: Space of E and nu, and of V_in unless `rate` is given.
+        rate: Fixed inflow rate, mm²/s; then both readings are the same.
+        panels: Number of panels of the quadrature in log E, ν and V.
+    """
+    grid = product_grid(space, panels=panels, rate=rate)
+    best, half = (posteriors_on_grid(field, space, grid, coordinates=fields[0].coordinates) for field in fields)
+    return {reading: TruePosterior(best[reading], fields[0], compare(half[reading], best[reading])) for reading in best}

@@ -1,15 +1,13 @@
 """The benchmark: its aims, results and page, and peers, which must give our answer."""
 
-import json
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from verification.benchmarks import __main__ as bench
 from verification.benchmarks import page, results, sampler, surrogate, workers
 from verification.benchmarks.aims import AIMS, aim_of
-from verification.benchmarks.comparison import NotMeasured
+from verification.benchmarks.figures import Figure, NotMeasured
 
 from strandline.posterior.quadrature import integrate
 from strandline.surrogate import KERNELS
@@ -26,17 +24,29 @@ JUDGED = [
 
 def test_a_figure_has_its_aim_and_is_judged_by_it():
     for part, what, peer, ratio, bound, met in JUDGED:
-        seconds = {"ours": ratio and 2.0, "peer": ratio and 2.0 * ratio}
-        record = results.judged({"what": what, "peer_name": peer, **seconds, "ratio": ratio, "repeats": 3}, part)
-        assert (record["aim"], record["met"]) == (bound, met), (part, what, peer)
-    memory = {"what": "currents: d², 100352² triangles", "value": 1200.0, "unit": "MiB"}
+        ours, theirs = (2.0, 2.0 * ratio) if ratio else (None, None)
+        record = results.judged(Figure(what, ours=ours, peer_name=peer, peer=theirs, repeats=3), part)
+        assert (record["aim"], record["met"], record["ratio"]) == (bound, met, ratio), (part, what, peer)
+    memory = Figure("currents: d², 100352² triangles", "width 0.3", 1200.0, "MiB")
     assert results.judged(memory, "norms")["met"] is False
+
+
+def test_a_part_replaces_its_own_figures_and_aims_without_one_are_listed(tmp_path):
+    path = tmp_path / "results.json"
+    results.save("startup", [Figure("strandline --help", ours=9.0), Figure("strandline runs", ours=1.0)], path)
+    results.save("norms", [Figure("currents", remark="no memory")], path)
+    results.save("startup", [Figure("strandline --help", ours=0.1, remark="quick")], path)
+    missing = [one["what"] for one in results.load(path) if one["remark"] == results.MISSING]
+    assert sorted(missing) == sorted(aim.name for aim in AIMS if aim.name != "strandline --help")
+    norms, startup = (one for one in results.load(path) if one["remark"] != results.MISSING)
+    assert (norms["what"], norms["ours"], norms["remark"]) == ("currents", None, "not measured: no memory")
+    assert (startup["what"], startup["ours"], startup["met"]) == ("strandline --help", 0.1, True)
 
 
 def test_results_are_a_list_of_figures_every_aim_has_one_and_the_page_has_their_tables():
     found = results.load()
     for one in found:
-        assert one["part"] in bench.PARTS
+        assert one["part"] in results.PARTS
         assert one["ours"] is not None or one["remark"].startswith("not measured: ")
         if one["ratio"] is not None:
             np.testing.assert_allclose(one["ratio"], one["peer"] / one["ours"], rtol=1e-6)
@@ -45,7 +55,7 @@ def test_results_are_a_list_of_figures_every_aim_has_one_and_the_page_has_their_
         assert own, aim.name
         assert all(one["aim"] == aim.bound and one["met"] is aim.met(one) for one in own)
     written = page.PAGE.read_text("utf-8")
-    tables = list(page.tables(found, json.loads(results.MACHINE.read_text("utf-8"))))
+    tables = list(page.tables(found, results.load(results.MACHINE)))
     for table in tables:
         assert f"<!-- table: {table.name} -->\n{table.markdown()}\n<!-- end -->" in written
     assert written.count("<!-- table: bench_") == len(tables)
@@ -68,7 +78,7 @@ def test_programs_in_processes_of_their_own_take_turns_and_must_agree_or_be_ther
         (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
 
     def compared(ours, theirs):
-        scripts, where = (f"{ours}.py", f"{theirs}.py"), {"python": Path(sys.executable), "folder": tmp_path}
+        scripts, where = ([f"{ours}.py"], [f"{theirs}.py"]), {"python": Path(sys.executable), "folder": tmp_path}
         return workers.versus("task", "peer", scripts, {"x": np.ones(3)}, cores=1, repeats=2, **where)
 
     found = compared("same", "same")
@@ -87,7 +97,10 @@ def task():
 def test_peers_have_the_same_evidence_and_mean(task):
     assert all(surrogate.floor(name, 60).ours > 0 for name in KERNELS)
     assert surrogate.scikit_learn("matern32_product", 60).peer_name == "scikit-learn"
-    assert sampler.mean_of_seven(60, 40, 1).ours.evaluations == 40
+    seven = sampler.parts(60, 40)
+    assert sampler.mean_beside(seven, sampler.scikit_learn_of_seven(seven), "mean", 1).repeats == 1
+    beside_jax = surrogate.in_processes("JAX", "jax", Path(sys.executable), cores=1, runs=60)
+    assert beside_jax.remark.startswith("jax ")
     for written in (sampler.naive_mean, sampler.refactoring_mean):
         mean = written(task.process)
         found = np.array([mean(x) for x in task.initial[:8]])

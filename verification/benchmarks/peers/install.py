@@ -11,38 +11,32 @@ import re
 import subprocess
 import sys
 import venv
-from collections.abc import Callable, Sequence
 from pathlib import Path
 
 HERE = Path(__file__).parent
 FOLDER = HERE / ".venv"
-LISTS = ("requirements.txt", "requirements-torch.txt")
-OWN: dict[str, tuple[Path, tuple[str, ...]]] = {"pyvbmc": (HERE / ".venv-pyvbmc", ("requirements-pyvbmc.txt",))}
-"""Folder and lists of each further environment, by the argument that selects it."""
+OWN: dict[str, tuple[Path, tuple[str, ...]]] = {
+    "": (FOLDER, ("requirements.txt", "requirements-torch.txt")),
+    "pyvbmc": (HERE / ".venv-pyvbmc", ("requirements-pyvbmc.txt",)),
+}
+"""Folder and lists of each environment, by the argument that selects it."""
 NOTE = "not-installed.json"
 
-Runner = Callable[[Sequence[str]], "subprocess.CompletedProcess[str]"]
 
-
-def run(command: Sequence[str]) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run(command, capture_output=True, text=True)
-
-
-def install(folder: Path = FOLDER, *, lists: Sequence[Path] | None = None, runner: Runner = run) -> dict[str, str]:
+def install(folder: Path, names: tuple[str, ...]) -> dict[str, str]:
     """Install each list; return those that could not be installed, with the reason."""
-    wanted = [HERE / name for name in LISTS] if lists is None else lists
-    stamp, content = folder / "installed.txt", "\n".join(one.read_text("utf-8") for one in wanted)
+    stamp, content = folder / "installed.txt", "\n".join((HERE / name).read_text("utf-8") for name in names)
     if stamp.exists() and stamp.read_text("utf-8") == content:
         return {}
     try:
         venv.create(folder, with_pip=True)
     except (OSError, subprocess.CalledProcessError) as error:
-        return {one.name: f"no environment could be made: {error}" for one in wanted}
-    missing = {}
-    for one in wanted:
-        done = runner([str(folder / "bin" / "python"), "-m", "pip", "install", "--quiet", "-r", str(one)])
+        return dict.fromkeys(names, f"no environment could be made: {error}")
+    missing, pip = {}, [folder / "bin" / "python", "-m", "pip", "install", "--quiet", "-r"]
+    for name in names:
+        done = subprocess.run([*pip, HERE / name], capture_output=True, text=True)
         if done.returncode:
-            missing[one.name] = reason(done.stderr)
+            missing[name] = reason(done.stderr)
     (folder / NOTE).write_text(json.dumps(missing), encoding="utf-8")
     if not missing:
         stamp.write_text(content, encoding="utf-8")
@@ -62,12 +56,7 @@ def not_installed(folder: Path = FOLDER) -> str:
     return "; ".join(f"{name}: {why}" for name, why in missing.items())
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Install the peers of `make bench`, or those of the arguments in `OWN`, and print what is missing."""
-    for folder, names in [OWN[name] for name in arguments] if arguments else [(FOLDER, LISTS)]:
-        for name, why in install(folder, lists=[HERE / one for one in names]).items():
-            print(f"benchmarks: the peers of {name} are not measured: {why}", file=sys.stderr)
-
-
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    for argument in sys.argv[1:] or [""]:
+        for name, why in install(*OWN[argument]).items():
+            print(f"benchmarks: the peers of {name} are not measured: {why}", file=sys.stderr)

@@ -1,8 +1,9 @@
 """The part that the programs of all peers share: a task from a file, done on request and timed in its own process.
 
-A program is called with the path of an .npz. It writes one JSON object per line: ``{"ready": versions}`` after a first,
-unmeasured answer, then for each line that it reads ``{"wall": s, "cpu": s, "answer": [...]}``, until its input ends.
-The environment variable PEER_CORES limits its number of cores. It needs NumPy and knows nothing about strandline.
+A program is called with the path of an .npz as its last argument. It writes one JSON object per line: ``{"ready":
+versions}`` after a first, unmeasured answer, then for each line that it reads ``{"wall": s, "cpu": s, "answer":
+[...]}``, until its input ends. The environment variable PEER_CORES limits its number of cores. It needs NumPy and knows
+nothing about strandline.
 """
 
 import json
@@ -25,7 +26,7 @@ def serve(packages: Sequence[str], prepare: Callable[[Mapping[str, Any]], Task])
     limit_cores(int(os.environ.get(CORES, "1")))
     import numpy as np
 
-    with np.load(sys.argv[1]) as content:
+    with np.load(sys.argv[-1]) as content:
         task = prepare(dict(content))
     task()
     reply(replies, ready={package: metadata.version(package) for package in packages})

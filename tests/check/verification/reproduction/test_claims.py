@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 from scipy.special import logsumexp
-from verification.reproduction import claims, claims_parts
+from verification.reproduction import claims
 from verification.reproduction.grid_posterior import posterior_on_grid, product_grid
 from verification.reproduction.judgement import LikelihoodField
 
@@ -183,7 +183,7 @@ def heterogeneous(normals, verdict="good"):
         return sum(stats.norm.logpdf(column, mean, sd) for column, mean, sd in given)
 
     check = {"verdict": verdict, "k_hat": 0.3, "particles": {"true": [-2.0, -4.0, -3.0], "surrogate": [-1.0, -2.0]}}
-    return claims_parts.heterogeneous(weighted(log_density, PARTS), {"biofilm-parts": check}, TRUE_PARTS)
+    return claims.heterogeneous(weighted(log_density, PARTS), {"biofilm-parts": check}, TRUE_PARTS)
 
 
 def test_c9_two_inputs_gather_and_the_others_stay_broad_and_a_bad_check_settles_nothing():

@@ -7,9 +7,8 @@ import pytest
 from scipy.special import logsumexp
 from tests.check.verification.reproduction.folding import Folding
 from verification.reproduction.field_table import FieldTable, LoadCoordinates, tabulate, withheld
-from verification.reproduction.grid_posterior import posterior_on_grid, product_grid
-from verification.reproduction.log_likelihood_field import log_likelihood_field
-from verification.reproduction.truth import true_fields, true_posterior
+from verification.reproduction.grid_posterior import compare, posterior_on_grid, posteriors_on_grid, product_grid
+from verification.reproduction.truth import log_likelihood_field, true_fields, true_posteriors
 
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
@@ -74,8 +73,7 @@ def test_withheld_runs_see_a_table_with_swapped_axes(make_table, ledger):
     swapped = table.values.swapaxes(0, 1)[: len(table.axes[0])]
     wrong = FieldTable(table.coordinates, table.reference, table.axes, swapped, table.runs)
     bad = withheld(wrong, MODEL, x, ledger=ledger, executor=InProcess())
-    assert good.distance.max() < 1e-4 < 0.01 < bad.distance.max()
-    np.testing.assert_allclose(good.simulated, exact(x), atol=1e-15)
+    assert good.max() < 1e-4 < 0.01 < bad.max()
 
 
 TRUTH = (400.0, 0.3, 100.0)
@@ -142,14 +140,16 @@ def agree(posterior, reference, tolerance):
     return bool((np.abs(off) < tolerance).all())
 
 
-def test_posterior_at_a_known_rate_is_the_closed_form_and_a_rough_table_is_told(known, table, make_table):
+def test_posterior_at_a_known_rate_is_the_closed_form_and_a_rough_table_is_told(known, make_table):
     for space in (KNOWN, INFORMED):
-        result = true_posterior(table, LIKELIHOOD, space, rate=100.0, fields=known)
-        assert agree(result.posterior, by_hand(space, "joint", 100.0), 2e-3)
-        for half in (result.from_half_field, result.from_half_grid):
+        result = true_posteriors(known, space, rate=100.0)["joint"].posterior
+        assert agree(result, by_hand(space, "joint", 100.0), 2e-3)
+        grids = [product_grid(space, panels=panels, rate=100.0) for panels in ((64, 32, 24), (32, 16, 12))]
+        for field, grid in ((known[0].halved(), grids[0]), (known[0], grids[1])):
+            half = compare(posterior_on_grid(field, space, grid), result)
             assert np.abs([*half.mean, *half.sd_ratio, half.log_evidence]).max() < 5e-3
-    rough = true_posterior(make_table((4, 6, 2)), LIKELIHOOD, KNOWN, rate=100.0, nodes=NODES)
-    assert rough.from_half_table.total_variation > 0.02
+    rough = true_fields(make_table((4, 6, 2)), LIKELIHOOD, rate=100.0, nodes=NODES)
+    assert true_posteriors(rough, KNOWN, rate=100.0)["joint"].from_half_table.total_variation > 0.02
 
 
 def test_a_wrong_measure_weight_is_noticed(known):
@@ -161,7 +161,7 @@ def test_a_wrong_measure_weight_is_noticed(known):
 
 def test_posteriors_at_an_uncertain_rate_are_the_closed_form_and_neither_reading_passes_for_the_other(uncertain):
     grid = product_grid(UNCERTAIN, panels=(32, 16, 16))
-    found = {reading: posterior_on_grid(uncertain, UNCERTAIN, grid, reading=reading) for reading in ("joint", "cut")}
+    found = posteriors_on_grid(uncertain, UNCERTAIN, grid)
     for reading, other in (("joint", "cut"), ("cut", "joint")):
         assert agree(found[reading], by_hand(UNCERTAIN, reading), 0.01)
         assert not agree(found[reading], by_hand(UNCERTAIN, other), 0.05)
@@ -174,4 +174,5 @@ def test_field_is_the_likelihood_between_its_nodes_and_mass_beyond_the_soft_end_
     for young, least, most in ((400.0, 0.0, 1e-8), (280.0, 0.05, np.inf)):
         field = log_likelihood_field(table, likelihood_at(young, 0.3, 100.0), nodes=NODES, rate=100.0)
         grid = product_grid(KNOWN, rate=100.0)
-        assert least <= posterior_on_grid(field, KNOWN, grid, coordinates=table.coordinates).edge_mass < most
+        found = posteriors_on_grid(field, KNOWN, grid, coordinates=table.coordinates)["joint"]
+        assert least <= found.edge_mass < most
