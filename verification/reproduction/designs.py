@@ -20,6 +20,7 @@ from verification.reproduction.grid_posterior import (
     posterior_on_grid,
     posteriors_on_grid,
     product_grid,
+    total_variation,
 )
 from verification.reproduction.truth import LogLikelihoodField
 
@@ -85,10 +86,8 @@ def nested_surrogates(
         surrogate = fit_log_likelihood(inputs, values)
         process = surrogate.process
         found = posterior_on_grid(lambda x, p=process: p.mean(np.ascontiguousarray(x[:, :2])), space, truth.grid)
-        apart = compare(found, truth).total_variation
-        assert apart is not None
         best = _maximum_likelihood(process, inputs[np.argmax(values)], space)
-        steps.append(NestedStep(runs, len(inputs), surrogate, apart, best))
+        steps.append(NestedStep(runs, len(inputs), surrogate, total_variation(found, truth), best))
     return tuple(steps)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from verification.reproduction import designs
 from verification.reproduction.field_table import FieldTable, tabulate, withheld
 from verification.reproduction.grid_posterior import Reading
-from verification.reproduction.truth import TruePosterior, true_fields, true_posteriors
+from verification.reproduction.truth import NODES, TruePosterior, true_fields, true_posteriors
 
 from strandline.calibration import Observer
 from strandline.design import sobol
@@ -54,7 +54,7 @@ class Plan:
     """
 
     table: tuple[int, int, int] = (6, 10, 8)
-    nodes: tuple[int, int, int] = (97, 41, 33)
+    nodes: tuple[int, int, int] = NODES
     checks: int = 60
     nested: tuple[int, ...] = designs.NESTED
     larger: tuple[int, ...] = designs.LARGER

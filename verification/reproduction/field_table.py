@@ -102,7 +102,7 @@ class FieldTable:
     Args:
         coordinates: Coordinates of the box.
         reference: Interface without load, mm.
-        axes: Nodes of each coordinate.
+        axes: Nodes of each coordinate; with a single node the table is constant in it.
         values: Displacements, mm; the coordinates of all points in a row.
         runs: Number of forward runs in the table.
     """
@@ -139,11 +139,15 @@ class FieldTable:
 
 def lagrange(nodes: Float[np.ndarray, " node"], z: Float[np.ndarray, " point"]) -> Float[np.ndarray, "point node"]:
     """Return the Lagrange basis of `nodes` at `z`."""
+    if len(nodes) == 1:
+        return np.ones((len(z), 1))
     return np.asarray(BarycentricInterpolator(nodes, np.eye(len(nodes)))(z))
 
 
 def lobatto(intervals: int) -> Float[np.ndarray, " node"]:
-    """Return the Chebyshev–Lobatto nodes from -1 to 1."""
+    """Return the Chebyshev–Lobatto nodes from -1 to 1; only the upper end for 0 intervals."""
+    if intervals == 0:
+        return np.ones(1)
     return np.asarray(-np.cos(np.pi * np.arange(intervals + 1) / intervals))
 
 
@@ -161,7 +165,8 @@ def tabulate(
     Args:
         model: Model with the inputs E, nu and V_in.
         reference: Interface of the model without load.
-        intervals: Number of intervals in s, ν and V; even numbers have a nested table with half as many.
+        intervals: Number of intervals in s, ν and V; even numbers have a nested table with half as many. 0 in V fixes V
+            at its upper end.
         ledger: Ledger of this model.
         executor: Executor of the runs.
         coordinates: Box of the table; by default that of the built-in biofilm.

@@ -134,9 +134,15 @@ def posteriors_on_grid(
     return found
 
 
-def posterior_on_grid(log_likelihood: LogLikelihood, space: ParameterSpace, grid: ProductGrid) -> GridPosterior:
+def posterior_on_grid(
+    log_likelihood: LogLikelihood,
+    space: ParameterSpace,
+    grid: ProductGrid,
+    *,
+    coordinates: LoadCoordinates | None = None,
+) -> GridPosterior:
     """Return the joint reading, the posterior if V is fixed."""
-    return posteriors_on_grid(log_likelihood, space, grid)["joint"]
+    return posteriors_on_grid(log_likelihood, space, grid, coordinates=coordinates)["joint"]
 
 
 def _normalised(grid: ProductGrid, density: Float[np.ndarray, "e nu"], evidence: float, edge: float) -> GridPosterior:
@@ -178,8 +184,7 @@ class Difference:
         mean: Difference of the means, in the other's standard deviations.
         sd_ratio: Ratio of the standard deviations minus 1.
         log_evidence: Difference of the log evidences.
-        total_variation: ½ ∫ |p - q| over the (E, ν) plane: 0 for equal densities, 1 for densities that do not overlap;
-            None for different grids.
+        total_variation: Total variation between them; None for different grids.
     """
 
     mean: Float[np.ndarray, "2"]
@@ -195,5 +200,10 @@ def compare(one: GridPosterior, other: GridPosterior) -> Difference:
         mean=(one.mean - other.mean) / other.sd,
         sd_ratio=one.sd / other.sd - 1,
         log_evidence=one.log_evidence - other.log_evidence,
-        total_variation=float(0.5 * np.sum(np.abs(one.density - other.density) * one.grid.area)) if same else None,
+        total_variation=total_variation(one, other) if same else None,
     )
+
+
+def total_variation(one: GridPosterior, other: GridPosterior) -> float:
+    """Return ½ ∫ |p - q| on the same grid: 0 for equal densities, 1 for densities that do not overlap."""
+    return float(0.5 * np.sum(np.abs(one.density - other.density) * one.grid.area))

@@ -28,6 +28,8 @@ from strandline.likelihood import InterfaceLikelihood
 from strandline.parameters import ParameterSpace
 
 _SPLINE_DEGREE = 5
+NODES = (97, 41, 33)
+"""Nodes of the log-likelihood in load, ν and V."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +68,7 @@ def log_likelihood_field(
     table: FieldTable,
     likelihood: InterfaceLikelihood,
     *,
-    nodes: tuple[int, int, int] = (97, 41, 33),
+    nodes: tuple[int, int, int] = NODES,
     rate: float | None = None,
 ) -> LogLikelihoodField:
     """Return the log-likelihood of one observed polyline, without its constant, on equally spaced nodes.
@@ -119,11 +121,15 @@ def true_fields(
 
 @dataclass(frozen=True, eq=False)
 class TruePosterior:
-    """The posterior of the true model, its log-likelihood, and what half the intervals of the table change."""
+    """The posterior of the true model, its log-likelihood, and its difference from coarser discretisations.
+
+    Those are the nested table of half the intervals, and every second node of the log-likelihood.
+    """
 
     posterior: GridPosterior
     field: LogLikelihoodField
     from_half_table: Difference
+    from_half_field: Difference
 
 
 def true_posteriors(
@@ -141,6 +147,19 @@ def true_posteriors(
         rate: Fixed inflow rate, mm²/s; then both readings are the same.
         panels: Number of panels of the quadrature in log E, ν and V.
     """
+    fine, coarse = fields
     grid = product_grid(space, panels=panels, rate=rate)
-    best, half = (posteriors_on_grid(field, space, grid, coordinates=fields[0].coordinates) for field in fields)
-    return {reading: TruePosterior(best[reading], fields[0], compare(half[reading], best[reading])) for reading in best}
+    best, *halves = (
+        posteriors_on_grid(field, space, grid, coordinates=fine.coordinates) for field in (fine, coarse, fine.halved())
+    )
+    return {
+        reading: TruePosterior(found, fine, *(compare(half[reading], found) for half in halves))
+        for reading, found in best.items()
+    }
+
+
+def true_posterior(
+    table: FieldTable, likelihood: InterfaceLikelihood, space: ParameterSpace, *, rate: float | None = None
+) -> TruePosterior:
+    """Return the posterior of the true model, which the data let update an uncertain inflow rate."""
+    return true_posteriors(true_fields(table, likelihood, nodes=NODES, rate=rate), space, rate=rate)["joint"]
