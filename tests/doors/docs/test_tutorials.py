@@ -89,7 +89,8 @@ def changed(study: Path, step: Step, root: Path) -> Path:
     if step.kind == "study":
         keys, text = yaml.safe_load(step.text), step.text
         if "version" not in keys:
-            text = yaml.safe_dump(yaml.safe_load((study / "study.yaml").read_text("utf-8")) | keys, allow_unicode=True)
+            whole = yaml.safe_load((study / "study.yaml").read_text("utf-8")) | keys
+            text = yaml.safe_dump(whole, allow_unicode=True, sort_keys=False)
         study = root / str(keys["name"])
         study.mkdir(exist_ok=True)
     else:
