@@ -79,8 +79,8 @@ def of_one_draw(calibration: Calibration) -> Calibration:
 
 
 def hung(calibration: Calibration) -> Calibration:
-    """The first run hangs."""
-    first, *others = calibration.records
+    """The first run hangs; all others took a tenth of a second, whatever else this machine did."""
+    first, *others = (replace(record, seconds=0.1) for record in calibration.records)
     return replace(calibration, records=(replace(first, state="timeout", interfaces={}, seconds=60.0), *others))
 
 
