@@ -24,6 +24,7 @@ from contextlib import closing
 from pathlib import Path
 
 import numpy as np
+import yaml
 from verification.validation.tables import EXAMPLES, arguments
 
 from strandline.posterior import read
@@ -34,9 +35,9 @@ from strandline.runs.scratch import PREFIX
 COMMAND = [sys.executable, "-m", "strandline", "run", "--quiet"]
 RUNS, ACTIVE_RUNS = 400, 220
 FINISHED = "SELECT key, attempt FROM starts JOIN outcomes USING (attempt) WHERE state = 'ok'"
-POLICY = "failures: {kinds: {killed: {retry: 20}}, stop: never}\n"
+POLICY = {"kinds": {"killed": {"retry": 20}}, "stop": "never"}
 """Killed runs are tried again: twice by default, but here the same run may be killed more often."""
-ACTIVE = f"{{active: {{runs: {ACTIVE_RUNS}, initial: 40, batch: 40, change: 1.0e-9, check: 20, patience: 1000}}}}"
+ACTIVE = {"runs": ACTIVE_RUNS, "initial": 40, "batch": 40, "change": 1e-9, "check": 20, "patience": 1000}
 """Batches until no runs are left: no posterior moves as little as `change`, and each batch waits for slow runs."""
 
 
@@ -46,15 +47,12 @@ def prepare(folder: Path, runs: int, *, active: bool) -> None:
         EXAMPLES / "command", folder, ignore=shutil.ignore_patterns("*.sqlite*", "*.lock", "*.json", "*.nc", "runs")
     )
     study, simulator = folder / "study.yaml", folder / "beam.py"
-    changes = {"{sobol: {runs: 24}}": ACTIVE if active else f"{{sobol: {{runs: {runs}}}}}"}
+    content = yaml.safe_load(study.read_text("utf-8")) | {"failures": POLICY, "design": {"sobol": {"runs": runs}}}
     if active:
-        second = "  load: {prior: {uniform: [0.15, 0.25]}, unit: mN/mm}\nobservation:"
-        changes |= {"observation:": second, "fixed: {load: 0.2}": "fixed: {}", "particles: 2000": "particles: 500"}
-    text = study.read_text("utf-8")
-    for old, new in changes.items():
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
-    study.write_text(text + POLICY, encoding="utf-8")
+        content |= {"design": {"active": ACTIVE}, "fixed": {}}
+        content["inputs"]["load"] = {"prior": {"uniform": [0.15, 0.25]}, "unit": "mN/mm"}
+        content["sampler"]["smc"]["particles"] = 500
+    study.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     simulator.write_text(f"import time\ntime.sleep(0.1)\n{simulator.read_text('utf-8')}", encoding="utf-8")
 
 
