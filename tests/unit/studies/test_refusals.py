@@ -162,6 +162,7 @@ executor: {local: {workers: 0}}; executor: {local: {timeout: 1.0e+9}}; executor:
 executor.dask: {} | one of in_process, local, dask, slurm_array
 executor: {dask: {cluster: slurm, timeout: 3600, jobs: {cores: 4, memory: 8GB, walltime: '01:00:00'}}} | at most 3540 s
 executor: {slurm_array: {timeout: 241, walltime: '00:05:00'}} | at most 240 s
+executor: {slurm_array: {walltime: 14400}} | a time in quotes
 """
 
 
