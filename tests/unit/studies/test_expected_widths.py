@@ -68,9 +68,10 @@ def test_errors_that_conditions_share_are_counted_once(tmp_path):
 def test_slopes_that_are_not_finite_are_refused(tmp_path):
     study = load_study(write_study(tmp_path))
     record = run(study, AT, tmp_path)
-    slopes = {"": np.full((*record.interface.points.shape, 2), np.nan)}
-    with pytest.raises(NumericsError, match="no finite widths"):
-        expected_sd(study, record.interfaces, slopes, {})
+    slopes = np.full((*record.interface.points.shape, 2), np.nan)
+    for some in ({"": slopes}, {"": np.ones(slopes.shape), "unseen": slopes}):
+        with pytest.raises(NumericsError, match="no finite widths"):
+            expected_sd(study, record.interfaces, some, {})
 
 
 def test_what_the_data_barely_constrain_is_said_and_runs_without_slopes_give_none(tmp_path):
