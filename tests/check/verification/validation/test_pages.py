@@ -2,6 +2,8 @@
 
 import itertools
 import json
+import re
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -78,3 +80,9 @@ def test_the_tables_of_pyvbmc_follow_from_the_published_steps():
             if (one["method"], one["problem"], one["failed"]) == (method, "biofilm", failed)
         ]
         assert first[column] == f"{np.median(runs):g} / {max(runs)}"
+
+
+def test_commands_of_the_page_of_results_exist():
+    commands = re.findall(r"`…\.(\w+)`", (RESULTS / "index.md").read_text("utf-8"))
+    assert len(commands) > 10
+    assert [name for name in commands if find_spec(f"verification.validation.{name}") is None] == []
