@@ -82,13 +82,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items.sort(key=lambda item: rank.get(item.path.relative_to(tests).parts[0], len(rank)))
 
 
-def needed(longrepr: object) -> str | None:
+def needed(report: pytest.CollectReport | pytest.TestReport) -> str | None:
     """Return the package of an extra that is not installed, if that is why something failed.
 
-    Only the error counts: the lines of the test before it may name an extra too.
+    Only errors and what was printed count: the lines of the test itself may name an extra too.
     """
-    crash = getattr(longrepr, "reprcrash", None)
-    said = str(longrepr if crash is None else crash.message)
+    errors = [line for line in str(report.longrepr).splitlines() if line.startswith("E ")]
+    said = "\n".join([*errors, *(text for _, text in report.sections)])
     absent = [name for name in sorted(OPTIONAL) if find_spec(name) is None]
     if absent and re.search(r"pip install .strandline\[", said):  # as strandline itself says it
         return ", ".join(absent)
@@ -101,7 +101,7 @@ def pytest_make_collect_report(
 ) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
     """Skip a file that needs a package of an extra that is not installed."""
     report = yield
-    if report.failed and (name := needed(report.longrepr)):
+    if report.failed and (name := needed(report)):
         report.outcome, report.longrepr = "skipped", (str(collector.path), 0, f"Skipped: needs the package {name}")
     return report
 
@@ -110,7 +110,7 @@ def pytest_make_collect_report(
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Skip a test that needs a package of an extra that is not installed."""
     report = yield
-    if report.failed and (name := needed(report.longrepr)):
+    if report.failed and (name := needed(report)):
         report.outcome, report.longrepr = "skipped", (str(item.path), 0, f"Skipped: needs the package {name}")
     return report
 

@@ -83,16 +83,13 @@ def test_the_packages_names_exist_where_they_are_said_to_be_for_checkers_too():
 def test_a_failure_is_skipped_for_a_missing_package_alone_and_not_for_what_its_test_names(monkeypatch):
     """Planted: lines of the test count as well, and one that names an extra is never seen to fail."""
 
-    class Failure:
-        def __init__(self, error):
-            self.reprcrash = SimpleNamespace(message=error)
-
-        def __str__(self):
-            return f'raises(match="pip install \\"strandline[dask]\\"")\n{self.reprcrash.message}'
+    def report(error, printed=""):
+        lines = 'raises(match="pip install \\"strandline[dask]\\"")'
+        return SimpleNamespace(longrepr=f"> {lines}\nE   {error}", sections=[("stderr", printed)])
 
     monkeypatch.setattr(conftest, "OPTIONAL", {"absent_package"})
-    assert conftest.needed(Failure("assert 1 == 2")) is None
-    assert conftest.needed(Failure("No module named 'absent_package'")) == "absent_package"
-    assert conftest.needed(Failure('dask is missing: pip install "strandline[dask]"')) == "absent_package"
+    assert conftest.needed(report("assert 1 == 2")) is None
+    assert conftest.needed(report("No module named 'absent_package'")) == "absent_package"
+    assert conftest.needed(report("SystemExit: 2", 'pip install "strandline[dask]"')) == "absent_package"
     monkeypatch.setattr(conftest, "OPTIONAL", {"json"})
-    assert conftest.needed(Failure('dask is missing: pip install "strandline[dask]"')) is None
+    assert conftest.needed(report("SystemExit: 2", 'pip install "strandline[dask]"')) is None
