@@ -145,6 +145,9 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
 """(file, before, after): the reason."""
 
 EXPLAINED_ON_LINE: dict[tuple[str, str, str, str], str] = {
+    ("studies/folder.py", "zip(starts, ends, strict=True)", "True", "(False)"): "Both have one entry a key.",
+    ("studies/widths.py", "zip(study.space, sd, prior, strict=True)", "True", "(False)"): "One entry an input.",
+    ("runs/executors/dask_driver.py", "while True:", "True", "(False)"): "Other news is heard at the next call.",
     ("design/active/active_design.py", "len(self._not_looked_at(x, 1)) > 0", "1", "(2)"): (
         "Only whether there are places to look at counts, not how many."
     ),
