@@ -186,11 +186,7 @@ def surrogate_note(surrogate: Mapping[str, Any], where: str) -> str:
 
 @dataclass(frozen=True)
 class LineFile:
-    """A file with one JSON object in each line.
-
-    Args:
-        path: The file; it need not exist.
-    """
+    """A file with one JSON object in each line; it need not exist."""
 
     path: Path
 
@@ -206,17 +202,13 @@ class LineFile:
         return [_parsed(line) for line in whole.splitlines()]
 
     def append(self, entry: Mapping[str, Any]) -> None:
-        """Add an object."""
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(entry) + "\n")
 
     @contextmanager
     def held(self, command: str, results: str) -> Iterator[None]:
-        """Keep other commands from writing to the file.
-
-        Args:
-            command: The command that writes it, e.g. `strandline coverage`, for the message.
-            results: What the lines are, a plural noun for the message.
+        """Keep other commands from writing to the file, one by `command`, e.g. `strandline coverage`, with these
+        `results`.
 
         Raises:
             InvalidStudy: Another command holds the file, or its folder cannot be written to.

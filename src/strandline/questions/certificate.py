@@ -31,10 +31,8 @@ PRIOR_RUNS = 2.0
 class Certified:
     """What the surrogate's error may do to a posterior.
 
-    Args:
-        shift: Standard deviation of the shift of a posterior mean, in posterior standard deviations; the largest of all
-            inputs.
-        surprise: Root mean square error of the nearest left-out runs over the expected one, at least 1.
+    `shift` is the standard deviation of the shift of a posterior mean, in posterior standard deviations, the largest of
+    all inputs; `surprise` the root mean square error of the nearest left-out runs over the expected one, at least 1.
     """
 
     shift: float
@@ -42,7 +40,6 @@ class Certified:
 
     @property
     def good(self) -> bool:
-        """Whether the shift is small enough."""
         return self.shift <= TOLERATED_SHIFT
 
     @property
@@ -52,13 +49,7 @@ class Certified:
 
 
 def certify(begin: Start, likelihood: FieldLikelihood, draws: Float[np.ndarray, "draw unknown"]) -> Certified:
-    """Return what the error of the surrogate may do to a posterior.
-
-    Args:
-        begin: Surrogate and known inputs of the specimen.
-        likelihood: Likelihood of its outline.
-        draws: Equally weighted draws of its posterior.
-    """
+    """Return what the error of the surrogate may do to a posterior of which these are equally weighted draws."""
     predicted = begin.predict(draws)
     slopes = likelihood.parabola.parabolas(predicted.mean).slopes
     off, sds = draws - draws.mean(axis=0), np.maximum(draws.std(axis=0), 1e-300)

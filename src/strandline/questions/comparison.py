@@ -39,14 +39,9 @@ TOLERATED = 0.1
 
 @dataclass(frozen=True, eq=False)
 class ComparedStudy:
-    """A study that is compared, with what its results tell.
+    """A study that is compared, its posterior, what is known of its interface, and the content of its summary.json.
 
-    Args:
-        study: The study.
-        posterior: Its posterior.
-        knowledge: Surrogate of its interface and its likelihood.
-        summary: Content of its summary.json.
-        constant: Constant that is added to its log-likelihoods.
+    `constant` is added to its log-likelihoods.
     """
 
     study: Study
@@ -87,14 +82,8 @@ def describe_comparison(
 ) -> dict[str, Any]:
     """Return the content of compare.json.
 
-    Args:
-        found: Evidences, Bayes factors and probabilities.
-        flat: The same with uniform priors of the shared inputs; None if theirs are flat.
-        compared: The studies by name.
-        together: Model-averaged draws of the shared inputs.
-        shared: Names of the shared inputs.
-        separate: Candidates for the next experiment with what each is expected to tell about the models.
-        seed: Seed of the random numbers.
+    `flat` is the comparison with uniform priors of the shared inputs, None if theirs are flat; `together` are
+    model-averaged draws of these. `separate` are candidates with what each is expected to tell about the models.
     """
     first = next(iter(compared.values()))
     return {

@@ -46,14 +46,10 @@ def transfer(
     slopes: Float[np.ndarray, "value dim"],
     covariance: Float[np.ndarray, "dim dim"],
 ) -> Fields:
-    """Return the field of another experiment, as a function of the inputs, from its value and its slopes at one point.
+    """Return the field of another experiment as a function of the inputs, from a run of it `at` one point.
 
-    Args:
-        surrogate: Surrogate of the present field.
-        at: Inputs of the run.
-        field: Field of the run at the points of the surrogate, mm.
-        slopes: Its derivatives in the physical inputs.
-        covariance: Covariance of the inputs where the field will be used.
+    `field` has the run's values at the points of the surrogate of the present field, mm, `slopes` their derivatives in
+    the physical inputs. `covariance` is that of the inputs where the field will be used.
     """
     here = _slopes(surrogate.mean, at, surrogate).T
     root = np.linalg.cholesky(covariance)
@@ -139,15 +135,9 @@ def learn_failure_by_size(
 ) -> Fails:
     """Return the probability that the run of a field fails, by the size of its displacement, from the runs at hand.
 
-    It is a logistic function of the logarithm of the displacement that never decreases.
-    It maximises the likelihood, with a weak normal prior so that a maximum exists even without failures.
-
-    Args:
-        surrogate: Surrogate of the interface.
-        x: Inputs of all runs.
-        ok: Whether each run succeeded.
-        undeformed: The undeformed interface as a field of the surrogate, mm.
-        others: Fields of further runs that succeeded, in other experiments, mm.
+    It is a logistic function of the logarithm of the displacement that never decreases. It maximises the likelihood,
+    with a weak normal prior so that a maximum exists even without failures. `x` and `ok` are of all runs; `undeformed`
+    and `others`, further runs that succeeded in other experiments, are fields of the surrogate, mm.
     """
     fields = np.vstack([surrogate.modes.fields(surrogate.mean(x)), others])
     ok = np.concatenate([ok, np.ones(len(others), bool)])
@@ -173,12 +163,7 @@ def _sizes(fields: Float[np.ndarray, "draw value"], undeformed: Float[np.ndarray
 
 
 def crossing_share(nodes: Nodes, templates: dict[str, Interface]) -> float:
-    """Return the share of predicted polylines that cross or fold onto themselves in some condition.
-
-    Args:
-        nodes: Nodes of predicted interfaces by condition, mm.
-        templates: An interface of each condition, for its cells.
-    """
+    """Return the share of predicted polylines that cross or fold onto themselves in some condition."""
     number = min(MOST_CHECKED, min(len(one) for one in nodes.values()))
     bad = [
         any(_crosses(Interface(one[k], templates[name].cells)) for name, one in nodes.items()) for k in range(number)

@@ -27,11 +27,8 @@ QUANTILES = 1000
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """How inputs are scaled.
-
-    Args:
-        logarithmic: Whether each input enters by its logarithm, shape (dim,).
-        sd: Prior standard deviations of the inputs or their logarithms, shape (dim,).
+    """How inputs are scaled: which enter by their logarithm, and the prior standard deviations of these or of the
+    inputs.
     """
 
     logarithmic: Bool[np.ndarray, " dim"]
@@ -56,12 +53,7 @@ def scale_of(space: ParameterSpace) -> Scale:
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """A combination of the inputs.
-
-    Args:
-        weights: Unit vector in scaled inputs, shape (dim,).
-        left: Share of the prior's standard deviation that is left in this direction.
-    """
+    """A combination of the inputs, a unit vector in scaled inputs, and the share of the prior's sd left in it."""
 
     weights: Float[np.ndarray, " dim"]
     left: float
@@ -74,10 +66,7 @@ def directions_left(
 ) -> tuple[Direction, ...]:
     """Return the combinations of the inputs, from the least to the best known after the experiment.
 
-    Args:
-        scale: How the inputs are scaled.
-        x: Draws of the prior.
-        informations: Fisher informations of the physical inputs there; the covariance is averaged over them.
+    The covariance is averaged over draws `x` of the prior, with the Fisher information of the physical inputs at each.
     """
     factors = [scale.factors(row) for row in x]
     unit = np.eye(x.shape[1])

@@ -40,13 +40,10 @@ BLOCK = 256
 class Gain:
     """What an experiment is expected to teach.
 
-    Args:
-        nats: Expected information gain.
-        error: Its standard error by the number of draws.
-        sd: Expected posterior standard deviation of each input, shape (dim,).
-        of_interest: Expected gain about the inputs of interest alone, by the determinants of their covariances; exact
-            for normal distributions. Observations that leave too few draws for a determinant do not count.
-        left: Median number of draws that a possible observation leaves with weight.
+    `nats` is the expected information gain, `error` its standard error by the number of draws, `sd` the expected
+    posterior standard deviation of each input. `of_interest` is the gain about the inputs of interest alone, by the
+    determinants of their covariances: exact for normal distributions; observations that leave too few draws for a
+    determinant do not count. `left` is the median number of draws that a possible observation leaves with weight.
     """
 
     nats: float
@@ -57,7 +54,6 @@ class Gain:
 
     @property
     def reliable(self) -> bool:
-        """Whether enough draws are left for nested Monte Carlo."""
         return self.left >= FEWEST
 
 
@@ -70,14 +66,10 @@ def expected_gain(
 ) -> Gain:
     """Return the expected information gain of an experiment, by nested Monte Carlo.
 
-    Each draw in turn is the truth; all others, with their weights, are the distribution of the inputs. What their
-    finite number adds to the gain is removed to first order: half the variance of the estimated log p(s).
-
-    Args:
-        now: Draws of the present distribution of the inputs, all different.
-        signals: What the experiment shows for each of them, in standard deviations of independent errors.
-        random: Generator of the errors; the same state for all candidates makes their differences more certain.
-        interest: Columns of the inputs of interest; all by default.
+    Each draw in turn is the truth; all others, with their weights, are the distribution of the inputs; `signals` are
+    what the experiment shows for each, in standard deviations of independent errors. What the finite number of draws
+    adds to the gain is removed to first order: half the variance of the estimated log p(s). The same state of `random`,
+    which draws the errors, makes differences of candidates more certain. `interest` are columns; all by default.
     """
     noise = random.standard_normal(signals.shape)
     columns = np.arange(now.draws.shape[1]) if interest is None else np.asarray(interest)
@@ -186,13 +178,8 @@ _Informations = Sequence[Float[np.ndarray, "dim dim"]]
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """What an experiment can be expected to teach.
-
-    Args:
-        gain: Expected information gain about the inputs of interest, nats.
-        error: Its standard error by the number of draws; 0 if linearised.
-        sd: Expected posterior standard deviation of each input, shape (dim,).
-        by: How it was computed.
+    """What an experiment can be expected to teach: the gain about the inputs of interest in nats, its standard error by
+    the number of draws (0 if linearised), the expected posterior sd of each input, and how they were computed.
     """
 
     gain: float
@@ -211,12 +198,8 @@ def expected_outlook(
 ) -> Outlook:
     """Return the outlook by nested Monte Carlo; linearised if too few draws are left for that.
 
-    Args:
-        now: Draws of the present distribution of the inputs.
-        signals: What the experiment shows for each of them, in standard deviations of independent errors.
-        informations: Function that returns the Fisher information at some of the draws.
-        interest: Columns of the inputs of interest; if there are others, gains are those of normal distributions.
-        seed: Seed of the errors.
+    `informations` returns the Fisher information at some of the draws; the other arguments are those of
+    `expected_gain`. If there are inputs that are not of interest, gains are those of normal distributions.
     """
     found = expected_gain(now, signals, np.random.default_rng(seed), interest=interest)
     if not found.reliable:
@@ -243,12 +226,10 @@ FEWEST_OF_MODEL = 10.0
 class Discrimination:
     """What an experiment is expected to tell about which model is right.
 
-    Args:
-        nats: Expected information about the model, from 0 to ln of the number of models.
-        error: Standard error of it by the number of draws.
-        clear: Probability that the right model will lead every other one by `CLEAR` nats of posterior odds.
-        wrong: Probability that another model will lead by as much.
-        left: Median number of draws of the right model that a possible observation leaves with weight.
+    `nats` is the expected information about the model, from 0 to ln of the number of models, `error` its standard error
+    by the number of draws. `clear` is the probability that the right model will lead every other one by `CLEAR` nats of
+    posterior odds, `wrong` that another one will. `left` is the median number of draws of the right model that a
+    possible observation leaves with weight.
     """
 
     nats: float
@@ -262,7 +243,6 @@ class Discrimination:
 
     @property
     def reliable(self) -> bool:
-        """Whether enough draws are left for nested Monte Carlo."""
         return self.left >= FEWEST_OF_MODEL
 
 
@@ -274,12 +254,8 @@ def expected_discrimination(
     """Return what an experiment is expected to tell about which model is right.
 
     Each draw of each model in turn is the truth; it is left out where the density of its own observation is computed.
-
-    Args:
-        signals: What the experiment shows under each model, in standard deviations of independent errors, for equally
-            likely draws of its inputs: shape (draw, signal) for each model.
-        probabilities: Present probabilities of the models, whose sum is 1.
-        random: Generator of the errors; the same state for all candidates makes their differences more certain.
+    `signals` of each model are those of equally likely draws; `probabilities` of the models sum to 1. The same state of
+    `random`, which draws the errors, makes differences of candidates more certain.
     """
     log_prior, nats, variance, clear, wrong = np.log(probabilities), 0.0, 0.0, 0.0, 0.0
     left: list[Float[np.ndarray, " truth"]] = []
@@ -313,10 +289,7 @@ def _log_densities(
 ) -> tuple[Float[np.ndarray, " truth"], Float[np.ndarray, " truth"]]:
     """Return log p(s | model), without the constant of the errors, and the effective number of draws behind it.
 
-    Args:
-        seen: Observations.
-        draws: Signals of the model's draws.
-        own: Whether observation i comes from draw i, which is then left out.
+    Where the observations `seen` are `own`, number i comes from draw i, which is then left out.
     """
     squares, logs, left = 0.5 * (draws**2).sum(axis=1), np.empty(len(seen)), np.empty(len(seen))
     for first in range(0, len(seen), BLOCK):

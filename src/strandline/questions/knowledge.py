@@ -46,13 +46,10 @@ MOST_ROWS, FEWEST_RUNS = 400, 50
 def field_knowledge(
     study: Study, measure: str, *, purpose: str = "coverage", more: Sequence[RunRecord] = ()
 ) -> Knowledge:
-    """Learn the interface from the runs of a finished study, and what the observation tells through it.
+    """Learn the interface from the runs of a finished study, and `more` of its model, and what one of its measures says
+    of it.
 
-    Args:
-        study: The study.
-        measure: Name of one of its measures.
-        purpose: What needs the interface, a noun for the message.
-        more: Further runs of its model to learn from.
+    `purpose` is what needs the interface, a noun for the message.
 
     Raises:
         InvalidStudy: The runs have no common points, or the synthetic observation is missing.

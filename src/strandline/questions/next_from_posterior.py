@@ -44,13 +44,8 @@ STEP = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Prospects:
-    """What all candidates of a study can be expected to show.
-
-    Args:
-        present: What is known after the experiment of the study.
-        by_setting: Predicted interfaces by the key of a setting.
-        new: Number of forward runs made now.
-        reused: Number of runs that were known.
+    """What all candidates of a study can be expected to show: predicted interfaces by the key of a setting, and the
+    numbers of runs made now and known.
     """
 
     present: "AfterExperiment"
@@ -59,7 +54,6 @@ class Prospects:
     reused: int
 
     def of(self, candidate: Candidate) -> list["Prospect"]:
-        """Return the predicted interfaces of each experiment of a candidate."""
         return [self.by_setting[key_of(one)] for one in candidate.settings]
 
 
@@ -92,13 +86,8 @@ def prospects_of(
 
 @dataclass(frozen=True, eq=False)
 class Prospect:
-    """The predicted interfaces of an experiment.
-
-    Args:
-        forecast: The field as a function of the inputs; None if a run failed.
-        fields: Fields at the draws, shape (draw, value), mm.
-        failing: Probability that it fails; None if nothing is known about it.
-        problem: Why there is no forecast.
+    """The predicted interfaces of an experiment: the field as a function of the inputs, None if a run failed, and at
+    the draws, mm; the probability that it fails, None if nothing is known about it; and why there is no forecast.
     """
 
     forecast: Fields | None
@@ -109,15 +98,9 @@ class Prospect:
 
 @dataclass(frozen=True, eq=False)
 class AfterExperiment:
-    """What is known after the experiment of the study.
-
-    Args:
-        study: The study.
-        source: Its posterior.
-        surrogate: Surrogate of the interface in all conditions that a candidate observes.
-        experiment: Places and errors of the observed points.
-        now: Draws of the posterior.
-        succeeded: Fields of candidates' runs that succeeded, mm.
+    """What is known after the experiment of the study: its posterior with draws `now`, a surrogate of the interface in
+    all conditions that a candidate observes, places and errors of the observed points, and fields of candidates' runs
+    that `succeeded`, mm.
     """
 
     study: Study
@@ -203,18 +186,14 @@ class AfterExperiment:
         return View(footprint(simulated, simulated), errors)
 
     def nodes(self, fields: Float[np.ndarray, "draw value"]) -> Nodes:
-        """Return fields as nodes of interfaces by condition."""
         return self.surrogate.by_condition(fields)
 
     def observing(
         self, field: Float[np.ndarray, " value"], look: Look, *, along: Mapping[str, Interface] | None = None
     ) -> Observing:
-        """Return how interfaces near this field are observed.
+        """Return how interfaces near this field, mm, are observed.
 
-        Args:
-            field: The field, mm.
-            look: What of them is observed.
-            along: Whole interfaces of another model by condition whose arc lengths count; by default its own.
+        `along` are whole interfaces of another model by condition whose arc lengths count; by default its own do.
         """
         reference = {name: one[0] for name, one in self.nodes(field[None]).items()}
         views = {}

@@ -24,14 +24,7 @@ from strandline.studies.study_runs import settled
 
 @dataclass(frozen=True, eq=False)
 class PointRuns:
-    """The runs at one point: one there, and without usable sensitivities one beside it for each input.
-
-    Args:
-        x: The point, shape (dim,).
-        beside: Points beside it, shape (dim, dim).
-        run: Record of the run at the point.
-        others: Records of the runs beside it; empty if the run has sensitivities.
-    """
+    """The runs at one point, and without usable sensitivities the `others`, one `beside` it for each input."""
 
     x: Float[np.ndarray, " dim"]
     beside: Float[np.ndarray, "dim dim"]
@@ -40,7 +33,7 @@ class PointRuns:
 
     @property
     def failed(self) -> RunRecord | None:
-        """The first run that failed; None if all succeeded."""
+        """The first run that failed."""
         return next((one for one in (self.run, *self.others) if not one.ok), None)
 
 
@@ -63,13 +56,8 @@ def runs_at(
 ) -> Runs:
     """Return the runs at points; a run that next.sqlite holds is not made again.
 
-    Args:
-        study: The study.
-        points: Quantities that differ from the study's, and the inputs, of each point.
-        steps: Distance in each input of the runs beside a point, if there are any.
-        usable: Whether the sensitivities of a run can be used.
-        executor: Where runs are made.
-        observer: Receives the progress.
+    Each point has the quantities that differ from the study's, and the inputs. If the sensitivities of its run are not
+    `usable`, further runs are made at a distance of `steps` in each input.
     """
     model, identity = _sensitive(study), study.runs.identity
     beside = [_beside(study, x, steps) for _, x in points]
@@ -137,13 +125,9 @@ def _sensitive(study: Study) -> Any:
 class CandidateAnswer:
     """What one candidate can be expected to teach.
 
-    Args:
-        candidate: The candidate.
-        outlook: What it can be expected to teach; None if its run failed.
-        failing: Probability that the specimen folds or the run fails; None if nothing is known about it.
-        displacement: Displacement of the interface from its undeformed state, in standard deviations of the points'
-            errors; None if the model does not know that state.
-        problem: Why there is no outlook; empty if there is one.
+    `outlook` is None if its run failed, and `problem` then says why. `failing` is the probability that the specimen
+    folds or the run fails, None if nothing is known about it; `displacement` that of the interface from its undeformed
+    state, in standard deviations of the points' errors, None if the model does not know that state.
     """
 
     candidate: Candidate
@@ -162,15 +146,10 @@ class CandidateAnswer:
 class Answers:
     """What the candidates can be expected to teach.
 
-    Args:
-        source: What is known before: the ``prior`` or the ``posterior``.
-        now: Draws of it.
-        errors: Errors of the observed points by condition.
-        answers: Answers, one for each candidate.
-        directions: Combinations of the inputs in prior standard deviations, from the least to the best known: after
-            the present experiment, or before any data after the planned one.
-        new: Number of forward runs made now.
-        reused: Number of runs that were known.
+    `source` is what is known before, the ``prior`` or the ``posterior``, and `now` draws of it; `errors` are those of
+    the observed points by condition. `directions` are combinations of the inputs in prior standard deviations, from the
+    least to the best known: after the present experiment, or before any data after the planned one. `new` runs were
+    made now.
     """
 
     source: str

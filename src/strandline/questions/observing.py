@@ -18,12 +18,7 @@ from strandline.likelihood.joint_errors import error_model, shared_errors
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Observed places on a simulated interface, with the errors of the points.
-
-    Args:
-        footprint: The places.
-        errors: Errors of the observed points.
-    """
+    """Observed places on a simulated interface, with the errors of the points."""
 
     footprint: Footprint
     errors: Errors
@@ -37,13 +32,9 @@ class View:
         return np.asarray(np.einsum("pc,mpcx->mpx", self.footprint.weights, nodes[:, self.footprint.corners]))
 
     def along(self, seen: Interface, moves: Float[np.ndarray, "move point xyz"]) -> Float[np.ndarray, "move row"]:
-        """Return displacements of the observed points as rows whose errors are known.
+        """Return displacements of the points of `seen`, mm, or slopes, as rows whose errors are known.
 
         With errors along the normals there is one row for each point, else one for each of its coordinates.
-
-        Args:
-            seen: The observed interface whose normals count.
-            moves: Displacements of its points, mm, or slopes.
         """
         if isinstance(self.errors, CoordinateErrors):
             return np.asarray(moves.reshape(len(moves), -1))
@@ -52,11 +43,8 @@ class View:
     def rows(
         self, reference: Float[np.ndarray, "node xyz"], moves: Float[np.ndarray, "move node xyz"]
     ) -> Float[np.ndarray, "move row"]:
-        """Return displacements of the nodes, or slopes, as rows in the same way.
-
-        Args:
-            reference: Nodes of the simulated interface whose normals count.
-            moves: Displacements of the nodes from there, mm, or slopes.
+        """Return displacements of the nodes from `reference`, mm, whose normals count, or slopes, as rows in the same
+        way.
         """
         return self.along(self.seen(reference), self.points(moves))
 
@@ -72,13 +60,9 @@ def focused(
 ) -> View:
     """Return the view of a part of the interface, with another number of points, or with another error of each.
 
-    Args:
-        view: The view of the whole interface.
-        nodes: Nodes of a simulated interface, whose arc length counts.
-        part: Where the part begins and ends, as shares of the observed arc length.
-        points: Number of points, at equal distances along the part; by default those of the view that lie in it.
-        sd: Standard deviation of each point, mm; that of the view by default.
-        along: Interface with the points of the view whose arc length counts instead, for views that must correspond.
+    The part begins and ends at shares of the observed arc length, for which the nodes of a simulated interface count,
+    or the points of `along`, for views that must correspond. So many `points` lie at equal distances along it; by
+    default those of the view that lie in it. `sd` is the standard deviation of each point, mm.
 
     Raises:
         InvalidInput: Fewer than 3 points in the part, or a part or a number of points on a surface.
@@ -160,12 +144,9 @@ def signals_of(
 ) -> Float[np.ndarray, "draw signal"]:
     """Return displacements as signals z, so that an observation of draw i is z_i + ε with standard normal ε.
 
-    With errors of covariance C, what an observation tells about the displacements V c, which lie in a few directions V,
-    is normal with mean c and covariance (Vᵀ C⁻¹ V)⁻¹.
-
-    Args:
-        displacements: Displacements of the observed points along their normals, for each draw of the inputs, mm.
-        information: Function that returns Vᵀ C⁻¹ V of any directions V, 1/mm².
+    With errors of covariance C, what an observation tells about the displacements V c, mm, which lie in a few
+    directions V, is normal with mean c and covariance (Vᵀ C⁻¹ V)⁻¹; `information` returns Vᵀ C⁻¹ V of any directions V,
+    1/mm².
     """
     centred = displacements - displacements.mean(axis=0)
     _, sizes, directions = np.linalg.svd(centred, full_matrices=False)
@@ -187,11 +168,8 @@ Nodes = Mapping[str, Float[np.ndarray, "_ _ _"]]
 
 @dataclass(frozen=True, eq=False)
 class Observing:
-    """The views of an experiment, and the interfaces about which the displacements are small.
-
-    Args:
-        views: Views by condition.
-        reference: Nodes of a simulated interface by condition, mm.
+    """The views of an experiment by condition, and interfaces (their nodes, mm) about which the displacements are
+    small.
     """
 
     views: Mapping[str, View]
@@ -203,10 +181,8 @@ class Observing:
         return signals_of(np.hstack(rows), self.information)
 
     def fisher(self, slopes: Mapping[str, Float[np.ndarray, "_ xyz dim"]]) -> Float[np.ndarray, "dim dim"]:
-        """Return the Fisher information of the inputs.
-
-        Args:
-            slopes: Derivatives of the nodes in the inputs by condition, mm per unit of the input.
+        """Return the Fisher information of the inputs from the slopes of the nodes by condition, mm per unit of the
+        input.
         """
         rows = [view.rows(self.reference[n], np.moveaxis(slopes[n], -1, 0)) for n, view in self.views.items()]
         return self.information(np.hstack(rows).T)
@@ -241,11 +217,7 @@ class Observing:
         return error_model(seen, known) if joint is None else joint.model
 
     def displacement(self, undeformed: Mapping[str, Float[np.ndarray, "_ _"]]) -> float:
-        """Return the displacement of the reference from other nodes, root mean square, in standard deviations.
-
-        Args:
-            undeformed: Nodes of the undeformed interface by condition, mm.
-        """
+        """Return the root mean square displacement of the reference from undeformed nodes, mm, in their errors."""
         squares = []
         for name, view in self.views.items():
             here = view.seen(self.reference[name])

@@ -36,26 +36,20 @@ ARRAYS = ("mean", "covariance", "quantiles", "draws")
 
 @dataclass(frozen=True)
 class SpecimenLines:
-    """A file of posteriors, one a line, each with the digest of all that it depends on.
-
-    Args:
-        lines: The file.
-        space: All inputs of the study.
+    """A file of posteriors, one a line, each with the digest of all that it depends on; `space` has all inputs of the
+    study.
     """
 
     lines: LineFile
     space: ParameterSpace
 
     def held(self) -> AbstractContextManager[None]:
-        """Keep other commands from writing to the file."""
         return self.lines.held("strandline specimens", "posteriors")
 
     def read(self) -> dict[str, SpecimenPosterior]:
-        """Return the posteriors by digest."""
         return {str(one["of"]): self._posterior(one) for one in self.lines.entries() if self._ours(one)}
 
     def append(self, one: SpecimenPosterior, of: str) -> None:
-        """Add a posterior, with the digest of all that it depends on."""
         entry = {
             "of": of,
             "specimen": one.name,

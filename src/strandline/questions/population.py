@@ -53,13 +53,7 @@ Populations = Float[np.ndarray, "population dim"]
 
 
 class MixtureParts(NamedTuple):
-    """What is known of each specimen's inputs for one population: a mixture of normal distributions.
-
-    Args:
-        log_weights: Log weights, not normalised, shape (specimen, part).
-        means: Their means, shape (specimen, part, dim).
-        covariance: Their covariance, shape (specimen, dim, dim).
-    """
+    """What is known of each specimen's inputs for one population: a mixture of normal distributions, not normalised."""
 
     log_weights: Float[np.ndarray, "specimen part"]
     means: Float[np.ndarray, "specimen part dim"]
@@ -68,15 +62,7 @@ class MixtureParts(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Mixtures:
-    """The likelihoods of all specimens.
-
-    Args:
-        centres: Means of the parts, shape (specimen, part, dim).
-        covariance: Covariance of each part, shape (specimen, dim, dim).
-        log_weights: Their log weights, shape (specimen, part).
-        means: Mean of each likelihood, shape (specimen, dim).
-        spread: Covariance of each likelihood, shape (specimen, dim, dim).
-    """
+    """The likelihoods of all specimens: the parts of each, its mean, and the covariance `spread` of the whole."""
 
     centres: Float[np.ndarray, "specimen part dim"]
     covariance: Float[np.ndarray, "specimen dim dim"]
@@ -86,16 +72,10 @@ class Mixtures:
 
     @property
     def dim(self) -> int:
-        """Number of inputs."""
         return int(self.centres.shape[2])
 
     def parts(self, mean: Float[np.ndarray, " dim"], sd: Float[np.ndarray, " dim"]) -> MixtureParts:
-        """Return the mixtures after the population's density has multiplied them.
-
-        Args:
-            mean: Means of the population before truncation.
-            sd: Its standard deviations.
-        """
+        """Return the mixtures times the density of a population that has these moments before truncation."""
         S = sd**2
         C = self.covariance + np.diag(S)
         inverse = np.linalg.inv(C)
@@ -108,12 +88,7 @@ class Mixtures:
         return MixtureParts(self.log_weights + log_density + inside, means, covariance)
 
     def log_likelihoods(self, mean: Populations, sd: Populations) -> Float[np.ndarray, "population specimen"]:
-        """Return the log-likelihood of each specimen for some populations, up to a constant of each specimen.
-
-        Args:
-            mean: Means of the populations before truncation.
-            sd: Their standard deviations.
-        """
+        """Return the log-likelihood of each specimen for some populations, up to a constant of each specimen."""
         of_parts = [logsumexp(self.parts(m, s).log_weights, axis=1) for m, s in zip(mean, sd, strict=True)]
         return np.asarray(np.array(of_parts) - log_mass(mean, sd)[:, None])
 

@@ -21,13 +21,7 @@ DRAWS = 500
 
 @dataclass(frozen=True, eq=False)
 class CandidateSignals:
-    """What a candidate shows under each model.
-
-    Args:
-        label: The candidate in words.
-        signals: Signals of equally likely draws of each model, in the same coordinates; empty if a run failed.
-        problem: Why there are none.
-    """
+    """What a candidate shows under each model: signals of equally likely draws, in the same coordinates."""
 
     label: str
     signals: tuple[Float[np.ndarray, "_ signal"], ...]

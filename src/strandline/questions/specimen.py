@@ -150,11 +150,8 @@ def posterior_of(
 class _Target:
     """The posterior density of a specimen.
 
-    Args:
-        begin: Surrogate and prior.
-        likelihood: Likelihood of the specimen's outline.
-        near: The likelihood nearby in place of the measure, at the mean field alone: a fraction of the time, and close
-            enough to lead the last round.
+    `near`, the likelihood nearby at the mean field alone, takes the place of the measure: a fraction of the time, and
+    close enough to lead the last round.
     """
 
     begin: Start
@@ -162,7 +159,6 @@ class _Target:
     near: Nearby | None = None
 
     def at_first(self) -> Values:
-        """Return the log-likelihood at the kept draws of the prior."""
         predicted = self.begin.predicted
         return self._of(predicted) if self.near is None else self.near.log_likelihood(predicted.mean)
 
@@ -177,11 +173,9 @@ class _Target:
         return np.asarray(plain + log_gain(around, predicted.variance, plain))
 
     def log_densities(self, x: Points) -> tuple[Values, Values]:
-        """Return log densities of the prior and of the posterior, -∞ outside the box."""
         return only_inside(self.begin.inside, self._inside)(x)
 
     def _inside(self, x: Points) -> tuple[Values, Values]:
-        """Return log densities of the prior and of the posterior of points inside the box."""
         return np.asarray(self.begin.unknown.log_prior(x)), self.begin.log_density(x) + self.at(x)
 
 

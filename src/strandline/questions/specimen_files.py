@@ -30,13 +30,7 @@ FILE = "file"
 
 @dataclass(frozen=True, eq=False)
 class SpecimenOutline:
-    """The outline of a specimen.
-
-    Args:
-        interface: The outline, mm.
-        noise: Its noise.
-        digest: SHA-256 of its file.
-    """
+    """The outline of a specimen, mm, its noise, and the SHA-256 of its file."""
 
     interface: Interface
     noise: Noise | PointErrors | UnknownErrors
@@ -45,15 +39,8 @@ class SpecimenOutline:
 
 @dataclass(frozen=True, eq=False)
 class SpecimenFiles:
-    """The files of all specimens of a study.
-
-    Args:
-        study: The study.
-        content: The content of its study.yaml.
-        pattern: Pattern of the files, relative to the study's folder.
-        source: How each is read.
-        known: Names of the inputs that are known for each specimen.
-        given: Their values by specimen.
+    """The files of all specimens of a study: `pattern` is relative to its folder, `source` says how each is read,
+    `known` inputs have their values in `given`, by specimen.
     """
 
     study: Study

@@ -27,13 +27,8 @@ NAMED = 5
 
 @dataclass(frozen=True, eq=False)
 class SpecimensFound:
-    """The specimens of a study and their population.
-
-    Args:
-        posteriors: Posteriors in the order of their names.
-        refused: Specimens that were set aside.
-        population: Posterior of the population; None for fewer than three specimens.
-        shrunk: Each specimen given all others; None likewise.
+    """The specimens of a study in the order of their names, those set aside, and the population with each specimen
+    given all others; without these for fewer than three specimens.
     """
 
     posteriors: tuple[SpecimenPosterior, ...]

@@ -24,12 +24,8 @@ SCRAMBLE = 0
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """The surrogate of the interface with draws of the prior, whose predicted interfaces are kept.
-
-    Args:
-        knowledge: Surrogate of the interface, and the probability that there is one.
-        space: All inputs of the study.
-        given: Values of the inputs that are known for a specimen, by name.
+    """The surrogate of the interface with draws of the prior, whose predicted interfaces are kept, for the inputs of a
+    study of which some are `given`: known for a specimen.
     """
 
     knowledge: Knowledge
@@ -38,17 +34,14 @@ class Start:
 
     @cached_property
     def columns(self) -> Int[np.ndarray, " unknown"]:
-        """Columns of the unknown inputs."""
         return np.array([i for i, name in enumerate(self.space.names) if name not in self.given])
 
     @cached_property
     def unknown(self) -> ParameterSpace:
-        """The unknown inputs."""
         return ParameterSpace(tuple(self.space.parameters[i] for i in self.columns))
 
     @cached_property
     def points(self) -> Float[np.ndarray, "draw unknown"]:
-        """Draws of the prior of the unknown inputs."""
         number = DRAWS if self.unknown.dim <= FEW_INPUTS else MANY_INPUTS_DRAWS
         return self.unknown.prior_quantiles(sobol(number, self.unknown.dim, scramble=SCRAMBLE))
 
@@ -72,11 +65,9 @@ class Start:
         return out
 
     def predict(self, x: Float[np.ndarray, "point unknown"]) -> FieldPrediction:
-        """Return the predicted interfaces with their variances."""
         return self.knowledge.surrogate.predict(self.whole(x))
 
     def mean(self, x: Float[np.ndarray, "point unknown"]) -> Float[np.ndarray, "point mode"]:
-        """Return the coefficients of the predicted interfaces alone."""
         return self.knowledge.surrogate.mean(self.whole(x))
 
     def log_density(self, x: Float[np.ndarray, "point unknown"]) -> Float[np.ndarray, " point"]:
@@ -84,7 +75,6 @@ class Start:
         return np.asarray(self.unknown.log_prior(x) + self.knowledge.log_feasibility(self.whole(x)))
 
     def inside(self, x: Float[np.ndarray, "point unknown"]) -> Bool[np.ndarray, " point"]:
-        """Return which points lie inside the prior."""
         within = ((x >= self.unknown.low) & (x <= self.unknown.high)).all(axis=1)
         out = np.zeros(len(x), bool)
         out[within] = np.isfinite(np.asarray(self.unknown.log_prior(x[within])))

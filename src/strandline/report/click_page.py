@@ -48,12 +48,7 @@ BRIGHTEST_POWER = 0.25
 
 
 class ScreenPicture(NamedTuple):
-    """A picture for the screen.
-
-    Args:
-        png: The picture as a PNG file.
-        factor: Number of pixels of the original, in each direction, that one pixel stands for.
-    """
+    """A picture for the screen as a PNG file; each pixel stands for `factor` of the original in each direction."""
 
     png: bytes
     factor: int
@@ -68,17 +63,11 @@ def click_page(
     pixel_mm: tuple[float, float] | None = None,
     most_pixels: int = MOST_PIXELS,
 ) -> str:
-    """Return the page for one picture, as HTML.
+    """Return the page for one picture of grey values, with a checksum of its file in hexadecimal, as HTML.
 
-    The page saves a file that `strandline.imaging.clicks.read_clicks` reads, and nothing that it would refuse.
-
-    Args:
-        values: Grey values of the picture.
-        name: File name of the picture.
-        sha256: SHA-256 checksum of the picture's file, in hexadecimal.
-        clicks: What was marked before.
-        pixel_mm: Width and height of a pixel if they are known, in mm; the page shows the picture in its true shape.
-        most_pixels: Largest picture that the page shows as it is, in pixels.
+    The page saves a file that `strandline.imaging.clicks.read_clicks` reads, and nothing that it would refuse. `clicks`
+    are what was marked before. With width and height of a pixel, mm, the page shows the picture in its true shape; one
+    of more than `most_pixels` is reduced.
 
     Raises:
         InvalidInput: `clicks` belong to another picture, or the picture has no finite value.
@@ -129,11 +118,7 @@ def write_click_page(
 
 
 def for_screen(values: Float[np.ndarray, "row column"], *, most_pixels: int = MOST_PIXELS) -> ScreenPicture:
-    """Return a picture for the screen; values that are not finite are black.
-
-    Args:
-        values: Grey values.
-        most_pixels: Largest picture that is shown as it is, in pixels.
+    """Return a picture for the screen, reduced if it has more pixels; values that are not finite are black.
 
     Raises:
         InvalidInput: There is no finite value.

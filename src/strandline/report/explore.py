@@ -62,13 +62,7 @@ def inputs_as_json(space: ParameterSpace) -> list[dict[str, Any]]:
 def conditions_as_json(
     model: ForwardModel, observed: Mapping[str, Interface | None], pictures: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """Return each condition with what was observed, the undeformed interface and the picture behind it.
-
-    Args:
-        model: The simulator.
-        observed: Observed interfaces by condition; None for one that is not known yet.
-        pictures: Pictures behind the interfaces by condition, with size, place and address.
-    """
+    """Return each condition with what was observed (None if not known yet), undeformed interface and picture."""
     rest = undeformed_interface(model)
     flat = None if rest is None or rest.dim != 2 else _few(outline(rest), MOST_POINTS)
     return [
@@ -144,13 +138,7 @@ def band(interface: Interface, width: Float[np.ndarray, " point"]) -> list[list[
 def predictive_band(
     prediction: Prediction, mean: Float[np.ndarray, " dim"], draws: Float[np.ndarray, "draw dim"]
 ) -> dict[str, dict[str, Any]]:
-    """Return by condition the interface at the posterior mean, and twice the spread of the posterior's interfaces.
-
-    Args:
-        prediction: Interfaces as a function of the inputs.
-        mean: Posterior mean.
-        draws: Equally weighted draws of the posterior.
-    """
+    """Return by condition the interface at the posterior mean, and twice the spread of those of posterior draws."""
     central, drawn, out = prediction.points(mean[None]), prediction.points(draws), {}
     for name, template in prediction.templates.items():
         interface = Interface(central[name][0], template.cells)
@@ -161,15 +149,10 @@ def predictive_band(
 
 @dataclass(frozen=True, eq=False)
 class Explore:
-    """What the template of the section needs.
+    """What the template of the section needs: data of the panels as JSON, and whether the model offers its fields.
 
-    Args:
-        data: Data of the panels, JSON.
-        runs: Number of runs in the page.
-        of: Number of all runs.
-        ok: Number of runs in the page that succeeded.
-        outlines: Number of runs whose interfaces are in the page; None if nothing observed is a polyline.
-        flow: Whether the model offers its fields.
+    The page has `runs` `of` all, `ok` of which succeeded; of `outlines` it has the interfaces, None if nothing observed
+    is a polyline.
     """
 
     data: Markup
@@ -196,7 +179,6 @@ class Explore:
 
     @property
     def style(self) -> Markup:
-        """Style of the panels."""
         return Markup((PANELS / "panels.css").read_text(encoding="utf-8"))
 
     @property
@@ -215,13 +197,7 @@ def explore(
     truth: Mapping[str, float] | None,
     pictures: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Explore:
-    """Return what the panels show, thinned so that it fits into a page.
-
-    Args:
-        calibration: Result of the calibration.
-        truth: Inputs of a synthetic observation.
-        pictures: Pictures behind the interfaces by condition, with size, place and address.
-    """
+    """Return what the panels show, thinned so that it fits into a page."""
     every, problem = calibration.all_runs, calibration.problem
     observed = {seen.condition: seen.interface for seen in problem.observations if seen.interface.dim == 2}
     order = _best_first(calibration)
@@ -259,14 +235,7 @@ def _best_first(calibration: Calibration) -> list[int]:
 
 
 def _some(best_first: Sequence[int], number: int, most: int, among: Sequence[int] | None = None) -> list[int]:
-    """Return rows in order, at most so many: the best ones, and others at equal distances.
-
-    Args:
-        best_first: Rows, the best first.
-        number: Number of all rows.
-        most: Number of rows to return.
-        among: Rows to choose from; by default all.
-    """
+    """Return at most so many rows, of all or `among` some, in order: the best ones, and others at equal distances."""
     rows = list(range(number)) if among is None else list(among)
     if len(rows) <= most:
         return rows

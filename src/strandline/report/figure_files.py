@@ -24,14 +24,7 @@ OF_POSTERIOR = ("posterior", "uncertainty")
 
 @dataclass(frozen=True, eq=False)
 class Captioned:
-    """A figure of a report.
-
-    Args:
-        name: Name of its file.
-        section: Section of the report to which it belongs.
-        caption: What it shows.
-        drawing: The figure, or axes that fill it.
-    """
+    """A figure of a report, or axes that fill it, with the name of its file, its section and what it shows."""
 
     name: str
     section: str
@@ -40,7 +33,6 @@ class Captioned:
 
     @property
     def figure(self) -> Figure:
-        """The whole figure."""
         found: Figure = self.drawing.get_figure(root=True)
         return found
 
@@ -95,13 +87,9 @@ def whole_folder(target: Path) -> Iterator[Path]:
 
 
 def fitted(shown: Iterable[dict[str, str]], room: int) -> list[dict[str, str]]:
-    """Return what the page needs of each figure, with pictures that fit into so many characters.
+    """Return what the page needs of each figure, as `saved` returns it, with pictures of at most `room` characters.
 
     The largest ones have half their resolution, or all have, so that the page stays small enough to be sent.
-
-    Args:
-        shown: What `saved` returned of each figure.
-        room: Characters for all pictures.
     """
     out = list(shown)
     total = sum(len(item["data"]) for item in out)

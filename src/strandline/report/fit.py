@@ -36,9 +36,7 @@ TELLING = 2.0
 def fit_as_json(found: Misfit | None, far: str | None) -> dict[str, Any] | None:
     """Return the entry of summary.json; None if the fit was not judged.
 
-    Args:
-        found: The misfit of a calibration.
-        far: Message that no run comes near the observation, if none does; then the model does not explain it either.
+    `far` says that no run comes near the observation, if none does; then the model does not explain it either.
     """
     if found is None:
         return None
@@ -95,20 +93,12 @@ def _region(found: Region) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Nearest:
-    """The run with the largest log-likelihood and how near it is to one observation.
+    """The run with the largest log-likelihood, and how near it is to one observation.
 
-    Args:
-        condition: The observed condition.
-        run: The key of the run.
-        inputs: The inputs of the run.
-        residual: √(d²/(n σ_N²)), n being the number of distances that d² sums, 1 for a norm.
-        distance: Root mean square distance of the two interfaces, mm.
-        noise: The noise as a length, mm: σ_N if d² sums distances, else the shift for which d² = σ_N². None if it was
-            not needed.
-        offset: Distance of their centres, mm.
-        extent: Extent of the observed interface, mm.
-        extent_ratio: Extent of the observed interface divided by that of the run.
-        near: Whether the run is near in any of these senses.
+    `residual` is √(d²/(n σ_N²)), n being the number of distances that d² sums, 1 for a norm. `distance`, mm, is the
+    root mean square one of the two interfaces; `noise`, mm, is σ_N if d² sums distances, else the shift for which d² =
+    σ_N², None if it was not needed. `offset` is the distance of the centres, mm; `extent_ratio` that of the observed
+    interface to that of the run. The run is near if it is so in any of these senses.
     """
 
     condition: str
@@ -149,16 +139,12 @@ def nothing_near(found: list[Nearest]) -> str | None:
 def nearest_runs(
     problem: Problem, records: Sequence[RunRecord], log_likelihood: Float[np.ndarray, " ok"] | None = None
 ) -> list[Nearest]:
-    """Return how near the best run comes to each observation.
+    """Return how near the best run comes to each observation; only the first measure of the problem counts.
 
-    Args:
-        problem: The calibration problem; only its first measure counts.
-        records: The runs, at least one successful one among them.
-        log_likelihood: Log-likelihoods of the successful runs (ok,) under the first measure, if they are known already.
-
-    A run is far if all of these hold: its residual is above 5 noise units, or d² no longer grows with the distance;
-    the interfaces are further apart than 5 times the noise; and they are further apart than the runs are from each
-    other, so that no input between two runs is likely to fit.
+    A run is far if all of these hold: its residual is above 5 noise units, or d² no longer grows with the distance; the
+    interfaces are further apart than 5 times the noise; and they are further apart than the runs are from each other,
+    so that no input between two runs is likely to fit. Log-likelihoods of the successful runs are computed if not
+    given.
     """
     measure = problem.measure
     runs = [record for record in records if record.ok]

@@ -109,9 +109,7 @@ def embedded(data: Mapping[str, Any]) -> Markup:
 def bundled(entry: str, folder: Path = PANELS) -> str:
     """Return modules as one script: each in a function of its own that returns what it exports.
 
-    Args:
-        entry: Name of the module to start with.
-        folder: Folder of the modules; they import from it alone, and not in a circle.
+    They import from their folder alone, and not in a circle.
 
     Raises:
         ValueError: An import or export of another form, or a script that would end its element.

@@ -38,13 +38,11 @@ TO_UM = 1e3
 
 
 def methods_paragraph(summary: Mapping[str, Any]) -> str:
-    """Return a paragraph for the methods section of a paper, with the numbers of a study.
+    """Return a paragraph for the methods section of a paper, with the numbers of a study, from the content of
+    summary.json.
 
-    It also says what speaks against the result: runs that failed, a design that did not converge, a model that
-    does not explain the observation.
-
-    Args:
-        summary: Content of summary.json.
+    It also says what speaks against the result: runs that failed, a design that did not converge, a model that does not
+    explain the observation.
     """
     return " ".join(_sentences(summary))
 

@@ -51,18 +51,11 @@ def write_report(
     """Write `folder`/figures (PNG and PDF; coarse PNG for a draft) and `folder`/report.html; return the page's path.
 
     The page is self-contained: pictures and scripts are embedded, and it loads nothing. Without scripts, and on paper,
-    it is the same but for the section that they make.
-
-    Args:
-        calibration: Result of the calibration.
-        summary: Content of summary.json.
-        study_text: Text of study.yaml, shown as it is.
-        truth: Inputs of a synthetic observation.
-        folder: Folder of the study.
-        check: Content of check.json if it belongs to this posterior.
-        pictures: Pictures behind the interfaces by condition, with size, place and address.
-        on_failure: Function called with the name and the error of figures that cannot be drawn or saved; the page is
-            then written without them. By default, the first such error is raised and the old report stays.
+    it is the same but for the section that they make. `summary` is the content of summary.json, `truth` the inputs of a
+    synthetic observation, `check` the content of check.json if it belongs to this posterior, `pictures` those behind
+    the interfaces by condition, with size, place and address. `on_failure` gets the name and the error of figures that
+    cannot be drawn or saved, and the page is written without them; by default, the first such error is raised and the
+    old report stays.
     """
     doubt = reason_to_doubt(calibration, check)
     groups: dict[str, Iterator[Captioned]] = {
@@ -132,13 +125,7 @@ def remove_report(folder: Path) -> None:
 
 
 def add_check(check: Mapping[str, Any], folder: Path, *, draft: bool = False) -> None:
-    """Write figures/check.png and .pdf of `folder`, and put the section of the check into its report, if there is one.
-
-    Args:
-        check: Content of check.json.
-        folder: Folder of the study.
-        draft: Whether a coarse PNG is enough.
-    """
+    """Write the figure of a check into the folder's figures, and the section of it into its report, if there is one."""
     figures, report = folder / FIGURES, folder / FILE_NAME
     figures.mkdir(exist_ok=True)
     picture = saved(draw_check(check), figures, draft=draft)
@@ -151,15 +138,7 @@ def add_check(check: Mapping[str, Any], folder: Path, *, draft: bool = False) ->
 
 
 def write_answer(answer: Any, question: str, content: Mapping[str, Any], page: Path, *, draft: bool = False) -> None:
-    """Write the figures of an answer into the folder of its page, and the page.
-
-    Args:
-        answer: What the page says, `strandline.questions.answer.Answer`.
-        question: ``compare``, ``coverage``, ``next``, ``specimens`` or ``what-if``.
-        content: Content of the answer's JSON file.
-        page: Path of the page.
-        draft: Whether coarse PNGs are enough.
-    """
+    """Write the page of an `Answer`, and its figures into its folder; `content` is that of its JSON file."""
     figures = page.parent / FIGURES
     figures.mkdir(exist_ok=True)
     pictures = [saved(captioned, figures, draft=draft) for captioned in ANSWERS[question](content)]

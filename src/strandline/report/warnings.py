@@ -96,9 +96,7 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
 def reason_to_doubt(calibration: Calibration, check: Mapping[str, Any] | None = None) -> str | None:
     """Return in a few words why figures of the posterior must be marked; None if the posterior can be used.
 
-    Args:
-        calibration: Result of the calibration.
-        check: Content of check.json if it belongs to this posterior.
+    `check` is the content of check.json if it belongs to this posterior.
     """
     certificate = None if calibration.field is None else calibration.field.certificate
     if calibration.field is None and float(calibration.posterior.log_likelihood.max()) > ABOVE_ZERO:
@@ -150,12 +148,7 @@ def _fit(calibration: Calibration) -> Iterator[str]:
 
 
 def noise_at_an_end(medians: Mapping[str, float], stated: UnknownErrors) -> Iterator[str]:
-    """Yield a sentence for each parameter of inferred noise that the stated range holds back.
-
-    Args:
-        medians: Posterior medians of `sd` and `length`, mm.
-        stated: Their ranges.
-    """
+    """Yield a sentence for each parameter of inferred noise, `sd` or `length`, that its stated range holds back."""
     for name, words in {"sd": "sd", "length": "correlation length"}.items():
         given = getattr(stated, name)
         for end, value in zip(("lower", "upper"), given if isinstance(given, tuple) else (), strict=False):

@@ -30,14 +30,9 @@ NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,62}")
 
 @dataclass(frozen=True)
 class Asked:
-    """Other assumptions.
-
-    Args:
-        noise: Factor on the standard deviation of the noise.
-        length_um: Correlation length of the points' errors, µm; None for the stated one.
-        measure: Name of a measure of the study; None for its first one.
-        priors: Other priors by input, as study.yaml has them.
-        fixed: Inputs that are taken as known.
+    """Other assumptions: a factor on the standard deviation of the noise, the correlation length of the points' errors,
+    µm, and a measure of the study, each None as stated; other priors by input, as study.yaml has them; and inputs taken
+    as known.
     """
 
     noise: float
@@ -48,12 +43,7 @@ class Asked:
 
 
 def knobs_of(study: Study, now: Baseline | None) -> dict[str, Any]:
-    """Return what the page may change, with the present values.
-
-    Args:
-        study: The study.
-        now: Its posterior; None if there is none yet.
-    """
+    """Return what the page may change, with the present values; `now` is None if there is no posterior yet."""
     noises = [study.noise, *study.noises.values()]
     by_points = all(isinstance(one, PointErrors) for one in noises)
     sure = all(scaled_noise(one, 2.0) is not None for one in noises)
@@ -79,11 +69,7 @@ def _in_words(noise: object) -> dict[str, Any]:
 
 
 def asked_by(given: Mapping[str, Any], study: Study) -> Asked:
-    """Return what the page asks, checked.
-
-    Raises:
-        InvalidInput: A value that makes no sense.
-    """
+    """Return what the page asks; refuse values that make no sense."""
     known = {"noise", "length_um", "measure", "priors", "fixed"}
     if set(given) - known:
         raise _refused("assumptions", sorted(set(given) - known)[0], f"some of {', '.join(sorted(known))}")
@@ -107,11 +93,7 @@ def asked_by(given: Mapping[str, Any], study: Study) -> Asked:
 def answer_to(asked: Asked, study: Study, now: Baseline, *, again: bool) -> Answer:
     """Return the posterior under other assumptions, without a forward run.
 
-    Args:
-        asked: The assumptions.
-        study: The study.
-        now: Its posterior.
-        again: Whether it may be sampled again; otherwise the present draws get other weights.
+    `again` allows to sample it again; otherwise the present draws get other weights.
 
     Raises:
         InvalidInput: Assumptions that cannot be used.
@@ -163,11 +145,7 @@ def _prior(name: str, given: Any) -> dict[str, list[float]]:
 
 
 def number_in(name: str, given: Any, low: float, high: float) -> float:
-    """Return a number that the page sends.
-
-    Raises:
-        InvalidInput: It is no number between these.
-    """
+    """Return a number that the page sends; refuse one that is not between these."""
     if isinstance(given, int | float) and not isinstance(given, bool) and low <= given <= high:
         return float(given)
     raise _refused(name, given, f"a number from {low:g} to {high:g}")
@@ -178,14 +156,9 @@ def _refused(what: str, value: object, expected: str) -> InvalidInput:
 
 
 def save_as(study: Study, name: str, asked: Asked) -> Path:
-    """Write a study with other assumptions in a folder beside the present one; return the folder.
+    """Write a study with other assumptions in a folder of that name beside the present one; return the folder.
 
     The files that the study needs are copied, its results are not; `reuse` takes over its runs.
-
-    Args:
-        study: The study.
-        name: Name of the new study and its folder.
-        asked: The assumptions.
 
     Raises:
         InvalidInput: The name cannot be used, there is such a folder, or the assumptions cannot be written.

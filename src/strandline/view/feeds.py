@@ -39,11 +39,8 @@ class _Row:
 
 @dataclass
 class RunsFeed:
-    """All runs in a ledger, in the order in which they were first started.
-
-    Args:
-        path: The ledger; it need not exist yet.
-        inputs: Names of the inputs that the page shows.
+    """All runs in a ledger, which need not exist yet, in the order in which they were first started; `inputs` are
+    shown.
     """
 
     path: Path
@@ -117,12 +114,9 @@ class RunsFeed:
 class CurrentPosterior:
     """A posterior with all that belongs to it, replaced as a whole: another thread reads it meanwhile.
 
-    Args:
-        now: The newest posterior; None if there is none.
-        few: Some of its draws, few enough to be weighted again while a slider moves.
-        source: Where it comes from: ``none``, ``so far`` or ``stored``.
-        why_none: Why there is none.
-        history: Runs, means and standard deviations of each posterior, the newest last.
+    `now` is the newest one, None if there is none; it has come from ``none``, the runs ``so far`` or is ``stored``.
+    `few` has so few of its draws that they can be weighted again while a slider moves. `history` has runs, means and
+    standard deviations of each posterior, the newest last.
     """
 
     now: Baseline | None = None
@@ -134,12 +128,7 @@ class CurrentPosterior:
 
 @dataclass
 class PosteriorFeed:
-    """The newest posterior of a study, and the means and standard deviations of all before it.
-
-    Args:
-        study: The study.
-        shown: What the page shows.
-    """
+    """The newest posterior of a study, and the means and standard deviations of all before it."""
 
     study: Study
     shown: CurrentPosterior = CurrentPosterior()
@@ -147,20 +136,14 @@ class PosteriorFeed:
     _stored: int = 0
 
     def due(self, succeeded: int) -> bool:
-        """Return whether there is a newer posterior than this one: stored, or worth computing.
-
-        Args:
-            succeeded: Number of runs that have succeeded.
-        """
+        """Return whether there is a newer posterior than this one: stored, or worth computing with so many runs."""
         if results_of(self.study) == "current":
             return self._stored != changed_at(self.study.folder / SUMMARY)
         return succeeded - self._tried >= max(FEWEST_NEW, math.ceil(GROWTH * self._tried))
 
     def refresh(self, succeeded: int) -> None:
-        """Read the stored posterior if the study is finished, else compute the one of the runs so far.
-
-        Args:
-            succeeded: Number of runs that have succeeded.
+        """Read the stored posterior if the study is finished, else compute that of the runs so far, so many of them
+        good.
         """
         use_double()
         self._tried, self._stored = succeeded, changed_at(self.study.folder / SUMMARY)

@@ -46,21 +46,13 @@ PAGE = Path(__file__).parent / "page"
 
 @dataclass(frozen=True)
 class Access:
-    """Lets requests in, or refuses them.
-
-    Args:
-        token: Secret that each address must contain.
-    """
+    """Lets requests in, or refuses them; each address must contain the token."""
 
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
 
     def refusal(self, host: str, origin: str | None, token: str) -> str:
-        """Return why a request is refused; empty if it is let in.
-
-        Args:
-            host: Its header `Host`.
-            origin: Its header `Origin`, if it has one.
-            token: Token in its address; empty if there is none.
+        """Return why a request is refused, by its headers `Host` and `Origin` and the token in its address; empty if it
+        is not.
         """
         if not _is_loopback(host):
             return "this page is called by localhost or 127.0.0.1 only"
@@ -119,11 +111,6 @@ class _Guarded(RequestHandler):
         self.finish(json.dumps(found, allow_nan=False, separators=(",", ":")))
 
     def body(self) -> dict[str, Any]:
-        """Return what was sent.
-
-        Raises:
-            InvalidInput: It is no JSON object.
-        """
         try:
             found = json.loads(self.request.body or b"{}")
         except ValueError:
@@ -240,11 +227,7 @@ class _Events(_Guarded):
 
 
 def _part(given: dict[str, Any], name: str) -> dict[str, Any]:
-    """Return a part of a request, a JSON object; empty if it is missing.
-
-    Raises:
-        InvalidInput: It is something else.
-    """
+    """Return a part of a request, a JSON object; empty if it is missing."""
     found = given.get(name)
     if found is not None and not isinstance(found, dict):
         raise InvalidInput(name, value=found, expected="a JSON object", remedy="Use the page.")
@@ -258,12 +241,7 @@ def _saved(study: Study, given: dict[str, Any]) -> dict[str, Any]:
 
 
 def application(session: Session, access: Access) -> Application:
-    """Return the web application.
-
-    Args:
-        session: What all requests share.
-        access: Who may make requests.
-    """
+    """Return the web application."""
     shared = {"session": session, "access": access}
     return Application(
         [

@@ -34,10 +34,8 @@ ADDRESS = "127.0.0.1"
 class Server:
     """A study served to a browser on this machine.
 
-    Args:
-        study: The study.
-        port: Port to listen on; 0 takes any free one.
-        patience: Seconds for which the first counts and the first posterior wait until a page has got the runs.
+    Port 0 takes any free one. The first counts and the first posterior wait for some seconds until a page has got the
+    runs.
 
     Raises:
         InvalidInput: The port cannot be used.
@@ -105,13 +103,7 @@ class Server:
 
 @contextmanager
 def serving(study: Study, *, port: int = 0, patience: float = PATIENCE) -> Iterator[Server]:
-    """Serve a study in a thread of its own, and stop at the end.
-
-    Args:
-        study: The study.
-        port: Port to listen on; 0 takes any free one.
-        patience: Patience of the `Server`.
-    """
+    """Serve a study in a thread of its own, and stop at the end."""
     server = Server(study, port=port, patience=patience)
     server.start()
     try:
@@ -122,12 +114,7 @@ def serving(study: Study, *, port: int = 0, patience: float = PATIENCE) -> Itera
 
 @dataclass(frozen=True, eq=False)
 class NotebookPage:
-    """A page that is served as long as the notebook's kernel lives, or until `close`.
-
-    Args:
-        server: Its server.
-        height: Height below the cell, pixels.
-    """
+    """A page that is served as long as the notebook's kernel lives, or until `close`, with its height in pixels."""
 
     server: Server
     height: int
@@ -150,12 +137,7 @@ class NotebookPage:
 
 
 def show(study: Study, *, height: int = 900) -> NotebookPage:
-    """Show the page of a study below a cell of a notebook, until the kernel ends.
-
-    Args:
-        study: The study.
-        height: Height below the cell, pixels.
-    """
+    """Show the page of a study below a cell of a notebook, so many pixels high, until the kernel ends."""
     server = Server(study)
     server.start()
     atexit.register(server.stop)

@@ -24,13 +24,8 @@ KEEP_ALIVE = 15.0
 class Session:
     """What all requests share: the study, threads that do the work, and a bell that rings when something is new.
 
-    Args:
-        viewed: The study.
-        patience: Seconds for which the first counts and the first posterior wait until a page has got the runs.
-        rings: How often the bell has rung.
-        streams: Number of open streams of events.
-        closing: Whether all streams are to end.
-        problem: What is wrong with the ledger; empty if nothing is.
+    `streams` counts the open streams of events, which end when it is `closing`; `problem` says what is wrong with the
+    ledger.
     """
 
     viewed: ViewedStudy

@@ -55,11 +55,7 @@ COLUMNS, DIGITS = 240, 4
 
 @dataclass
 class ViewedStudy:
-    """A study and what has been computed for its page.
-
-    Args:
-        study: The study, from `load_study`.
-    """
+    """A study and what has been computed for its page."""
 
     study: Study
 
@@ -75,7 +71,6 @@ class ViewedStudy:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What the page needs to know once: the inputs, the conditions, what was observed."""
         study, observed = self.study, dict[str, Interface | None](observations_of(self.study)) or {"": None}
         pictures = {
             name: picture_behind(study, name, f"api/picture?{urlencode({'condition': name})}") for name in observed
@@ -91,11 +86,7 @@ class ViewedStudy:
         }
 
     def require_ledger(self) -> None:
-        """Refuse a ledger that is gone although the study has results or the page has shown runs.
-
-        Raises:
-            InvalidStudy: It is gone.
-        """
+        """Refuse a ledger that is gone although the study has results or the page has shown runs."""
         if self.study.ledger_path.is_file() or not (self.feed.version or (self.study.folder / SUMMARY).is_file()):
             return
         raise InvalidStudy(
@@ -218,11 +209,7 @@ class ViewedStudy:
         return {"conditions": _predicted(knowledge, x, observations_of(self.study)), "success": chance}
 
     def ask(self, given: Mapping[str, Any], *, again: bool) -> dict[str, Any]:
-        """Return the posterior under other assumptions.
-
-        Args:
-            given: The assumptions, see `asked_by`.
-            again: Whether it may be sampled again.
+        """Return the posterior under other assumptions, see `asked_by`; `again` allows to sample it again.
 
         Raises:
             InvalidInput: The assumptions cannot be used, or there is no posterior yet.
@@ -305,13 +292,7 @@ def _read(path: Path) -> dict[str, Any]:
 def _predicted(
     knowledge: Knowledge, x: Float[np.ndarray, " dim"], observed: Mapping[str, Interface]
 ) -> dict[str, dict[str, Any]]:
-    """Return by condition the predicted polyline, the surrogate's standard deviation along its normals, and offsets.
-
-    Args:
-        knowledge: What is known of the interface.
-        x: The inputs.
-        observed: Observed interfaces by condition.
-    """
+    """Return by condition the predicted polyline, the surrogate's standard deviation along its normals, and offsets."""
     surrogate, out = knowledge.surrogate, {}
     interfaces, variances = surrogate.interfaces(x), surrogate.predict(x[None]).variance[0]
     fields = surrogate.modes.basis / surrogate.modes.roots
@@ -329,17 +310,7 @@ def _predicted(
 
 
 def _flow_on_grid(model: ForwardModel, inputs: Mapping[str, float], condition: str) -> dict[str, Any]:
-    """Make a run of the built-in model, and return its fields on a regular grid; None outside the cell.
-
-    Args:
-        model: The model.
-        inputs: All inputs by name.
-        condition: Name of a condition; empty if there is only one.
-
-    Raises:
-        ForwardModelError: The run fails.
-        InvalidInput: The model has no fields.
-    """
+    """Make a run of the built-in model, and return its fields on a regular grid; None outside the cell."""
     plain: Any = model
     fields = plain.fields(inputs, condition) if condition else plain.fields(inputs)
     (left, low), (right, high) = fields.points.min(axis=0), fields.points.max(axis=0)

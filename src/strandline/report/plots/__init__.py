@@ -1,4 +1,7 @@
-"""Figures: each function takes data and an optional Axes (or Figure, for several panels) and returns it."""
+"""Figures: each function draws data in given Axes (or a Figure, for several panels) or new ones, and returns them.
+
+True values are by name; `names` are inputs, by default all.
+"""
 
 from strandline.report.plots.answers import (
     plot_alternatives,

@@ -37,15 +37,11 @@ def plot_candidates(
     *,
     figure: Figure | SubFigure | None = None,
 ) -> Figure | SubFigure:
-    """Draw the gain of each candidate for the next experiment as a bar, and beside it the expected widths.
+    """Draw the gain of each candidate for the next experiment, nats, with its error as a bar, and beside it the
+    expected widths.
 
-    Args:
-        labels: The candidates in words.
-        gains: Expected information gains, nats.
-        errors: Their standard errors.
-        failing: Probabilities that the experiment fails; the part of the gain that this costs is drawn pale.
-        ratios: Expected standard deviations over the present ones, by input.
-        figure: Figure to draw in.
+    `failing` are the probabilities that the experiment fails; the part of the gain that this costs is drawn pale.
+    `ratios` are the expected standard deviations over the present ones, by input.
     """
     place = np.arange(len(labels))
     with styled():
@@ -76,11 +72,7 @@ def plot_directions(
 ) -> Axes:
     """Draw the combinations of the inputs as columns of a matrix, with what is left of the prior's width in each.
 
-    Args:
-        names: Names of the inputs.
-        weights: Unit vectors in prior standard deviations, one combination a row.
-        left: Share of the prior's standard deviation that is left in each.
-        ax: Axes to draw in.
+    `weights` are unit vectors in prior standard deviations, one combination a row.
     """
     number = len(names)
     with styled():
@@ -122,13 +114,7 @@ def plot_rank_band(band: Band, *, legend: bool = True, ax: Axes | None = None) -
 
 
 def plot_intervals(found: Mapping[str, Sequence[Mapping[str, float]]], *, ax: Axes | None = None) -> Axes:
-    """Draw the share of intervals that contain the truth, for each input and probability.
-
-    Args:
-        found: For each input, and for each probability `level`: the share `found`, and the ends of its interval, `low`
-            and `high`, as coverage.json has them.
-        ax: Axes to draw in.
-    """
+    """Draw the share of intervals that contain the truth, for each input and probability, as coverage.json has them."""
     with styled():
         ax = axes_or_new(ax, (style.SINGLE, 2.7))
         levels = [one["level"] for one in next(iter(found.values()))]
@@ -153,11 +139,8 @@ def plot_alternatives(
 ) -> Figure | SubFigure:
     """Draw mean and interval of each input under each alternative, over a band for the present posterior.
 
-    Args:
-        present: The present `mean`, and the ends of the 90 % interval, `low` and `high`, by the label of the input.
-        alternatives: The name of each, with the same of each input and whether it `moves` by more than what counts;
-            None if the input is fixed.
-        figure: Figure to draw in.
+    `present` has the `mean`, and the ends of the 90 % interval, `low` and `high`, by the label of the input;
+    alternatives have the same of each input and whether it `moves` by more than what counts, or None if it is fixed.
     """
     with styled():
         height, sharing = ROW * (len(alternatives) + 1) + AROUND, {"sharey": True}
@@ -187,13 +170,9 @@ def _whiskers(ax: Axes, band: Mapping[str, float], some: Sequence[Mapping[str, f
 
 
 def plot_caterpillar(specimens: Sequence[Mapping[str, Any]], name: str, label: str, *, ax: Axes | None = None) -> Axes:
-    """Draw the 90 % intervals of an input for all specimens, sorted by their medians.
+    """Draw the 90 % intervals of an input for all specimens of specimens.json, sorted by their medians.
 
-    Args:
-        specimens: The specimens of specimens.json.
-        name: Name of the input.
-        label: Its symbol with its unit, for Matplotlib.
-        ax: Where to draw.
+    `label` is the symbol of the input with its unit, for Matplotlib.
     """
     items = [one["inputs"][name] for one in specimens]
     own = np.array([[item[q] for q in QUANTILES] for item in items])
@@ -231,14 +210,10 @@ def plot_population(
     *,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw the density of an input in the population, above a stroke for the mean of each specimen.
+    """Draw the density of an input in the population, above a stroke for the mean of each specimen given all of them.
 
-    Args:
-        density: Values `x` of the input, and the `median` and the quantiles of 5 % (`low`) and 95 % (`high`) of the
-            density there, per unit of the input.
-        specimens: Posterior mean of each specimen given all of them.
-        label: Symbol of the input with its unit, for Matplotlib.
-        ax: Where to draw.
+    `density` has values `x` of the input, and the `median` and the quantiles of 5 % (`low`) and 95 % (`high`) of the
+    density there, per unit of the input; `label` is its symbol with its unit, for Matplotlib.
     """
     x, high = density["x"], density["high"]
     with styled():

@@ -19,15 +19,8 @@ MARGIN = 0.03
 
 @dataclass(frozen=True, eq=False)
 class OffsetBand:
-    """Interfaces as offsets along the normals of their pointwise median; all in mm.
-
-    Args:
-        arc_length: places along the median.
-        low: 5 % quantiles there.
-        median: 50 % quantiles there.
-        high: 95 % quantiles there.
-        observed_arc_length: places of the observed points along the median.
-        observed: their offsets.
+    """Interfaces as offsets along the normals of their pointwise median: 5, 50 and 95 % quantiles at places along it,
+    and the offsets of the observed points; all in mm.
     """
 
     arc_length: Float[np.ndarray, " point"]
@@ -47,11 +40,7 @@ def plot_check(
 ) -> Figure | SubFigure:
     """Draw true against surrogate log-likelihoods and, for each condition, `plot_offsets`.
 
-    Args:
-        true: Log-likelihoods of the draws by the true model; not finite if the run failed.
-        surrogate: Log-likelihoods of the draws by the surrogate.
-        bands: Bands by condition; None if there is no band to draw.
-        figure: Figure to draw in; a new one by default.
+    True ones are not finite if the run failed; a band is None if there is none to draw.
     """
     with styled():
         figure = figure_or_new(figure, (style.DOUBLE, 3.6 if len(bands) < 2 else 3.0))
@@ -114,12 +103,7 @@ def plot_averaged(
 
 
 def plot_model_marginals(one: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
-    """Draw the histograms of an input under each model, and their average on top.
-
-    Args:
-        one: `label`, `unit` and `histogram` of the input, as compare.json has them.
-        ax: Axes to draw in.
-    """
+    """Draw the histograms of an input under each model, as compare.json has it, and their average on top."""
     histogram, models = one["histogram"], one["histogram"]["models"]
     edges = np.array(histogram["edges"], float)
     with styled():
@@ -141,12 +125,7 @@ def axis_label(item: Mapping[str, Any]) -> str:
 def plot_predictions(
     bands: Mapping[tuple[str, str], OffsetBand], *, figure: Figure | SubFigure | None = None
 ) -> Figure | SubFigure:
-    """Draw the predicted interfaces with the observed one: a row for each condition, a column for each model.
-
-    Args:
-        bands: Bands by condition and model.
-        figure: Figure to draw in; a new one by default.
-    """
+    """Draw the predicted interfaces with the observed one: a row for each condition, a column for each model."""
     conditions, models = (list(dict.fromkeys(key[k] for key in bands)) for k in (0, 1))
     with styled():
         figure = figure_or_new(figure, (style.DOUBLE, 3.0 * len(conditions) + 0.3))

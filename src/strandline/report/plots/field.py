@@ -37,17 +37,10 @@ STEPS = 8
 
 @dataclass(frozen=True, eq=False)
 class FieldGrid:
-    """A scalar on a grid of two inputs, with the runs it was learnt from.
+    """A scalar on a grid of two inputs, log-likelihood or standard deviation, with the runs it was learnt from.
 
-    Args:
-        x: the input along the horizontal axis.
-        y: the input along the vertical axis.
-        x_values: grid of the first (x,), physical.
-        y_values: grid of the second (y,), physical.
-        values: the scalar (x, y): log-likelihood, or standard deviation.
-        failed: inputs of the failed runs (run, 2); None for none.
-        truth: the ground truth (2,), if there is one.
-        detail: the same scalar on a finer grid of a small part; a likelihood too narrow to be seen is shown there.
+    `failed` are inputs of the failed runs. `detail` is the same scalar on a finer grid of a small part; a likelihood
+    too narrow to be seen is shown there.
     """
 
     x: Parameter
@@ -70,14 +63,9 @@ def plot_field(
 ) -> Axes:
     """Draw a field in colours with contour lines.
 
-    The colours and lines of a log-likelihood are equally spaced in the square root of its drop from the maximum.
-
-    Args:
-        grid: the field; for `kind` "likelihood" its values are log-likelihoods, and exp(value - maximum) is drawn.
-        kind: what the values are.
-        colour_bar: whether to draw one.
-        legend: whether to explain the crosses and points under the axes.
-        ax: axes to draw in.
+    The colours and lines of a log-likelihood are equally spaced in the square root of its drop from the maximum. With
+    the kind "likelihood", the values of the grid are log-likelihoods, and exp(value - maximum) is drawn. A legend
+    explains the crosses and points under the axes.
     """
     detail = grid.detail if kind == "likelihood" else None
     top = max(float(g.values.max()) for g in (grid, detail) if g is not None)

@@ -16,12 +16,8 @@ from strandline.report.plots.style import figure_of, figure_or_new, styled
 def plot_flow(fields: Any, *, title: str = "", figure: Figure | SubFigure | None = None) -> Figure | SubFigure:
     """Draw speed and pressure in the fluid and displacement magnitude in the solid, one below the other.
 
-    The undeformed interface is grey; thin lines in the solid divide its parts.
-
-    Args:
-        fields: The state to draw, in the form of `strandline.models.biofilm.fields.FlowFields`.
-        title: Title, e.g. the inputs.
-        figure: Figure to draw in; a new one by default.
+    The undeformed interface is grey; thin lines in the solid divide its parts. `fields` have the form of
+    `strandline.models.biofilm.fields.FlowFields`.
     """
     speed = np.linalg.norm(fields.velocity, axis=1)
     length = np.linalg.norm(fields.displacement, axis=1)

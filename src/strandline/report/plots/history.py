@@ -25,14 +25,7 @@ def plot_run_history(
 ) -> Figure | SubFigure:
     """Draw the mean and a band of one standard deviation of each input against the number of runs.
 
-    Args:
-        runs: Number of runs on which each posterior is based.
-        mean: Posterior means.
-        sd: Posterior standard deviations.
-        labels: Labels of the inputs, with units.
-        checked: Whether each posterior was computed with the runs of a check as well.
-        truth: Inputs of a synthetic observation.
-        figure: Figure to draw in; a new one by default.
+    `labels` of the inputs have units; `checked` tells which posteriors were computed with the runs of a check as well.
     """
     with styled():
         figure, panels = panel_grid(figure, len(labels), 2.0, columns=4, sharex=True)
@@ -61,12 +54,8 @@ def plot_tempering(
 ) -> Figure | SubFigure:
     """Draw the sampler's tempering steps in three panels with a common x axis.
 
-    Args:
-        exponent: exponent of the likelihood after each step (step,).
-        ess: effective sample size after each step.
-        acceptance: share of accepted moves in each step.
-        particles: number of particles; a line marks half of it, below which the sampler resamples.
-        figure: figure to draw in.
+    The exponent of the likelihood, the effective sample size and the share of accepted moves are those after each step.
+    A line marks half the number of particles, below which the sampler resamples.
     """
     with styled():
         figure = figure_or_new(figure, (style.SINGLE, 3.8))

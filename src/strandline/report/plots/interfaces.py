@@ -30,11 +30,8 @@ def plot_interfaces(
 ) -> Axes:
     """Draw interfaces in the plane, in mm, at equal scales; flat ones are stretched in y, and the axis says so.
 
-    Args:
-        observed: the measured interface, green.
-        reference: the undeformed interface, grey.
-        simulated: interfaces by their label in the legend, e.g. their inputs.
-        ax: axes to draw in.
+    The measured interface is green, the undeformed one grey; simulated ones have labels for the legend, e.g. their
+    inputs.
     """
     labels = {label: _wrapped(label) for label in simulated or {}}
     long = any(len(label) > _HALF_LINE for label in labels)
@@ -66,12 +63,7 @@ def plot_conditions(
 ) -> Figure | SubFigure:
     """Draw the interfaces of several conditions, one panel each, as `plot_interfaces` does for one.
 
-    Args:
-        observed: Observed interfaces by condition; None for a condition that was not observed.
-        reference: The undeformed interface of the specimen.
-        simulated: Simulated interfaces by condition and label; each condition has the same labels, since one legend
-            under the last panel explains all.
-        figure: Figure to draw in; a new one by default.
+    Each condition has simulated interfaces with the same labels, since one legend under the last panel explains all.
     """
     with styled():
         figure = figure_or_new(figure, (style.DOUBLE, 1.2 + 2.6 * len(observed)))
@@ -115,12 +107,8 @@ def _draw(
 
 
 def plot_run_offsets(observed: Offsets, runs: Mapping[str, Offsets], *, ax: Axes | None = None) -> Axes:
-    """Draw the normal offsets of the observed interface and of some runs from the best run, which is the zero line.
-
-    Args:
-        observed: Offsets of the observed points, mm.
-        runs: Offsets of other runs, mm, by their label in the legend.
-        ax: Axes to draw in.
+    """Draw the normal offsets, mm, of the observed interface and of some runs from the best run, which is the zero
+    line.
     """
     with styled():
         ax = axes_or_new(ax, (style.DOUBLE, 3.2))
@@ -138,13 +126,9 @@ def plot_run_offsets(observed: Offsets, runs: Mapping[str, Offsets], *, ax: Axes
 
 @dataclass(frozen=True, eq=False)
 class ResidualsAlong:
-    """Residuals of one observed interface, mm.
-
-    Args:
-        arc_length: Arc length at each observed point.
-        residual: Signed distance of each point from the prediction.
-        sd: Standard deviation that the noise allows.
-        conspicuous: Ends of the parts of the arc where the residuals are too large.
+    """Residuals of one observed interface at arc lengths, all in mm: signed distances of the points from the
+    prediction, the standard deviation that the noise allows, and the ends of the parts of the arc where residuals are
+    too large.
     """
 
     arc_length: Float[np.ndarray, " point"]
@@ -156,12 +140,7 @@ class ResidualsAlong:
 def plot_residuals(
     residuals: Mapping[str, ResidualsAlong], *, figure: Figure | SubFigure | None = None
 ) -> Figure | SubFigure:
-    """Draw the residuals in µm over the arc length with a band of ± 2 standard deviations, one panel a condition.
-
-    Args:
-        residuals: Residuals by condition.
-        figure: Figure to draw in; a new one by default.
-    """
+    """Draw the residuals in µm over the arc length with a band of ± 2 standard deviations, one panel a condition."""
     with styled():
         figure = figure_or_new(figure, (style.DOUBLE, 0.9 + 1.9 * len(residuals)))
         panels = figure.subplots(len(residuals), 1, squeeze=False)[:, 0]

@@ -51,16 +51,10 @@ def plot_joint(
 ) -> Figure | SubFigure:
     """Draw hexagons of weight, percentile lines of three approximations, point estimates, marginals and priors.
 
-    Args:
-        posterior: The weighted draws, of any number of inputs.
-        names: The inputs along x and y.
-        laplace: The Laplace approximation of *all* inputs of `posterior`; an indefinite one is noted, not drawn.
-        truth: The ground truth by name.
-        mode: MAP estimate of the two inputs; by default the best particle if these are all inputs, else the centre of
-            the fullest bin (paper, Remark 8).
-        percentiles: Probabilities that the lines enclose, as fractions.
-        bins: Hexagons across, and bins of the marginals.
-        figure: Figure to draw in.
+    The Laplace approximation is that of all inputs of the posterior; an indefinite one is noted, not drawn. `mode` is
+    by default the best particle if the two inputs are all there are, else the centre of the fullest bin (paper, Remark
+    8). `percentiles` are the probabilities that the lines enclose, as fractions; `bins` count hexagons across, and bins
+    of the marginals.
     """
     x, y = (posterior.space[name] for name in names)
     values = posterior.columns(names)
@@ -91,15 +85,9 @@ def plot_hexagons(
 ) -> Axes:
     """Draw the weighted hexagonal histogram of two inputs with percentile lines of a kernel density estimate.
 
-    Args:
-        posterior: The weighted draws.
-        names: The inputs along x and y.
-        percentiles: Probabilities that the lines enclose, as fractions.
-        bins: Hexagons across.
-        colour_bar: Whether to draw one.
-        particles: Largest number of particles used for the lines, a fifth of them for the bandwidth; more are thinned
-            by systematic resampling. Hexagons use all.
-        ax: Axes to draw in.
+    `percentiles` are the probabilities that the lines enclose, as fractions. At most `particles` are used for the
+    lines, a fifth of them for the bandwidth; more are thinned by systematic resampling. Hexagons, `bins` across, use
+    all.
     """
     x, y = (posterior.space[name] for name in names)
     across, up = (axis_limits(posterior, name) for name in names)
@@ -235,11 +223,7 @@ def plot_particles(
 ) -> Axes:
     """Draw the particles in the plane of two inputs; the area of a circle is proportional to its weight.
 
-    Args:
-        posterior: the weighted draws.
-        names: the inputs along x and y.
-        largest: area of the heaviest particle's circle, points².
-        ax: axes to draw in.
+    `largest` is the area of the heaviest particle's circle, points².
     """
     order = np.argsort(posterior.weights)
     weights, points = posterior.weights[order], posterior.columns(names)[order]

@@ -25,13 +25,7 @@ WHOLE_BOX_FROM = 0.75
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A density from another source to draw over a marginal, e.g. from quadrature of the same surrogate.
-
-    Args:
-        x: values of the input (point,).
-        density: densities there (point,).
-        label: what the legend calls it.
-    """
+    """A density from another source to draw over a marginal, e.g. from quadrature of the same surrogate."""
 
     x: Float[np.ndarray, " point"]
     density: Float[np.ndarray, " point"]
@@ -131,10 +125,6 @@ def axis_limits(posterior: Posterior, name: str) -> tuple[float, float]:
     """Return the part of the design box that holds nearly all mass, with a margin; the box if that is most of it.
 
     A posterior that data have narrowed to a few per cent of the box would be a speck on axes that show the whole box.
-
-    Args:
-        posterior: The weighted draws.
-        name: Name of the input.
     """
     box = posterior.space[name].interval
     index = posterior.space.names.index(name)

@@ -38,13 +38,7 @@ def plot_corner(
 ) -> Figure | SubFigure:
     """Draw the marginal density of each input, and for each pair the smallest regions that hold some probabilities.
 
-    Args:
-        posterior: Weighted draws.
-        names: Inputs to draw, by default all.
-        masses: Probabilities of the regions, as fractions; the first is the darkest.
-        prior: Whether to draw the prior of each input.
-        truth: True values of some inputs.
-        figure: Figure to draw in.
+    `masses` are these probabilities, as fractions; the first region is the darkest. `truth` may have some inputs only.
 
     Raises:
         InvalidInput: A probability that is not between 0 and 1, or not at least one of them.
@@ -191,11 +185,7 @@ def _patch(place: int, count: int) -> Patch:
 
 @dataclass(frozen=True, repr=False)
 class PosteriorPlots:
-    """Draws figures of a posterior; each method returns the axes, or the figure, that it drew in.
-
-    Args:
-        posterior: Weighted draws.
-    """
+    """Draws figures of a posterior; each method returns the axes, or the figure, that it drew in."""
 
     posterior: Posterior
 

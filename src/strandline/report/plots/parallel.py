@@ -29,12 +29,7 @@ def plot_parallel(posterior: Posterior, *, truth: Mapping[str, float] | None = N
 
     Lines of low density are drawn first and those of high density on top of them. Particles without weight are left
     out; the density, not the weight, colours the others. The axes of the inputs span their boxes: the calibrated
-    inputs, the density, and the nuisance inputs last, as in the study.
-
-    Args:
-        posterior: The weighted draws.
-        truth: The ground truth by name, drawn as a point on each axis.
-        ax: Axes to draw in.
+    inputs, the density, and the nuisance inputs last, as in the study. A point on each axis marks the ground truth.
     """
     space, density, order = posterior.space, posterior.log_density, _order(posterior)
     low = float(np.quantile(density, LOWEST, weights=posterior.weights, method="inverted_cdf"))
@@ -75,11 +70,7 @@ def plot_failed_runs(
 ) -> Axes:
     """Draw each run as a line across one axis per input: grey if it succeeded, coloured by kind if it failed.
 
-    Args:
-        space: the inputs, from left to right; each axis spans the box.
-        ok: inputs of the successful runs (run, dim).
-        failed: inputs of the failed runs (run, dim) by kind of failure, the commonest first.
-        ax: axes to draw in.
+    Each axis spans the box; the commonest kind comes first.
     """
     with styled():
         ax = axes_or_new(ax, (style.DOUBLE, 3.2))

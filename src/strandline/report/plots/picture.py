@@ -29,14 +29,8 @@ def plot_picture(
 ) -> Figure | SubFigure:
     """Draw the edge in the picture, a part of it enlarged, the strip along its normals, and its residuals.
 
-    The bands are ± 2 standard deviations of a point. They are too narrow to be seen in the whole picture, so a part
-    of it is enlarged, around the middle of the edge.
-
-    Args:
-        picture: The picture.
-        path: First path, in pixels.
-        edge: The edge; lengths in mm.
-        figure: Figure to draw in; a new one by default.
+    The bands are ± 2 standard deviations of a point. They are too narrow to be seen in the whole picture, so a part of
+    it is enlarged, around the middle of the edge. The first path is in pixels; lengths of the edge are in mm.
     """
     with styled():
         figure = figure_or_new(figure, (style.DOUBLE, 5.8))

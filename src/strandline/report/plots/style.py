@@ -133,16 +133,10 @@ def panel_grid(
     single: float = SINGLE,
     **options: Any,
 ) -> tuple[Figure | SubFigure, list[Axes]]:
-    """Return a figure with so many panels, and the panels, in rows.
+    """Return a figure with so many panels, and the panels, in rows of at most `columns`.
 
-    Args:
-        figure: Figure to draw in; None for a new one.
-        number: Number of panels.
-        height: Height of a row, inches.
-        columns: Most panels in a row.
-        margin: What is added to the height of all rows, inches.
-        single: Width of a figure with a single column, inches.
-        options: Options of `Figure.subplots`.
+    `height` of a row, `margin`, added to that of all rows, and the width of a figure with a `single` column are in
+    inches; `options` are those of `Figure.subplots`.
     """
     columns = min(columns, number)
     rows = -(-number // columns)

@@ -20,12 +20,8 @@ DARKEST = 0.5, 99.5
 def plot_surfaces(
     observed: Interface, simulated: Mapping[str, Interface], *, figure: Figure | SubFigure | None = None
 ) -> Figure | SubFigure:
-    """Draw where three planes at right angles to the axes cut an observed surface and simulated ones.
-
-    Args:
-        observed: The observed surface, mm; the planes run through its middle.
-        simulated: Simulated surfaces by label, mm.
-        figure: Figure to draw in; a new one by default.
+    """Draw where planes at right angles to the axes, through the middle of an observed surface, cut it and simulated
+    ones, mm.
     """
     middle = 0.5 * (observed.points.min(axis=0) + observed.points.max(axis=0))
     shown = {"observed": (observed, style.BLACK, 1.6)}
@@ -46,13 +42,7 @@ def plot_surfaces(
 
 
 def plot_stack(stack: Stack, mesh: Mesh, *, figure: Figure | SubFigure | None = None) -> Figure | SubFigure:
-    """Draw the three slices through the middle of a surface, at right angles to each axis of the stack.
-
-    Args:
-        stack: The stack.
-        mesh: The surface, in voxel coordinates.
-        figure: Figure to draw in; a new one by default.
-    """
+    """Draw three slices of a stack through the middle of a surface, in voxels, at right angles to each axis."""
     middle = np.rint(0.5 * (mesh.points.min(axis=0) + mesh.points.max(axis=0))).astype(int)
     with styled():
         figure = figure_or_new(figure, (style.DOUBLE, 2.6))

@@ -24,15 +24,10 @@ def plot_leave_one_out(
     left_out: str = "leave-one-out",
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw predictions against values; on the diagonal they agree.
+    """Draw predictions of log-likelihoods, each without that run, against their values; on the diagonal they agree.
 
-    Args:
-        value: the log-likelihood at each training point (run,).
-        prediction: the surrogate's prediction without that point, and perhaps some others (run,).
-        sd: its standard deviation there, drawn as error bars.
-        near_mode: the points near the mode, which decide the posterior; highlighted.
-        left_out: how the predictions were made: ``leave-one-out`` or ``leave-a-tenth-out``.
-        ax: axes to draw in.
+    `sd`, that of the predictions, is drawn as error bars; points near the mode, which decide the posterior, are
+    highlighted. `left_out` says how the predictions were made: ``leave-one-out`` or ``leave-a-tenth-out``.
     """
     near = np.zeros(len(value), bool) if near_mode is None else near_mode
     with styled():
@@ -65,12 +60,8 @@ DECADES = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class ErrorsAlong:
-    """Errors at places along an interface, mm; medians over runs or draws.
-
-    Args:
-        arc_length: Places along the interface (point,), mm.
-        left_out: Errors of runs (point,), each predicted from the others.
-        predicted: Standard deviations (point,) that the surrogate predicts at draws of the posterior.
+    """Errors at places along an interface, mm: the medians over runs, each predicted from the others, and over draws of
+    the posterior, of the standard deviation that the surrogate predicts there.
     """
 
     arc_length: Float[np.ndarray, " point"]
@@ -112,13 +103,7 @@ HEIGHT = 0.36
 
 
 def plot_sensitivity(indices: SobolIndices, names: Sequence[str], *, ax: Axes | None = None) -> Axes:
-    """Draw the first-order and the total index of each input as a pair of bars, with their bootstrap intervals.
-
-    Args:
-        indices: Sobol' indices of the inputs, in the order of `names`.
-        names: Names of the inputs.
-        ax: Axes to draw in.
-    """
+    """Draw the first-order and the total index of each input as a pair of bars, with their bootstrap intervals."""
     place = np.arange(len(names))
     kinds = (
         ("alone (first order)", style.BLUE, -0.5 * HEIGHT, indices.first, indices.first_low, indices.first_high),
