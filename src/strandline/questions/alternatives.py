@@ -48,7 +48,8 @@ def alternative_of(asked: WhatIf, study: Study, now: Baseline) -> Alternative:
     with refused_at(f"{PLACE}.prior"):
         space = with_prior(now.space, priors)
     parts = list(_parts(asked))
-    likelihood = None if now.knowledge is None else _likelihood(asked, study, now.knowledge.likelihood)
+    other = _changed(asked, study)
+    likelihood = None if now.knowledge is None else _likelihood(asked, other, now.knowledge.likelihood)
     details = [f"{name}: {prior_in_words(prior)}" for name, prior in priors.items()]
     if likelihood is not None and asked.noise is not None:
         details.append(facts_of(likelihood))
@@ -84,22 +85,21 @@ def _changes_likelihood(asked: WhatIf) -> bool:
 
 
 def _likelihood(asked: WhatIf, study: Study, present: FieldLikelihood) -> FieldLikelihood | None:
-    """Return the likelihood with another noise or measure, or fewer conditions; None if none of these is asked for."""
+    """Return the likelihood with the noise and measure of `study`, or fewer conditions; None if none is asked for."""
     if not _changes_likelihood(asked):
         return None
     observations, measure = present.observations, present.discrepancy
     if asked.noise is not None or asked.measure is not None:
-        other = _changed(asked, study)
-        measure = next(iter(other.discrepancies.values()))
-        if asked.noise is not None:
-            observations = tuple(
-                Observation(o.interface, other.noise_of(o.condition), o.condition) for o in observations
-            )
+        measure = study.measure
+    if asked.noise is not None:
+        observations = tuple(Observation(o.interface, study.noise_of(o.condition), o.condition) for o in observations)
     return replace(present, observations=_left(asked, observations), discrepancy=measure)
 
 
 def _changed(asked: WhatIf, study: Study) -> Study:
-    """Return the study with another noise or measure, checked as any study is."""
+    """Return the study with another noise or measure, checked as any study is; itself if neither is asked for."""
+    if asked.noise is None and asked.measure is None:
+        return study
     content = StudyFile.model_validate(load_yaml(study.text))
     changes: dict[str, Any] = {}
     if asked.noise is not None:

@@ -298,6 +298,7 @@ def _of_candidates(content: Mapping[str, Any], *, after: bool) -> Part:
     units = [unit_text(item["unit"]) for item in inputs.values()]
     within = [f" [{unit}]" if unit else "" for unit in units]
     sds = [Symbol(f"sd{unit} of {item['label']}") for item, unit in zip(inputs.values(), within, strict=True)]
+    head = ("candidate", "gain, nats", *sds, "fails", "moved, sd", "by")
     now = ("(now)", "", *(digits(item["sd"], 3) for item in inputs.values()), "", "", "")
     rows = [now, *(_row(one, list(inputs)) for one in content["candidates"])]
     calibrated = "" if all(item["calibrated"] for item in inputs.values()) else "calibrated "
@@ -305,10 +306,10 @@ def _of_candidates(content: Mapping[str, Any], *, after: bool) -> Part:
         {"present posterior" if after else "prior"}); ½ log 2 = 0.35 nats make the width of one input 1.4 times
         smaller. sd: expected standard deviation after the experiment. Fails: probability that the specimen folds or
         the simulation fails. Moved: displacement from the undeformed state, in standard deviations of the points'
-        errors."""
-    return Part(
-        "The candidates", Table(("candidate", "gain, nats", *sds, "fails", "moved, sd", "by"), rows), notes=[note]
-    )
+        errors. A column of which nothing is known is left out."""
+    known = [k for k in range(len(head)) if any(row[k] not in ("", "–") for row in rows if len(row) == len(head))]
+    kept = [[row[k] for k in known] if len(row) == len(head) else row for row in (head, *rows)]
+    return Part("The candidates", Table(kept[0], kept[1:]), notes=[note])
 
 
 def _row(one: Mapping[str, Any], names: Sequence[str]) -> tuple[str, ...]:

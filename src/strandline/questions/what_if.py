@@ -72,6 +72,8 @@ def what_if(
     posterior = finished_posterior(study, purpose="compare with")
     require_writable(study.folder)
     use_double()
+    for one in asked:  # refused before anything is computed
+        alternative_of(one, study, baseline(posterior, None))
     tell = observer_or_default(observer)
     with one_thread():
         tell.stage("surrogate")

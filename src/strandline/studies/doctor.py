@@ -19,6 +19,7 @@ from strandline.studies.folder import (
     POSTERIOR,
     SPECIMENS,
     SPECIMENS_LEDGER,
+    STUDY,
     SUMMARY,
     WHAT_IF,
     read_json,
@@ -54,13 +55,19 @@ class Finding:
 
 
 def examine(folder: Path) -> list[Finding]:
-    """Return everything that is wrong in the study folder; an empty list if it is sound."""
+    """Return everything that is wrong in the study folder; an empty list if it is sound.
+
+    Raises:
+        InvalidStudy: There is no study.yaml in it.
+    """
     found = list(_ledgers(folder))
     damaged = bool(found)
     try:
         study = load_study(folder)
         found += _other_ledgers(study)
     except StrandlineError as error:
+        if not (folder / STUDY).exists():
+            raise
         return [*found, Finding(f"study.yaml cannot be used: {_line(error)}", "Correct it.")]
     if damaged:
         return [*found, *_files(folder, at_work=False)]

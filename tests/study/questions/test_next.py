@@ -81,6 +81,9 @@ def test_what_it_writes(answered):
     assert content["runs"] == {"new": 9, "reused": 0}  # three loads without sensitivities: one run and one per input
     assert [one["label"] for one in content["candidates"][:2]] == ["load 3e-05", "load 2e-05"]
     assert content["advice"].startswith("Choose load 3e-05: ")
+    unknown = {"fails": "failing", "moved, sd": "displacement_in_sd"}
+    for column, key in unknown.items():
+        assert (column in found.table.head) == any(one[key] is not None for one in content["candidates"])
 
 
 def test_the_command_makes_no_run_twice_and_a_seed_decides_the_gains(folder, answered, monkeypatch, capsys):

@@ -141,3 +141,8 @@ def test_alternatives_that_do_not_fit_are_refused(field):
         with pytest.raises(InvalidInput) as caught:
             alternative_of(require_asked(given), study, now)
         assert words in str(caught.value)
+    begun = []
+    for given in ({"noise": {"sd": -5, "unit": "um"}}, {"measure": "closest"}):
+        with pytest.raises(InvalidInput):
+            sl.what_if(study, [given], observer=sl.Observer(stage=begun.append))
+    assert not begun

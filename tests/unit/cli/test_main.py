@@ -18,6 +18,7 @@ REFUSALS = {
     "rum study": "No such command 'rum'. Did you mean run? See `strandline --help`.",
     "run study --fast": "'--fast'. Did you mean",
     "run empty": "not a study folder",
+    "doctor empty": "not a study folder",
     "run study --verbose --quiet": "got both; expected at most one of them",
     "run study --detach --quiet": "--detach: got the executor LocalProcesses",
     "check stiff": "the medians of the priors failed: got large_deflection at load = 1, E = 430, tilt = 0.02",
