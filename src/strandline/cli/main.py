@@ -3,6 +3,8 @@
 import contextlib
 import importlib
 import os
+import re
+import shlex
 import signal
 import sys
 import threading
@@ -132,10 +134,11 @@ def main(arguments: list[str] | None = None, *, command: click.Command | None = 
         os.environ.setdefault(name, value)
     try:
         _call(command or _group, arguments)
-    except InvalidInput as error:
-        _end(str(error), 2)
     except StrandlineError as error:
-        _end(str(error), 1)
+        words = sys.argv[1:] if arguments is None else arguments
+        study = next((word for word in words if _is_study(word)), "STUDY")
+        told = re.sub(r"\bSTUDY\b", lambda _: shlex.quote(study), str(error))
+        _end(told, 2 if isinstance(error, InvalidInput) else 1)
     except BrokenPipeError:
         sys.stderr.close()
         raise SystemExit(0) from None
@@ -143,6 +146,12 @@ def main(arguments: list[str] | None = None, *, command: click.Command | None = 
         _end_interrupted(cause)
     except _Interrupted as interrupted:
         _end_interrupted(interrupted.cause)
+
+
+def _is_study(word: str) -> bool:
+    with contextlib.suppress(OSError):  # a word too long for a file
+        return Path(word, "study.yaml").is_file()
+    return False
 
 
 def environment() -> dict[str, str]:

@@ -34,6 +34,14 @@ COMMON_KINDS = (
     "no_common_points",
 )
 """Kinds of failure of any model, in addition to those that the model itself defines."""
+MISTAKES = (
+    *("NameError", "UnboundLocalError", "AttributeError", "KeyError", "TypeError"),
+    *("ImportError", "ModuleNotFoundError"),
+)
+"""Exceptions of a Python function that come from its text, not from the numbers that it is given."""
+ALIKE = 5
+"""First runs after which a campaign stops if each ended with one of these and the same words: a design begins with runs
+far from each other, so that five in a row do not lie in one bad corner of the box."""
 UNREACHED = "connection"
 """Failure kind of a run that did not reach its server."""
 IN_A_ROW = 3
@@ -116,7 +124,7 @@ class FailurePolicy:
         return not record.ok and (wanted or self.aborts(record))
 
     def require_worth_going_on(self, made: Sequence[RunRecord]) -> None:
-        """Stop a campaign if nearly all of its runs fail.
+        """Stop a campaign if nearly all of its runs fail, or the first ones by the same mistake in the model's code.
 
         Args:
             made: Runs that this campaign has settled so far.
@@ -127,6 +135,9 @@ class FailurePolicy:
         """
         failed = [record for record in made if not record.ok]
         if len(made) >= self.stop_after and len(failed) >= self.stop_share * len(made):
+            raise _mostly_failed(failed, len(made))
+        mistakes = {_mistake(record) for record in made[:ALIKE]}
+        if len(made) == ALIKE and self.stop_share <= 1 and len(mistakes) == 1 and None not in mistakes:
             raise _mostly_failed(failed, len(made))
 
     def _action(self, record: RunRecord) -> "str | Retry | None":
@@ -149,6 +160,12 @@ def aborted(record: RunRecord) -> CampaignStopped:
     )
 
 
+def _mistake(record: RunRecord) -> str | None:
+    """Return the words with which the model's own code ended the run; None if its inputs may be the cause."""
+    words = (record.message or "").partition("\n")[0]
+    return words if record.failure_kind == "exception" and words.partition(":")[0] in MISTAKES else None
+
+
 def _mostly_failed(failed: Sequence[RunRecord], made: int) -> CampaignStopped:
     kinds = Counter(record.failure_kind or record.state for record in failed)
     (commonest, _), *_ = kinds.most_common()
@@ -156,8 +173,9 @@ def _mostly_failed(failed: Sequence[RunRecord], made: int) -> CampaignStopped:
     shown = counted(dict(kinds.most_common(4)))
     return CampaignStopped(
         f"stopped because {len(failed)} of {made} runs failed ({shown})\n{_told(example)}\n"
-        "All runs are kept. Fix the cause; `strandline retry` repeats failed runs, `strandline run` continues with "
-        "the others. `failures: {stop: never}` lets the study go on by itself."
+        f"All runs are kept. Fix the cause, then `strandline retry STUDY --kind {commonest}` repeats them and goes on. "
+        + ("A changed model needs another ledger: move ledger.sqlite away first. " if len(failed) < made else "")
+        + "`failures: {stop: never}` lets the study go on by itself."
     )
 
 

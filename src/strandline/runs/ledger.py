@@ -82,7 +82,8 @@ class Ledger:
 
         Args:
             path: SQLite file; its lock lies next to it, with the suffix ``.lock``.
-            model: Fingerprint of the model whose runs it keeps; None accepts any, only with `read_only`.
+            model: Fingerprint of the model whose runs it keeps; None accepts any, only with `read_only`. If no run of
+                another model ended ok or is open, the ledger becomes that of this one.
             description: One line about the model, kept when the ledger is created.
             read_only: Whether to take no lock and write nothing; this works while a driver is writing.
 
@@ -125,6 +126,7 @@ class Ledger:
         ledger._checked(model)
         with ledger._closed_on_error(), translated(path):
             ledger_schema.require_sound(path, connection)
+            ledger_schema.adopt(connection, model)
             columns = "(pid, host, opened_at) VALUES (?, ?, ?)"
             row = connection.execute(
                 f"INSERT INTO sessions {columns}", (os.getpid(), socket.gethostname(), time.time())

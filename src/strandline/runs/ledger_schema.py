@@ -204,9 +204,10 @@ def require_version(path: Path, connection: sqlite3.Connection) -> None:
 
 
 def require_model(path: Path, connection: sqlite3.Connection, model: str) -> None:
-    """Refuse a ledger that keeps the runs of another model."""
+    """Refuse a ledger that keeps runs of another model that ended ok, or have not ended."""
     kept = fact(path, connection, "model")
-    if model != kept:
+    kept_runs = "SELECT 1 FROM starts LEFT JOIN outcomes USING (attempt) WHERE ifnull(state, 'ok') = 'ok'"
+    if model != kept and connection.execute(kept_runs).fetchone():
         raise LedgerError(
             f"{path} keeps the runs of another model",
             value=f"{kept} in the ledger, {model} now",
@@ -214,6 +215,11 @@ def require_model(path: Path, connection: sqlite3.Connection, model: str) -> Non
             remedy=f"Move {path.name} away or use a new study folder for the changed model; if the study names it in "
             "`reuse`, remove it there. A further condition makes another model: each run returns all conditions.",
         )
+
+
+def adopt(connection: sqlite3.Connection, model: str) -> None:
+    """Make `model` the one whose runs the ledger keeps; see `require_model`."""
+    connection.execute("UPDATE meta SET value = ?1 WHERE key = 'model' AND value <> ?1", (model,))
 
 
 def fact(path: Path, connection: sqlite3.Connection, key: str) -> str:

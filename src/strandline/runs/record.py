@@ -37,6 +37,7 @@ In addition, a ledger reports ``excluded`` for a run excluded by hand, however i
 MESSAGE_CHARACTERS = 4000
 MESSAGE_LOG_LINES = 10
 TRACEBACK_LINES = 12
+CALLER = str(Path("strandline", "models", "python.py"))
 FOLDER_TITLE = "its folder: "
 
 
@@ -221,9 +222,10 @@ def _figures(given: Mapping[str, object]) -> dict[str, float]:
 
 
 def _told(error: BaseException) -> str:
-    """Return type, message and the last lines of the traceback of `error`."""
+    """Return type, message and the last lines of the traceback of `error`, without those of the caller."""
     reason = "".join(traceback.format_exception_only(error)).strip()
-    lines = "".join(traceback.format_tb(error.__traceback__)[1:]).splitlines()[-TRACEBACK_LINES:]
+    frames = [one for one in traceback.format_tb(error.__traceback__)[1:] if CALLER not in one]
+    lines = "".join(frames).splitlines()[-TRACEBACK_LINES:]
     return "\n".join([reason, *lines])
 
 

@@ -8,7 +8,6 @@ from typing import Any
 from strandline.errors import StrandlineError
 from strandline.models.python import PythonModel
 from strandline.runs.ledger_rows import outcome_digest, unsound
-from strandline.runs.overview import Overview
 from strandline.studies.folder import (
     CHECK,
     CHECK_LEDGER,
@@ -129,17 +128,8 @@ def _files(folder: Path, *, at_work: bool) -> Iterator[Finding]:
 
 
 def _model(study: Study) -> Iterator[Finding]:
-    """Yield how the model differs from the one that made the runs."""
-    if not study.ledger_path.is_file():
-        return
-    with Overview(study.ledger_path) as ledger:
-        kept, now = ledger.model(), study.runs.identity
-    if kept != now:
-        yield Finding(
-            f"the model has changed: its fingerprint is {now}, the ledger keeps runs of {kept}",
-            f"Undo the change, or move {LEDGER} away (or copy study.yaml to a new folder) and run again.",
-        )
-    elif isinstance(study.model, PythonModel) and study.model.function_alone:
+    """Yield a doubt whether the model is the one that made the runs; `progress_of` refuses another one."""
+    if study.ledger_path.is_file() and isinstance(study.model, PythonModel) and study.model.function_alone:
         yield Finding(
             f"{LEDGER} was begun when a fingerprint covered {study.model.function} alone: "
             "a change of what the function calls is not noticed",

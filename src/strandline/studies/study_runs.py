@@ -116,11 +116,12 @@ class StudyRuns:
 
     @property
     def failure_kinds(self) -> set[str]:
-        """Kinds and states of the runs that did not end ok."""
+        """Kinds and states of the runs that did not end ok, be it with the model before its correction."""
         if not self.study.ledger_path.is_file():
             return set()
         with self._reading(self.study.ledger_path) as ledger:
-            latest = ledger.latest(self.needed_keys).values()
+            corrected = ledger.model != self.identity
+            latest = list(ledger if corrected else ledger.latest(self.needed_keys).values())
         failed = [record for record in latest if not record.ok and record.state != EXCLUDED]
         return {word for record in failed for word in (record.failure_kind, record.state) if word}
 

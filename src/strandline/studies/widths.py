@@ -223,6 +223,7 @@ def _early_lines(study: Study, records: Sequence[RunRecord]) -> list[str]:
         if found is None:
             return []
         (interfaces, slopes), source = found, f"the first {len(records)} runs"
+    source += f", for {', '.join(f'{name} = {middle.inputs[name]:.3g}' for name in names)}; elsewhere it differs"
     try:
         return list(width_lines(study, expected_sd(study, interfaces, slopes, study.observed), source))
     except (InvalidInput, NumericsError):

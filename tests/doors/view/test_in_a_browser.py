@@ -16,6 +16,7 @@ from tests.doors.reader import SCREENS, Reader, moments
 from tests.doors.view.conftest import SMALL
 
 import strandline as sl
+from strandline.runs import RunRequest
 from strandline.testing.studies import beam, write_study
 from strandline.view import Server, serving
 
@@ -97,7 +98,8 @@ def test_a_campaign_while_it_runs(browser: Any, tmp_path: Path, monkeypatch: pyt
 def test_a_study_whose_model_has_changed_says_so(browser: Any, tmp_path: Path) -> None:
     folder = write_study(tmp_path / "beam", **SMALL | {"observation": {"file": "seen.csv", "unit": "mm"}})
     (folder / "seen.csv").write_text("0,0\n0.5,0.01\n1,0.03\n")
-    sl.Ledger.open(folder / "ledger.sqlite", model="an earlier one").close()
+    with sl.Ledger.open(folder / "ledger.sqlite", model="an earlier one") as ledger:
+        ledger.started(RunRequest("key", {"E": 400.0}))
     with serving(sl.load_study(folder)) as server:
         person = Reader(browser, server.url, ready="#problem:not([hidden])")
         assert "keeps the runs of another model" in person.text("#problem")

@@ -23,6 +23,7 @@ REFUSALS = {
     "run study --detach --quiet": "--detach: got the executor LocalProcesses",
     "check stiff": "the medians of the priors failed: got large_deflection at load = 1, E = 430, tilt = 0.02",
     "retry study --kind stalld": "stalld",
+    "runs study --show zz": "See `strandline runs study` for the keys.",
     "forward study --set E=400 --set ' E =500'": "--set: got E for the second time; expected each name once",
     "forward study --set E=400": "a value for tilt too. Add --set tilt=VALUE.",
     "runs empty": "no such file; expected a ledger. Run the study first",

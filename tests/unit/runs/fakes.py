@@ -142,14 +142,15 @@ class Moody:
 
     fingerprint = "moody"
 
-    def __init__(self, moods):
+    def __init__(self, moods, error=None):
         self.moods, self.calls = dict(moods), Counter()
+        self.error = error or ForwardModelError("licence", "no licence to be had\nserver busy")
 
     def __call__(self, inputs, workdir):
         stiffness = inputs["E"]
         self.calls[stiffness] += 1
         if self.calls[stiffness] <= self.moods.get(stiffness, 0):
-            raise ForwardModelError("licence", "no licence to be had\nserver busy")
+            raise self.error
         return Cantilever()(inputs, workdir)
 
 

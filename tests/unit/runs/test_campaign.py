@@ -9,7 +9,7 @@ import pytest
 from tests.unit.runs import fakes
 from tests.unit.runs.fakes import Elsewhere, Moody, Noted, Seen, Served, begun_before, campaign, counts, design, states
 
-from strandline.errors import CampaignStopped, InvalidInput, LedgerError, NumericsError
+from strandline.errors import CampaignStopped, ForwardModelError, InvalidInput, LedgerError, NumericsError
 from strandline.runs import Counts, FailurePolicy, InProcess, Ledger, Progress, Retry, RunRecord, attempt, run_campaign
 from strandline.runs.campaign import Starts
 from strandline.runs.failures import IN_A_ROW, Outages
@@ -242,12 +242,23 @@ def test_a_campaign_most_of_whose_runs_fail_stops_early_and_says_why(path):
     some = [value for value in MANY if value % 4]
     for failing, options, said, made in (
         (MANY, {}, r"20 of 20 runs failed \(20 × licence\)(.|\n)*server busy", 20),
-        (some, {"stop_after": 12, "stop_share": 0.7}, "9 of 12 runs failed", 12),
+        (some, {"stop_after": 12, "stop_share": 0.7}, "9 of 12 runs failed(.|\n)*move ledger.sqlite away first", 12),
     ):
         model = Moody(dict.fromkeys(failing, 1))
         with pytest.raises(CampaignStopped, match=said):
             campaign(path.with_name(f"{made}.sqlite"), model, design(*MANY), policy=FailurePolicy(**options))
         assert sum(model.calls.values()) == made
+
+
+def test_a_mistake_in_the_models_code_stops_it_after_five_runs_and_no_other_error_does(path):
+    for number, (error, made) in enumerate(
+        ((NameError("name 'h'"), 5), (ValueError("no root"), 20), (ForwardModelError("NameError", "h"), 20))
+    ):
+        model = Moody(dict.fromkeys(MANY, 1), error)
+        with pytest.raises(CampaignStopped, match=rf"{made} of {made} runs .*(.|\n)*`strandline retry STUDY --kind "):
+            campaign(path.with_name(f"{number}.sqlite"), model, design(*MANY), policy=FailurePolicy())
+    wrong = Moody(dict.fromkeys(MANY, 1), NameError("name 'h'"))
+    assert len(campaign(path, wrong, design(*MANY[:9]), policy=FailurePolicy(stop_share=2.0))) == 9
 
 
 def test_failures_are_borne_where_they_are_of_an_earlier_campaign_or_the_policy_says_so(path):

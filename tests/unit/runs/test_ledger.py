@@ -238,6 +238,23 @@ def test_runs_of_another_study_are_copied_with_their_origin(tmp_path):
         ledger.copy_from(first, ["two"])
 
 
+def test_a_ledger_without_a_good_run_becomes_that_of_the_corrected_model(path):
+    with Ledger.open(path, model="wrong") as ledger:
+        put(ledger, BAD, KILLED)
+        ledger.started(RunRequest("open", {"E": 3.0}))
+        with pytest.raises(LedgerError, match="another model"):
+            Overview(path, model="right")
+        ledger.finished(replace(failed("open"), state="invalid"))
+    Overview(path, model="right").close()
+    for model in ("wrong", "right"):
+        with Ledger.open(path, model=model) as ledger:
+            assert (ledger.model, ledger.counts().failed, ledger.counts().invalid) == (model, 1, 1)
+    with Ledger.open(path, model="right") as ledger:
+        put(ledger, ONE)
+    with pytest.raises(LedgerError, match="another model"):
+        Ledger.open(path, model="wrong")
+
+
 def test_an_excluded_run_is_not_used_and_not_made_again(path):
     model, inputs, executor = Cantilever(), fakes.design(300, 400, 500), fakes.Noted()
     keys = [fakes.key_of(model, entry) for entry in inputs]

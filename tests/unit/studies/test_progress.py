@@ -140,7 +140,8 @@ def test_runs_of_others_and_interrupted_ones_make_no_pace(study, tmp_path):
     assert (progress_of(other).ok, progress_of(other).reused, progress_of(other).rate) == (4, 0, None)
     assert (study.runs.known, other.runs.known) == (4, 4)
     study.ledger_path.unlink()
-    Ledger.open(study.ledger_path, model="something else").close()
+    with Ledger.open(study.ledger_path, model="something else") as ledger:
+        ledger.started(requests(study)[0])
     with pytest.raises(
         LedgerError, match=r"beam/ledger\.sqlite keeps the runs of another model.*`reuse`, remove it there"
     ):
