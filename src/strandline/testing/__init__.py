@@ -1,16 +1,13 @@
 """Public helpers for tests: conformance suites, one for each kind of part, and small models and a study for them."""
 
-from collections.abc import Callable
-from typing import Any, ParamSpec
+from typing import Any
 
-__all__ = ["by_name", "require_parts"]
-
-_Arguments = ParamSpec("_Arguments")
+__all__ = ["checks_of", "require_parts"]
 
 
-def by_name(*checks: Callable[_Arguments, None]) -> dict[str, Callable[_Arguments, None]]:
-    """Return the checks by their names, without `check_`."""
-    return {check.__name__.removeprefix("check_"): check for check in checks}
+def checks_of(module: dict[str, Any], prefix: str = "check_") -> dict[str, Any]:
+    """Return the functions among `globals()` whose names begin with `prefix`, by the rest of their names."""
+    return {name.removeprefix(prefix): check for name, check in module.items() if name.startswith(prefix)}
 
 
 def require_parts(entry: Any, protocol: Any) -> None:

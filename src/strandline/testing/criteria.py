@@ -17,9 +17,7 @@ from strandline.interface import Interface, Observation
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import Uniform
 from strandline.runs import RunRecord
-from strandline.testing import by_name
-
-__all__ = ["CHECKS"]
+from strandline.testing import checks_of
 
 SPACE = ParameterSpace((Parameter("a", Uniform(-1.0, 1.0)), Parameter("b", Uniform(-1.0, 1.0))))
 RUNS = SPACE.to_physical(sobol(10, 2))
@@ -72,8 +70,4 @@ def check_it_repeats_itself(criterion: Criterion) -> None:
     assert np.array_equal(first, second), "a second call picks other points"
 
 
-CHECKS: dict[str, Callable[[Criterion], None]] = by_name(
-    check_it_picks_from_what_it_is_given,
-    check_it_picks_each_point_once,
-    check_it_repeats_itself,
-)
+CHECKS: dict[str, Callable[[Criterion], None]] = checks_of(globals())

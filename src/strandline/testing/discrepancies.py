@@ -19,9 +19,7 @@ from strandline.discrepancy import (
     unit_of,
 )
 from strandline.interface import Interface
-from strandline.testing import by_name
-
-__all__ = ["CHECKS"]
+from strandline.testing import checks_of
 
 
 def arch(height: float, nodes: int = 41) -> Interface:
@@ -93,13 +91,4 @@ def check_unit_and_terms(measure: Discrepancy) -> None:
     assert terms is None or terms > 0, "the number of independent residuals is not above 0"
 
 
-CHECKS: dict[str, Callable[[Discrepancy], None]] = by_name(
-    check_it_is_a_squared_distance,
-    check_an_interface_is_no_distance_from_itself,
-    check_it_grows_with_the_distance,
-    check_it_changes_nothing,
-    check_many_are_as_one_by_one,
-    check_it_follows_offsets,
-    check_it_can_be_sent,
-    check_unit_and_terms,
-)
+CHECKS: dict[str, Callable[[Discrepancy], None]] = checks_of(globals())

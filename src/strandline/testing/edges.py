@@ -11,9 +11,7 @@ from jaxtyping import Float
 from scipy.special import ndtr
 
 from strandline.imaging import Edge, EdgeMethod, find_edge
-from strandline.testing import by_name, require_parts
-
-__all__ = ["CHECKS"]
+from strandline.testing import checks_of, require_parts
 
 SIZE, RADIUS, BLUR, NOISE = 200, 60.0, 1.5, 0.05
 """Rows and columns of the picture, and the disc, pixels; noise of a pixel, for a contrast of 1."""
@@ -77,10 +75,4 @@ def _off(edge: Edge, centre: Float[np.ndarray, "2"]) -> Float[np.ndarray, " poin
     return np.asarray(np.linalg.norm(np.asarray(edge.points) - centre, axis=1) - RADIUS)
 
 
-CHECKS: dict[str, Callable[[EdgeMethod], None]] = by_name(
-    check_it_has_the_parts_of_a_method,
-    check_it_finds_the_edge,
-    check_it_knows_its_error,
-    check_it_does_not_depend_on_the_light,
-    check_it_repeats_itself,
-)
+CHECKS: dict[str, Callable[[EdgeMethod], None]] = checks_of(globals())

@@ -28,10 +28,8 @@ from strandline.interface import Interface
 from strandline.models.fingerprint import fingerprint
 from strandline.runs.executors import Executor
 from strandline.runs.record import NOT_NOW, RunRecord, RunRequest, run_key
-from strandline.testing import by_name
+from strandline.testing import checks_of
 from strandline.testing.models import Cantilever, Faulty, Patient, Slow, TwoLoads
-
-__all__ = ["CHECKS", "CRASH_CHECKS", "TIMEOUT_CHECKS", "WAITING_CHECKS", "requests_for", "same_outcome"]
 
 STIFFNESS = (300.0, 400.0, 450.0, 600.0, 350.0, 420.0)
 """Young's moduli of the usual requests, Pa; the models with a fault misbehave at the fourth."""
@@ -136,7 +134,7 @@ def check_gives_each_run_an_empty_folder(executor: Executor, *, workers: int) ->
     assert states == ["ok"] * len(STIFFNESS), f"a run met a used folder: {states}"
 
 
-def check_waits_for_what_follows(executor: Executor, *, workers: int) -> None:
+def waiting_waits_for_what_follows(executor: Executor, *, workers: int) -> None:
     """A request that depends on the record before it is run; `NOT_NOW` is not a request."""
     requests = requests_for(Cantilever())
     records: list[RunRecord] = []
@@ -151,7 +149,7 @@ def check_waits_for_what_follows(executor: Executor, *, workers: int) -> None:
     _require_one_each(requests, records)
 
 
-def check_hands_over_before_it_asks_again(executor: Executor, *, workers: int) -> None:
+def waiting_hands_over_before_it_asks_again(executor: Executor, *, workers: int) -> None:
     """The only worker, which got `NOT_NOW` before, holds no record back when it pulls again."""
     if workers > 1:
         return
@@ -171,7 +169,7 @@ def check_hands_over_before_it_asks_again(executor: Executor, *, workers: int) -
     assert early == [False] * len(requests), "a request was pulled while the record that it depends on was held back"
 
 
-def check_asks_beside_a_run(executor: Executor, *, workers: int, pause: float = 1.0, longest: float = 10.0) -> None:
+def waiting_asks_beside_a_run(executor: Executor, *, workers: int, pause: float = 1.0, longest: float = 10.0) -> None:
     """A free worker asks again even if no run ends, and makes further runs while a long one goes on.
 
     Args:
@@ -229,16 +227,7 @@ def _failure_check(fault: str, state: str, kind: str, *, told: str = "") -> Exec
     return check
 
 
-CHECKS: dict[str, ExecutorCheck] = by_name(
-    check_answers_each_request_once,
-    check_accepts_no_requests,
-    check_returns_the_models_result,
-    check_returns_all_conditions_and_sensitivities,
-    check_yields_in_order_of_completion,
-    check_pulls_when_a_worker_is_free,
-    check_stops_when_closed,
-    check_gives_each_run_an_empty_folder,
-) | {
+CHECKS: dict[str, ExecutorCheck] = checks_of(globals()) | {
     "exception": _failure_check("exception", "failed", "exception", told="the matrix is singular"),
     "declared_failure": _failure_check("declared", "failed", "newton_stalled", told="half of the load"),
     "unpicklable_exception": _failure_check("unpicklable", "failed", "exception", told="payload that cannot travel"),
@@ -263,11 +252,7 @@ TIMEOUT_CHECKS: dict[str, ExecutorCheck] = {
 }
 """What an executor with a timeout must stop."""
 
-WAITING_CHECKS: dict[str, ExecutorCheck] = by_name(
-    check_waits_for_what_follows,
-    check_hands_over_before_it_asks_again,
-    check_asks_beside_a_run,
-)
+WAITING_CHECKS: dict[str, ExecutorCheck] = checks_of(globals(), "waiting_")
 """What an executor with ``asks_again`` must do with `NOT_NOW`."""
 
 

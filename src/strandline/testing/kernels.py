@@ -11,9 +11,7 @@ from jaxtyping import Float
 
 from strandline.numerics.threads import use_double
 from strandline.surrogate.kernels import Kernel
-from strandline.testing import by_name, require_parts
-
-__all__ = ["CHECKS"]
+from strandline.testing import checks_of, require_parts
 
 DIM, STEP = 3, 1e-5
 LENGTHS = np.array([0.8, 2.5, 1.3])
@@ -83,10 +81,4 @@ def check_pairs_know_their_slopes(kernel: Kernel) -> None:
     assert np.allclose(found, slopes, rtol=1e-6, atol=1e-5), "the slopes of pairs are not derivatives"
 
 
-CHECKS: dict[str, Callable[[Kernel], None]] = by_name(
-    check_it_is_a_correlation,
-    check_gradient_and_hessian,
-    check_jax_agrees,
-    check_pairs_fill_the_covariance,
-    check_pairs_know_their_slopes,
-)
+CHECKS: dict[str, Callable[[Kernel], None]] = checks_of(globals())

@@ -20,18 +20,6 @@ from strandline.errors import ForwardModelError
 from strandline.interface import Interface
 from strandline.models.protocol import ModelInput, Simulation
 
-__all__ = [
-    "FAULTS",
-    "Cantilever",
-    "Counted",
-    "CrashesOnce",
-    "Faulty",
-    "KilledWhileLoading",
-    "Patient",
-    "Slow",
-    "TwoLoads",
-]
-
 
 @dataclass(frozen=True)
 class Cantilever:
@@ -142,7 +130,7 @@ class TwoLoads:
         return {name: {"E": -loads[name] / modulus * unit, "load": factors[name] * unit} for name in self.conditions}
 
 
-class _SameResults:
+class SameResults:
     """A wrapper that changes no result of its `base`."""
 
     base: Any
@@ -174,7 +162,7 @@ class Faulty:
 
 
 @dataclass(frozen=True)
-class Slow(_SameResults):
+class Slow(SameResults):
     """`base`, `seconds` later; with `name` given, that many seconds per unit of the input."""
 
     base: Any = Cantilever()
@@ -188,7 +176,7 @@ class Slow(_SameResults):
 
 
 @dataclass(frozen=True)
-class Counted(_SameResults):
+class Counted(SameResults):
     """`base`; writes process id and inputs as a line to ``calls`` in `folder` before a run and to ``ends`` after it."""
 
     folder: str
@@ -204,7 +192,7 @@ class Counted(_SameResults):
 
 
 @dataclass(frozen=True)
-class Patient(_SameResults):
+class Patient(SameResults):
     """`base`; a run with `name` above `above` first waits until there are `others` files in `folder`.
 
     The receiver of the records puts them there, and so decides which runs end first.
@@ -222,45 +210,6 @@ class Patient(_SameResults):
         deadline = time.monotonic() + (self.longest if inputs[self.name] > self.above else 0.0)
         while len(list(Path(self.folder).iterdir())) < self.others and time.monotonic() < deadline:
             time.sleep(0.005)
-        return self.base(inputs, workdir)
-
-
-@dataclass(frozen=True)
-class CrashesOnce(_SameResults):
-    """`base`, whose process dies the first time that inputs are run; `folder` remembers it."""
-
-    folder: str
-    base: Any = Cantilever()
-
-    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
-        """Die, or return what the base returns."""
-        mark = Path(self.folder) / "-".join(value.hex() for _, value in sorted(inputs.items()))
-        if not mark.exists():
-            mark.touch()
-            os._exit(3)
-        return self.base(inputs, workdir)
-
-
-@dataclass(frozen=True)
-class KilledWhileLoading(_SameResults):
-    """`base`, whose process is killed while it loads the model, the first `times` times; `folder` keeps count."""
-
-    folder: str
-    times: int
-    base: Any = Cantilever()
-
-    def __setstate__(self, state: Mapping[str, Any]) -> None:
-        """Load like any other model, or be killed."""
-        self.__dict__.update(state)
-        for number in range(self.times):
-            try:
-                (Path(self.folder) / str(number)).touch(exist_ok=False)
-            except FileExistsError:
-                continue
-            os.kill(os.getpid(), signal.SIGKILL)
-
-    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
-        """Return what the base returns."""
         return self.base(inputs, workdir)
 
 

@@ -11,10 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from strandline.imaging import PictureReading, read_picture
-from strandline.testing import by_name
+from strandline.testing import checks_of
 from strandline.testing.readers import require_refused
-
-__all__ = ["CHECKS"]
 
 
 def check_it_returns_a_picture(path: Path, how: PictureReading) -> None:
@@ -41,8 +39,4 @@ def check_a_damaged_file_is_refused(path: Path, how: PictureReading) -> None:
         require_refused(what, path.name, left, partial(read_picture, how=how))
 
 
-CHECKS: dict[str, Callable[[Path, PictureReading], None]] = by_name(
-    check_it_returns_a_picture,
-    check_it_repeats_itself,
-    check_a_damaged_file_is_refused,
-)
+CHECKS: dict[str, Callable[[Path, PictureReading], None]] = checks_of(globals())

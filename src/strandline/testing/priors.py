@@ -11,9 +11,7 @@ import numpy as np
 
 from strandline.numerics.threads import use_double
 from strandline.priors import Prior
-from strandline.testing import by_name, require_parts
-
-__all__ = ["CHECKS"]
+from strandline.testing import checks_of, require_parts
 
 LEVELS = np.linspace(0.001, 0.999, 999)
 
@@ -58,10 +56,4 @@ def check_it_compiles(prior: Prior) -> None:
     assert np.allclose(compiled, prior.log_density(points), atol=1e-9), "JAX gives another log density than NumPy"
 
 
-CHECKS: dict[str, Callable[[Prior], None]] = by_name(
-    check_it_has_all_parts,
-    check_quantiles_invert_the_distribution,
-    check_the_density_is_the_slope_of_the_distribution,
-    check_nothing_lies_outside_the_support,
-    check_it_compiles,
-)
+CHECKS: dict[str, Callable[[Prior], None]] = checks_of(globals())

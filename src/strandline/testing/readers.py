@@ -13,9 +13,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from strandline.readers import Reading, Unreadable, read_interface
-from strandline.testing import by_name
-
-__all__ = ["CHECKS"]
+from strandline.testing import checks_of
 
 
 def check_it_returns_an_interface(path: Path, how: Reading) -> None:
@@ -67,9 +65,4 @@ def require_refused(what: str, name: str, content: bytes, read: Callable[[Path],
     assert "\n" not in complaint, f"{what} is refused in several lines"
 
 
-CHECKS: dict[str, Callable[[Path, Reading], None]] = by_name(
-    check_it_returns_an_interface,
-    check_it_repeats_itself,
-    check_the_unit_counts,
-    check_a_damaged_file_is_refused,
-)
+CHECKS: dict[str, Callable[[Path, Reading], None]] = checks_of(globals())

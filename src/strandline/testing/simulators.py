@@ -23,9 +23,7 @@ from strandline.models.protocol import (
     with_sensitivities,
 )
 from strandline.runs import RunRecord, RunRequest, attempt
-from strandline.testing import by_name
-
-__all__ = ["CHECKS"]
+from strandline.testing import checks_of
 
 STEP = 1e-4
 """Step of finite differences, relative to an input."""
@@ -121,13 +119,4 @@ def check_what_it_offers_fits_its_runs(model: ForwardModel, inputs: Mapping[str,
         assert other is None or other.dim == dim, f"an interface with {other.dim} coordinates, not {dim}"
 
 
-CHECKS: dict[str, Callable[[ForwardModel, Mapping[str, float]], None]] = by_name(
-    check_a_run_yields_its_interfaces,
-    check_it_repeats_itself,
-    check_it_leaves_its_inputs_alone,
-    check_it_writes_in_its_folder_alone,
-    check_it_can_be_sent,
-    check_its_inputs_admit_the_run,
-    check_sensitivities_are_derivatives,
-    check_what_it_offers_fits_its_runs,
-)
+CHECKS: dict[str, Callable[[ForwardModel, Mapping[str, float]], None]] = checks_of(globals())

@@ -15,8 +15,6 @@ from strandline.interface import Interface
 from strandline.models.protocol import ModelInput, Simulation
 from strandline.testing.models import Cantilever, TwoLoads
 
-__all__ = ["BEAM_STUDY", "TWO_LOADS_STUDY", "beam", "two_loads", "undeclared_beam", "write_study"]
-
 NODES = 17
 
 

@@ -9,9 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.surrogate import Fit, Predictor
-from strandline.testing import by_name, require_parts
-
-__all__ = ["CHECKS"]
+from strandline.testing import checks_of, require_parts
 
 Points = Float[np.ndarray, "run dim"]
 Values = Float[np.ndarray, " run"]
@@ -93,11 +91,4 @@ def check_units_do_not_matter(fit: Fit) -> None:
     assert np.abs(found - expected).max() < 0.1, "inputs in other units give another surrogate"
 
 
-CHECKS: dict[str, Callable[[Fit], None]] = by_name(
-    check_shapes_and_signs,
-    check_it_learns,
-    check_points_are_predicted_one_by_one,
-    check_it_repeats,
-    check_a_constant_is_only_added,
-    check_units_do_not_matter,
-)
+CHECKS: dict[str, Callable[[Fit], None]] = checks_of(globals())

@@ -21,9 +21,7 @@ from typing import Any
 
 import httpx
 
-from strandline.testing import by_name
-
-__all__ = ["CHECKS", "STRICT_CHECKS", "ModelUnderTest"]
+from strandline.testing import checks_of
 
 FEATURES = ("Evaluate", "Gradient", "ApplyJacobian", "ApplyHessian")
 TIMEOUT_SECONDS = 60.0
@@ -214,7 +212,7 @@ def check_blocks_that_do_not_exist(model: ModelUnderTest) -> None:
         _refused_everywhere(model, "inWrt2", number, ("ApplyHessian",))
 
 
-def check_malformed_json(model: ModelUnderTest) -> None:
+def strict_malformed_json(model: ModelUnderTest) -> None:
     """Anything but a JSON object is answered with InvalidInput."""
     for body in (b"", b"{", b"[]", b"null", b'"text"', b"\xff\xfe", b'{"name": "' + b"[" * 10000, b"[" * 100000):
         response = model.post("Evaluate", body)
@@ -222,7 +220,7 @@ def check_malformed_json(model: ModelUnderTest) -> None:
         _require_error(response, kinds, f"Evaluate of {body[:20]!r}")
 
 
-def check_wrong_types(model: ModelUnderTest) -> None:
+def strict_wrong_types(model: ModelUnderTest) -> None:
     """Text, booleans, null, objects and lists are not numbers; numbers are not lists; indices are whole numbers."""
     first, *rest = model.inputs
     wrong: Any
@@ -235,14 +233,14 @@ def check_wrong_types(model: ModelUnderTest) -> None:
         _refused_everywhere(model, "inWrt", wrong, ("Gradient", "ApplyJacobian"))
 
 
-def check_numbers_that_are_not_finite(model: ModelUnderTest) -> None:
+def strict_numbers_that_are_not_finite(model: ModelUnderTest) -> None:
     """NaN, infinity and numbers beyond the largest are answered with InvalidInput."""
     first, *rest = model.inputs
     for wrong in (math.nan, math.inf, -math.inf, 10**400):
         _refused_everywhere(model, "input", [[wrong, *first[1:]], *rest], FEATURES)
 
 
-def check_missing_keys(model: ModelUnderTest) -> None:
+def strict_missing_keys(model: ModelUnderTest) -> None:
     """A request without a key that it needs is answered with InvalidInput."""
     for feature in FEATURES:
         if model.supports(feature):
@@ -252,14 +250,14 @@ def check_missing_keys(model: ModelUnderTest) -> None:
                 _require_error(model.post(feature, rest), "InvalidInput", f"{feature} without {key}")
 
 
-def check_large_requests(model: ModelUnderTest) -> None:
+def strict_large_requests(model: ModelUnderTest) -> None:
     """A request of 11 MB is refused with HTTP 413, and the server keeps running."""
     response = model.post("Evaluate", b" " * 11_000_000)
     assert response.status_code == 413, f"a request of 11 MB is answered with HTTP {response.status_code}"
     check_evaluate(model)
 
 
-def check_unknown_endpoints(model: ModelUnderTest) -> None:
+def strict_unknown_endpoints(model: ModelUnderTest) -> None:
     """Another path is answered with 404, another method with 405, both with errors of the protocol."""
     for response, code in (
         (model.post("Nothing", {}), 404),
@@ -270,35 +268,10 @@ def check_unknown_endpoints(model: ModelUnderTest) -> None:
         assert set(response.json()["error"]) == {"type", "message"}, "not an error of the protocol"
 
 
-CHECKS: Mapping[str, ServerCheck] = by_name(
-    check_info,
-    check_model_info,
-    check_input_sizes,
-    check_output_sizes,
-    check_sizes_need_no_config,
-    check_evaluate,
-    check_evaluate_repeats,
-    check_gradient,
-    check_apply_jacobian,
-    check_apply_hessian,
-    check_gradient_and_jacobian_agree,
-    check_unknown_models,
-    check_unsupported_features,
-    check_number_of_blocks,
-    check_sizes_of_blocks,
-    check_weights_and_vectors,
-    check_blocks_that_do_not_exist,
-)
+CHECKS: Mapping[str, ServerCheck] = checks_of(globals())
 """What the protocol specifies, by name."""
 
-STRICT_CHECKS: Mapping[str, ServerCheck] = by_name(
-    check_malformed_json,
-    check_wrong_types,
-    check_numbers_that_are_not_finite,
-    check_missing_keys,
-    check_large_requests,
-    check_unknown_endpoints,
-)
+STRICT_CHECKS: Mapping[str, ServerCheck] = checks_of(globals(), "strict_")
 """What a careful server does in cases that the protocol does not specify, by name."""
 
 

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from tests.doors.runs.dying import CrashesOnce
 from tests.doors.runs.processes import pids, wait_until
 from tests.unit.runs import fakes
 from tests.unit.runs.fakes import Seen, batches, calls, campaign, design, states, stiffnesses
@@ -20,7 +21,7 @@ from strandline.runs import Counts, Ledger, LocalProcesses
 from strandline.runs.journal import VARIABLE
 from strandline.runs.overview import Overview
 from strandline.testing.executors import same_outcome
-from strandline.testing.models import Counted, CrashesOnce, Faulty, Slow
+from strandline.testing.models import Counted, Faulty, Slow
 
 ROOT = Path(__file__).parents[3]
 

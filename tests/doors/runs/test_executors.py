@@ -8,6 +8,7 @@ import sys
 import textwrap
 
 import pytest
+from tests.doors.runs.dying import KilledWhileLoading
 from tests.doors.runs.processes import Unloadable, hanging_driver, pids, processes_of_group, wait_until
 
 from strandline.errors import InvalidInput
@@ -15,7 +16,7 @@ from strandline.runs import InProcess, LocalProcesses
 from strandline.runs.worker import packed_model
 from strandline.runs.worker_slot import WorkerSlot
 from strandline.testing.executors import CHECKS, CRASH_CHECKS, TIMEOUT_CHECKS, WAITING_CHECKS, requests_for
-from strandline.testing.models import Cantilever, Counted, Faulty, KilledWhileLoading
+from strandline.testing.models import Cantilever, Counted, Faulty
 
 ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 ALONE = ["answers_each_request_once", "yields_in_order_of_completion", "returns_all_conditions_and_sensitivities"]
