@@ -1,7 +1,7 @@
 """How the inflow changes with time, and when interfaces are observed."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
@@ -10,14 +10,28 @@ import numpy as np
 from strandline.errors import InvalidInput
 from strandline.interface import is_condition
 from strandline.models import refused
-from strandline.models.biofilm.outline import Pairs, pairs_in
+from strandline.models.biofilm.outline import Pairs, finite
 
 QUASI_STATIC, TRANSIENT = "quasi_static", "transient"
 MOTIONS = (QUASI_STATIC, TRANSIENT)
-KEYS = ("inflow", "times", "motion", "solid_density", "tolerance")
 PLACE = "course of the biofilm model"
 
 Times = tuple[tuple[str, float], ...]
+
+
+def _named(value: Any) -> Times:
+    """Return times of a study file with their names; those in a list are called t1, t2, …."""
+    given = value if isinstance(value, Mapping) else {}
+    if isinstance(value, list | tuple):
+        given = {f"t{k}": time for k, time in enumerate(value, 1)}
+    times = finite(list(given.values()))
+    if times.shape != (len(given),):
+        raise _refused("times in the", value, "times in s by the name of the condition, e.g. {early: 0.1, late: 2}")
+    return tuple(zip(given, times.tolist(), strict=True))
+
+
+def _refused(what: str, value: object, expected: str) -> InvalidInput:
+    return refused(f"{what} {PLACE}", value, expected, "Correct the course.")
 
 
 @dataclass(frozen=True)
@@ -40,7 +54,7 @@ class Course:
     """
 
     inflow: Pairs
-    times: Times
+    times: Times = field(metadata={"read": _named})
     motion: str = QUASI_STATIC
     solid_density: float = 1e3
     tolerance: float = 1e-3
@@ -48,6 +62,8 @@ class Course:
     def __post_init__(self) -> None:
         if self.motion not in MOTIONS:
             raise _refused("motion in the", self.motion, f"one of {', '.join(MOTIONS)}")
+        if len(self.inflow) < 2:
+            raise _refused("inflow in the", self.inflow, "a table of at least two pairs [time in s, share of V_in]")
         _require_increasing("times of the inflow in the", self._moments())
         for time, share in self.inflow:
             if share < 0:
@@ -65,18 +81,6 @@ class Course:
             raise _refused("solid_density in the", self.solid_density, "a density in kg/m^3 above 0")
         if not 0 < self.tolerance <= 0.1:
             raise _refused("tolerance in the", self.tolerance, "a share above 0, at most 0.1")
-
-    @classmethod
-    def of(cls, value: Any) -> "Course":
-        """Return the course that a study file describes; times in a list are named t1, t2, …."""
-        if isinstance(value, cls):
-            return value
-        example = "{inflow: [[0, 0], [0.5, 1]], times: {early: 0.1, late: 0.5}, motion: transient}"
-        if not isinstance(value, Mapping) or not {"inflow", "times"} <= set(value) <= set(KEYS):
-            keys = ", ".join(map(str, value)) if isinstance(value, Mapping) else value
-            raise _refused("", keys, f"a mapping with inflow and times, and among {', '.join(KEYS)}: {example}")
-        numbers = {key: _number(key, value[key]) for key in ("solid_density", "tolerance") if key in value}
-        return cls(_table(value["inflow"]), _named(value["times"]), str(value.get("motion", QUASI_STATIC)), **numbers)
 
     @property
     def is_transient(self) -> bool:
@@ -115,34 +119,6 @@ def _require_increasing(what: str, times: list[float]) -> None:
     for before, time in pairwise(times):
         if not time > before:
             raise _refused(what, f"{time:g} s after {before:g} s", "times that increase")
-
-
-def _table(value: Any) -> Pairs:
-    """Return at least two pairs of finite numbers."""
-    pairs = pairs_in(value, 2)
-    if pairs is None:
-        raise _refused("inflow in the", value, "a table of at least two pairs [time in s, share of V_in]")
-    return pairs
-
-
-def _named(value: Any) -> Times:
-    """Return times with their names."""
-    pairs = list(value.items()) if isinstance(value, Mapping) else None
-    if isinstance(value, list | tuple):
-        pairs = [(f"t{k}", time) for k, time in enumerate(value, 1)]
-    if pairs is None:
-        raise _refused("times in the", value, "times in s by the name of the condition, e.g. {early: 0.1, late: 2}")
-    return tuple((name, _number("times", time)) for name, time in pairs)
-
-
-def _number(key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise _refused(f"{key} in the", value, "a finite number, without a unit")
-    return float(value)
-
-
-def _refused(what: str, value: object, expected: str) -> InvalidInput:
-    return refused(f"{what} {PLACE}".strip(), value, expected, "Correct the course.")
 
 
 @dataclass(frozen=True)

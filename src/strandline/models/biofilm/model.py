@@ -115,7 +115,7 @@ class Biofilm:
     clamped: Pairs = ()
     inflow_rates: tuple[tuple[str, float], ...] = field(default=(), metadata={"read": as_inflow_rates})
     pressure_drops: tuple[tuple[str, float], ...] = field(default=(), metadata={"read": as_pressure_drops})
-    course: Course | None = field(default=None, metadata={"read": Course.of})
+    course: Course | None = None
     branches: int = 0
     sensitivities: bool = False
     failure_budget: int = 5

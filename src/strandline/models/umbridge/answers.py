@@ -1,13 +1,14 @@
 """The server's side of UM-Bridge 1.0 as a function: request → status and JSON object."""
 
 import json
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from strandline.errors import ForwardModelError, InvalidInput
-from strandline.models.umbridge.client import PROTOCOL_VERSION
+from strandline.models.umbridge.client import PROTOCOL_VERSION, as_vector, shortened
 
 Blocks = list[list[float]]
 
@@ -167,20 +168,14 @@ def _inputs(model: ServedModel, asked: Mapping[str, Any]) -> Blocks:
 
 def _vector(values: object, size: int, what: str) -> list[float]:
     """Return `size` finite numbers."""
-    if not isinstance(values, list) or len(values) != size:
-        found = f"{len(values)} numbers" if isinstance(values, list) else shortened(values)
-        raise Rejected("InvalidInput", f"{what}: got {found}; expected a list of {size} number(s)")
-    return [_number(value, what) for value in values]
-
-
-def _number(value: object, what: str) -> float:
+    expected = f"expected a list of {size} finite number(s)"
     try:
-        number = math.nan if isinstance(value, bool) or not isinstance(value, int | float) else float(value)
-    except OverflowError:
-        number = math.inf
-    if not math.isfinite(number):
-        raise Rejected("InvalidInput", f"{what}: got {shortened(value)}; expected finite numbers")
-    return number
+        array = as_vector(values, size)
+    except ValueError as error:
+        raise Rejected("InvalidInput", f"{what}: got {error}; {expected}") from None
+    if not np.isfinite(array).all():
+        raise Rejected("InvalidInput", f"{what}: got {shortened(values)}; {expected}")
+    return array.tolist()
 
 
 def _index(asked: Mapping[str, Any], name: str, sizes: tuple[int, ...]) -> int:
@@ -193,12 +188,6 @@ def _index(asked: Mapping[str, Any], name: str, sizes: tuple[int, ...]) -> int:
 
 def _finite(model: ServedModel, values: Sequence[float]) -> list[float]:
     numbers = [float(value) for value in values]
-    if not all(map(math.isfinite, numbers)):
+    if not np.isfinite(numbers).all():
         raise Rejected("InvalidOutput", f"{model.name} yields numbers that are not finite", 500)
     return numbers
-
-
-def shortened(value: object) -> str:
-    """Return the repr of what was sent, cut to one short line."""
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:80]}…"

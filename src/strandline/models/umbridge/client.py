@@ -92,13 +92,13 @@ class Client:
         """
         info = self._mapping("Info", None)
         version, models = info.get("protocolVersion"), info.get("models")
-        if not _is_number(version) or version != PROTOCOL_VERSION:
-            raise self._breach(f"speaks version {_short(version)} of the protocol; expected {PROTOCOL_VERSION}")
+        if version is True or version != PROTOCOL_VERSION:
+            raise self._breach(f"speaks version {shortened(version)} of the protocol; expected {PROTOCOL_VERSION}")
         if not isinstance(models, list) or self.name not in models:
-            raise self._breach(f"has no model called {self.name!r}; it offers {_short(models)}")
+            raise self._breach(f"has no model called {self.name!r}; it offers {shortened(models)}")
         support = self._mapping("ModelInfo", {}).get("support")
         if not isinstance(support, dict) or support.get("Evaluate") is not True:
-            raise self._breach(f"says that {self.name!r} cannot be evaluated: support is {_short(support)}")
+            raise self._breach(f"says that {self.name!r} cannot be evaluated: support is {shortened(support)}")
         return Description(
             self._sizes("InputSizes", "inputSizes"),
             self._sizes("OutputSizes", "outputSizes"),
@@ -109,7 +109,7 @@ class Client:
         """Return the output blocks, with the `sizes` that the server declared."""
         output = self._mapping("Evaluate", {"input": blocks}).get("output")
         if not isinstance(output, list) or len(output) != len(sizes):
-            raise self._breach(f"answered Evaluate with {_short(output)}; expected a list of {len(sizes)} blocks")
+            raise self._breach(f"answered Evaluate with {shortened(output)}; expected a list of {len(sizes)} blocks")
         return [self._vector(block, size, "Evaluate") for block, size in zip(output, sizes, strict=True)]
 
     def apply_jacobian(
@@ -129,22 +129,15 @@ class Client:
     def _sizes(self, endpoint: str, key: str) -> tuple[int, ...]:
         sizes = self._mapping(endpoint, {}).get(key)
         if not isinstance(sizes, list) or not all(type(size) is int and size >= 0 for size in sizes):
-            raise self._breach(f"answered {endpoint} with {key} {_short(sizes)}; expected a list of whole numbers")
+            raise self._breach(f"answered {endpoint} with {key} {shortened(sizes)}; expected a list of whole numbers")
         return tuple(sizes)
 
     def _vector(self, values: object, size: int, endpoint: str) -> Vector:
         """Return `size` finite numbers."""
-        if not isinstance(values, list) or len(values) != size:
-            length = f"{len(values)} numbers" if isinstance(values, list) else _short(values)
-            raise self._breach(f"answered {endpoint} with a block of {length}; expected {size} numbers")
-        numbers = [float("nan") if value is None else value for value in values]  # C++ servers write NaN as null
-        bad = next((value for value in numbers if not _is_number(value)), None)
-        if bad is not None:
-            raise self._breach(f"answered {endpoint} with {_short(bad)} among the numbers")
         try:
-            array = np.array(numbers, dtype=np.float64)
-        except OverflowError:
-            array = np.full(size, np.inf)
+            array = as_vector(values, size)
+        except ValueError as error:
+            raise self._breach(f"answered {endpoint} with {error}; expected {size} numbers") from None
         if not np.isfinite(array).all():
             wrong = int(np.count_nonzero(~np.isfinite(array)))
             raise ForwardModelError("non_finite", f"{wrong} of {size} numbers of {endpoint} are not finite")
@@ -159,7 +152,7 @@ class Client:
         if isinstance(error, dict):
             kind = KINDS.get(str(error.get("type")), "model_error")
             reason, _, log = str(error.get("message")).strip().partition("\n")
-            message = f"the server says {_short(error.get('type'))}: {_told(reason)}"
+            message = f"the server says {shortened(error.get('type'))}: {_told(reason)}"
             lost = kind == "connection"
             raise ForwardModelError(kind, message, state="killed" if lost else None, log=log[-LONGEST_LOG:])
         if status >= 500:
@@ -194,7 +187,9 @@ class Client:
 
     def _body(self, response: "httpx.Response", endpoint: str) -> bytes:
         if response.has_redirect_location:
-            raise self._breach(f"redirects {endpoint} to {_short(response.headers['location'])}, which is not followed")
+            raise self._breach(
+                f"redirects {endpoint} to {shortened(response.headers['location'])}, which is not followed"
+            )
         chunks, size = [], 0
         for chunk in response.iter_bytes():
             chunks.append(chunk)
@@ -266,8 +261,23 @@ def _parsed(body: bytes) -> Any:
     return None
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+def as_vector(values: object, size: int) -> Vector:
+    """Return a list in JSON as `size` numbers; NaN in place of null, which C++ servers write for it.
+
+    Raises:
+        ValueError: It is another list, or none; the message says what it is.
+    """
+    if not isinstance(values, list):
+        raise ValueError(shortened(values))
+    if len(values) != size:
+        raise ValueError(f"a block of {len(values)} numbers")
+    for value in values:
+        if isinstance(value, bool) or not isinstance(value, int | float | None):
+            raise ValueError(f"{shortened(value)} among the numbers")
+    try:
+        return np.array(values, dtype=np.float64)
+    except OverflowError:  # a whole number beyond the largest
+        return np.full(size, np.inf)
 
 
 def _told(text: object) -> str:
@@ -276,7 +286,8 @@ def _told(text: object) -> str:
     return _cut(" ".join(re.sub(r"<[^<>]*>", " ", plain).split()))
 
 
-def _short(value: object) -> str:
+def shortened(value: object) -> str:
+    """Return the repr of what was sent, cut to one short line."""
     return _cut(repr(value))
 
 

@@ -2,12 +2,11 @@
 
 import functools
 import hashlib
-import importlib.util
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -17,10 +16,10 @@ from strandline.interface import Interface
 from strandline.models import refused
 from strandline.models.protocol import ModelInput, Simulation
 from strandline.models.umbridge.client import PROTOCOL_VERSION, Client, Description
+from strandline.registry import of_extra
 
 UNITS = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "m": 1e3}
 """Millimetres in each unit of length."""
-SHAPES = ("points", "columns")
 
 
 @dataclass(frozen=True)
@@ -34,18 +33,13 @@ class BlockLayout:
         closed: Whether a polyline returns to its first point.
     """
 
-    shape: str = "points"
-    dim: int = 2
+    shape: Literal["points", "columns"] = "points"
+    dim: Literal[2, 3] = 2
     closed: bool = False
 
     def __post_init__(self) -> None:
-        for name, value, right in (
-            ("shape", self.shape, self.shape in SHAPES),
-            ("dim", self.dim, type(self.dim) is int and self.dim in (2, 3)),
-            ("closed", self.closed, type(self.closed) is bool and not (self.closed and self.dim == 3)),
-        ):
-            if not right:
-                raise _wrong_option(name, value)
+        if self.closed and self.dim == 3:
+            raise refused("closed", self.closed, "false for a surface; polylines only return to their first point")
 
     @property
     def coordinate_blocks(self) -> int:
@@ -89,11 +83,6 @@ def flattened(interface: Interface) -> list[list[float]]:
     return blocks if interface.dim == 2 else [*blocks, interface.cells.astype(float).ravel().tolist()]
 
 
-def _wrong_option(name: str, value: object) -> InvalidInput:
-    expected = "{shape: points or columns, dim: 2 or 3, closed: true or false (polylines only)}"
-    return refused(name, value, expected)
-
-
 def _unfit(blocks: Sequence[Any], expected: str) -> ForwardModelError:
     sizes = [len(block) for block in blocks]
     return ForwardModelError("protocol", f"the model's output has blocks of {sizes} numbers; expected {expected}")
@@ -122,8 +111,8 @@ class UMBridge:
     name: str
     inputs: Any
     interface: BlockLayout | None = None
-    unit: str = "mm"
-    config: Any = None
+    unit: Literal["mm", "um", "µm", "m"] = "mm"
+    config: Mapping[str, Any] | None = None
     timeout: float = 600.0
     version: str | float | int | None = None
     sensitivities: bool = False
@@ -131,9 +120,7 @@ class UMBridge:
 
     def forward_model(self) -> "UMBridgeModel":
         """Return the model; nothing is sent to the server yet."""
-        if importlib.util.find_spec("httpx") is None:
-            what, remedy = "the package httpx, which calls the server", 'Install it: pip install "strandline[umbridge]"'
-            raise refused(what, "not installed", "the extra `umbridge`", remedy)
+        of_extra("httpx", "umbridge", "the package httpx, which calls the server")
         names, units = _named_blocks(self.inputs)
         return UMBridgeModel(
             Client(self.url, self.name, _config(self.config), self.timeout),
@@ -168,8 +155,6 @@ class UMBridgeModel:
     failure_kinds: ClassVar[tuple[str, ...]] = ("connection", "protocol", "model_error", "inputs", "no_sensitivities")
 
     def __post_init__(self) -> None:
-        if self.unit not in UNITS:
-            raise refused("unit", self.unit, f"one of {', '.join(UNITS)}")
         if self.at_once < 1:
             raise refused("at_once", self.at_once, "at least 1")
 
@@ -273,12 +258,10 @@ def _wrong_inputs(given: object) -> InvalidInput:
     return refused("inputs", given, expected, "Name each input once.")
 
 
-def _config(given: object) -> dict[str, Any]:
-    config = {} if given is None else given
+def _config(given: Mapping[str, Any] | None) -> dict[str, Any]:
+    config = dict(given or {})
     try:
         json.dumps(config, allow_nan=False)
     except (TypeError, ValueError) as error:
-        config = f"{config!r} ({error})"
-    if isinstance(config, dict) and all(isinstance(key, str) for key in config):
-        return config
-    raise refused("config", config, "keys with values that JSON can hold")
+        raise refused("config", f"{config!r} ({error})", "keys with values that JSON can hold") from None
+    return config

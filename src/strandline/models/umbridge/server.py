@@ -26,7 +26,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 from strandline.models import refused as invalid
-from strandline.models.umbridge.answers import Rejected, Reply, ServedModel, answer, shortened
+from strandline.models.umbridge.answers import Rejected, Reply, ServedModel, answer
+from strandline.models.umbridge.client import shortened
 
 SHORTEST_TOKEN = 16
 """Fewest characters of a token."""
