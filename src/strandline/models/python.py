@@ -25,6 +25,7 @@ from strandline.models.protocol import (
     declared_inputs,
     with_sensitivities,
 )
+from strandline.registry import imported
 
 __all__ = ["PythonModel", "lies_in", "modules_of"]
 
@@ -199,33 +200,20 @@ def _polyline(points: Any) -> Any:
     return Interface.polyline(array) if array.ndim == 2 and array.shape[1] == 2 else points
 
 
-def _holding(folder: Path | None, target: object) -> Path | None:
+def _holding(folder: Path | None, target: str) -> Path | None:
     """Return the absolute path of `folder` if the module of ``module:name`` lies in it, else None."""
-    if folder is None or not isinstance(target, str) or not lies_in(folder, target.partition(":")[0]):
-        return None
-    return folder.resolve()
+    return folder.resolve() if folder is not None and lies_in(folder, target.partition(":")[0]) else None
 
 
-def _found(target: object) -> Any:
+def _found(target: str) -> Any:
     """Return the callable ``module:name``."""
-    module, separator, name = target.partition(":") if isinstance(target, str) else ("", "", "")
-    if not (module and separator and name):
-        raise _refused(target, "module:name, e.g. my_model:simulate")
+    what = "function of the Python model"
     try:
-        found: Any = importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        if error.name is None or not f"{module}.".startswith(f"{error.name}."):
-            raise _refused(target, f"a module that can be imported ({error})") from None
-        raise _refused(target, f"a module that can be imported; there is none called {error.name}") from None
-    except Exception as error:
-        raise _refused(target, f"a module that can be imported ({type(error).__name__}: {error})") from None
-    for part in name.split("."):
-        found = getattr(found, part, None)
-    if not callable(found):
-        raise _refused(target, f"a callable {name} in {module}")
+        found = imported(target, what)
+        if not callable(found):
+            module, _, name = target.partition(":")
+            raise refused(what, target, f"a callable {name} in {module}")
+    except InvalidInput as error:
+        missing = "If the module is missing, put it beside study.yaml, install it, or put its folder on PYTHONPATH."
+        raise refused(what, target, error.expected, f"Correct the name. {missing}") from None
     return found
-
-
-def _refused(target: object, expected: str) -> InvalidInput:
-    missing = "If the module is missing, put it beside study.yaml, install it, or put its folder on PYTHONPATH."
-    return refused("function of the Python model", target, expected, f"Correct the name. {missing}")

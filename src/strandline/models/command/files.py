@@ -12,7 +12,6 @@ from strandline.interface import Interface
 from strandline.models import refused
 from strandline.readers import Reading, Unreadable, read_interface
 
-KEPT = ("all", "failed", "none")
 RUNS = "runs"
 
 
@@ -92,29 +91,26 @@ def kept_folder(workdir: Path, study: Path, key: str) -> Path:
 
 @dataclass(frozen=True)
 class LogText:
-    """A text that every successful run writes to a file; to the output of the command if that is ""."""
+    """A text that every successful run writes to a file; by default, to the output of the command."""
 
-    text: str
-    file: str = ""
+    log: str
+    file: str | None = None
 
-    @classmethod
-    def of(cls, options: object) -> "LogText":
-        """Return the check that the option `success` describes."""
-        fits = isinstance(options, Mapping) and set(options) <= {"log", "file"} and "log" in options
-        if not (fits and isinstance(options, Mapping) and isinstance(options["log"], str) and options["log"]):
-            expected = "{log: TEXT}, or {log: TEXT, file: NAME} for a log that the simulator writes itself"
-            raise refused("success", options, expected)
-        return cls(options["log"], relative_name(options["file"], "success.file") if "file" in options else "")
+    def __post_init__(self) -> None:
+        if not self.log:
+            raise refused("log", self.log, "a text that every good run prints")
+        if self.file is not None:
+            object.__setattr__(self, "file", relative_name(self.file, "file"))
 
     def require(self, folder: Path, log: Path) -> None:
         """Refuse (``no_success``) a run whose log lacks the text."""
         path = folder / self.file if self.file else log
         try:
-            found = self.text.encode() in path.read_bytes()
+            found = self.log.encode() in path.read_bytes()
         except OSError as error:
             raise ForwardModelError("no_success", f"{path.name} cannot be read: {error.strerror}") from None
         if not found:
-            raise ForwardModelError("no_success", f"{path.name} does not say {self.text!r}")
+            raise ForwardModelError("no_success", f"{path.name} does not say {self.log!r}")
 
 
 def named_by(errors: Mapping[str, str], folder: Path, error: ForwardModelError) -> ForwardModelError:

@@ -1,6 +1,5 @@
 """A simulator that is run as a command, with templates for its input and a file for its result."""
 
-import dataclasses
 import hashlib
 import json
 import os
@@ -10,12 +9,11 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from strandline.errors import ForwardModelError
 from strandline.models import refused
 from strandline.models.command.files import (
-    KEPT,
     LogText,
     SourceFile,
     file_in,
@@ -29,9 +27,7 @@ from strandline.models.command.options import (
     InputTemplate,
     commands_of,
     declared_by,
-    errors_of,
     exit_codes_of,
-    seconds,
     texts_of,
 )
 from strandline.models.command.process import ProcessEnd, supervised
@@ -41,6 +37,11 @@ from strandline.readers import Reading
 PYTHON = "python"
 """A variable that every template knows: the interpreter that runs strandline."""
 LOG = "command.log"
+LONGEST_SECONDS = 366 * 24 * 3600
+KINDS = (
+    "exit_code", "simulator_killed", "command_not_found", "no_success", "result_missing", "result_old",
+    "result_unreadable", "template", "file_changed", "processes_left", "supervisor_died",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -77,30 +78,27 @@ class CommandModel:
     command: Any
     result: Reading | None = None
     results: Mapping[str, Reading] | None = None
-    templates: Any = field(default_factory=dict)
+    templates: Mapping[str, str] = field(default_factory=dict)
     files: Any = field(default_factory=list)
-    shell: Any = False
+    shell: bool = False
     post: Any = field(default_factory=list)
     environment: Any = field(default_factory=dict)
     timeout: float | None = None
     grace: float = 5.0
     exit_codes: Any = field(default_factory=lambda: [0])
-    success: Any = None
-    errors: Any = field(default_factory=dict)
-    keep: str = "failed"
+    success: LogText | None = None
+    errors: Mapping[str, str] = field(default_factory=dict)
+    keep: Literal["all", "failed", "none"] = "failed"
     version: str = ""
     inputs: tuple[ModelInput, ...] = field(default=(), metadata={"read": declared_by})
     folder: Path = Path()
-    failure_kinds: ClassVar[tuple[str, ...]] = (
-        "exit_code", "simulator_killed", "command_not_found", "no_success", "result_missing", "result_old",
-        "result_unreadable", "template", "file_changed", "processes_left", "supervisor_died",
-    )  # fmt: skip
+    failure_kinds: ClassVar[tuple[str, ...]] = KINDS
     _parts: "_Parts" = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "folder", self.folder.resolve())
         object.__setattr__(self, "_parts", _Parts.of(self))
-        object.__setattr__(self, "failure_kinds", (*type(self).failure_kinds, *self._parts.errors))
+        object.__setattr__(self, "failure_kinds", (*KINDS, *self.errors))
 
     @property
     def conditions(self) -> tuple[str, ...]:
@@ -121,7 +119,7 @@ class CommandModel:
                 sorted((name, item.text) for name, item in parts.environment.items()),
                 [[name, sorted(reading.given.items())] for name, reading in parts.readings.items()],
                 None if parts.exit_codes is None else sorted(parts.exit_codes),
-                None if parts.success is None else dataclasses.astuple(parts.success),
+                None if self.success is None else [self.success.log, self.success.file or ""],
                 self.version,
             ]
         )
@@ -169,12 +167,12 @@ class CommandModel:
                 )
                 log = ended.tail or log
                 self._require_success(ended, arguments[0])
-            if parts.success is not None:
-                parts.success.require(workdir, workdir / LOG)
+            if self.success is not None:
+                self.success.require(workdir, workdir / LOG)
             return Simulation({name: read_result(one, workdir, started) for name, one in parts.readings.items()})
         except ForwardModelError as error:
             error.log = error.log or log
-            raise named_by(parts.errors, workdir, error) from None
+            raise named_by(self.errors, workdir, error) from None
 
     def retain(self, workdir: Path, key: str, *, ok: bool) -> Path | None:
         """Keep the folder of the run `key` if `keep` asks for it and return its new path; else return None."""
@@ -230,21 +228,19 @@ class _Parts:
     environment: Mapping[str, InputTemplate]
     readings: Mapping[str, Reading]
     exit_codes: frozenset[int] | None
-    errors: Mapping[str, str]
-    success: LogText | None
 
     @classmethod
     def of(cls, model: CommandModel) -> "_Parts":
         """Return the checked options of a model."""
-        if model.keep not in KEPT:
-            raise refused("keep", model.keep, f"one of {', '.join(KEPT)}")
         for name, value in (("timeout", model.timeout), ("grace", model.grace)):
-            seconds(name, value)
-        if not isinstance(model.shell, bool):
-            raise refused("shell", model.shell, "true or false")
-        targets = [relative_name(target, "templates") for target in texts_of(model.templates, "templates").values()]
+            if value is not None and not 0 < value <= LONGEST_SECONDS:
+                raise refused(name, value, f"seconds above 0, at most {LONGEST_SECONDS} (a year)")
+        if not all(text and kind.isidentifier() and kind not in KINDS for kind, text in model.errors.items()):
+            expected = "a new word for each kind and a text, e.g. {diverged: no convergence}"
+            raise refused("errors", dict(model.errors), expected)
         if not isinstance(model.files, list | tuple):
             raise refused("files", model.files, "a list of names", "Write `files: [mesh.msh]`.")
+        targets = [relative_name(target, "templates") for target in model.templates.values()]
         files = [SourceFile.of(model.folder, name, "files") for name in model.files]
         _require_distinct([*targets, *(relative_name(file.name, "files") for file in files)])
         sources = [(_read(model.folder, name), target) for name, target in zip(model.templates, targets, strict=True)]
@@ -258,8 +254,6 @@ class _Parts:
             },
             readings=readings_of(model.result, model.results),
             exit_codes=exit_codes_of(model.exit_codes),
-            errors=errors_of(model.errors, type(model).failure_kinds),
-            success=None if model.success is None else LogText.of(model.success),
         )
 
     def every_template(self) -> Iterator[InputTemplate]:

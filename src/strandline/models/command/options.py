@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,6 @@ from strandline.text import decimal
 LONGEST = 20
 """Characters of a number: CalculiX 2.20 looks at no more, and so loses the exponent of 3.141592653589793e-05 in silence
 (findings/calculix-twenty-characters.sh)."""
-LONGEST_SECONDS = 366 * 24 * 3600
 DECLARED = {"unit", "low", "high", "meaning"}
 
 
@@ -120,14 +119,6 @@ def texts_of(given: object, place: str) -> dict[str, str]:
     return {name: str(value) for name, value in given.items()}
 
 
-def errors_of(given: object, known: Collection[str]) -> dict[str, str]:
-    """Return the text that names each further kind of failure."""
-    found = texts_of(given, "errors")
-    if not all(text and kind.isidentifier() and kind not in known for kind, text in found.items()):
-        raise _unfit("errors", given, "a new word for each kind and a text, e.g. {diverged: no convergence}")
-    return found
-
-
 def exit_codes_of(given: object) -> frozenset[int] | None:
     """Return the exit codes that count as success; None for all."""
     if given == "any":
@@ -135,12 +126,6 @@ def exit_codes_of(given: object) -> frozenset[int] | None:
     if isinstance(given, list | tuple) and given and all(type(code) is int for code in given):
         return frozenset(given)
     raise _unfit("exit_codes", given, "a list such as [0, 1], or any")
-
-
-def seconds(name: str, value: object) -> None:
-    """Refuse anything but a number of seconds above 0, or None."""
-    if value is not None and not (isinstance(value, int | float) and 0 < value <= LONGEST_SECONDS):
-        raise _unfit(name, value, f"seconds above 0, at most {LONGEST_SECONDS} (a year)")
 
 
 def declared_by(given: object) -> tuple[ModelInput, ...]:
