@@ -8,7 +8,7 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -143,7 +143,7 @@ class SameResults:
 
 @dataclass(frozen=True)
 class Faulty:
-    """`base`, with the fault `fault` (a name in `FAULTS`) if the input `name` is above `above`."""
+    """`base`, with a fault, see `_misbehave`, if the input `name` is above `above`."""
 
     base: Any = Cantilever()
     fault: str = "exception"
@@ -158,7 +158,7 @@ class Faulty:
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
         """Return what the base returns, or misbehave."""
         good = self.base(inputs, workdir)
-        return FAULTS[self.fault](good, workdir) if inputs[self.name] > self.above else good
+        return _misbehave(self.fault, good, workdir) if inputs[self.name] > self.above else good
 
 
 @dataclass(frozen=True)
@@ -230,91 +230,43 @@ def _append(path: Path, line: str) -> None:
         os.close(descriptor)
 
 
-def _exit(good: Simulation, workdir: Path) -> Simulation:
-    print("about to leave with code 3", flush=True)
-    os._exit(3)
-
-
-def _kill(good: Simulation, workdir: Path) -> Simulation:
-    os.kill(os.getpid(), signal.SIGKILL)
+def _misbehave(fault: str, good: Simulation, workdir: Path) -> Simulation | None:
+    """Do what a simulator may do instead of returning its result."""
+    match fault:
+        case "exit":
+            print("about to leave with code 3", flush=True)
+            os._exit(3)
+        case "kill":
+            os.kill(os.getpid(), signal.SIGKILL)
+        case "segfault":
+            ctypes.string_at(0)
+        case "hang":
+            print("waiting for nothing", flush=True)
+            time.sleep(3600)
+        case "hang_in_c":
+            ctypes.PyDLL(None).sleep(3600)  # PyDLL keeps the interpreter's lock: no Python thread runs meanwhile
+        case "child":
+            subprocess.run(["sleep", "3600"], check=True)
+        case "nan":
+            next(iter(good.interfaces.values())).points[0] = np.nan
+        case "exception":
+            raise RuntimeError("the matrix is singular")
+        case "declared":
+            raise ForwardModelError("newton_stalled", "no convergence beyond half of the load", {"load": 0.5})
+        case "unpicklable":
+            raise UnpicklableError(good, workdir)
+        case "leave":
+            raise SystemExit(2)
+        case "nothing":
+            return None
+        case "chatter":
+            for _ in range(200):
+                os.write(1, b"iteration without end " * 4096)
+            os.write(1, b"\nthe last words\n")
+            raise RuntimeError("said too much")
+        case "dirty":
+            if any(workdir.iterdir()):
+                raise RuntimeError(f"{workdir} is not empty")
+            (workdir / "restart.dat").write_bytes(b"0" * 1000)
+            os.chdir(workdir)
     return good
-
-
-def _segfault(good: Simulation, workdir: Path) -> Simulation:
-    ctypes.string_at(0)
-    return good
-
-
-def _hang(good: Simulation, workdir: Path) -> Simulation:
-    print("waiting for nothing", flush=True)
-    time.sleep(3600)
-    return good
-
-
-def _hang_in_c(good: Simulation, workdir: Path) -> Simulation:
-    ctypes.PyDLL(None).sleep(3600)  # PyDLL keeps the interpreter's lock: no Python thread runs meanwhile
-    return good
-
-
-def _child(good: Simulation, workdir: Path) -> Simulation:
-    subprocess.run(["sleep", "3600"], check=True)
-    return good
-
-
-def _nan(good: Simulation, workdir: Path) -> Simulation:
-    next(iter(good.interfaces.values())).points[0] = np.nan
-    return good
-
-
-def _exception(good: Simulation, workdir: Path) -> Simulation:
-    raise RuntimeError("the matrix is singular")
-
-
-def _declared(good: Simulation, workdir: Path) -> Simulation:
-    raise ForwardModelError("newton_stalled", "no convergence beyond half of the load", {"load": 0.5})
-
-
-def _unpicklable(good: Simulation, workdir: Path) -> Simulation:
-    raise UnpicklableError(good, workdir)
-
-
-def _leave(good: Simulation, workdir: Path) -> Simulation:
-    raise SystemExit(2)
-
-
-def _nothing(good: Simulation, workdir: Path) -> None:
-    return None
-
-
-def _chatter(good: Simulation, workdir: Path) -> Simulation:
-    for _ in range(200):
-        os.write(1, b"iteration without end " * 4096)
-    os.write(1, b"\nthe last words\n")
-    raise RuntimeError("said too much")
-
-
-def _dirty(good: Simulation, workdir: Path) -> Simulation:
-    if any(workdir.iterdir()):
-        raise RuntimeError(f"{workdir} is not empty")
-    (workdir / "restart.dat").write_bytes(b"0" * 1000)
-    os.chdir(workdir)
-    return good
-
-
-FAULTS: dict[str, Callable[[Simulation, Path], Simulation | None]] = {
-    "exit": _exit,
-    "kill": _kill,
-    "segfault": _segfault,
-    "hang": _hang,
-    "hang_in_c": _hang_in_c,
-    "child": _child,
-    "nan": _nan,
-    "exception": _exception,
-    "declared": _declared,
-    "unpicklable": _unpicklable,
-    "leave": _leave,
-    "nothing": _nothing,
-    "chatter": _chatter,
-    "dirty": _dirty,
-}
-"""Name → what a simulator may do instead of returning its result."""

@@ -21,6 +21,7 @@ from strandline.models.biofilm.newton import LinearSolver, NewtonSettings
 from strandline.models.biofilm.strain import Strain
 
 Vector = Float[np.ndarray, " unknown"]
+Shares = Float[np.ndarray, " share"]
 
 
 @runtime_checkable
@@ -51,6 +52,7 @@ ARRIVAL = NewtonSettings(maximum_jacobians=6, smallest_damping=0.1)
 """For the state at the target load."""
 
 
+SHARES, LOAD = np.linspace(0.0, 1.0, 201), slice(-1, None)
 FIRST_STEP = 0.2
 """First step of strain, along the tangent."""
 SMALLEST_STEP, LARGEST_STEP = 0.001, 0.11
@@ -132,9 +134,8 @@ class _Path:
         if self.budget > 0 and not self.bracketed:
             self.budget = max(self.budget, self.jacobians + ARRIVAL.maximum_jacobians)
         self.bracketed = True
-        cubic = _Cubic.through(below, above, strain)
-        shares = np.linspace(0.0, 1.0, 201)
-        guess = cubic.at(float(shares[np.argmax(cubic.loads(shares) >= self.load)]))[:-1]
+        loads = _between(below, above, strain, SHARES, LOAD)[:, 0]
+        guess = _between(below, above, strain, SHARES[[np.argmax(loads >= self.load)]])[0, :-1]
         try:
             found = newton.solve(_AtLoad(self, self.load), guess, weights=self.system.weights, settings=ARRIVAL)
         except ForwardModelError as error:
@@ -204,7 +205,7 @@ class _Path:
 
     def _fold(self, before: PathPoint, point: PathPoint, strain: Strain) -> ForwardModelError:
         """Return the failure for a fold between two points."""
-        loads = _Cubic.through(before, point, strain).loads(np.linspace(0.0, 1.0, 201))
+        loads = _between(before, point, strain, SHARES, LOAD)
         return self._failure(
             "limit_point",
             "the load path turns back: there is no steady state beyond",
@@ -286,32 +287,13 @@ def _predicted(last: PathPoint, point: PathPoint, strain: Strain, step: float) -
     return np.asarray(here + step * slope + step**2 * bend)
 
 
-@dataclass(frozen=True, eq=False)
-class _Cubic:
-    """Unknowns and load between two points of the path, by Hermite's cubic in a strain that grows from 0 to 1."""
-
-    values: tuple[Vector, Vector]
-    slopes: tuple[Vector, Vector]
-
-    @classmethod
-    def through(cls, first: PathPoint, second: PathPoint, strain: Strain) -> "_Cubic":
-        c = strain.functional
-        width = c @ (second.x - first.x)
-        values = [np.append(p.x, p.load) for p in (first, second)]
-        slopes = [width * np.append(p.tangent, 1.0) / (c @ p.tangent) for p in (first, second)]
-        return cls((values[0], values[1]), (slopes[0], slopes[1]))
-
-    def at(self, share: float) -> Vector:
-        """Return unknowns and load."""
-        parts = (*self.values, *self.slopes)
-        return np.asarray(sum(h * part for h, part in zip(_hermite(np.array([share])), parts, strict=True)))
-
-    def loads(self, shares: Float[np.ndarray, " share"]) -> Float[np.ndarray, " share"]:
-        """Return the load alone."""
-        parts = (*self.values, *self.slopes)
-        return np.asarray(sum(h * part[-1] for h, part in zip(_hermite(shares), parts, strict=True)))
-
-
-def _hermite(u: Float[np.ndarray, " share"]) -> tuple[Float[np.ndarray, " share"], ...]:
-    """Return the weights of first value, second value, first slope, second slope."""
-    return (1 + 2 * u) * (1 - u) ** 2, u**2 * (3 - 2 * u), u * (1 - u) ** 2, u**2 * (u - 1)
+def _between(
+    first: PathPoint, second: PathPoint, strain: Strain, shares: Shares, part: slice = slice(None)
+) -> Float[np.ndarray, "share part"]:
+    """Return unknowns and load, or a part of these, between two points, by Hermite's cubic in a strain from 0 to 1."""
+    c, u = strain.functional, shares[:, None]
+    width = c @ (second.x - first.x)
+    values = [np.append(p.x, p.load)[part] for p in (first, second)]
+    slopes = [(width * np.append(p.tangent, 1.0) / (c @ p.tangent))[part] for p in (first, second)]
+    weights = ((1 + 2 * u) * (1 - u) ** 2, u**2 * (3 - 2 * u), u * (1 - u) ** 2, u**2 * (u - 1))
+    return np.asarray(sum(h * one for h, one in zip(weights, (*values, *slopes), strict=True)))

@@ -118,11 +118,13 @@ class _Search:
         """Iterate from x until convergence or a reason to stop; a known first step is reused."""
         damping, previous, taken = 1.0, None, first
         while True:
-            taken = taken or self._step(x)
+            if taken is None:
+                self.jacobians += 1
+                taken = step(self.system, x)
             jacobian, correction = taken.jacobian, taken.correction
             size = self._length(correction)
             if size <= self.settings.tolerance:
-                return self._found(x + correction, jacobian)
+                return NewtonSolution(x + correction, self.jacobians, self.steps, jacobian)
             if previous is not None:
                 damping = self._predicted_damping(correction, previous)
             damping, simplified = self._damped_step(jacobian, x, correction, damping)
@@ -131,19 +133,12 @@ class _Search:
             if damping == 1.0 and self._length(simplified) <= self.settings.contraction * size:
                 x, last = self._quasi_newton(jacobian, x, (correction, simplified))
                 if last <= self.settings.tolerance:
-                    return self._found(x, jacobian)
+                    return NewtonSolution(x, self.jacobians, self.steps, jacobian)
                 previous = None
             taken = None
             if self.jacobians >= self.settings.maximum_jacobians:
                 spent = f"{self.settings.maximum_jacobians} Jacobians (last correction {size:.2g})"
                 raise ForwardModelError("newton_maxit", f"no convergence within {spent}", {"last_correction": size})
-
-    def _found(self, x: Vector, jacobian: LinearSolver) -> NewtonSolution:
-        return NewtonSolution(x, self.jacobians, self.steps, jacobian)
-
-    def _step(self, x: Vector) -> NewtonStep:
-        self.jacobians += 1
-        return step(self.system, x)
 
     def _length(self, correction: Vector) -> float:
         return length(correction, self.weights)
