@@ -58,9 +58,7 @@ class AnchoredCell:
         self, cell: FlowCell, box: Box, setting: Callable[[Mapping[str, float]], Setting], states: States | None = None
     ) -> None:
         self.cell, self.box, self._setting = cell, box, setting
-        self.states = states or States.solve(
-            box, self._first_order_strain, lambda at: cell.solve(setting(at)).unknowns, DIRECT_STRAIN
-        )
+        self.states = states or self._solved()
         self._factors: dict[int, Factorisation] = {}
         self._kept = _spread(box, self.states.anchors)
 
@@ -74,23 +72,52 @@ class AnchoredCell:
         Raises:
             ForwardModelError: As `FlowCell.solve`, which is then called.
         """
-        figures = {"anchored": 0.0}
-        if self.states.suffice and self.box.holds(inputs):
-            at = self.box.coordinates(inputs)
-            figures["predicted_strain"] = strain = self.states.strain(at)
-            found = self._from_anchors(inputs, at) if strain <= LARGEST_STRAIN else None
-            if found is not None:
-                return replace(found, figures=figures | {"anchored": 1.0})
+        figures, strain = {"anchored": 0.0}, self._predicted_strain(inputs)
+        if np.isfinite(strain):
+            figures["predicted_strain"] = strain
+        found = self._from_anchors(inputs) if strain <= LARGEST_STRAIN else None
+        if found is not None:
+            return replace(found, figures=figures | {"anchored": 1.0})
         return replace(self.cell.solve(self._setting(inputs), budget), figures=figures)
 
     def serves(self, inputs: Mapping[str, float]) -> bool:
         """Return whether a run starts from anchors."""
-        if not (self.states.suffice and self.box.holds(inputs)):
-            return False
-        return self.states.strain(self.box.coordinates(inputs)) <= LARGEST_STRAIN
+        return self._predicted_strain(inputs) <= LARGEST_STRAIN
 
-    def _from_anchors(self, inputs: Mapping[str, float], at: Float[np.ndarray, " axis"]) -> Solution | None:
+    def _solved(self) -> States:
+        """Return the states at the points of the box; where it bends too far, or the run fails, there is no anchor."""
+        points, strains, solved, unknowns = [], [], [], []
+        for point in self.box.points():
+            with contextlib.suppress(ForwardModelError):
+                inputs = self.box.inputs(point)
+                strain = self._first_order_strain(inputs)
+                points.append(point)
+                strains.append(max(strain, np.finfo(float).tiny))
+                solved.append(False)
+                if strain <= DIRECT_STRAIN:
+                    unknowns.append(self.cell.solve(self._setting(inputs)).unknowns)
+                    solved[-1] = True
+        return States(
+            np.array(points).reshape(len(points), len(self.box.axes)),
+            np.array(strains),
+            np.array(solved, dtype=bool),
+            np.array(unknowns) if unknowns else np.empty((0, 0)),
+        )
+
+    def _first_order_strain(self, inputs: Mapping[str, float]) -> float:
+        load = self.cell.set(self._setting(inputs))
+        start, first = first_order(self.cell, load)
+        return self.cell.largest_compression(np.asarray(start + first.correction))
+
+    def _predicted_strain(self, inputs: Mapping[str, float]) -> float:
+        """Return the first-order compression that the anchors predict; infinity if they do not serve these inputs."""
+        if not (self.states.suffice and self.box.holds(inputs)):
+            return np.inf
+        return self.states.strain(self.box.coordinates(inputs))
+
+    def _from_anchors(self, inputs: Mapping[str, float]) -> Solution | None:
         """Return the steady state near the prediction; None if Newton's method does not find it."""
+        at = self.box.coordinates(inputs)
         nearest = self._kept[int(np.argmin(self.box.distances(self.states.anchors[self._kept], at)))]
         setting, cell = self._setting(inputs), self.cell
         jacobian = self._factor(nearest)
@@ -111,11 +138,6 @@ class AnchoredCell:
             load = self.cell.set(self._setting(self.box.inputs(tuple(self.states.anchors[number]))))
             self._factors[number] = self.cell.factorise(self.states.unknowns[number], load, own_analysis=True)
         return self._factors[number]
-
-    def _first_order_strain(self, inputs: Mapping[str, float]) -> float:
-        load = self.cell.set(self._setting(inputs))
-        start, first = first_order(self.cell, load)
-        return self.cell.largest_compression(np.asarray(start + first.correction))
 
 
 def _spread(box: Box, anchors: Float[np.ndarray, "anchor axis"]) -> list[int]:

@@ -12,7 +12,7 @@ import platform
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
@@ -24,7 +24,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.interpolate import RBFInterpolator
 
-from strandline.errors import ForwardModelError
 from strandline.models import refused
 from strandline.models.biofilm.flow import DROP, RATE
 from strandline.models.biofilm.linear import linear_solver
@@ -50,12 +49,11 @@ Vector = Float[np.ndarray, " unknown"]
 
 @dataclass(frozen=True)
 class Axis:
-    """One input that varies in the box, and the length of its range as `Box.distances` measures it."""
+    """One input that varies in the box."""
 
     name: str
     low: float
     high: float
-    length: float
 
     @property
     def is_logarithmic(self) -> bool:
@@ -76,18 +74,17 @@ class Axis:
             return float(self.low * (self.high / self.low) ** coordinate)
         return self.low + coordinate * (self.high - self.low)
 
-    @classmethod
-    def of(cls, name: str, low: float, high: float) -> "Axis":
-        """Return the axis of a range.
+    @property
+    def length(self) -> float:
+        """Length of the range, as `Box.distances` measures it.
 
-        Jacobians are rescaled to the shear modulus of a run, see `factors`: what Young's modulus changes is mostly made
-        good, what Poisson's ratio changes is not. So the latter counts as it is, an e-fold of another input 0.3, and
-        the whole range of one whose ends have a ratio below 2 likewise 0.6.
+        Jacobians are rescaled to the shear modulus of a run, see `anchored_cell`: what Young's modulus changes is
+        mostly made good, what Poisson's ratio changes is not. So the latter counts as it is, an e-fold of another input
+        0.3, and the whole range of one whose ends have a ratio below 2 likewise 0.6.
         """
-        if name.rstrip("0123456789") == "nu":
-            return cls(name, low, high, high - low)
-        axis = cls(name, low, high, 0.6)
-        return cls(name, low, high, 0.3 * float(np.log(high / low))) if axis.is_logarithmic else axis
+        if self.name.rstrip("0123456789") == "nu":
+            return self.high - self.low
+        return 0.3 * float(np.log(self.high / self.low)) if self.is_logarithmic else 0.6
 
 
 @dataclass(frozen=True)
@@ -99,7 +96,7 @@ class Box:
     @property
     def axes(self) -> tuple[Axis, ...]:
         """Inputs that vary."""
-        return tuple(Axis.of(*entry) for entry in self.ranges if entry[1] < entry[2])
+        return tuple(Axis(*entry) for entry in self.ranges if entry[1] < entry[2])
 
     def holds(self, inputs: Mapping[str, float]) -> bool:
         """Return whether inputs lie in the box, its bounds included."""
@@ -138,7 +135,13 @@ def as_ranges(given: Any) -> Ranges:
     """Return a mapping of inputs to numbers or pairs [lowest, highest] as ranges."""
     if not isinstance(given, Mapping) or not given:
         raise refused(OPTION, given, f"lowest and highest value of each input of the model, {EXAMPLE}")
-    return tuple((str(name), *_ends(name, entry)) for name, entry in given.items())
+    ranges = {}
+    for name, entry in given.items():
+        ends = finite(entry if isinstance(entry, list | tuple) else [entry, entry])
+        if ends.shape != (2,):
+            raise refused(f"{name} in the {OPTION}", entry, "a number, or lowest and highest value as [100, 800]")
+        ranges[str(name)] = ends.tolist()
+    return tuple((name, low, high) for name, (low, high) in ranges.items())
 
 
 def check_ranges(ranges: Ranges, inputs: Sequence[ModelInput], *, steady: bool) -> None:
@@ -151,16 +154,11 @@ def check_ranges(ranges: Ranges, inputs: Sequence[ModelInput], *, steady: bool) 
     if not steady:
         expected = "no course: a run through time does not start from anchors"
         raise refused(OPTION, "anchors with a course", expected, "Remove one of the two.")
-    known, given = {item.name: item for item in inputs}, [name for name, _, _ in ranges]
-    for name in [*given, *known]:
-        if name not in known or name not in given:
-            odd = name not in known
-            raise refused(
-                OPTION,
-                f"{name}, which is no input" if odd else f"no {name}",
-                f"lowest and highest value of {', '.join(known)}; one number where an input is the same in all runs",
-                f"Remove {name}." if odd else f"Add {name}.",
-            )
+    known = {item.name: item for item in inputs}
+    for name in sorted(known.keys() ^ {name for name, _, _ in ranges}):
+        found, remedy = (f"no {name}", "Add it.") if name in known else (f"{name}, which is no input", "Remove it.")
+        expected = f"lowest and highest value of {', '.join(known)}; one number where an input is the same in all runs"
+        raise refused(OPTION, found, expected, remedy)
     for name, low, high in ranges:
         item = replace(known[name], low_included=known[name].low_included and name not in DRIVES)
         if not (low <= high and item.admits(low) and item.admits(high)):
@@ -168,14 +166,6 @@ def check_ranges(ranges: Ranges, inputs: Sequence[ModelInput], *, steady: bool) 
             raise refused(f"{name} in the {OPTION}", low if low == high else [low, high], expected)
     if all(low == high for _, low, high in ranges):
         raise refused(OPTION, "no range", f"at least one input that varies, {EXAMPLE}", "Give one a range.")
-
-
-def _ends(name: object, entry: Any) -> tuple[float, float]:
-    ends = entry if isinstance(entry, list | tuple) else [entry, entry]
-    are_numbers = all(isinstance(end, int | float) and not isinstance(end, bool) for end in ends)
-    if not are_numbers or finite(ends).shape != (2,):
-        raise refused(f"{name} in the {OPTION}", entry, "a number, or lowest and highest value as [100, 800]")
-    return float(ends[0]), float(ends[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,41 +211,6 @@ class States:
     @cached_property
     def _state(self) -> RBFInterpolator:
         return RBFInterpolator(self.anchors, self.unknowns, kernel="cubic", degree=1)
-
-    @classmethod
-    def solve(
-        cls,
-        box: Box,
-        first_order_strain: Callable[[Mapping[str, float]], float],
-        steady_state: Callable[[Mapping[str, float]], Vector],
-        largest_strain: float,
-    ) -> "States":
-        """Return the states at the points of a box; where it bends too far, or the run fails, there is no anchor.
-
-        Args:
-            box: The box.
-            first_order_strain: Largest compressive strain of the first-order state, by inputs.
-            steady_state: Unknowns of the steady state, by inputs.
-            largest_strain: Largest such strain with which a steady state is solved.
-        """
-        points: list[tuple[float, ...]] = []
-        strains: list[float] = []
-        found: list[Vector | None] = []
-        for point in box.points():
-            with contextlib.suppress(ForwardModelError):
-                strain = first_order_strain(box.inputs(point))
-                points.append(point)
-                strains.append(max(strain, np.finfo(float).tiny))
-                found.append(None)
-                if strain <= largest_strain:
-                    found[-1] = steady_state(box.inputs(point))
-        solved = [x for x in found if x is not None]
-        return cls(
-            np.array(points).reshape(len(points), len(box.axes)),
-            np.array(strains),
-            np.array([x is not None for x in found], dtype=bool),
-            np.array(solved) if solved else np.empty((0, 0)),
-        )
 
 
 def anchors_file(geometry: str, box: Box) -> Path:

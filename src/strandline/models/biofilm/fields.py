@@ -13,6 +13,7 @@ from strandline.models.biofilm.flow import STRESS_SCALE, VELOCITY_SCALE
 from strandline.models.biofilm.materials import deformation_gradient
 from strandline.models.biofilm.strain import on_elements, quadratic_nodes
 from strandline.models.biofilm.system import CoupledSystem
+from strandline.registry import of_extra
 
 Points = Float[np.ndarray, "point 2"]
 
@@ -109,11 +110,7 @@ def write_vtu(fields: FlowFields, folder: Path) -> Path:
         fields: Solved state from `Biofilm.fields`.
         folder: Folder of the files.
     """
-    try:
-        import meshio
-    except ImportError:
-        remedy = 'Install it: pip install "strandline[vtu]"'
-        raise refused("files for ParaView", "no package meshio", "the optional package meshio", remedy) from None
+    meshio = of_extra("meshio", "vtu", "files for ParaView")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, points in (("undeformed", fields.points - fields.displacement), ("deformed", fields.points)):
@@ -127,7 +124,7 @@ def write_vtu(fields: FlowFields, folder: Path) -> Path:
                 },
                 cell_data={
                     "part": [fields.cell_part.astype(np.int8)],
-                    "Cauchy stress [Pa]": [_symmetric(fields.stress)],
+                    "Cauchy stress [Pa]": [np.pad(fields.stress[:, [0, 1, 3, 2]], ((0, 0), (0, 2)))],
                 },
             )
             mesh.write(folder / f"{name}.vtu")
@@ -141,9 +138,3 @@ def write_vtu(fields: FlowFields, folder: Path) -> Path:
 def _in_space(vectors: np.ndarray) -> np.ndarray:
     """Return plane vectors with a third component 0."""
     return np.column_stack([vectors, np.zeros(len(vectors))])
-
-
-def _symmetric(stress: np.ndarray) -> np.ndarray:
-    """Return (xx, yy, xy, zz) as (xx, yy, zz, xy, yz, xz)."""
-    xx, yy, xy, zz = stress.T
-    return np.column_stack([xx, yy, zz, xy, 0.0 * xy, 0.0 * xy])

@@ -215,21 +215,12 @@ def pairs_in(given: Any, least: int) -> Pairs | None:
     return tuple((float(a), float(b)) for a, b in pairs)
 
 
-def as_stretches(given: Any) -> Pairs:
-    """Return stretches of the floor from a study file as pairs (from, to), mm."""
-    pairs = pairs_in(given, 1)
-    if pairs is None or not (np.diff(np.ravel(pairs)) > 0).all():
-        expected = "stretches [from, to] of the floor in mm, from left to right, e.g. [[0.5, 0.9]]"
-        raise refused(CLAMPED, given, expected)
-    return pairs
-
-
 def check_clamped(clamped: Pairs, outline: Interface) -> None:
-    """Refuse stretches that do not hold each body."""
-    if not clamped:
-        return
-    as_stretches(clamped)
-    for body in bodies(outline.points):
+    """Refuse stretches of the floor that do not hold each body."""
+    if clamped and not (np.diff(np.ravel(clamped)) > 0).all():
+        expected = "stretches [from, to] of the floor in mm, from left to right, e.g. [[0.5, 0.9]]"
+        raise refused(CLAMPED, clamped, expected)
+    for body in bodies(outline.points) if clamped else ():
         left, right = outline.points[body][[0, -1], 0].tolist()
         if not any(min(b, right) - max(a, left) > 0 for a, b in clamped):
             shown = ", ".join(f"{a:g} to {b:g}" for a, b in clamped)
