@@ -63,24 +63,20 @@ class WithCheaper:
                 raise refused(f"{what} of the cheaper model", ", ".join(other) or "none", expected, remedy)
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation | Interface:
-        """Run the model, or the cheaper one if the inputs are marked."""
         if is_cheaper(inputs):
             return self.cheaper({name: value for name, value in inputs.items() if name != CHEAPER}, workdir)
         return self.model(inputs, workdir)
 
     @property
     def fingerprint(self) -> str:
-        """Fingerprint of the model: the ledger's."""
         return fingerprint(self.model)
 
     @cached_property
     def fingerprint_of_cheaper(self) -> str:
-        """Fingerprint of the cheaper model."""
         return fingerprint(self.cheaper)
 
     @property
     def preparation(self) -> str:
-        """What either model prepares."""
         pair = (self.model, self.cheaper)
         return next((one.preparation for one in pair if isinstance(one, PreparesRuns) and one.preparation), "")
 
@@ -89,7 +85,6 @@ class WithCheaper:
         return isinstance(self.model, PreparesRuns) and self.model.is_prepared(inputs)
 
     def prepare_runs(self) -> None:
-        """Prepare both models for many runs."""
         prepare_runs(self.model)
         prepare_runs(self.cheaper)
 

@@ -48,7 +48,6 @@ class Cantilever:
 
     @property
     def fingerprint(self) -> str:
-        """Changes with the shape of the beam."""
         return f"test:cantilever-1/{self.length!r}/{self.height!r}/{self.nodes}"
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
@@ -137,7 +136,6 @@ class SameResults:
 
     @property
     def fingerprint(self) -> str:
-        """The base's."""
         return str(self.base.fingerprint)
 
 
@@ -152,11 +150,9 @@ class Faulty:
 
     @property
     def fingerprint(self) -> str:
-        """Changes with the base, the fault and where it strikes."""
         return f"{self.base.fingerprint}+{self.fault}:{self.name}>{self.above!r}"
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
-        """Return what the base returns, or misbehave."""
         good = self.base(inputs, workdir)
         return _misbehave(self.fault, good, workdir) if inputs[self.name] > self.above else good
 
@@ -170,7 +166,6 @@ class Slow(SameResults):
     name: str | None = None
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
-        """Wait, then return what the base returns."""
         time.sleep(self.seconds * (1.0 if self.name is None else inputs[self.name]))
         return self.base(inputs, workdir)
 
@@ -183,7 +178,6 @@ class Counted(SameResults):
     base: Any = Cantilever()
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
-        """Record the call, then return what the base returns."""
         line = f"{os.getpid()} {sorted(inputs.items())}\n"
         _append(Path(self.folder) / "calls", line)
         result = self.base(inputs, workdir)
@@ -206,7 +200,6 @@ class Patient(SameResults):
     longest: float = 60.0
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
-        """Wait, then return what the base returns."""
         deadline = time.monotonic() + (self.longest if inputs[self.name] > self.above else 0.0)
         while len(list(Path(self.folder).iterdir())) < self.others and time.monotonic() < deadline:
             time.sleep(0.005)

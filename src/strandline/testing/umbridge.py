@@ -36,7 +36,6 @@ class ModelUnderTest:
     inputs: list[list[float]]
 
     def get(self, endpoint: str) -> httpx.Response:
-        """Return the response to GET."""
         return httpx.get(f"{self.url}/{endpoint}", **self._options)
 
     def post(self, endpoint: str, content: Any) -> httpx.Response:
@@ -53,16 +52,13 @@ class ModelUnderTest:
 
     @property
     def input_sizes(self) -> list[int]:
-        """Number of values in each input block, as reported by the server."""
         return list(self.ask("InputSizes")["inputSizes"])
 
     @property
     def output_sizes(self) -> list[int]:
-        """Number of values in each output block, as reported by the server."""
         return list(self.ask("OutputSizes")["outputSizes"])
 
     def supports(self, feature: str) -> bool:
-        """Return whether the server says that the model supports `feature`."""
         return bool(self.ask("ModelInfo")["support"].get(feature, False))
 
     @property

@@ -47,7 +47,6 @@ class Rescaled:
         self._rows, self._columns = ratio ** -(1.0 - (is_motion | constraint)), ratio ** -(displacement - 1.0)
 
     def solve(self, right: Vector) -> Vector:
-        """Return the correction."""
         return np.asarray(self._columns * self._factorised.solve(self._rows * right))
 
 

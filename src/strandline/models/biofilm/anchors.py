@@ -107,7 +107,6 @@ class Box:
         return np.array([axis.coordinate(inputs[axis.name]) for axis in self.axes])
 
     def inputs(self, coordinates: Sequence[float]) -> dict[str, float]:
-        """Return the inputs at coordinates."""
         at = {axis.name: axis.value(c) for axis, c in zip(self.axes, coordinates, strict=True)}
         return {name: at.get(name, low) for name, low, _ in self.ranges}
 

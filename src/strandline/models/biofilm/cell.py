@@ -65,7 +65,6 @@ class Solution:
     figures: Mapping[str, float] = field(default_factory=dict)
 
     def diagnostics(self) -> dict[str, float]:
-        """Return the figures that go into a run's record."""
         return {
             "max_displacement": float(np.linalg.norm(self.displacement, axis=1).max()),
             "min_J_fluid": self.min_J_fluid,
@@ -202,7 +201,6 @@ class FlowCell:
         return np.asarray(load * self._drive * self.rigid_flow)
 
     def residual(self, x: Vector, load: float) -> Vector:
-        """Return the residual at an inflow of `load`."""
         self._apply(load)
         return self.system.residual(x)
 
@@ -280,7 +278,6 @@ class FlowCell:
         return target
 
     def fields(self) -> FlowFields:
-        """Return velocity, pressure, displacement and stress of the current state."""
         return flow_fields(self.system, self.part)
 
     def _apply(self, load: float) -> None:

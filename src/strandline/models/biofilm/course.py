@@ -84,7 +84,6 @@ class Course:
 
     @property
     def is_transient(self) -> bool:
-        """Whether inertia counts."""
         return self.motion == TRANSIENT
 
     @property
@@ -132,7 +131,6 @@ class Piece:
 
     @property
     def is_sudden(self) -> bool:
-        """Whether the inflow jumps."""
         return self.begin == self.end
 
     def share(self, time: float) -> float:

@@ -226,7 +226,6 @@ class CreepingCell(FlowCell):
     """A `FlowCell` whose solid remembers its stresses; the flow is steady at every moment."""
 
     def coupled(self, *arguments: Any, **options: Any) -> CoupledSystem:
-        """Return the system with a memory."""
         return CoupledSystem(*arguments, remembers=True, **options)
 
     def through(

@@ -82,7 +82,6 @@ class Fluid:
 
     @property
     def inputs(self) -> tuple[ModelInput, ...]:
-        """The quantities that are inputs of the model."""
         return tuple(item for item in QUANTITIES if getattr(self, item.name) == UNKNOWN)
 
     @property
@@ -178,7 +177,6 @@ class Flow:
 
     @classmethod
     def of(cls, channel: Channel, inflow: str | Pairs, fluid: Fluid) -> "Flow":
-        """Return the loads for an inflow and a fluid."""
         x, y = (ng.Parameter(0.0) for _ in range(2))
         hydrostatic = ng.y - channel.height
         ends = "inlet|outlet" if inflow == PRESSURE else "outlet"
@@ -193,7 +191,6 @@ class Flow:
 
     @property
     def drive(self) -> ModelInput:
-        """The input that drives the flow."""
         return RATE if self.pressure is None else DROP
 
     @property

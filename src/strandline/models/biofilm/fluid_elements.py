@@ -83,14 +83,12 @@ class FluidElements:
         return np.bincount(self._rows, weights=np.concatenate(parts), minlength=self._size)
 
     def jacobian(self, state: Any) -> Entries:
-        """Return entries of the Jacobian in the order of `places`; those of one place add up."""
         at = self._fields(state, self._viscosity.Get(), self._density.Get())
         momentum = [block for i in (0, 1) for block in self._momentum_blocks(at, i)]
         loads = [block[:, self._loading] for block in momentum]
         return np.concatenate([block.ravel() for block in (*momentum, *self._mass_blocks(at), *loads)])
 
     def places(self) -> tuple[Numbers, Numbers]:
-        """Return row and column of each entry of `jacobian`."""
         unknowns = (*self._v, *self._p, *self._d)
         momentum = [(rows, columns) for rows in self._v for columns in unknowns]
         mass = [(self._p[0], columns) for columns in (*self._v, *self._d)]

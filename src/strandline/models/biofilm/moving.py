@@ -137,7 +137,6 @@ class FluidInertia(FluidElements):
         self._products = np.ascontiguousarray(self._rule.by_velocity[:, : 3 * points])
 
     def jacobian(self, state: Any) -> Entries:
-        """Return entries of the Jacobian in the order of `places`; those of one place add up."""
         at = _Moving(self, state, self._density.Get())
         own = self._products @ np.concatenate(list(at.by_velocity()))
         blocks = [own, own]
@@ -147,7 +146,6 @@ class FluidInertia(FluidElements):
         return np.concatenate([block.ravel() for block in (*blocks, *loads)])
 
     def places(self) -> tuple[Numbers, Numbers]:
-        """Return row and column of each entry of `jacobian`."""
         few = self._loading
         blocks = [(i, self._v[i]) for i in (0, 1)] + [(i, columns) for i in (0, 1) for columns in self._d]
         pairs = [places_of(self._v[i], columns) for i, columns in blocks]
@@ -221,11 +219,9 @@ class SolidInertia:
         self._mass: Float[np.ndarray, " entry"] = np.array(form.mat.AsVector().FV().NumPy())
 
     def places(self) -> tuple[Numbers, Numbers]:
-        """Return row and column of each entry of `jacobian`."""
         return self._places
 
     def residual(self, state: Any) -> Values:
-        """Return the mass times the acceleration."""
         return product(self._places, self._mass, self._rates.second(state.vec.FV().NumPy()))
 
     def jacobian(self, state: Any) -> Entries:

@@ -182,7 +182,6 @@ class Outline:
         return Interface.polyline(np.concatenate(pieces))
 
     def _curve(self, points: Float[np.ndarray, "point 2"]) -> Interface:
-        """Return the outline of one body."""
         if not self.spline or len(points) < 3:
             return Interface.polyline(points)
         chords = np.linalg.norm(np.diff(points, axis=0), axis=1)

@@ -96,9 +96,7 @@ class AtLoad:
         self._bending, self._load = bending, load
 
     def residual(self, x: Vector) -> Vector:
-        """Return the residual at `x`, scaled."""
         return self._bending.residual(x, self._load)
 
     def factorise(self, x: Vector) -> LinearSolver:
-        """Return the factorised Jacobian at `x`."""
         return self._bending.factorise(x, self._load)

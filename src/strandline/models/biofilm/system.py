@@ -62,17 +62,14 @@ class SymbolicPart:
         self.form = form
 
     def places(self) -> tuple[Numbers, Numbers]:
-        """Return row and column of each entry that `jacobian` has returned."""
         return _places(self.form.mat)
 
     def residual(self, state: Any) -> Values:
-        """Return what the form adds to the residual of each row."""
         result = state.vec.CreateVector()
         self.form.Apply(state.vec, result)
         return np.array(result.FV().NumPy())
 
     def jacobian(self, state: Any) -> Entries:
-        """Return the entries of the form's derivative."""
         self.form.AssembleLinearization(state.vec)
         return np.array(self.form.mat.AsVector().FV().NumPy())
 
@@ -248,7 +245,6 @@ class CoupledSystem:
         return self.mesh.MaterialCF(dict(zip(self.solids, stresses, strict=True)))
 
     def set_unknowns(self, x: Vector) -> None:
-        """Write the unknowns into the state."""
         self.values[self.free] = x
 
     def residual(self, x: Vector) -> Vector:

@@ -230,7 +230,6 @@ class TransientCell(FlowCell):
         super().__init__(*arguments, **options)
 
     def coupled(self, *arguments: Any, **options: Any) -> CoupledSystem:
-        """Return the system with inertia."""
         return MovingSystem(*arguments, solid_density=self._solid_density / DENSITY_SCALE, **options)
 
     def through(self, course: Course, setting: Setting, budget: int = 0) -> Iterator[tuple[str, Solution]]:

@@ -26,7 +26,6 @@ class SourceFile:
 
     @classmethod
     def of(cls, folder: Path, name: object, place: str) -> "SourceFile":
-        """Return the file `name` of the study folder."""
         path = file_in(folder, name, place)
         return cls(str(name), path, _digest(path), _stamp(path))
 

@@ -181,7 +181,6 @@ class CommandModel:
         return kept_folder(workdir, self.folder, key)
 
     def _fill(self, workdir: Path, values: Mapping[str, Any]) -> None:
-        """Put templates and files into the folder of a run."""
         for target, template in self._parts.templates:
             path = workdir / target
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -231,7 +230,6 @@ class _Parts:
 
     @classmethod
     def of(cls, model: CommandModel) -> "_Parts":
-        """Return the checked options of a model."""
         for name, value in (("timeout", model.timeout), ("grace", model.grace)):
             if value is not None and not 0 < value <= LONGEST_SECONDS:
                 raise refused(name, value, f"seconds above 0, at most {LONGEST_SECONDS} (a year)")

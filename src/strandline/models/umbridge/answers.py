@@ -40,7 +40,6 @@ class ServedModel:
 
     @property
     def support(self) -> dict[str, bool]:
-        """The features of the protocol that it offers."""
         return {
             "Evaluate": True,
             "Gradient": self.gradient is not None,
@@ -66,7 +65,6 @@ class Rejected(Exception):
 
     @property
     def answer(self) -> Reply:
-        """The error in the protocol's form."""
         return Reply(self.status, {"error": {"type": self.kind, "message": str(self)}})
 
 

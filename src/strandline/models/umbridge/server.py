@@ -158,7 +158,6 @@ class Connections:
         return True
 
     def leave(self, connection: socket.socket) -> None:
-        """Free the place of a connection that has been admitted."""
         self.works(connection)
         self._free.release()
 
@@ -226,7 +225,6 @@ class UMBridgeServer(ThreadingHTTPServer):
 
     @property
     def url(self) -> str:
-        """Address of the server."""
         host, port = str(self.server_address[0]), self.server_address[1]
         return f"http://{f'[{host}]' if ':' in host else host}:{port}"
 
@@ -246,7 +244,6 @@ class UMBridgeServer(ThreadingHTTPServer):
             raise
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Answer the requests of one connection."""
         try:
             super().process_request_thread(request, client_address)
         finally:
