@@ -29,7 +29,6 @@ class ProcessEnd:
     Args:
         exit_code: Exit code; minus the number of the signal if one ended it; None if it never started.
         timed_out: Whether it was ended because its time was up.
-        seconds: Wall-clock time.
         tail: End of its output.
         problem: Why it could not be started; "" if it could.
         out_of_memory: Whether the kernel killed a process for lack of memory during the run.
@@ -37,7 +36,6 @@ class ProcessEnd:
 
     exit_code: int | None
     timed_out: bool
-    seconds: float
     tail: str
     problem: str = ""
     out_of_memory: bool = False
@@ -124,19 +122,17 @@ def _ended(answer: bytes, code: int, log: Path) -> ProcessEnd:
     try:
         told: dict[str, Any] = json.loads(answer)
     except ValueError:  # nothing, or the beginning of an answer
-        how = ProcessEnd(code, False, 0.0, "").how
+        how = ProcessEnd(code, False, "").how
         message = f"the process that watches over the simulator ended with {how}, and the simulator with it"
         raise ForwardModelError("supervisor_died", message, state="killed", log=_end_of(log)) from None
     if told.get("errno") in SHORT_OF_MEMORY:
         raise _no_room(told["error"])
     if "error" in told:
-        return ProcessEnd(None, False, 0.0, "", told["error"])
+        return ProcessEnd(None, False, "", told["error"])
     if told["left"]:
         message = f"{told['left']} process(es) of the simulator survive SIGKILL"
         raise ForwardModelError("processes_left", message, log=told["tail"])
-    return ProcessEnd(
-        told["exit_code"], told["timeout"], told["seconds"], told["tail"], out_of_memory=told["out_of_memory"]
-    )
+    return ProcessEnd(told["exit_code"], told["timeout"], told["tail"], out_of_memory=told["out_of_memory"])
 
 
 def _no_room(reason: str) -> ForwardModelError:

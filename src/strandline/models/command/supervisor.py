@@ -220,8 +220,7 @@ def request() -> dict[str, object] | None:
 def run(asked, *, longest_poll: float = LONGEST_POLL) -> dict[str, object]:  # type: ignore[no-untyped-def]
     """Run the command until it ends; return how it ended."""
     log = Log(asked["log"], asked["log_limit"])
-    began = time.monotonic()
-    deadline = float("inf") if asked["timeout"] is None else began + asked["timeout"]
+    deadline = float("inf") if asked["timeout"] is None else time.monotonic() + asked["timeout"]
     oom_before = oom_kills()
     try:
         tree = Tree(asked["arguments"], asked["environment"], log, longest_poll=longest_poll)
@@ -231,14 +230,11 @@ def run(asked, *, longest_poll: float = LONGEST_POLL) -> dict[str, object]:  # t
     while tree.alive() and tree.status is None and not tree.lifeline_lost and time.monotonic() < deadline:
         tree.wait(deadline)
     timed_out = tree.status is None and not tree.lifeline_lost
-    seconds = time.monotonic() - began
     left = tree.end(asked["grace"])
     return {
         "exit_code": tree.status,
         "timeout": timed_out,
-        "seconds": seconds,
         "tail": log.close(),
-        "printed": log.total,
         "left": left,
         "out_of_memory": oom_kills() > oom_before,
     }

@@ -111,22 +111,15 @@ def _evaluate(model: ServedModel, asked: Mapping[str, Any]) -> dict[str, Any]:
     return {"output": [_finite(model, block) for block in output]}
 
 
-def _gradient(model: ServedModel, asked: Mapping[str, Any]) -> dict[str, Any]:
+def _product(model: ServedModel, asked: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """Answer Gradient, whose weights are ``sens``, or ApplyJacobian, whose vector is ``vec``."""
     out, into = _index(asked, "outWrt", model.output_sizes), _index(asked, "inWrt", model.input_sizes)
-    weights = _vector(asked.get("sens"), model.output_sizes[out], "sens")
-    assert model.gradient is not None
-    return {"output": _finite(model, model.gradient(out, into, _inputs(model, asked), weights))}
-
-
-def _apply_jacobian(model: ServedModel, asked: Mapping[str, Any]) -> dict[str, Any]:
-    out, into = _index(asked, "outWrt", model.output_sizes), _index(asked, "inWrt", model.input_sizes)
-    vector = _vector(asked.get("vec"), model.input_sizes[into], "vec")
-    assert model.apply_jacobian is not None
-    return {"output": _finite(model, model.apply_jacobian(out, into, _inputs(model, asked), vector))}
-
-
-def _no_hessian(model: ServedModel, asked: Mapping[str, Any]) -> dict[str, Any]:
-    raise Rejected("UnsupportedFeature", f"{model.name} does not support ApplyHessian")
+    function, size = model.gradient, model.output_sizes[out]
+    if key == "vec":
+        function, size = model.apply_jacobian, model.input_sizes[into]
+    assert function is not None
+    vector = _vector(asked.get(key), size, key)
+    return {"output": _finite(model, function(out, into, _inputs(model, asked), vector))}
 
 
 ENDPOINTS: Mapping[str, Callable[[ServedModel, Mapping[str, Any]], dict[str, Any]]] = {
@@ -134,9 +127,9 @@ ENDPOINTS: Mapping[str, Callable[[ServedModel, Mapping[str, Any]], dict[str, Any
     "/InputSizes": lambda model, asked: {"inputSizes": list(model.input_sizes)},
     "/OutputSizes": lambda model, asked: {"outputSizes": list(model.output_sizes)},
     "/Evaluate": _evaluate,
-    "/Gradient": _gradient,
-    "/ApplyJacobian": _apply_jacobian,
-    "/ApplyHessian": _no_hessian,
+    "/Gradient": lambda model, asked: _product(model, asked, "sens"),
+    "/ApplyJacobian": lambda model, asked: _product(model, asked, "vec"),
+    "/ApplyHessian": lambda model, asked: {},  # no model supports it
 }
 """Path → function that answers it, given the model that the request names; /Info names none."""
 

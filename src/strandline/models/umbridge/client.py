@@ -112,19 +112,22 @@ class Client:
             raise self._breach(f"answered Evaluate with {shortened(output)}; expected a list of {len(sizes)} blocks")
         return [self._vector(block, size, "Evaluate") for block, size in zip(output, sizes, strict=True)]
 
-    def apply_jacobian(
-        self, out: int, into: int, blocks: Sequence[Sequence[float]], vector: Sequence[float], size: int
-    ) -> Vector:
-        """Return the Jacobian of output block `out`, of `size` numbers, by input block `into`, times `vector`."""
-        asked = {"outWrt": out, "inWrt": into, "input": blocks, "vec": vector}
-        return self._vector(self._mapping("ApplyJacobian", asked).get("output"), size, "ApplyJacobian")
+    def jacobian(
+        self, out: int, into: int, blocks: Sequence[Sequence[float]], described: Description
+    ) -> Float[np.ndarray, "number input"]:
+        """Return the Jacobian of output block `out` by input block `into`.
 
-    def gradient(
-        self, out: int, into: int, blocks: Sequence[Sequence[float]], weights: Sequence[float], size: int
-    ) -> Vector:
-        """Return `weights` times the Jacobian of output block `out` by input block `into`, which has `size` inputs."""
-        asked = {"outWrt": out, "inWrt": into, "input": blocks, "sens": weights}
-        return self._vector(self._mapping("Gradient", asked).get("output"), size, "Gradient")
+        It takes a call of ApplyJacobian for each input or, if the server lacks it, of Gradient for each output.
+        """
+        rows, columns = described.output_sizes[out], described.input_sizes[into]
+        by_columns = described.support.get("ApplyJacobian", False)
+        feature, key = ("ApplyJacobian", "vec") if by_columns else ("Gradient", "sens")
+        found = []
+        for unit in np.eye(columns if by_columns else rows).tolist():
+            asked = {"outWrt": out, "inWrt": into, "input": blocks, key: unit}
+            output = self._mapping(feature, asked).get("output")
+            found.append(self._vector(output, rows if by_columns else columns, feature))
+        return np.stack(found, axis=1 if by_columns else 0)
 
     def _sizes(self, endpoint: str, key: str) -> tuple[int, ...]:
         sizes = self._mapping(endpoint, {}).get(key)

@@ -207,26 +207,18 @@ class UMBridgeModel:
 
     def _slopes(self, values: list[list[float]]) -> dict[str, Float[np.ndarray, "point xyz"]]:
         """Return d(points)/d(input) by input, mm per unit of the input."""
-        support = self.description.support
-        if not (support.get("ApplyJacobian") or support.get("Gradient")):
+        described = self.description
+        if not (described.support.get("ApplyJacobian") or described.support.get("Gradient")):
             message = "the server supports neither ApplyJacobian nor Gradient; leave sensitivities out"
             raise ForwardModelError("no_sensitivities", message)
-        columns = self._by_jacobian if support.get("ApplyJacobian") else self._by_gradient
         slopes = {}
         for into, block in enumerate(self.blocks):
-            by_output = [columns(out, into, values) for out in range(self.layout.coordinate_blocks)]
+            outputs = range(self.layout.coordinate_blocks)
+            by_output = [self.client.jacobian(out, into, values, described) for out in outputs]
             for number, name in enumerate(block):
                 points = self.layout.points([jacobian[:, number] for jacobian in by_output])
                 slopes[name] = UNITS[self.unit] * points
         return slopes
-
-    def _by_jacobian(self, out: int, into: int, values: list[list[float]]) -> Float[np.ndarray, "number input"]:
-        size, units = self.description.output_sizes[out], np.eye(len(self.blocks[into])).tolist()
-        return np.stack([self.client.apply_jacobian(out, into, values, unit, size) for unit in units], axis=1)
-
-    def _by_gradient(self, out: int, into: int, values: list[list[float]]) -> Float[np.ndarray, "number input"]:
-        size, units = len(self.blocks[into]), np.eye(self.description.output_sizes[out]).tolist()
-        return np.stack([self.client.gradient(out, into, values, unit, size) for unit in units])
 
 
 def _named_blocks(given: object) -> tuple[tuple[tuple[str, ...], ...], dict[str, str]]:

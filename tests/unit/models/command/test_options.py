@@ -133,7 +133,7 @@ def test_a_study_names_the_key_that_is_wrong_and_checks_declared_inputs(tmp_path
 
 
 def test_lack_of_memory_says_so_and_is_tried_again(tmp_path):
-    answer = {"exit_code": -9, "timeout": False, "seconds": 1.0, "tail": "", "left": 0, "out_of_memory": True}
+    answer = {"exit_code": -9, "timeout": False, "tail": "", "left": 0, "out_of_memory": True}
     ended = process._ended(json.dumps(answer).encode(), 0, tmp_path / "log")
     error = command_model._killed(ended, "solver")
     assert (error.kind, error.state) == ("out_of_memory", "killed")
