@@ -14,8 +14,8 @@ import numpy as np
 from strandline.errors import ForwardModelError
 from strandline.interface import Interface
 from strandline.models import refused
-from strandline.models.biofilm.anchored_cell import AnchoredCell
 from strandline.models.biofilm.anchors import (
+    AnchoredCell,
     Box,
     Ranges,
     anchors_file,
@@ -93,7 +93,7 @@ class Biofilm:
             costs about three median runs; 0: no limit, every failed run is followed around its limit point (about
             five).
         anchors: (name, lowest, highest value) of each input; Runs in the box start from
-            states that are solved beforehand, see `anchored_cell`, and most need no Jacobian. The states are kept on
+            states that are solved beforehand, see `anchors`, and most need no Jacobian. The states are kept on
             disk for later campaigns.
 
     Raises:

@@ -5,8 +5,17 @@ the steady state. Above `DIRECT_STRAIN` the fold of the Saint-Venant–Kirchhoff
 and only the path shows it. Between them Newton's method is tried first, and what it finds has to lie on the branch that
 is connected with the state at rest: there the most compressed element is compressed further as the load grows.
 `docs/results/forward-model.md` shows the figures behind these bounds.
+
+A path (x, load) is continued by pseudo-arclength: a step prescribes how far a functional of the unknowns advances and
+leaves the load free, so that nothing is singular where the load has a maximum. The functional is the strain of the one
+element that gives way fastest, chosen again at each step: the fold of a Saint-Venant–Kirchhoff solid is local, and an
+arclength over all unknowns does not notice it until it is passed. Source: Keller, Lectures on Numerical Methods in
+Bifurcation Problems (1987), chapters 4 and 5; Rheinboldt and Burkardt, ACM Trans. Math. Softw. 9 (1983) 215, for the
+local parametrisation.
 """
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -14,7 +23,6 @@ from jaxtyping import Float
 
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm import newton
-from strandline.models.biofilm.continuation import LoadedSystem, Steady, trace
 from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, NewtonStep
 from strandline.models.biofilm.strain import Strain
 
@@ -27,8 +35,281 @@ FIRST_SHARE = 0.8
 SHORTEST_PATH = 2
 """Smallest number of Jacobians for a path."""
 DIRECT = NewtonSettings(maximum_jacobians=4, smallest_damping=1.0)
-
 Vector = Float[np.ndarray, " unknown"]
+Shares = Float[np.ndarray, " share"]
+
+
+@runtime_checkable
+class LoadedSystem(Protocol):
+    """r(x, load) = 0; its methods may raise ForwardModelError."""
+
+    @property
+    def weights(self) -> Vector: ...
+
+    def residual(self, x: Vector, load: float) -> Vector: ...
+
+    def factorise(self, x: Vector, load: float) -> LinearSolver: ...
+
+    def by_load(self) -> Vector:
+        """Return the derivative of the residual with respect to the load, at the last factorised state."""
+
+    def critical_strain(self, x: Vector, tangent: Vector) -> Strain: ...
+
+    def check(self, x: Vector) -> Mapping[str, float]:
+        """Return figures that show how close a solution is to being invalid; raise ForwardModelError if it is."""
+
+
+CORRECTOR = NewtonSettings(1e-3, maximum_jacobians=1, smallest_damping=1.0, contraction=0.8)
+"""For points along the path."""
+POLISH = NewtonSettings(1e-8, maximum_jacobians=2, smallest_damping=1.0)
+"""For a point that seems to lie beyond a fold."""
+ARRIVAL = NewtonSettings(maximum_jacobians=6, smallest_damping=0.1)
+"""For the state at the target load."""
+SHARES, LOAD = np.linspace(0.0, 1.0, 201), slice(-1, None)
+FIRST_STEP = 0.2
+"""First step of strain, along the tangent."""
+SMALLEST_STEP, LARGEST_STEP = 0.001, 0.11
+"""Step of strain below which the path stalls, and largest one along the parabola through the last two points."""
+
+
+@dataclass(frozen=True, eq=False)
+class PathPoint:
+    """A steady state and the tangent dx/d(load) there."""
+
+    x: Vector
+    load: float
+    tangent: Vector
+
+
+@dataclass(frozen=True, eq=False)
+class Steady:
+    """The unknowns of a steady state, and how many Jacobians they cost."""
+
+    x: Vector
+    jacobians: int
+
+
+def trace(system: LoadedSystem, *, linear: Vector, load: float, first_load: float, budget: int) -> Steady:
+    """Follow the path of steady states from rest and return its state at `load`.
+
+    Args:
+        system: The equations.
+        linear: First-order solution at `load`.
+        load: Target load, above zero.
+        first_load: Load of the first point, below `load`.
+        budget: Number of Jacobians of the path, not counting the arrival at the load once it is passed; 0: no limit.
+
+    Raises:
+        ForwardModelError: ``limit_point``: the load has a maximum below the target load, shown by the sign of the
+            tangent beyond it; ``continuation_stalled``: neither is found within the budget; or what `check` raises. The
+            evidence holds `load_reached`, the largest load with a steady state that was found, and with a limit point
+            `limit_load`, an estimate of the maximum, and `load_slope`, d(load)/d(strain) beyond it, which is negative.
+    """
+    return _Path(system, load, budget).follow(linear, first_load)
+
+
+class _Path:
+    """One path; counts Jacobians against the budget and remembers the largest load reached."""
+
+    def __init__(self, system: LoadedSystem, load: float, budget: int) -> None:
+        self.system, self.load = system, load
+        self.jacobians, self.reached = 0, 0.0
+        self.budget, self.bracketed = budget, False
+        self.figures: Mapping[str, float] = {}
+
+    def follow(self, linear: Vector, first_load: float) -> Steady:
+        """Go from the unloaded state along the path until it turns back, the load is reached, or the budget ends."""
+        last = PathPoint(np.zeros_like(linear), 0.0, linear / self.load)
+        point = self._first_point(linear, first_load)
+        strain, step = self.system.critical_strain(point.x, point.tangent), FIRST_STEP
+        while True:
+            following = self._advance(last, point, strain, step)
+            falls = strain.functional @ following.tangent < 0.0
+            if falls:
+                fold = self._fold(point, following, strain)
+                if fold.evidence["limit_load"] < self.load:
+                    raise fold
+            elif following.load < self.load:
+                last, point = point, following
+                strain = self.system.critical_strain(point.x, point.tangent)
+                step = self._next_step(last, point, strain)
+                continue
+            arrived = self._arrival(point, following, strain)
+            if arrived is not None:
+                return Steady(arrived, self.jacobians)
+            step *= 0.5
+
+    def _arrival(self, below: PathPoint, above: PathPoint, strain: Strain) -> Vector | None:
+        """Return the steady state at the load between two points; None if Newton's method does not find it.
+
+        Such a state exists, so the first search may exceed the budget.
+        """
+        if self.budget > 0 and not self.bracketed:
+            self.budget = max(self.budget, self.jacobians + ARRIVAL.maximum_jacobians)
+        self.bracketed = True
+        loads = _between(below, above, strain, SHARES, LOAD)[:, 0]
+        guess = _between(below, above, strain, SHARES[[np.argmax(loads >= self.load)]])[0, :-1]
+        try:
+            found = newton.solve(_AtLoad(self, self.load), guess, weights=self.system.weights, settings=ARRIVAL)
+        except ForwardModelError as error:
+            if error.kind in _SHORTER_STEPS:
+                return None
+            raise
+        return found.x
+
+    def factorise(self, x: Vector, load: float) -> LinearSolver:
+        """Factorise within the budget."""
+        if 0 < self.budget <= self.jacobians:
+            raise self._failure("continuation_stalled", "the search along the load path was given up")
+        self.jacobians += 1
+        return self.system.factorise(x, load)
+
+    def _first_point(self, linear: Vector, load: float) -> PathPoint:
+        """Return the steady state at a low load, by Newton's method; at a lower one if that fails."""
+        system = _AtLoad(self, load)
+        try:
+            found = newton.solve(system, load / self.load * linear, weights=self.system.weights, settings=CORRECTOR)
+        except ForwardModelError as error:
+            if error.kind == "continuation_stalled":
+                raise
+            return self._first_point(linear, 0.5 * load)
+        return self._accepted(found.x, load, system.tangent)
+
+    def _accepted(self, x: Vector, load: float, tangent: Vector) -> PathPoint:
+        try:
+            figures = self.system.check(x)
+        except ForwardModelError as error:
+            raise self._failure(error.kind, error.message, error.evidence) from error
+        if load > self.reached:
+            self.reached, self.figures = load, figures
+        return PathPoint(x, load, tangent)
+
+    def _next_step(self, last: PathPoint, point: PathPoint, strain: Strain) -> float:
+        """Return a step of strain that leads a little beyond where the slope d(load)/d(strain) would be zero."""
+        slopes = [1.0 / (strain.functional @ p.tangent) for p in (last, point)]
+        advanced = strain.functional @ (point.x - last.x)
+        fall = (slopes[0] - slopes[1]) / advanced if advanced > 0 else 0.0
+        wanted = 1.15 * slopes[1] / fall if fall > 0 else np.inf
+        return float(np.clip(wanted, 0.5 * LARGEST_STEP, LARGEST_STEP))
+
+    def _advance(self, last: PathPoint, point: PathPoint, strain: Strain, step: float) -> PathPoint:
+        """Return the point whose strain is larger by `step`, or by a half, a quarter, … of it.
+
+        A tangent that seems to fall is judged with a new Jacobian, at the fully converged point.
+        """
+        reason: tuple[str, str, dict[str, float]]
+        reason = ("continuation_stalled", "the steps along the load path became too short", {})
+        while step >= SMALLEST_STEP:
+            system = _AtStrain(self, strain.functional, strain.functional @ point.x + step)
+            weights = np.append(self.system.weights, np.sqrt(len(point.x)))
+            start = _predicted(last, point, strain, step)
+            try:
+                found = newton.solve(system, start, weights=weights, settings=CORRECTOR)
+                if strain.functional @ system.tangent < 0.0:
+                    found = newton.solve(system, found.x, weights=weights, settings=POLISH)
+                return self._accepted(found.x[:-1], float(found.x[-1]), system.tangent)
+            except ForwardModelError as error:
+                if error.kind not in _SHORTER_STEPS:
+                    raise
+                if error.kind == "inverted_elements":
+                    reason = (error.kind, error.message, error.evidence)
+            step *= 0.5
+        raise self._failure(*reason)
+
+    def _fold(self, before: PathPoint, point: PathPoint, strain: Strain) -> ForwardModelError:
+        """Return the failure for a fold between two points."""
+        loads = _between(before, point, strain, SHARES, LOAD)
+        return self._failure(
+            "limit_point",
+            "the load path turns back: there is no steady state beyond",
+            {
+                "limit_load": max(float(loads.max()), self.reached),
+                "load_slope": 1.0 / float(strain.functional @ point.tangent),
+                "critical_strain": float(strain.functional @ point.x),
+                "critical_x": strain.place[0],
+                "critical_y": strain.place[1],
+            },
+        )
+
+    def _failure(self, kind: str, message: str, evidence: dict[str, float] | None = None) -> ForwardModelError:
+        spent = {"load_reached": self.reached, "jacobians": float(self.jacobians)}
+        return ForwardModelError(kind, message, {**self.figures, **(evidence or {}), **spent})
+
+
+_SHORTER_STEPS = ("newton_stalled", "newton_maxit", "nonfinite_residual", "linear_solve", "inverted_elements")
+
+
+class _AtLoad:
+    """The equations at a given load; keeps the tangent that belongs to the last Jacobian."""
+
+    tangent: Vector
+
+    def __init__(self, path: _Path, load: float) -> None:
+        self._path, self._load = path, load
+
+    def residual(self, x: Vector) -> Vector:
+        return self._path.system.residual(x, self._load)
+
+    def factorise(self, x: Vector) -> LinearSolver:
+        jacobian = self._path.factorise(x, self._load)
+        self.tangent = -jacobian.solve(self._path.system.by_load())
+        return jacobian
+
+
+class _AtStrain:
+    """The equations with the load as a further unknown and a given value of a functional as a further equation."""
+
+    tangent: Vector
+
+    def __init__(self, path: _Path, functional: Vector, value: float) -> None:
+        self._path, self._functional, self._value = path, functional, value
+
+    def residual(self, z: Vector) -> Vector:
+        x, load = z[:-1], float(z[-1])
+        return np.append(self._path.system.residual(x, load), self._functional @ x - self._value)
+
+    def factorise(self, z: Vector) -> LinearSolver:
+        jacobian = self._path.factorise(z[:-1], float(z[-1]))
+        self.tangent = -jacobian.solve(self._path.system.by_load())
+        return _Bordered(jacobian, self.tangent, self._functional)
+
+
+@dataclass(frozen=True, eq=False)
+class _Bordered:
+    """The Jacobian [[J, ∂r/∂load], [functional, 0]] by block elimination; regular if J is, and the tangent rises."""
+
+    jacobian: LinearSolver
+    tangent: Vector
+    functional: Vector
+
+    def solve(self, right: Vector) -> Vector:
+        x = self.jacobian.solve(right[:-1])
+        load = (right[-1] - self.functional @ x) / (self.functional @ self.tangent)
+        return np.append(x + load * self.tangent, load)
+
+
+def _predicted(last: PathPoint, point: PathPoint, strain: Strain, step: float) -> Vector:
+    """Return unknowns and load after `step`: along the tangent from the first point, later along the parabola."""
+    c = strain.functional
+    here = np.append(point.x, point.load)
+    slope = np.append(point.tangent, 1.0) / (c @ point.tangent)
+    if last.load == 0.0:
+        return np.asarray(here + step * slope)
+    back = c @ (last.x - point.x)
+    bend = (np.append(last.x, last.load) - here - back * slope) / back**2
+    return np.asarray(here + step * slope + step**2 * bend)
+
+
+def _between(
+    first: PathPoint, second: PathPoint, strain: Strain, shares: Shares, part: slice = slice(None)
+) -> Float[np.ndarray, "share part"]:
+    """Return unknowns and load, or a part of these, between two points, by Hermite's cubic in a strain from 0 to 1."""
+    c, u = strain.functional, shares[:, None]
+    width = c @ (second.x - first.x)
+    values = [np.append(p.x, p.load)[part] for p in (first, second)]
+    slopes = [(width * np.append(p.tangent, 1.0) / (c @ p.tangent))[part] for p in (first, second)]
+    weights = ((1 + 2 * u) * (1 - u) ** 2, u**2 * (3 - 2 * u), u * (1 - u) ** 2, u**2 * (u - 1))
+    return np.asarray(sum(h * one for h, one in zip(weights, (*values, *slopes), strict=True)))
 
 
 @runtime_checkable
@@ -54,7 +335,7 @@ def steady_state(bending: Bending, load: float, *, budget: int = 0) -> Steady:
     The `budget` is a number of Jacobians after which a search along the load path is given up; 0: no limit.
 
     Raises:
-        ForwardModelError: For the reasons given in `continuation.trace`.
+        ForwardModelError: For the reasons given in `trace`.
     """
     start, first = first_order(bending, load)
     linear = np.asarray(start + first.correction)

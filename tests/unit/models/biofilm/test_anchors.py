@@ -9,8 +9,7 @@ from tests.unit.models.biofilm.cells import INPUTS, rough
 
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm import model as module
-from strandline.models.biofilm.anchored_cell import LARGEST_STRAIN
-from strandline.models.biofilm.anchors import States, load_anchors, save_anchors
+from strandline.models.biofilm.anchors import LARGEST_STRAIN, States, load_anchors, save_anchors
 from strandline.models.biofilm.steady import DIRECT_STRAIN
 from strandline.models.protocol import prepare_runs
 

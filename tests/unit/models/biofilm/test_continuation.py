@@ -13,8 +13,7 @@ from strandline.errors import ForwardModelError
 from strandline.models.biofilm import cell as cell_module
 from strandline.models.biofilm import newton
 from strandline.models.biofilm.cell import Setting
-from strandline.models.biofilm.continuation import ARRIVAL, Steady, trace
-from strandline.models.biofilm.steady import steady_state
+from strandline.models.biofilm.steady import ARRIVAL, Steady, steady_state, trace
 from strandline.models.biofilm.strain import Strain, jacobian_bound
 
 LIMIT = 3.0**-1.5
