@@ -16,7 +16,7 @@ from typing import Any
 from strandline.models.protocol import ForwardModel
 
 OWN = "strandline"
-"""Package whose modules are identified by its version, not by their text."""
+"""Package whose modules are identified by its version; a file of this name in a study folder does not replace it."""
 INSTALLED = frozenset({"site-packages", "dist-packages"})
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
 from strandline.models import refused
-from strandline.models.fingerprint import earlier_fingerprint, fingerprint
+from strandline.models.fingerprint import OWN, earlier_fingerprint, fingerprint
 from strandline.models.protocol import (
     ModelInput,
     Simulation,
@@ -28,9 +28,6 @@ from strandline.models.protocol import (
 from strandline.registry import imported
 
 __all__ = ["PythonModel", "lies_in", "modules_of"]
-
-OWN = "strandline"
-"""Package that a file of the same name in a study folder does not replace."""
 
 
 @dataclass

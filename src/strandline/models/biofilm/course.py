@@ -91,12 +91,10 @@ class Course:
         """Time of the start, s."""
         return self.inflow[0][0]
 
-    def share(self, time: float, *, before: bool = False) -> float:
-        """Return the share of the inflow at a time, s; where it jumps, that after the jump, or `before` it."""
+    def share(self, time: float) -> float:
+        """Return the share of the inflow at a time, s; where it jumps, that after the jump."""
         times, shares = np.array(self.inflow).T
-        k = int(np.searchsorted(times, time, side="left" if before else "right"))
-        if before and k < len(times) and times[k] == time:
-            return float(shares[k])
+        k = int(np.searchsorted(times, time, side="right"))
         if k == len(times):
             return float(shares[-1])
         return float(np.interp(time, times[k - 1 : k + 1], shares[k - 1 : k + 1]))

@@ -108,7 +108,7 @@ class QuasiStatic:
 
     def _start(self, course: Course) -> CreepState:
         """Return the relaxed state of the first share."""
-        share, rest = course.share(course.start, before=True), self._memory.at_rest(len(self.branches))
+        share, rest = course.inflow[0][1], self._memory.at_rest(len(self.branches))
         self._memory.begin(self._memory.at_rest(0), (), 0.0)
         found = steady_state(self.cell, self._load(share), budget=self.budget)
         self.jacobians += found.jacobians

@@ -16,10 +16,8 @@ from strandline.interface import Interface
 from strandline.models import refused
 from strandline.models.protocol import ModelInput, Simulation
 from strandline.models.umbridge.client import PROTOCOL_VERSION, Client, Description
+from strandline.readers.options import TO_MM
 from strandline.registry import of_extra
-
-UNITS = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "m": 1e3}
-"""Millimetres in each unit of length."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +164,7 @@ class UMBridgeModel:
     @property
     def fingerprint(self) -> str:
         """Text that changes with everything the class lists, but not with the address of the server."""
-        own = [self.client.name, self.client.config, self.blocks, asdict(self.layout), UNITS[self.unit], self.version]
+        own = [self.client.name, self.client.config, self.blocks, asdict(self.layout), TO_MM[self.unit], self.version]
         text = json.dumps([PROTOCOL_VERSION, *own], sort_keys=True)
         return "umbridge:" + hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -195,7 +193,7 @@ class UMBridgeModel:
         self._require_inputs(inputs)
         values = [[float(inputs[name]) for name in block] for block in self.blocks]
         output = self.client.evaluate(values, self.description.output_sizes)
-        interface = self.layout.interface(output, UNITS[self.unit])
+        interface = self.layout.interface(output, TO_MM[self.unit])
         return Simulation.of(interface, {}, self._slopes(values) if self.sensitivities else None)
 
     def _require_inputs(self, inputs: Mapping[str, float]) -> None:
@@ -217,7 +215,7 @@ class UMBridgeModel:
             by_output = [self.client.jacobian(out, into, values, described) for out in outputs]
             for number, name in enumerate(block):
                 points = self.layout.points([jacobian[:, number] for jacobian in by_output])
-                slopes[name] = UNITS[self.unit] * points
+                slopes[name] = TO_MM[self.unit] * points
         return slopes
 
 

@@ -152,7 +152,7 @@ def law_named(name: str) -> Law:
     if not callable(law) or not all(_is_parameter(item) for item in parameters):
         raise _refused(
             name,
-            ", ".join(str(getattr(item, "name", repr(item))) for item in parameters) if callable(law) else _shown(law),
+            ", ".join(str(getattr(item, "name", repr(item))) for item in parameters) if callable(law) else law,
             "an IsotropicLaw or a function of NGSolve forms; `parameters`, if any, are a tuple of ModelInput in Pa or "
             "of unit 1, whose names are words without digits, not E, nu or V_in",
         )
@@ -171,11 +171,6 @@ def _made(name: str, kind: type) -> Any:
 def _refused(name: str, value: Any, expected: str) -> InvalidInput:
     remedy = "Correct the law; strandline.models.biofilm.materials.Fung is an example."
     return refused(f"material {name} of the biofilm model", value, expected, remedy)
-
-
-def _shown(thing: object) -> str:
-    text = repr(thing)
-    return f"an object of class {type(thing).__name__}" if " object at 0x" in text else text
 
 
 def _is_parameter(item: object) -> bool:
