@@ -71,27 +71,12 @@ class StepSettings:
     corrector: NewtonSettings = CORRECTOR
 
 
-@dataclass
-class TimeCost:
-    """What a run has cost so far: accepted steps, steps repeated with a shorter one, Jacobians factorised."""
+@dataclass(eq=False)
+class March:
+    """A run through time: yields the moment after each step; while one is yielded, the system holds its state.
 
-    steps: int = 0
-    rejected: int = 0
-    jacobians: int = 0
-
-
-def march(
-    system: MovingSystem,
-    start: Moment,
-    end: float,
-    *,
-    prescribe: Callable[[float], None],
-    weights: Vector,
-    settings: StepSettings,
-    stops: tuple[float, ...] = (),
-    cost: TimeCost | None = None,
-) -> Iterator[Moment]:
-    """Yield the moment after each step; while one is yielded, the system holds its state.
+    It counts its steps, those repeated with a shorter one (`rejected`), and the Jacobians factorised. Iterating raises
+    ForwardModelError: ``time_step``: the steps became too short; or what the system raises.
 
     Args:
         system: System with inertia.
@@ -101,38 +86,32 @@ def march(
         weights: Weights of the unknowns in the norm that measures corrections (unknown,).
         settings: How to step.
         stops: Times between start and end that steps must not pass but meet, where loads have kinks or results are due.
-        cost: Record to add the cost to.
-
-    Raises:
-        ForwardModelError: ``time_step``: the steps became too short; or what the system raises.
     """
-    run = _Run(system, start, prescribe, weights, settings, cost or TimeCost())
-    for target in sorted({*(time for time in stops if start.time < time < end), end}):
-        while run.last[0].time < target:
-            yield run.advance(target)
-
-
-@dataclass(eq=False)
-class _Run:
-    """A run and its last three moments, newest first."""
 
     system: MovingSystem
     start: Moment
+    end: float
     prescribe: Callable[[float], None]
     weights: Vector
     settings: StepSettings
-    cost: TimeCost
-    last: list[Moment] = field(init=False)
-    step: float = field(init=False)
-    largest: Float[np.ndarray, " 2"] = field(init=False)
-    jacobian: LinearSolver | None = None
-    leading: float = 0.0
+    stops: tuple[float, ...] = ()
+    steps: int = field(default=0, init=False)
+    rejected: int = field(default=0, init=False)
+    jacobians: int = field(default=0, init=False)
+    _jacobian: LinearSolver | None = field(default=None, init=False)
+    _leading: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
-        self.last, self.step = [self.start], self.settings.first
-        self.largest = np.maximum(self._sizes(self.start.values), self.settings.floors)
+        self.last = [self.start]  # the last three moments, newest first
+        self._step = self.settings.first
+        self._largest = np.maximum(self._sizes(self.start.values), self.settings.floors)
 
-    def advance(self, target: float) -> Moment:
+    def __iter__(self) -> Iterator[Moment]:
+        for target in sorted({*(time for time in self.stops if self.start.time < time < self.end), self.end}):
+            while self.last[0].time < target:
+                yield self._advance(target)
+
+    def _advance(self, target: float) -> Moment:
         """Take one step towards the target, shorter until its error is small enough; return the new moment."""
         while True:
             time = self._next_time(target)
@@ -149,15 +128,15 @@ class _Run:
                     self._shorten(min(factor, SHARE_OF_TOLERANCE) * taken, None)
                     continue
                 if factor < 1.0 or factor > KEPT_FACTOR:
-                    self.step = max(self.step, taken) if factor > 1.0 else taken
-                    self.step = min(factor * taken, LARGEST_RATIO * taken, self.settings.largest)
+                    self._step = max(self._step, taken) if factor > 1.0 else taken
+                    self._step = min(factor * taken, LARGEST_RATIO * taken, self.settings.largest)
             self._accept(moment)
             return moment
 
     def _next_time(self, target: float) -> float:
         """Return the end of the next step: the target itself if that is near, and no sliver left before it."""
         now = self.last[0].time
-        step = self.step
+        step = self._step
         if len(self.last) > 1 and self.settings.tolerance is not None:
             step = min(step, LARGEST_RATIO * (now - self.last[1].time))
         number = int(np.ceil((target - now) / step - 1e-6))
@@ -175,7 +154,7 @@ class _Run:
         x = self._corrected(predicted[system.free])
         system.set_unknowns(x)
         values = np.array(system.values)
-        sizes = np.maximum(self.largest, self._sizes(values))
+        sizes = np.maximum(self._largest, self._sizes(values))
         off = share_of_error(time, self.last) * self._sizes(values - predicted)
         return Moment(time, values, system.rates.first(values)), float((off / sizes).max())
 
@@ -183,29 +162,29 @@ class _Run:
         """Return the solution of the step's equations; the last Jacobian is used as long as it serves."""
         leading, corrector = self.system.rates.leading, self.settings.corrector
         first = None
-        if self.jacobian is not None and abs(leading - self.leading) <= AS_BEFORE * self.leading:
-            first = newton.step(self.system, guess, self.jacobian)
+        if self._jacobian is not None and abs(leading - self._leading) <= AS_BEFORE * self._leading:
+            first = newton.step(self.system, guess, self._jacobian)
         try:
             found = newton.solve(self.system, guess, weights=self.weights, settings=corrector, first=first)
         except ForwardModelError:
             if first is None:
                 raise
             found = newton.solve(self.system, guess, weights=self.weights, settings=corrector)
-        self.cost.jacobians += found.jacobians
+        self.jacobians += found.jacobians
         if found.jacobians:
-            self.leading = leading
-        self.jacobian = found.jacobian if found.jacobians or found.simplified_steps <= SLOW else None
+            self._leading = leading
+        self._jacobian = found.jacobian if found.jacobians or found.simplified_steps <= SLOW else None
         return found.x
 
     def _accept(self, moment: Moment) -> None:
         self.last = [moment, *self.last[:2]]
-        self.largest = np.maximum(self.largest, self._sizes(moment.values))
-        self.cost.steps += 1
+        self._largest = np.maximum(self._largest, self._sizes(moment.values))
+        self.steps += 1
 
     def _shorten(self, step: float, reason: ForwardModelError | None) -> None:
         """Repeat with a shorter step, if that is allowed."""
-        self.cost.rejected += 1
-        self.jacobian = None
+        self.rejected += 1
+        self._jacobian = None
         if self.settings.tolerance is None and reason is not None:
             raise reason
         if step < self.settings.smallest * self.settings.first:
@@ -214,7 +193,7 @@ class _Run:
             if reason is not None:
                 message += f" ({reason})"
             raise ForwardModelError("time_step", message, now) from reason
-        self.step = step
+        self._step = step
 
     def _sizes(self, values: Values) -> Float[np.ndarray, " 2"]:
         """Return the largest coefficients of velocity and displacement."""
@@ -249,7 +228,7 @@ class TransientCell(FlowCell):
         observed = {time / TIME_SCALE: name for name, time in course.times}
         if first.time in observed:
             yield observed[first.time], steady
-        cost, reached = TimeCost(), first.time
+        reached = first.time
 
         def prescribe(time: float) -> None:
             share = course.share(time * TIME_SCALE)
@@ -257,17 +236,17 @@ class TransientCell(FlowCell):
 
         settings, stops = _steps(course)
         end = stops[-1] if stops[-1] > first.time else first.time
-        options: dict[str, Any] = {"weights": self.weights, "settings": settings, "stops": stops, "cost": cost}
+        march = March(system, first, end, prescribe, self.weights, settings, stops)
         try:
-            for moment in march(system, first, end, prescribe=prescribe, **options):
+            for moment in march:
                 reached = moment.time
                 bounds = self.check(moment.values[system.free])
                 if moment.time in observed:
                     moved = self._interface_values(moment.values)
                     x, figures = moment.values[system.free], (bounds["min_J_fluid"], bounds["min_J_solid"])
-                    yield observed[moment.time], Solution(x, moved, *figures, cost.jacobians)
+                    yield observed[moment.time], Solution(x, moved, *figures, march.jacobians)
         except ForwardModelError as error:
-            spent = {"steps": float(cost.steps), "jacobians": float(cost.jacobians), "time": reached * TIME_SCALE}
+            spent = {"steps": float(march.steps), "jacobians": float(march.jacobians), "time": reached * TIME_SCALE}
             raise ForwardModelError(error.kind, error.message, {**error.evidence, **spent}) from error
         finally:
             system.rates.rest()

@@ -13,7 +13,7 @@ from strandline.models.biofilm.moving import FluidInertia, Moment, MovingSystem
 from strandline.models.biofilm.newton import NewtonSettings
 from strandline.models.biofilm.outline import Channel, Outline
 from strandline.models.biofilm.system import BoundaryNames
-from strandline.models.biofilm.transient import StepSettings, TimeCost, march
+from strandline.models.biofilm.transient import March, StepSettings
 
 TIGHT = NewtonSettings(tolerance=1e-11, maximum_jacobians=8)
 AMPLITUDE = 1e-5
@@ -44,12 +44,13 @@ def moving_at_random(system, size):
 
 def marched(system, start, end, settings, prescribe=lambda time: None, **more):
     weights = np.ones(len(system.free))
-    return list(march(system, start, end, prescribe=prescribe, weights=weights, settings=settings, **more))
+    march = March(system, start, end, prescribe, weights, settings, **more)
+    return list(march), march
 
 
 def run(system, start, end, steps, *prescribe):
     """Return the last moment of a run with equal steps."""
-    return marched(system, start, end, StepSettings(end / steps, corrector=TIGHT), *prescribe)[-1]
+    return marched(system, start, end, StepSettings(end / steps, corrector=TIGHT), *prescribe)[0][-1]
 
 
 def part(system, k):
@@ -181,8 +182,8 @@ def test_uniform_and_shear_flow_stay_on_a_moving_mesh_to_rounding(monkeypatch):
 def test_the_error_of_the_decaying_flow_follows_the_tolerance(pipe):
     (system, start), found = pipe, {}
     for tolerance in (1e-3, 1e-5):
-        cost, settings = TimeCost(), StepSettings(1e-3, tolerance=tolerance, corrector=TIGHT)
-        moments = marched(system, start, 3.0, settings, zeros(system), stops=(0.5, 9.0), cost=cost)
+        settings = StepSettings(1e-3, tolerance=tolerance, corrector=TIGHT)
+        moments, cost = marched(system, start, 3.0, settings, zeros(system), stops=(0.5, 9.0))
         times = [moment.time for moment in moments]
         assert 0.5 in times
         assert times[-1] == 3.0
@@ -195,9 +196,9 @@ def test_the_error_of_the_decaying_flow_follows_the_tolerance(pipe):
 
 
 def test_a_step_that_is_too_long_is_repeated(bar):
-    (system, start), cost = bar, TimeCost()
-    marched(system, start, 1.0, StepSettings(0.5, tolerance=1e-4, corrector=TIGHT), cost=cost)
-    assert cost.rejected > 0
+    system, start = bar
+    _, march = marched(system, start, 1.0, StepSettings(0.5, tolerance=1e-4, corrector=TIGHT))
+    assert march.rejected > 0
     assert of_its_amplitude(system) < 0.02
 
 
