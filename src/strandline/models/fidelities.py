@@ -32,10 +32,7 @@ FIRST_PAIRS = 3
 class WithCheaper:
     """A model and a cheaper one for the same inputs; in all else it is the model.
 
-    Args:
-        model: The model.
-        cheaper: The cheaper one, with the same inputs and conditions.
-        cost: Cost of a run of the cheaper one, as a share of a run of the model; above 0 and below 1.
+    `cost` is that of a run of the cheaper one, as a share of a run of the model; above 0 and below 1.
 
     Raises:
         InvalidInput: The two are the same, or differ in inputs or conditions; a cost out of range.

@@ -74,13 +74,10 @@ def lies_in(folder: Path, module: str) -> bool:
 
 @contextmanager
 def modules_of(folder: Path | None) -> Iterator[None]:
-    """Let imports find the modules in `folder` first; None changes nothing.
+    """Let imports find the modules in `folder`, an absolute path, first; None changes nothing.
 
     Each module is executed once per process and folder; nothing is written into the folder. One thread at a time can be
     inside. Afterwards `sys.modules` and `sys.path` are as before.
-
-    Args:
-        folder: Absolute path of the folder.
     """
     if folder is None:
         yield

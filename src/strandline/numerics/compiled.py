@@ -23,12 +23,10 @@ def ample(length: int) -> int:
 
 
 def exp2_of_minus(x: Any, whole: Any, *, bounded: bool) -> Any:
-    """Return 2**-x with a relative error of 2e-14, in half the time of `jnp.exp2`.
+    """Return 2**-x for x above -1000 with a relative error of 2e-14, in half the time of `jnp.exp2`.
 
-    Args:
-        x: Values above -1000.
-        whole: `WHOLE`, passed in so that the compiler cannot cancel it.
-        bounded: Whether all values are below 1000. If not, the result is below 1e-270 wherever it should be smaller.
+    `whole` is `WHOLE`, passed in so that the compiler cannot cancel it. If not all values are below 1000 (`bounded`),
+    the result is below 1e-270 wherever it should be smaller.
     """
     from jax import lax
 
@@ -38,12 +36,7 @@ def exp2_of_minus(x: Any, whole: Any, *, bounded: bool) -> Any:
 
 
 def assembled(share: Any, shifted: Any) -> Any:
-    """Return 2**(share + n).
-
-    Args:
-        share: Values in [-1/2, 1/2].
-        shifted: `WHOLE` + n for integers n.
-    """
+    """Return 2**(share + n) for shares in [-1/2, 1/2]; `shifted` is `WHOLE` + n for integers n."""
     from jax import lax
 
     power = _POWERS[-1]

@@ -172,11 +172,7 @@ def waiting_hands_over_before_it_asks_again(executor: Executor, *, workers: int)
 def waiting_asks_beside_a_run(executor: Executor, *, workers: int, pause: float = 1.0, longest: float = 10.0) -> None:
     """A free worker asks again even if no run ends, and makes further runs while a long one goes on.
 
-    Args:
-        executor: Executor to check.
-        workers: Number of runs that it makes at a time.
-        pause: Seconds without anything to start, after the first record.
-        longest: Seconds after which the long run ends in any case.
+    After the first record there is nothing to start for `pause` seconds; the long run ends after `longest` in any case.
     """
     if workers == 1:
         return

@@ -27,14 +27,10 @@ class Cantilever:
 
     The centre line sinks by ``w(x) = F x² (3L - x) / (6 E I)`` with ``I = h³/12``; cross-sections stay plane and turn
     by ``w'``. The interface is the outline without its clamped end: along the upper side, around the tip, back along
-    the lower side.
+    the lower side, with so many nodes on each of the two.
 
-    Args:
-        length: Length L, mm.
-        height: Height h, mm.
-        nodes: Number of nodes on each of the two long sides.
-
-    Inputs are Young's modulus ``E`` in Pa and the force ``load`` in N per m of depth, positive upwards.
+    Inputs are Young's modulus ``E`` in Pa and the force ``load`` in N per m of depth, positive upwards; lengths are in
+    mm.
     """
 
     length: float = 1.0
@@ -88,12 +84,7 @@ class Cantilever:
 class TwoLoads:
     """A `Cantilever` in two experiments: ``light`` under the force `load`, ``heavy`` under `ratio` times that force.
 
-    The displacement u is proportional to F/E, so ∂u/∂E = -u/E and ∂u/∂F = u/F.
-
-    Args:
-        beam: Specimen.
-        ratio: Ratio of the two forces.
-        sensitivities: Whether runs also yield d(points)/dE, mm/Pa, and d(points)/d(load), mm per N/m.
+    The displacement u is proportional to F/E, so ∂u/∂E = -u/E, mm/Pa, and ∂u/∂F = u/F, mm per N/m.
     """
 
     beam: Cantilever = Cantilever()

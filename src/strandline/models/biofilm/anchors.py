@@ -194,11 +194,8 @@ def check_ranges(ranges: Ranges, inputs: Sequence[ModelInput], *, steady: bool) 
 class States:
     """What was found at the points of a box.
 
-    Args:
-        coordinates: Points whose first-order state was found (point, axis).
-        strains: Largest compressive strain of the first-order state at each (point,).
-        solved: Which points have a steady state (point,).
-        unknowns: The steady states (solved point, unknown), scaled.
+    `strains` are the largest compressive strains of the first-order states, which were found at the `coordinates`;
+    `unknowns` are the steady states, scaled, of those points that are `solved`.
     """
 
     coordinates: Float[np.ndarray, "point axis"]
@@ -309,14 +306,9 @@ class AnchoredCell:
         self._kept = _spread(box, self.states.anchors)
 
     def solve(self, inputs: Mapping[str, float], budget: int) -> Solution:
-        """Return the steady state; it depends on the inputs alone.
+        """Return the steady state; it depends on the inputs alone, among them what drives the flow.
 
-        Args:
-            inputs: Inputs by name, among them what drives the flow.
-            budget: Number of Jacobians after which a search without anchors is given up; 0: no limit.
-
-        Raises:
-            ForwardModelError: As `FlowCell.solve`, which is then called.
+        The `budget` and failures are those of `FlowCell.solve`, which is called if anchors do not serve.
         """
         figures, strain = {"anchored": 0.0}, self._predicted_strain(inputs)
         if np.isfinite(strain):

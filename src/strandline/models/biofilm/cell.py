@@ -46,15 +46,10 @@ Points = Float[np.ndarray, "point 2"]
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A steady state.
+    """A steady state: scaled unknowns, displacements of the interface's nodes, mm, and figures for a run's record.
 
-    Args:
-        unknowns: Unknowns of the coupled system (unknown,), scaled.
-        displacement: Displacements of the interface's nodes (point, 2), mm.
-        min_J_fluid: Lower bound of det F of the mesh motion.
-        min_J_solid: Lower bound of det F of the solid.
-        jacobians: Number of Jacobians assembled and factorised, including those on the load path.
-        figures: Further figures for a run's record, by name.
+    `min_J_fluid` and `min_J_solid` are lower bounds of det F; `jacobians` have been assembled and factorised, including
+    those on the load path.
     """
 
     unknowns: Vector
@@ -78,12 +73,8 @@ class Solution:
 class Setting:
     """What a run of a flow cell is made with.
 
-    Args:
-        young: Young's modulus of each part, Pa.
-        poisson: Poisson's ratio of each part.
-        rate: Inflow rate V_in, mm²/s, or the pressure drop, Pa.
-        further: Values of each further parameter of the law, one for each part.
-        fluid: Fluid without unknown quantities.
+    Young's modulus, Pa, Poisson's ratio and each `further` parameter of the law have a value for each part; `rate` is
+    the inflow rate V_in, mm²/s, or the pressure drop, Pa. No quantity of the fluid is unknown.
     """
 
     young: Sequence[float]

@@ -60,14 +60,8 @@ class CreepState:
 class QuasiStatic:
     """The way of one specimen through time; the cell has the material set, and its solid remembers.
 
-    Args:
-        cell: The cell.
-        rate: The full inflow rate, mm²/s, or pressure drop, Pa.
-        fluid: The fluid, without unknown quantities.
-        branches: The branches of the solid.
-        tolerance: Largest error in time of the interface, as a share of the largest displacement so far.
-        largest_step: Largest step, s.
-        budget: Number of Jacobians for a sudden load at rest, see `steady_state`.
+    `rate` is the full inflow rate, mm²/s, or pressure drop, Pa; `tolerance` the largest error in time of the interface,
+    as a share of the largest displacement so far; `budget` that of `steady_state` for a sudden load at rest.
     """
 
     cell: FlowCell

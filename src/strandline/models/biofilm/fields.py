@@ -22,14 +22,9 @@ Points = Float[np.ndarray, "point 2"]
 class FlowFields:
     """The solved state for pictures: corners and edge midpoints of the mesh, four flat triangles per element.
 
-    Args:
-        points: Deformed node positions, mm.
-        triangles: Node numbers.
-        cell_part: Number of the solid's part, from 1, for each triangle (cell,); 0 in the fluid.
-        velocity: Fluid velocity, mm/s; zero in the solid.
-        pressure: Fluid pressure, Pa, zero in the solid.
-        displacement: Node displacements, mm; in the fluid, those of the mesh.
-        stress: Cauchy stress of the solid per triangle, (σxx, σyy, σxy, σzz), Pa, zero in the fluid.
+    `points` are deformed, mm. `cell_part` is the number of the solid's part, from 1, and 0 in the fluid. Velocity,
+    mm/s, and pressure, Pa, are zero in the solid; the displacement, mm, is that of the mesh in the fluid. The Cauchy
+    stress of the solid, (σxx, σyy, σxy, σzz), Pa, is zero in the fluid.
     """
 
     points: Points
@@ -105,10 +100,6 @@ def write_vtu(fields: FlowFields, folder: Path) -> Path:
     in the fluid, with the components in ParaView's order xx, yy, zz, xy, yz, xz. In the fluid the displacement is that
     of the mesh; in the solid velocity and pressure are 0. In the PVD, time 0 is the undeformed and time 1 the deformed
     state.
-
-    Args:
-        fields: Solved state from `Biofilm.fields`.
-        folder: Folder of the files.
     """
     meshio = of_extra("meshio", "vtu", "files for ParaView")
     try:

@@ -36,12 +36,9 @@ Entries = Float[np.ndarray, " entry"]
 class FluidElements:
     """The fluid's elements: their unknowns, and what they add to the residual and the Jacobian.
 
-    Args:
-        space: Space of the coupled system, whose components 0, 1 and 2 are v and d, quadratic, and p, linear.
-        cells: Numbers of the fluid's elements, triangles that may be curved.
-        loading: Which of them touch the interface, where the traction loads the solid.
-        viscosity: NGSolve parameter, scaled dynamic viscosity μ.
-        density: NGSolve parameter, scaled density ρ.
+    Components 0, 1 and 2 of `space` are v and d, quadratic, and p, linear. `cells` are triangles that may be curved;
+    those among them that are `loading` touch the interface, where the traction loads the solid. Viscosity and density
+    are NGSolve parameters, scaled.
     """
 
     def __init__(

@@ -36,13 +36,10 @@ class System(Protocol):
 
 @dataclass(frozen=True)
 class NewtonSettings:
-    """When to stop.
+    """When to stop: by the length of the last correction, the number of Jacobians, or the smallest damping factor.
 
-    Args:
-        tolerance: Length of the last correction, see `length`.
-        maximum_jacobians: Bound on the cost.
-        smallest_damping: Smallest damping factor; below it the iteration has stalled. 1 allows full steps only.
-        contraction: Quasi-Newton steps reuse a Jacobian as long as each is shorter than the last by this factor.
+    With a smallest damping of 1 only full steps are taken. Quasi-Newton steps reuse a Jacobian as long as each is
+    shorter than the last by the `contraction`.
     """
 
     tolerance: float = 1e-9
@@ -86,14 +83,9 @@ def length(correction: Vector, weights: Vector) -> float:
 def solve(
     system: System, x: Vector, *, weights: Vector, settings: NewtonSettings, first: NewtonStep | None = None
 ) -> NewtonSolution:
-    """Return the root of `system` that Newton's method reaches from `x`.
+    """Return the root of `system` that Newton's method reaches from `x`; `weights` belong to the norm of corrections.
 
-    Args:
-        system: System whose residual is to vanish.
-        x: First guess.
-        weights: Weights of the unknowns (unknown,) in the norm that measures corrections.
-        settings: When to stop.
-        first: Step at `x`, if it has been computed before; its Jacobian is not counted.
+    The step at `x` may be given as `first`; its Jacobian is not counted.
 
     Raises:
         ForwardModelError: ``newton_stalled`` (damping below its bound), ``newton_maxit``, or what `system` raises. Its

@@ -90,14 +90,10 @@ class Steady:
 
 
 def trace(system: LoadedSystem, *, linear: Vector, load: float, first_load: float, budget: int) -> Steady:
-    """Follow the path of steady states from rest and return its state at `load`.
+    """Follow the path of steady states from rest and return its state at `load`, above zero.
 
-    Args:
-        system: The equations.
-        linear: First-order solution at `load`.
-        load: Target load, above zero.
-        first_load: Load of the first point, below `load`.
-        budget: Number of Jacobians of the path, not counting the arrival at the load once it is passed; 0: no limit.
+    The path begins at `first_load`; `linear` is the first-order solution at `load`. The `budget` of Jacobians does not
+    count the arrival at the load once it is passed; 0: no limit.
 
     Raises:
         ForwardModelError: ``limit_point``: the load has a maximum below the target load, shown by the sign of the

@@ -109,12 +109,9 @@ class Pattern:
     ) -> "Pattern":
         """Return the pattern of the places where some entry is not zero.
 
-        Args:
-            places: Row and column of each entry of the parts.
-            used: Which entries are not zero; if only a load is zero now, other entries hold its place.
-            constant: The constant rows (constant, dof).
-            is_constant: Which rows come from it, not from the parts.
-            free: Numbers of the free unknowns.
+        `used` tells which entries of the parts are not zero; if only a load is zero now, other entries hold its place.
+        The rows that are constant come from `constant` (constant, dof), not from the parts. `free` has the numbers of
+        the unknowns.
         """
         number, count = np.full(len(is_constant), -1), len(free)
         number[free] = np.arange(count)
@@ -149,14 +146,9 @@ def _places(matrix: Any) -> tuple[Numbers, Numbers]:
 
 @dataclass(frozen=True)
 class BoundaryNames:
-    """Regular expressions for the boundaries where a condition holds.
+    """Regular expressions for boundaries: of zero or prescribed velocity (`no_slip`, `inlet`), of zero displacement.
 
-    Args:
-        no_slip: Velocity zero.
-        inlet: Velocity prescribed.
-        fixed: Displacement zero.
-        vertical_velocity_zero: Vertical velocity zero.
-        sliding: Vertical displacement zero.
+    On others the vertical velocity is zero, or the vertical displacement (sliding).
     """
 
     no_slip: str

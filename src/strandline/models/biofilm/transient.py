@@ -78,14 +78,8 @@ class March:
     It counts its steps, those repeated with a shorter one (`rejected`), and the Jacobians factorised. Iterating raises
     ForwardModelError: ``time_step``: the steps became too short; or what the system raises.
 
-    Args:
-        system: System with inertia.
-        start: State at the start, with the velocity of the solid in its rates.
-        end: Time of the last step, scaled.
-        prescribe: Function of the time that writes prescribed values and loads into the system.
-        weights: Weights of the unknowns in the norm that measures corrections (unknown,).
-        settings: How to step.
-        stops: Times between start and end that steps must not pass but meet, where loads have kinks or results are due.
+    The start has the velocity of the solid in its rates. `prescribe` writes values and loads at a time into the system.
+    Steps meet the `stops`, where loads have kinks or results are due, and the `end`; all times are scaled.
     """
 
     system: MovingSystem

@@ -24,14 +24,10 @@ SHORT_OF_MEMORY = frozenset({errno.ENOMEM, errno.EAGAIN})
 
 @dataclass(frozen=True)
 class ProcessEnd:
-    """How a command ended.
+    """How a command ended: its exit code, minus the number of a signal; None if it never started, with the `problem`.
 
-    Args:
-        exit_code: Exit code; minus the number of the signal if one ended it; None if it never started.
-        timed_out: Whether it was ended because its time was up.
-        tail: End of its output.
-        problem: Why it could not be started; "" if it could.
-        out_of_memory: Whether the kernel killed a process for lack of memory during the run.
+    `timed_out`: its time was up. `tail` is the end of its output. `out_of_memory`: the kernel killed a process during
+    the run for lack of memory.
     """
 
     exit_code: int | None
@@ -66,13 +62,8 @@ def supervised(
 ) -> ProcessEnd:
     """Run a command in `folder`, without a shell, to its end; no process that it started remains afterwards.
 
-    Args:
-        arguments: The program and its arguments.
-        folder: Working directory.
-        environment: The complete environment.
-        timeout: Seconds after which the command is ended; None: no limit.
-        grace: Seconds between SIGTERM and SIGKILL.
-        log: File for the output, at most twice `LOG_LIMIT` bytes.
+    `environment` is complete. After `timeout` seconds (None: no limit) it is ended by SIGTERM and, `grace` seconds
+    later, by SIGKILL. The file `log` gets its output, at most twice `LOG_LIMIT` bytes.
 
     Raises:
         ForwardModelError: ``supervisor_died`` or ``out_of_memory``, both with the state ``killed``; ``processes_left``.

@@ -17,18 +17,11 @@ Blocks = list[list[float]]
 class ServedModel:
     """A model as the protocol sees it: blocks of numbers in, blocks of numbers out.
 
+    `gradient` takes the numbers of an output and an input block, the input blocks, and weights, and yields the weights
+    times the Jacobian; `apply_jacobian` likewise the Jacobian times a vector. None: the model does not offer it.
+
     Every exception of the functions becomes an answer: `InvalidInput` is the caller's mistake, any other exception is
     the model's failure.
-
-    Args:
-        name: Name of the model.
-        input_sizes: Numbers in each input block.
-        output_sizes: Numbers in each output block.
-        evaluate: Function, input blocks → output blocks.
-        gradient: Function, (out, in, input blocks, weights) → weights times the Jacobian of block out by block in; None
-            if it is not offered.
-        apply_jacobian: Function, (out, in, input blocks, vector) → the Jacobian times vector; None if it is not
-            offered.
     """
 
     name: str

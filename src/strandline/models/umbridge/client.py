@@ -57,19 +57,14 @@ class Description:
 
 @dataclass(frozen=True)
 class Client:
-    """Calls one model of one server.
+    """Calls one model of one server, with the same `config` each time.
 
     Every call has its own connection, so that a load balancer can distribute calls; redirects, proxies and .netrc are
     ignored. The environment variable STRANDLINE_TOKEN, if set, is sent as ``Authorization: Bearer``.
 
     A server finishes an evaluation even if nobody waits for it, and many servers make one at a time. A call that takes
-    longer than `timeout` has failed, but returns only once the server is free, so that the next one need not queue.
-
-    Args:
-        url: URL of the server.
-        name: Name of the model.
-        config: Configuration sent with every call.
-        timeout: Largest duration of a call, from its beginning to the last byte of the answer, seconds.
+    longer than `timeout` seconds, up to the last byte of the answer, has failed, but returns only once the server is
+    free, so that the next one need not queue.
     """
 
     url: str

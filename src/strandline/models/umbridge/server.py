@@ -47,11 +47,9 @@ DRAINED_BYTES = 65536
 class Access:
     """Lets requests in, or refuses them.
 
-    Args:
-        names: Names under which the server may be called (`Host`), in lower case.
-        any_address: Whether it may be called by any numeric address; if not, by loopback addresses only.
-        origins: Web pages that may send requests (`Origin`), e.g. ``https://example.org``.
-        token: Secret that each request must carry; None for none.
+    The server may be called (`Host`) by `names` in lower case, and by loopback addresses or `any_address`. Web pages of
+    the `origins`, e.g. ``https://example.org``, may send requests. Each request must carry the `token`, if there is
+    one.
     """
 
     names: frozenset[str] = frozenset({"localhost"})
@@ -187,15 +185,10 @@ class Connections:
 class UMBridgeServer(ThreadingHTTPServer):
     """Answers requests for `models`, each in its own thread; runs from `serve_forever` until `shutdown`.
 
-    Several threads call the models' functions at once, so these functions must be thread-safe.
-
-    Args:
-        models: The models, with different names.
-        host: Address to listen on; the default can be reached only from this machine.
-        port: Port to listen on; 0 takes any free one, which `url` then holds.
-        door: Object that decides which requests are answered; by default, those to an address of the server itself.
-        connections: Largest number of connections, and of threads.
-        patience: Seconds within which a client must send a whole request.
+    Several threads call the models' functions at once, so these functions must be thread-safe. Port 0 takes any free
+    one, which `url` then holds. The `door` decides which requests are answered; by default, those to an address of the
+    server itself. There are so many `connections`, and threads, at most; a client must send a whole request within
+    `patience` seconds.
     """
 
     daemon_threads = True
