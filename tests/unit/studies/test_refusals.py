@@ -90,7 +90,7 @@ MODEL = """
 model: {biofilm: {}, python: {}} | model: got | exactly one entry
 model: {biofilmm: {}} | model: got biofilmm | biofilm, command, python, umbridge | mean biofilm?
 model.python.function: nowhere:f | got nowhere:f | PYTHONPATH
-model.python.function: strandline.testing.studies:bean | a callable bean
+model.python.function: strandline.testing.studies:bean | a name defined in strandline.testing.studies
 model: {python: {function: strandline.testing.studies:two_loads, sensitivities: true}} | Move the key to the top level
 """
 INPUTS = r"""

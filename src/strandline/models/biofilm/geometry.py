@@ -217,11 +217,6 @@ class Subdivision:
             at = a[:, 0] + (point[1] - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
         return bool(np.sum(spans & (at > point[0])) % 2)
 
-    def area(self, name: str) -> float:
-        """Return the area of a polygon."""
-        x, y = np.array([self.vertices[v] for v in self.rings[name]]).T
-        return float(0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
-
     def edges(self) -> Iterator[PolygonEdge]:
         """Yield every edge once, with the polygons on both sides."""
         owner = {pair: name for name, ring in self.rings.items() for pair in _pairs(ring)}

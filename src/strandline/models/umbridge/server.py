@@ -277,12 +277,6 @@ class _Handler(BaseHTTPRequestHandler):
         self.server.connections.waits(self.connection)
         super().handle_one_request()
 
-    def do_GET(self) -> None:
-        self._reply()
-
-    def do_POST(self) -> None:
-        self._reply()
-
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
         """Answer malformed HTTP, or a method that UM-Bridge does not have."""
         self.close_connection = True
@@ -294,7 +288,7 @@ class _Handler(BaseHTTPRequestHandler):
     def version_string(self) -> str:
         return "strandline"
 
-    def _reply(self) -> None:
+    def do_POST(self) -> None:
         try:
             body = self._body(self._length())
         except Rejected as refused:
@@ -304,6 +298,8 @@ class _Handler(BaseHTTPRequestHandler):
         self.server.connections.works(self.connection)
         path = self.path.partition("?")[0].partition("#")[0].rstrip("/")
         self._send(answer(self.server.models, self.command, path, body))
+
+    do_GET = do_POST
 
     def _length(self) -> int:
         """Return the size of the request's body, bytes."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from strandline.errors import InvalidInput
 from strandline.models import refused
-from strandline.models.biofilm.materials.isotropic import IsotropicLaw, Number, exp, flaw
+from strandline.models.biofilm.materials.isotropic import Coefficients, IsotropicLaw, Number, exp, flaw
 from strandline.models.biofilm.materials.law import (
     Law,
     MixedStress,
@@ -42,9 +42,7 @@ class SaintVenantKirchhoff(IsotropicLaw):
     Source: Holzapfel, Nonlinear Solid Mechanics (2000), section 6.5.
     """
 
-    def coefficients(
-        self, invariant: Number, log_volume: Number, pressure: Number, shear: Number, /
-    ) -> tuple[Number, Number, Number]:
+    def coefficients(self, invariant: Number, log_volume: Number, pressure: Number, shear: Number, /) -> Coefficients:
         """Return those of S = 2 μ E + pₛ I."""
         return pressure - shear, shear, 0.0
 
@@ -60,9 +58,7 @@ class NeoHookean(IsotropicLaw):
     Source: Holzapfel, Nonlinear Solid Mechanics (2000), section 6.5.
     """
 
-    def coefficients(
-        self, invariant: Number, log_volume: Number, pressure: Number, shear: Number, /
-    ) -> tuple[Number, Number, Number]:
+    def coefficients(self, invariant: Number, log_volume: Number, pressure: Number, shear: Number, /) -> Coefficients:
         """Return those of S = μ (I - C⁻¹) + pₛ C⁻¹."""
         return shear, 0.0, pressure - shear
 
@@ -82,7 +78,7 @@ class MooneyRivlin(IsotropicLaw):
 
     def coefficients(
         self, invariant: Number, log_volume: Number, pressure: Number, shear: Number, /, share: Number
-    ) -> tuple[Number, Number, Number]:
+    ) -> Coefficients:
         """Return those of S = 2 (c₁ + c₂ I₁) I - 2 c₂ C - 2 (c₁ + 2c₂ + 2c₂ ln J) C⁻¹ + pₛ C⁻¹."""
         second = shear * share
         return shear + second * (invariant - 1), -second, pressure - shear - second * (1 + 2 * log_volume)
@@ -104,7 +100,7 @@ class Yeoh(IsotropicLaw):
 
     def coefficients(
         self, invariant: Number, log_volume: Number, pressure: Number, shear: Number, /, second: Number, third: Number
-    ) -> tuple[Number, Number, Number]:
+    ) -> Coefficients:
         """Return those of S = μ (1 + 2 c₂/c₁ Q + 3 c₃/c₁ Q²) (I - C⁻¹) + pₛ C⁻¹."""
         Q = invariant - 3 - 2 * log_volume
         stiffness = shear * (1 + 2 * second * Q + 3 * third * Q * Q)
@@ -126,7 +122,7 @@ class Fung(IsotropicLaw):
 
     def coefficients(
         self, invariant: Number, log_volume: Number, pressure: Number, shear: Number, /, exponent: Number
-    ) -> tuple[Number, Number, Number]:
+    ) -> Coefficients:
         """Return those of S = μ exp(b Q) (I - C⁻¹) + pₛ C⁻¹."""
         stiffness = shear * exp(exponent * (invariant - 3 - 2 * log_volume))
         return stiffness, 0.0, pressure - stiffness

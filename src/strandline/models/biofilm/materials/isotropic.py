@@ -23,6 +23,7 @@ from strandline.models.protocol import ModelInput
 __all__ = ["IsotropicLaw", "Jet", "exp", "flaw", "log"]
 
 Number = Any  # a float, an NGSolve form, or a Jet
+Coefficients = tuple[Number, Number, Number]
 
 
 class IsotropicLaw(ABC):
@@ -31,7 +32,7 @@ class IsotropicLaw(ABC):
     parameters: ClassVar[tuple[ModelInput, ...]] = ()
 
     @abstractmethod
-    def coefficients(self, *measures: Number, **further: Number) -> tuple[Number, Number, Number]:
+    def coefficients(self, *measures: Number, **further: Number) -> Coefficients:
         """Return α, β and γ.
 
         Args:
