@@ -27,6 +27,7 @@ from strandline.models.biofilm.flow import (
 from strandline.models.biofilm.geometry import MeshSize, Partition, mesh_flow_cell, subdivide
 from strandline.models.biofilm.linear import Factorisation
 from strandline.models.biofilm.materials import Law, further_parameters, typical_value
+from strandline.models.biofilm.memory import Branch
 from strandline.models.biofilm.outline import Channel, Pairs
 from strandline.models.biofilm.steady import steady_state
 from strandline.models.biofilm.strain import StrainProbe, jacobian_bound
@@ -48,22 +49,20 @@ Points = Float[np.ndarray, "point 2"]
 class Solution:
     """A steady state: scaled unknowns, displacements of the interface's nodes, mm, and figures for a run's record.
 
-    `min_J_fluid` and `min_J_solid` are lower bounds of det F; `jacobians` have been assembled and factorised, including
-    those on the load path.
+    `bounds` are those of `FlowCell.check`; `jacobians` have been assembled and factorised, including those on the load
+    path.
     """
 
     unknowns: Vector
     displacement: Points
-    min_J_fluid: float
-    min_J_solid: float
+    bounds: Mapping[str, float]
     jacobians: int
     figures: Mapping[str, float] = field(default_factory=dict)
 
     def diagnostics(self) -> dict[str, float]:
         return {
             "max_displacement": float(np.linalg.norm(self.displacement, axis=1).max()),
-            "min_J_fluid": self.min_J_fluid,
-            "min_J_solid": self.min_J_solid,
+            **self.bounds,
             "newton_jacobians": float(self.jacobians),
             **self.figures,
         }
@@ -74,7 +73,8 @@ class Setting:
     """What a run of a flow cell is made with.
 
     Young's modulus, Pa, Poisson's ratio and each `further` parameter of the law have a value for each part; `rate` is
-    the inflow rate V_in, mm²/s, or the pressure drop, Pa. No quantity of the fluid is unknown.
+    the inflow rate V_in, mm²/s, or the pressure drop, Pa. No quantity of the fluid is unknown. A solid that creeps has
+    `branches`; Young's modulus is that of the relaxed solid.
     """
 
     young: Sequence[float]
@@ -82,6 +82,7 @@ class Setting:
     rate: float
     further: tuple[Sequence[float], ...] = ()
     fluid: Fluid = WATER
+    branches: tuple[Branch, ...] = ()
 
     @property
     def stiffness(self) -> float:
@@ -158,7 +159,7 @@ class FlowCell:
         """Return a root of the equations as a solution; fails as ``inverted_elements`` or ``unbalanced``."""
         bounds = self.check(x)
         self._check_balance(x, load)
-        return Solution(x, self.displacement, bounds["min_J_fluid"], bounds["min_J_solid"], jacobians)
+        return Solution(x, self.displacement, bounds, jacobians)
 
     def set(self, setting: Setting) -> float:
         """Set the material, the fluid and the loads; return the load at which the rate is reached."""
@@ -209,10 +210,10 @@ class FlowCell:
     def check(self, x: Vector) -> Mapping[str, float]:
         """Return lower bounds of J in fluid and solid; a run with one of 0 or below fails as ``inverted_elements``."""
         self.system.set_unknowns(x)
-        fluid_bound, solid_bound = self.distortion()
-        bounds = {"min_J_fluid": fluid_bound, "min_J_solid": solid_bound}
-        if min(fluid_bound, solid_bound) <= 0:
-            message = f"elements are inverted: J is bounded by {fluid_bound:.3g} (fluid), {solid_bound:.3g} (solid)"
+        fluid, solid = jacobian_bound(self.mesh, self.system.state.components[2], self.is_solid)
+        bounds = {"min_J_fluid": fluid, "min_J_solid": solid}
+        if min(fluid, solid) <= 0:
+            message = f"elements are inverted: J is bounded by {fluid:.3g} (fluid), {solid:.3g} (solid)"
             raise ForwardModelError("inverted_elements", message, bounds)
         return bounds
 
@@ -247,10 +248,6 @@ class FlowCell:
         if left > BALANCE * reaction + ROUNDING * stiffest:
             message = f"forces do not balance: residual {left:.2g} against reactions of {reaction:.2g}"
             raise ForwardModelError("unbalanced", message, {"residual": float(left), "reaction": float(reaction)})
-
-    def distortion(self) -> tuple[float, float]:
-        """Return lower bounds of J over fluid and solid at the current state."""
-        return jacobian_bound(self.mesh, self.system.state.components[2], self.is_solid)
 
     def set_loads(self, rate: float, fluid: Fluid) -> float:
         """Set the fluid and the loads at the end of the load path; return the load there.

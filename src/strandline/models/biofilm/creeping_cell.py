@@ -222,26 +222,23 @@ class CreepingCell(FlowCell):
     def coupled(self, *arguments: Any, **options: Any) -> CoupledSystem:
         return CoupledSystem(*arguments, remembers=True, **options)
 
-    def through(
-        self, course: Course, branches: Sequence[Branch], setting: Setting, budget: int = 0
-    ) -> Iterator[tuple[str, Solution]]:
+    def through(self, course: Course, setting: Setting, budget: int = 0) -> Iterator[tuple[str, Solution]]:
         """Yield name and state of each time observed; while one is yielded, the system holds it.
 
-        E in the `setting` is that of the relaxed solid; its rate is where the course has the share 1. The `budget` of
-        Jacobians is for searches along a load path; 0: no limit.
+        The rate in the `setting` is where the course has the share 1. The `budget` of Jacobians is for searches along a
+        load path; 0: no limit.
 
         Raises:
             ForwardModelError: As `solve` at the start and after a sudden load at rest; ``time_step`` or
                 ``inverted_elements`` later, with the time, s.
         """
         self.set(setting)
-        way = QuasiStatic(self, setting.rate, setting.fluid, branches, course.tolerance, budget=budget)
+        way = QuasiStatic(self, setting.rate, setting.fluid, setting.branches, course.tolerance, budget=budget)
         names = {time: name for name, time in course.times}
         try:
             for moment in way.follow(course):
                 self.residual(moment.x, self.set_loads(moment.share * setting.rate, setting.fluid))
-                fluid_bound, solid_bound = self.distortion()
-                figures = (fluid_bound, solid_bound, way.jacobians)
-                yield names[moment.time], Solution(moment.x, moment.displacement, *figures)
+                bounds = self.check(moment.x)
+                yield names[moment.time], Solution(moment.x, moment.displacement, bounds, way.jacobians)
         except ForwardModelError as error:
             raise self.in_physical_units(error) from error

@@ -267,11 +267,8 @@ class Biofilm:
         anchored: AnchoredCell | None = None,
     ) -> Iterator[tuple[str, Solution]]:
         """Yield each condition with its state, which the cell holds meanwhile; of steady ones, `only` that if given."""
-        if self.course and isinstance(cell, TransientCell):
+        if self.course and isinstance(cell, TransientCell | CreepingCell):
             yield from cell.through(self.course, self._setting(inputs), budget)
-            return
-        if self.course and isinstance(cell, CreepingCell):
-            yield from cell.through(self.course, self._branches(inputs), self._setting(inputs), budget)
             return
         for name, load in self._loads_at(inputs):
             if only in (None, name):
@@ -281,7 +278,10 @@ class Biofilm:
     def _setting(self, inputs: Mapping[str, float]) -> Setting:
         """Return what a run at these inputs is made with, among them what drives the flow."""
         young, poisson, *further = self._solid.values(inputs)
-        return Setting(young, poisson, float(inputs[self._driven_by.name]), tuple(further), self.fluid.at(inputs))
+        rate, fluid = float(inputs[self._driven_by.name]), self.fluid.at(inputs)
+        pairs = branch_inputs(self.branches)
+        branches = tuple(Branch(float(inputs[ratio.name]), float(inputs[tau.name])) for ratio, tau in pairs)
+        return Setting(young, poisson, rate, tuple(further), fluid, branches)
 
     def _cell(self) -> tuple[FlowCell, AnchoredCell | None]:
         """Return the flow cell, and itself with its anchors if there are any."""
@@ -317,10 +317,6 @@ class Biofilm:
             return self._loads
         shares = self.course.shares() if self.course else {"": 1.0}
         return tuple((name, share * float(inputs[self._drive[0].name])) for name, share in shares.items())
-
-    def _branches(self, inputs: Mapping[str, float]) -> list[Branch]:
-        pairs = branch_inputs(self.branches)
-        return [Branch(float(inputs[ratio.name]), float(inputs[tau.name])) for ratio, tau in pairs]
 
     def _by_input(self, found: list[np.ndarray], share: float) -> dict[str, np.ndarray]:
         """Return the sensitivities of a `FlowCell` by the name of the input; that of V_in, if any, times its share."""

@@ -229,16 +229,14 @@ class TransientCell(FlowCell):
             self._apply(self.set_loads(share * setting.rate, setting.fluid))
 
         settings, stops = _steps(course)
-        end = stops[-1] if stops[-1] > first.time else first.time
-        march = March(system, first, end, prescribe, self.weights, settings, stops)
+        march = March(system, first, max(stops[-1], first.time), prescribe, self.weights, settings, stops)
         try:
             for moment in march:
                 reached = moment.time
                 bounds = self.check(moment.values[system.free])
                 if moment.time in observed:
-                    moved = self._interface_values(moment.values)
-                    x, figures = moment.values[system.free], (bounds["min_J_fluid"], bounds["min_J_solid"])
-                    yield observed[moment.time], Solution(x, moved, *figures, march.jacobians)
+                    x, moved = moment.values[system.free], self._interface_values(moment.values)
+                    yield observed[moment.time], Solution(x, moved, bounds, march.jacobians)
         except ForwardModelError as error:
             spent = {"steps": float(march.steps), "jacobians": float(march.jacobians), "time": reached * TIME_SCALE}
             raise ForwardModelError(error.kind, error.message, {**error.evidence, **spent}) from error

@@ -191,7 +191,7 @@ def test_close_to_the_fold_the_state_is_that_of_the_first_branch(cell, fold):
     """The interface goes on as it began, further with each increase; the second branch would lead it back."""
     shares = np.array([0.9, 0.95, 0.98, 0.99, 0.995])
     found = [cell.solve(Setting(**SOFT, rate=share * fold.evidence["limit_load"])) for share in shares]
-    thinnest = [one.min_J_solid for one in found]
+    thinnest = [one.bounds["min_J_solid"] for one in found]
     assert (np.diff([largest(one.displacement) for one in found]) > 0).all()
     assert (np.diff(thinnest) < 0).all()
     assert (np.diff(-np.diff(thinnest) / np.diff(shares)) > 0).all()
