@@ -74,7 +74,7 @@ def _solvers(study: "Study", workers: int) -> list["Solver"]:
 
 
 def _announce(study: "Study", server: "UMBridgeServer", host: str) -> None:
-    from strandline.models.command.files import RUNS
+    from strandline.models.command.options import RUNS
     from strandline.models.protocol import KeepsFolders
     from strandline.models.umbridge.server import is_loopback
 

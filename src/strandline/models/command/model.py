@@ -13,21 +13,19 @@ from typing import Any, ClassVar, Literal
 
 from strandline.errors import ForwardModelError
 from strandline.models import refused
-from strandline.models.command.files import (
+from strandline.models.command.options import (
+    InputTemplate,
     LogText,
     SourceFile,
+    commands_of,
+    declared_by,
+    exit_codes_of,
     file_in,
     kept_folder,
     named_by,
     read_result,
     readings_of,
     relative_name,
-)
-from strandline.models.command.options import (
-    InputTemplate,
-    commands_of,
-    declared_by,
-    exit_codes_of,
     texts_of,
 )
 from strandline.models.command.process import ProcessEnd, supervised

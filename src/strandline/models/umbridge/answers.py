@@ -159,7 +159,8 @@ def _vector(values: object, size: int, what: str) -> list[float]:
         raise Rejected("InvalidInput", f"{what}: got {error}; {expected}") from None
     if not np.isfinite(array).all():
         raise Rejected("InvalidInput", f"{what}: got {shortened(values)}; {expected}")
-    return array.tolist()
+    numbers: list[float] = array.tolist()
+    return numbers
 
 
 def _index(asked: Mapping[str, Any], name: str, sizes: tuple[int, ...]) -> int:
