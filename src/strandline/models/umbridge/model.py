@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import ForwardModelError, InvalidInput
+from strandline.errors import ForwardModelError
 from strandline.interface import Interface
 from strandline.models import refused
 from strandline.models.protocol import ModelInput, Simulation
@@ -223,29 +223,19 @@ def _named_blocks(given: object) -> tuple[tuple[tuple[str, ...], ...], dict[str,
     """Return the names by block, and the units if every name has one."""
     nested = isinstance(given, list) and bool(given) and all(isinstance(block, list) for block in given)
     blocks: Any = given if nested else [given]
-    if not all(isinstance(block, list) and block for block in blocks):
-        raise _wrong_inputs(given)
-    entries = [[_entry(item, given) for item in block] for block in blocks]
-    flat = [entry for block in entries for entry in block]
-    if len({name for name, _ in flat}) < len(flat):
-        raise _wrong_inputs(given)
-    units = {name: unit for name, unit in flat if unit is not None}
-    return tuple(tuple(name for name, _ in block) for block in entries), units if len(units) == len(flat) else {}
+    lists = [block if isinstance(block, list) else [] for block in blocks]
+    pairs = [[_name_and_unit(item) for item in block] for block in lists]
+    flat = [pair for block in pairs for pair in block]
+    named = all(isinstance(name, str) and name and type(unit) in (str, int, type(None)) for name, unit in flat)
+    if not (all(lists) and named) or len({name for name, _ in flat}) < len(flat):
+        expected = "names in the order of the model, [E, nu], or of its blocks, [[E, nu], [V_in]]; with units [E: Pa]"
+        raise refused("inputs", given, expected, "Name each input once.")
+    units = {name: str(unit) for name, unit in flat if unit is not None}
+    return tuple(tuple(name for name, _ in block) for block in pairs), units if len(units) == len(flat) else {}
 
 
-def _entry(item: object, given: object) -> tuple[str, str | None]:
-    if isinstance(item, str) and item:
-        return item, None
-    if isinstance(item, Mapping) and len(item) == 1:
-        ((name, unit),) = item.items()
-        if isinstance(name, str) and isinstance(unit, str | int) and not isinstance(unit, bool):
-            return name, str(unit)
-    raise _wrong_inputs(given)
-
-
-def _wrong_inputs(given: object) -> InvalidInput:
-    expected = "names in the order of the model, [E, nu], or of its blocks, [[E, nu], [V_in]]; with units [E: Pa]"
-    return refused("inputs", given, expected, "Name each input once.")
+def _name_and_unit(item: Any) -> tuple[Any, Any]:
+    return next(iter(item.items())) if isinstance(item, Mapping) and len(item) == 1 else (item, None)
 
 
 def _config(given: Mapping[str, Any] | None) -> dict[str, Any]:
