@@ -162,11 +162,6 @@ class Outline:
         if self.nodes is not None and self.nodes < LEAST:
             raise refused("nodes of the outline", self.nodes, f"at least {LEAST}")
 
-    @classmethod
-    def of(cls, interface: Interface, *, nodes: int | None = NODES) -> "Outline":
-        """Return the outline that follows an interface, e.g. one that was read from a file or an image."""
-        return cls(tuple((float(x), float(y)) for x, y in interface.points), spline=False, nodes=nodes)
-
     def interface(self) -> Interface:
         """Return the undeformed interface, mm."""
         points = np.array(self.points, float)

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from tests.unit.models.biofilm.cells import LAYER
 
-from strandline.interface import Interface
 from strandline.models.biofilm import geometry
 from strandline.models.biofilm.geometry import MESHES, MeshSize, Partition, is_adapted, mesh_flow_cell, segment_sizes
 from strandline.models.biofilm.outline import Channel, Outline
@@ -14,7 +13,7 @@ COARSE, ROUGH = MESHES["coarse"], MeshSize(0.3, 0.1, 0.1, 0.5)
 STUDY = Outline().interface()
 CHANNEL = Channel()
 THREE = Partition.PRESETS["three_parts"]
-BUMP = np.array([(0.5, 0.0), (0.6, 0.3), (0.9, 0.35), (1.2, 0.0)])
+BUMP = ((0.5, 0.0), (0.6, 0.3), (0.9, 0.35), (1.2, 0.0))
 BOUNDARIES = {"base", "side", "inlet", "outlet", "top", "interface"}
 
 
@@ -44,11 +43,10 @@ def arrays(mesh):
 
 
 def test_an_outline_is_kept_or_gets_nodes_between_its_ends_and_has_its_area_in_the_mesh():
-    interface = Interface.polyline(BUMP)
-    np.testing.assert_array_equal(Outline.of(interface, nodes=None).interface().points, BUMP)
-    outline = Outline.of(interface, nodes=31).interface()
+    np.testing.assert_array_equal(Outline(BUMP, spline=False, nodes=None).interface().points, BUMP)
+    outline = Outline(BUMP, spline=False, nodes=31).interface()
     assert len(outline.points) == 31
-    np.testing.assert_array_equal(outline.points[[0, -1]], BUMP[[0, -1]])
+    np.testing.assert_array_equal(outline.points[[0, -1]], [BUMP[0], BUMP[-1]])
     found = areas(mesh_flow_cell(outline, COARSE, Channel(length=3.0, height=0.8)))
     np.testing.assert_allclose(found["solid"], shoelace(outline.points), rtol=1e-12)
     np.testing.assert_allclose(found["fluid"], 2.4 - found["solid"], rtol=1e-12)
