@@ -21,7 +21,7 @@ from strandline.models.biofilm.course import Course, Piece, pieces
 from strandline.models.biofilm.flow import Fluid
 from strandline.models.biofilm.memory import Branch, Memory, Past
 from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, NewtonSolution
-from strandline.models.biofilm.steady import AtLoad, steady_state
+from strandline.models.biofilm.steady import SHORTER_STEPS, AtLoad, steady_state
 from strandline.models.biofilm.system import CoupledSystem
 
 Vector = Float[np.ndarray, " unknown"]
@@ -128,7 +128,7 @@ class QuasiStatic:
                 x = self._solved(x + self._rigid(following - reached), following)
             except ForwardModelError as error:
                 change *= 0.5
-                if change < SMALLEST_SUDDEN or error.kind not in _SMALLER_STEPS:
+                if change < SMALLEST_SUDDEN or error.kind not in SHORTER_STEPS:
                     raise _at(error, now.time) from error
                 continue
             reached = following
@@ -146,7 +146,7 @@ class QuasiStatic:
                 found, error = self._doubled(before, now, piece, time)
             except ForwardModelError as failure:
                 step = CUT * taken
-                if step < SHORTEST * whole or failure.kind not in _SMALLER_STEPS:
+                if step < SHORTEST * whole or failure.kind not in SHORTER_STEPS:
                     raise _at(failure, now.time) from failure
                 continue
             allowed = self.tolerance * max(now.largest, found.largest) * taken / whole
@@ -207,7 +207,6 @@ class QuasiStatic:
 
 
 _NONE_FOLLOWS = ("time_step", "no state that follows from the last was found")
-_SMALLER_STEPS = ("newton_stalled", "newton_maxit", "nonfinite_residual", "linear_solve", "inverted_elements")
 
 
 def _at(error: ForwardModelError, time: float) -> ForwardModelError:

@@ -24,13 +24,9 @@ Form = Any  # an NGSolve coefficient function
 
 @dataclass(frozen=True, eq=False)
 class FluidLoad:
-    """A load on the fluid that is proportional to a parameter: a force per volume, and a pressure from outside.
+    """A load on the fluid that is proportional to an NGSolve parameter, scaled.
 
-    Args:
-        parameter: NGSolve parameter that it is proportional to, scaled.
-        force: Force per volume at a parameter of 1, along x and y.
-        pressure: External pressure on `boundary` at a parameter of 1, a form.
-        boundary: Regular expression for the boundaries under pressure.
+    It is a force per volume along x and y, and a pressure from outside, a form, on boundaries by a regular expression.
     """
 
     parameter: Any

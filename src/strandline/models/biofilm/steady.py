@@ -148,7 +148,7 @@ class _Path:
         try:
             found = newton.solve(_AtLoad(self, self.load), guess, weights=self.system.weights, settings=ARRIVAL)
         except ForwardModelError as error:
-            if error.kind in _SHORTER_STEPS:
+            if error.kind in SHORTER_STEPS:
                 return None
             raise
         return found.x
@@ -205,7 +205,7 @@ class _Path:
                     found = newton.solve(system, found.x, weights=weights, settings=POLISH)
                 return self._accepted(found.x[:-1], float(found.x[-1]), system.tangent)
             except ForwardModelError as error:
-                if error.kind not in _SHORTER_STEPS:
+                if error.kind not in SHORTER_STEPS:
                     raise
                 if error.kind == "inverted_elements":
                     reason = (error.kind, error.message, error.evidence)
@@ -232,7 +232,7 @@ class _Path:
         return ForwardModelError(kind, message, {**self.figures, **(evidence or {}), **spent})
 
 
-_SHORTER_STEPS = ("newton_stalled", "newton_maxit", "nonfinite_residual", "linear_solve", "inverted_elements")
+SHORTER_STEPS = ("newton_stalled", "newton_maxit", "nonfinite_residual", "linear_solve", "inverted_elements")
 
 
 class _AtLoad:

@@ -161,17 +161,9 @@ class BoundaryNames:
 class CoupledSystem:
     """Residual and Jacobian of the coupled problem on a mesh with a region ``fluid`` and one or more solid ones.
 
-    Args:
-        mesh: NGSolve mesh; the boundary between the regions is called ``interface``.
-        boundaries: Names of the boundaries where the conditions hold.
-        viscosity: Scaled dynamic viscosity.
-        density: Scaled density of the fluid.
-        order: Polynomial order of velocity and displacement; pressures have one less.
-        law: Law of the solid, from `materials`.
-        solids: Names of the solid's regions; each has its own Young's modulus, Poisson's ratio and further parameters.
-        body_force: Scaled force per volume of the undeformed solid.
-        loads: Further loads on the fluid.
-        remembers: Whether the solid has a `memory` of its stresses.
+    The boundary between them is called ``interface``. Each region of the solid has its own Young's modulus, Poisson's
+    ratio and further parameters; the solid may have a `memory` of its stresses. Viscosity, density and the force per
+    volume of the undeformed solid are scaled. `order` is that of velocity and displacement; pressures have one less.
     """
 
     def __init__(

@@ -53,14 +53,9 @@ FLOORS = (1e-3, 1e-3)
 class StepSettings:
     """How a run steps through time.
 
-    Args:
-        first: First step, scaled; all steps if there is no tolerance.
-        tolerance: Largest local error of a step in velocity and in displacement, each as a share of the largest value
-            in the run so far; None: steps of one length.
-        largest: Largest step, scaled.
-        smallest: Smallest step as a share of the first, below which a run fails.
-        floors: Velocity and displacement, scaled, below which the tolerance is a share of these.
-        corrector: When the iteration in a step stops.
+    The tolerance is the largest local error of a step in velocity and in displacement, each as a share of the largest
+    value in the run so far, which is at least the floor; None: all steps are like the first. Steps are scaled; the
+    smallest, below which a run fails, is a share of the first.
     """
 
     first: float
