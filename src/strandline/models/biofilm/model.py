@@ -42,14 +42,7 @@ from strandline.models.biofilm.options import (
     check_course,
     check_loads,
 )
-from strandline.models.biofilm.outline import (
-    Channel,
-    Outline,
-    Pairs,
-    check_clamped,
-    check_inside,
-    check_outline,
-)
+from strandline.models.biofilm.outline import Channel, Outline, Pairs, check_clamped, check_inside, check_outline
 from strandline.models.biofilm.transient import TransientCell
 from strandline.models.fingerprint import fingerprint as fingerprint_of
 from strandline.models.protocol import ModelInput, Simulation
@@ -61,6 +54,8 @@ REVISION = 2
 """Raised whenever the results of the model change by more than 1e-4 µm."""
 SIZES = 1
 """Raised whenever the rule changes that shrinks elements in narrow gaps and at sharp bends of the outline."""
+OF_CELL = ("channel", "partition", "fluid", "inflow", "clamped")
+"""Options of the model that its flow cell takes as they are."""
 
 
 @dataclass(frozen=True)
@@ -295,16 +290,8 @@ class Biofilm:
     @cached_property
     def _geometry(self) -> "Biofilm":
         """The model reduced to what affects mesh and forms."""
-        return dataclasses.replace(
-            self,
-            inflow_rates=(),
-            pressure_drops=(),
-            course=None,
-            branches=0,
-            sensitivities=False,
-            failure_budget=0,
-            anchors=(),
-        )
+        kept = {name: getattr(self, name) for name in ("mesh", "material", "outline", *OF_CELL)}
+        return Biofilm(**kept, failure_budget=0)
 
     @property
     def _solid_density(self) -> float | None:
@@ -342,20 +329,10 @@ def _anchored_cell(model: Biofilm, box: Box) -> AnchoredCell:
 
 
 def _new_cell(model: Biofilm, size: MeshSize, solid_density: float | None, *, creeps: bool) -> FlowCell:
-    options: dict[str, Any] = {
-        "channel": model.channel,
-        "partition": model.partition,
-        "law": law_named(model.material),
-        "fluid": model.fluid,
-        "inflow": model.inflow,
-        "clamped": model.clamped,
-    }
-    outline = model.outline.interface()
-    if creeps:
-        return CreepingCell(outline, size, **options)
-    if solid_density is None:
-        return FlowCell(outline, size, **options)
-    return TransientCell(outline, size, solid_density=solid_density, **options)
+    options = {name: getattr(model, name) for name in OF_CELL} | {"law": law_named(model.material)}
+    if solid_density is not None:
+        return TransientCell(model.outline.interface(), size, solid_density=solid_density, **options)
+    return (CreepingCell if creeps else FlowCell)(model.outline.interface(), size, **options)
 
 
 @lru_cache(maxsize=16)
