@@ -120,13 +120,17 @@ def _cut_off(interfaces: Sequence[Interface]) -> dict[int, str]:
 
 
 def _holding(interfaces: Sequence[Interface]) -> dict[int, str]:
-    """Return the runs that end abruptly with a repeated value; not if others share it, a floor, or if most end so."""
+    """Return the runs that end abruptly with a repeated value; not if others share it, a floor, or if most end so.
+
+    Rounded values repeat also elsewhere.
+    """
     ends: dict[int, tuple[int, float]] = {}
     for i, one in enumerate(interfaces):
         for values in (one.points[::-1, 1], one.points[:, 1]):
             steps = np.abs(np.diff(values))
             held = int(np.argmax(steps > 0)) + 1
-            if held >= HELD and steps[held - 1] > np.median(steps[held - 1 :]) / 2:
+            moving = steps[held - 1 :]
+            if held >= HELD and moving.all() and moving[0] > np.median(moving) / 2:
                 ends[i] = held, float(values[0])
     shared = Counter(value for _, value in ends.values())
     own = {i: end for i, end in ends.items() if shared[end[1]] == 1}
