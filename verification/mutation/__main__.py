@@ -2,7 +2,7 @@
 
 Each mutant is the package with one change, see `operators`. The tests that execute its line run, see `covering`, until
 one fails: those of its own room and of rooms that use it; with ``--far`` those of all rooms. Mutants that survive must
-be explained in `explained`, or a test is missing.
+be explained in `explained.csv`, or a test is missing.
 Results are kept and not repeated for the same mutant, until the text of its file changes; ``--again`` repeats those
 that survived unexplained, with tests as they are now; ``--confirm`` tries the tests that noticed mutants without a
 change, so that those that fail then do not count; and ``--record`` writes all results into `recorded.csv`.

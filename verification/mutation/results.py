@@ -3,16 +3,18 @@
 import csv
 import hashlib
 import json
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
-from verification.mutation.explained import EXPLAINED, EXPLAINED_ON_LINE
 from verification.mutation.places import PARTS, part_of
 from verification.validation.tables import Table
 
 __all__ = ["SURVIVED", "Result", "explained", "fingerprint", "known_results", "name_of", "record", "table"]
 
 PACKAGE = Path(__file__).parents[2] / "src" / "strandline"
+EXPLAINED = Path(__file__).parent / "explained.csv"
+"""Changes that no test has to notice, and why; some only on lines with a certain text."""
 COLUMNS = "file", "text", "line", "start", "before", "after", "end", "test"
 SURVIVED = "passed", "unsure"
 """Ends of mutants that no test noticed, or only tests that fail without a change too."""
@@ -48,26 +50,18 @@ def known_results(package: Path, recorded: Path, kept: Path) -> dict[tuple[str, 
     return {name_of(row): row for row in rows if texts.get(row["file"]) == row["text"]}
 
 
-def explained(
-    result: Result,
-    *,
-    package: Path = PACKAGE,
-    anywhere: Container[tuple[str, str, str]] = EXPLAINED,
-    on_line: Iterable[tuple[str, str, str, str]] = EXPLAINED_ON_LINE,
-) -> bool:
-    """Return whether it is explained why no test has to notice a mutant.
+def explained(result: Result) -> bool:
+    """Return whether explained.csv says why no test has to notice a mutant: this change, on such a line of its file."""
+    file = result["file"]
+    line = (PACKAGE / file).read_text("utf-8").splitlines()[int(result["line"]) - 1]
+    change = file, result["before"], result["after"]
+    return any((one["file"], one["before"], one["after"]) == change and one["on_line"] in line for one in _explained())
 
-    Args:
-        result: What became of it.
-        package: Folder of the package.
-        anywhere: Files and changes that are explained wherever they are made.
-        on_line: Files, parts of lines and changes.
-    """
-    file, change = result["file"], (result["before"], result["after"])
-    if (file, *change) in anywhere:
-        return True
-    line = (package / file).read_text("utf-8").splitlines()[int(result["line"]) - 1]
-    return any(key[0] == file and key[2:] == change and key[1] in line for key in on_line)
+
+@cache
+def _explained() -> list[Result]:
+    with EXPLAINED.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
 
 
 def record(results: Iterable[Result], recorded: Path) -> None:

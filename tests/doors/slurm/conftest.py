@@ -1,7 +1,7 @@
 """A SLURM of the tests' own, where its programs are."""
 
 import pytest
-from verification.private_slurm import missing_programs, temporary_slurm
+from tests.doors.slurm.private_slurm import missing_programs, temporary_slurm
 
 
 @pytest.fixture(scope="session")
