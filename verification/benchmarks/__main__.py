@@ -20,7 +20,7 @@ ALONE = "--here"
 HERE = "verification.benchmarks"
 
 
-def main(arguments: list[str]) -> int:
+def _main(arguments: list[str]) -> int:
     if arguments[:1] == [ALONE]:
         (part,) = arguments[1:]
         results.save(part, measured(part))
@@ -72,4 +72,4 @@ def run(part: str) -> bool:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(_main(sys.argv[1:]))

@@ -23,6 +23,7 @@ EXECUTORS: dict[str, Callable[[], Executor]] = {
 
 
 def figures() -> Iterator[Figure]:
+    """Yield what a run costs by each executor, and the time until the first record."""
     for name, executor in EXECUTORS.items():
         per_run, first = map(min, zip(*(overhead(executor()) for _ in range(REPEATS)), strict=True))
         yield Figure(f"overhead a run, {RUNS} runs", name, 1000 * per_run, "ms")

@@ -75,6 +75,7 @@ def in_turns(
 
 
 def medians(pairs: Sequence[Pair]) -> Pair:
+    """Return the median of each side of some pairs."""
     ours, peer = (statistics.median(column) for column in zip(*pairs, strict=True))
     return ours, peer
 

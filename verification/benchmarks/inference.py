@@ -30,6 +30,7 @@ PEER_NODES = 7
 
 
 def figures() -> Iterator[Figure]:
+    """Yield the figures of small pieces of a study."""
     jax.config.update("jax_enable_x64", True)
     yield gp_fit()
     yield currents("centre", f"currents, centre rule, {INTERFACES} interfaces", "all pairs in NumPy", 1, 7)
@@ -100,7 +101,7 @@ def training() -> tuple[np.ndarray, np.ndarray]:
 
 def all_pairs(a: Interface, b: Interface, *, nodes: int) -> float:
     """Return d² by a Gauss rule of `nodes` points on each segment and all pairs of points at once."""
-    (x, n), (y, m) = (gauss_points(one, nodes) for one in (a, b))
+    (x, n), (y, m) = (_gauss_points(one, nodes) for one in (a, b))
 
     def inner(x: np.ndarray, n: np.ndarray, y: np.ndarray, m: np.ndarray) -> float:
         r2 = ((x[:, None, :] - y[None, :, :]) ** 2).sum(axis=2)
@@ -109,7 +110,7 @@ def all_pairs(a: Interface, b: Interface, *, nodes: int) -> float:
     return inner(x, n, x, n) - 2 * inner(x, n, y, m) + inner(y, m, y, m)
 
 
-def gauss_points(one: Interface, nodes: int) -> tuple[np.ndarray, np.ndarray]:
+def _gauss_points(one: Interface, nodes: int) -> tuple[np.ndarray, np.ndarray]:
     place, weight = np.polynomial.legendre.leggauss(nodes)
     share = 0.5 * (place + 1)
     points = one.starts[:, None] + share[:, None] * (one.ends - one.starts)[:, None]

@@ -33,6 +33,7 @@ SEEN, PARTICLES = 1600, 10_000
 
 
 def figures() -> Iterator[Figure]:
+    """Yield the figures of distances between large interfaces."""
     jax.config.update("jax_enable_x64", True)
     yield inner_product()
     yield from map(currents, (WIDE, NARROW))

@@ -28,24 +28,24 @@ LOOKS = ((BLUE, "o-"), (RED, "s--"))
 def tables(records: Sequence[Mapping[str, Any]], machine: Mapping[str, Any]) -> Iterator[Table]:
     """Yield the tables of the page: aims, the figures of each part, the machine."""
     with_aim = [record for record in records if record["aim"] is not None]
-    yield table("aims", ("task", "against", "figure", "aim", "met"), rows(with_aim, aim_row))
+    yield _table("aims", ("task", "against", "figure", "aim", "met"), _rows(with_aim, aim_row))
     columns = ("task", "against", "strandline", "other", "ratio", "per core", "remark")
     for part in PARTS:
-        yield table(part, columns, rows([record for record in records if record["part"] == part], row))
-    facts = tuple((name, text(value)) for name, value in machine.items() if name != "runs")
-    yield table("machine", ("what", "value"), facts)
+        yield _table(part, columns, _rows([record for record in records if record["part"] == part], row))
+    facts = tuple((name, _text(value)) for name, value in machine.items() if name != "runs")
+    yield _table("machine", ("what", "value"), facts)
     runs = tuple(
-        (part, run["date"], f"{run['seconds']:.0f}", text(run["load_average_before"]))
+        (part, run["date"], f"{run['seconds']:.0f}", _text(run["load_average_before"]))
         for part, run in machine["runs"].items()
     )
-    yield table("runs", ("part", "begun before, UTC", "s", "load average before"), runs)
+    yield _table("runs", ("part", "begun before, UTC", "s", "load average before"), runs)
 
 
-def table(name: str, columns: tuple[str, ...], cells: tuple[tuple[str, ...], ...]) -> Table:
+def _table(name: str, columns: tuple[str, ...], cells: tuple[tuple[str, ...], ...]) -> Table:
     return Table(f"bench_{name}", name, columns, len(columns) * ("s",), cells)
 
 
-def rows(records: Sequence[Mapping[str, Any]], line: Callable[..., tuple[str, ...]]) -> tuple[tuple[str, ...], ...]:
+def _rows(records: Sequence[Mapping[str, Any]], line: Callable[..., tuple[str, ...]]) -> tuple[tuple[str, ...], ...]:
     return tuple(tuple(cell.replace("|", "\\|") for cell in line(record)) for record in records)
 
 
@@ -61,7 +61,7 @@ def aim_row(record: Mapping[str, Any]) -> tuple[str, ...]:
     return task(record), record.get("peer_name", ""), value, f"{kind} {bound}", met
 
 
-def text(value: Any) -> str:
+def _text(value: Any) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{name} {inner}" for name, inner in value.items())
     return "unknown" if value is None else str(value)
@@ -86,7 +86,7 @@ def seconds(ax: Axes, series: Sequence[Mapping[str, Any]]) -> None:
     """Draw times on logarithmic scales, and a line with the slope by which the operations grow."""
     plot = ax.semilogy if series and series[0]["axis"] == "inputs" else ax.loglog
     for one, (colour, style) in zip(series, LOOKS, strict=False):
-        x, y = coordinates(one, "x"), coordinates(one, "seconds")
+        x, y = _coordinates(one, "x"), _coordinates(one, "seconds")
         plot(x, y, style, color=colour, markersize=4, label=one["name"])
         if one["axis"] in POWERS and one["limit"] is not None:
             power = POWERS[one["axis"]]
@@ -102,10 +102,10 @@ def shares(ax: Axes, series: Sequence[Mapping[str, Any]], peaks: Mapping[str, fl
     """Draw the share of the peak for the series that have one."""
     for one, (colour, style) in zip(series, LOOKS, strict=False):
         if one["limit"] is not None:
-            reached = 100 * coordinates(one, "operations") / coordinates(one, "seconds") / peaks[one["limit"]]
-            ax.plot(coordinates(one, "x"), reached, style, color=colour, markersize=4, label=f"of {one['limit']}")
+            reached = 100 * _coordinates(one, "operations") / _coordinates(one, "seconds") / peaks[one["limit"]]
+            ax.plot(_coordinates(one, "x"), reached, style, color=colour, markersize=4, label=f"of {one['limit']}")
     if series:
-        places = coordinates(series[0], "x")
+        places = _coordinates(series[0], "x")
         ax.set_xscale("linear" if series[0]["axis"] == "inputs" else "log")
         ax.xaxis.set_major_locator(FixedLocator(places.tolist()))
         ax.xaxis.set_minor_locator(NullLocator())
@@ -115,7 +115,7 @@ def shares(ax: Axes, series: Sequence[Mapping[str, Any]], peaks: Mapping[str, fl
         ax.legend(loc="upper left")
 
 
-def coordinates(series: Mapping[str, Any], key: str) -> np.ndarray:
+def _coordinates(series: Mapping[str, Any], key: str) -> np.ndarray:
     return np.array([point[key] for point in series["points"]], float)
 
 

@@ -74,10 +74,12 @@ def row(record: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def task(record: Mapping[str, Any]) -> str:
+    """Return the task of a record with its case."""
     return ", ".join(filter(None, (record["what"], record.get("case", ""))))
 
 
 def ratio(value: float | None) -> str:
+    """Return a ratio as text, with three digits."""
     return "" if value is None else f"{value:.3g}" if value < 100 else f"{value:.0f}"
 
 
@@ -115,16 +117,16 @@ def from_this_machine() -> bool:
 def this_machine() -> dict[str, Any]:
     """Return a description of the machine and the packages, which times depend on."""
     return {
-        "cpu": cpu_model(),
+        "cpu": _cpu_model(),
         "cores": os.cpu_count(),
         "system": f"{platform.system()} {platform.machine()}",
         "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "unset"),
         "python": platform.python_version(),
-        "versions": {name: version for name in PACKAGES if (version := installed(name))},
+        "versions": {name: version for name in PACKAGES if (version := _installed(name))},
     }
 
 
-def cpu_model() -> str:
+def _cpu_model() -> str:
     described = Path("/proc/cpuinfo")
     found = re.search(r"model name\s*:\s*(.+)", described.read_text("utf-8")) if described.exists() else None
     return found[1] if found else platform.processor() or "unknown"
@@ -135,7 +137,7 @@ def load_average() -> float | None:
     return round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None
 
 
-def installed(name: str) -> str | None:
+def _installed(name: str) -> str | None:
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:

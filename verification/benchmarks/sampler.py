@@ -66,8 +66,9 @@ class Task:
 
 
 def figures() -> Iterator[Figure]:
+    """Yield the figures of the mean and of the sampler."""
     task, seven = two_inputs(RUNS), parts(PARTS_RUNS)
-    yield mean_beside(task, scikit_learn_of_two(task), "GP mean, 2 inputs", 9)
+    yield mean_beside(task, _scikit_learn_of_two(task), "GP mean, 2 inputs", 9)
     yield mean_beside(seven, scikit_learn_of_seven(seven), "GP mean, 7 inputs, product", 5)
     yield from whole_runs(task)
     yield seven_inputs(seven)
@@ -83,7 +84,7 @@ def mean_beside(task: Task, peer: Log, what: str, repeats: int) -> Figure:
 
     np.testing.assert_allclose(ours(), peer(task.initial), rtol=1e-9, atol=1e-8)
     number = len(points)
-    costs = [(metered(ours, number), metered(lambda: peer(task.initial), number)) for _ in range(repeats)]
+    costs = [(_metered(ours, number), _metered(lambda: peer(task.initial), number)) for _ in range(repeats)]
     whole = f"{what}, n = {len(task.process.alpha)}, {number} points"
     return figure(whole, "scikit-learn predict", costs, remark="clock: on all cores; scikit-learn computes on one")
 
@@ -97,7 +98,7 @@ def whole_runs(task: Task, moves: int = MOVES, zeta: float = ZETA, repeats: int 
     ours = partial(strandline_run, task, settings)
     naive = blackjax_run(task, naive_mean(task.process), spread, moves, zeta)
     refactored = blackjax_run(task, refactoring_mean(task.process), spread, moves, zeta)
-    peer = scikit_learn_of_two(task)
+    peer = _scikit_learn_of_two(task)
     for found in (ours()[0], naive()[0]):
         require_right(found, exact)
     busy: list[Cost] = []
@@ -140,7 +141,7 @@ def seven_inputs(task: Task, moves: int = PARTS_MOVES, zeta: float = PARTS_ZETA)
     apart = [np.concatenate([(m - mean) / sd, s / sd - 1]) for m, s in (moments(one) for one, _ in ours)]
     worst = max(float(np.abs(one).max()) for one in apart)
     root = float(np.sqrt(np.mean(np.square(apart))))
-    middle = median([cost for _, cost in ours])
+    middle = _median([cost for _, cost in ours])
     remark = (
         f"ratios of whole runs, {theirs.evaluations / middle.evaluations:.0f} times the evaluations; study run once, "
         f"the defaults with 3 seeds; means and sd apart by {root:.3f} sd (rms), {worst:.3f} (worst)"
@@ -172,6 +173,7 @@ def first_and_second_call() -> tuple[float, float]:
 
 
 def two_inputs(runs: int, particles: int = PARTICLES) -> Task:
+    """Return the surrogate of a ridge in two inputs."""
     x, y = (part[:runs] for part in inference.training())
     process = condition(x, y, kernel=KERNELS["matern32"], length_scale=LENGTH, signal_variance=VARIANCE, nugget=NUGGET)
     return Task(process, batched_mean(process), np.random.default_rng(1).random((particles, 2)))
@@ -190,11 +192,12 @@ def parts(runs: int, particles: int = PARTS_PARTICLES) -> Task:
     return Task(process, batched_mean(process), np.random.default_rng(1).random((particles, 7)))
 
 
-def scikit_learn_of_two(task: Task) -> Log:
+def _scikit_learn_of_two(task: Task) -> Log:
     return scikit_learn(task.process, ConstantKernel(VARIANCE) * Matern(LENGTH, nu=1.5), NUGGET)
 
 
 def scikit_learn_of_seven(task: Task) -> Log:
+    """Return scikit-learn's mean of the surrogate of seven inputs."""
     factors = [surrogate.Column(length, nu=1.5, column=d) for d, length in enumerate(surrogate.LENGTHS)]
     return scikit_learn(task.process, ConstantKernel(surrogate.VARIANCE) * reduce(mul, factors), surrogate.NUGGET)
 
@@ -244,9 +247,9 @@ def refactoring_mean(process: Any) -> Log:
 
 def strandline_run(task: Task, settings: Any, seed: int = 1) -> tuple[Any, Cost]:
     """Return (log evidence, positions, weights) and the cost."""
-    begun = clocks()
+    begun = _clocks()
     result = sample(jax.random.key(seed), task.mean, unit_prior, task.initial, settings=settings)
-    cost = since(begun, result.likelihood_evaluations)
+    cost = _since(begun, result.likelihood_evaluations)
     return (result.log_evidence, result.positions, np.exp(result.log_weights)), cost
 
 
@@ -269,14 +272,14 @@ def blackjax_run(task: Task, mean: Log, spread: np.ndarray, moves: int, zeta: fl
 
     def run(steps: int | None = None) -> tuple[Any, Cost]:
         key, state, done, log_evidence = jax.random.key(2), algorithm.init(jnp.asarray(task.initial)), 0, 0.0
-        begun = clocks()
+        begun = _clocks()
         while float(state.tempering_param) < 1 and done != steps:
             key, now = jax.random.split(key)
             state, info = step(now, state)
             log_evidence += float(info.log_likelihood_increment)
             done += 1
         jax.block_until_ready(state)
-        cost = since(begun, len(task.initial) * (moves + 3) * done)
+        cost = _since(begun, len(task.initial) * (moves + 3) * done)
         return (log_evidence, np.asarray(state.particles), np.asarray(state.weights)), cost
 
     return run
@@ -287,7 +290,7 @@ def numpy_run(
 ) -> tuple[Any, Cost]:
     """Return the posterior by a plain loop over temperatures, ESS' = ζ ESS, resampled below half of the particles."""
     rng = np.random.default_rng(3)
-    begun = clocks()
+    begun = _clocks()
     x, number, gamma, log_evidence, done = task.initial, len(task.initial), 0.0, 0.0, 0
     w, values = np.full(number, 1 / number), log_likelihood(x)
 
@@ -318,7 +321,7 @@ def numpy_run(
             accept = inside & (np.log(rng.random(number)) < gamma * (there - values))
             x, values = np.where(accept[:, None], proposal, x), np.where(accept, there, values)
         done += 1
-    return (log_evidence, x, w), since(begun, number * (1 + moves * done))
+    return (log_evidence, x, w), _since(begun, number * (1 + moves * done))
 
 
 def unit_prior(x: Any) -> Any:
@@ -327,6 +330,7 @@ def unit_prior(x: Any) -> Any:
 
 
 def moments(found: tuple[float, np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean and the standard deviation of weighted particles."""
     _, x, w = found
     mean = w @ x
     return mean, np.sqrt(w @ (x - mean) ** 2)
@@ -342,28 +346,28 @@ def require_right(found: tuple[float, np.ndarray, np.ndarray], exact: Any) -> No
 
 def figure(what: str, peer_name: str, costs: list[tuple[Cost, Cost]], remark: str, unit: str = "s") -> Figure:
     """Return the medians of costs (ours, peer), of the whole task or ``per evaluation``."""
-    ours, peer = (median(list(column)) for column in zip(*costs, strict=True))
+    ours, peer = (_median(list(column)) for column in zip(*costs, strict=True))
     mine, its = (cost.evaluations if unit != "s" else 1 for cost in (ours, peer))
     cores = ours.cpu / mine, peer.cpu / its
     return Figure(what, "", ours.wall / mine, unit, remark, peer_name, peer.wall / its, len(costs), cores)
 
 
-def median(costs: list[Cost]) -> Cost:
+def _median(costs: list[Cost]) -> Cost:
     wall, cpu = (statistics.median(getattr(cost, name) for cost in costs) for name in ("wall", "cpu"))
     return Cost(wall, cpu, costs[0].evaluations)
 
 
-def metered(task: Callable[[], Any], evaluations: int) -> Cost:
-    begun = clocks()
+def _metered(task: Callable[[], Any], evaluations: int) -> Cost:
+    begun = _clocks()
     task()
-    return since(begun, evaluations)
+    return _since(begun, evaluations)
 
 
-def clocks() -> tuple[float, float]:
+def _clocks() -> tuple[float, float]:
     used = resource.getrusage(resource.RUSAGE_SELF)
     return time.perf_counter(), used.ru_utime + used.ru_stime
 
 
-def since(begun: tuple[float, float], evaluations: int) -> Cost:
-    wall, cpu = (now - then for now, then in zip(clocks(), begun, strict=True))
+def _since(begun: tuple[float, float], evaluations: int) -> Cost:
+    wall, cpu = (now - then for now, then in zip(_clocks(), begun, strict=True))
     return Cost(wall, cpu, evaluations)

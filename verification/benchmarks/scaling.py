@@ -45,7 +45,7 @@ def figures() -> Iterator[Figure]:
     peaks, found = {GEMM: gemm_peak(), EXPONENTIALS: exponential_peak()}, []
     for name, rate in peaks.items():
         yield Figure("peak of one core", name, rate, "per core-second")
-    for series in all_series():
+    for series in _all_series():
         found.append(series)
         last, limit = series["points"][-1], series["limit"]
         if limit is not None:
@@ -54,7 +54,7 @@ def figures() -> Iterator[Figure]:
     results.write(results.SCALING, {"peaks": peaks, "series": found})
 
 
-def all_series() -> Iterator[dict[str, Any]]:
+def _all_series() -> Iterator[dict[str, Any]]:
     yield measured("fit, 7 inputs", "runs", GEMM, RUNS, partial(fit, inputs=7))
     yield measured("sampler, 2 inputs, 1000 runs", "particles", EXPONENTIALS, PARTICLES, sampling)
     yield measured("fit, 1000 runs", "inputs", GEMM, DIMENSIONS, partial(fit, FIXED_RUNS))
@@ -144,7 +144,7 @@ def fit(runs: int, inputs: int) -> Task:
 def mean(inputs: int) -> Task:
     """Return a task: the mean of a product kernel at the particles."""
     x, y = training(FIXED_RUNS, inputs)
-    compiled = jax.jit(batched_mean(conditioned(x, y, "matern32_product", np.full(inputs, 2.0))))
+    compiled = jax.jit(batched_mean(_conditioned(x, y, "matern32_product", np.full(inputs, 2.0))))
     points = jnp.asarray(np.random.default_rng(1).normal(size=(FIXED_PARTICLES, inputs)))
 
     def task() -> float:
@@ -157,23 +157,23 @@ def mean(inputs: int) -> Task:
 def sampling(particles: int) -> Task:
     """Return a task: the sampler with five moves on a ridge."""
     x, y = training(FIXED_RUNS, 2)
-    log_likelihood = batched_mean(conditioned(x, y, "matern32", 1.3))
+    log_likelihood = batched_mean(_conditioned(x, y, "matern32", 1.3))
     initial = np.random.default_rng(1).uniform(x.min(), x.max(), (particles, 2))
 
     def task() -> float:
         settings = SMCSettings(rejuvenation_steps=5)
-        found = sample(jax.random.key(1), log_likelihood, flat, initial, settings=settings)
+        found = sample(jax.random.key(1), log_likelihood, _flat, initial, settings=settings)
         return float(found.likelihood_evaluations * FIXED_RUNS)
 
     return task
 
 
-def conditioned(x: np.ndarray, y: np.ndarray, kernel: str, length: float | np.ndarray) -> GaussianProcess:
+def _conditioned(x: np.ndarray, y: np.ndarray, kernel: str, length: float | np.ndarray) -> GaussianProcess:
     fixed = {"length_scale": length, "signal_variance": surrogate.VARIANCE, "nugget": NUGGET}
     return condition(x, y, kernel=KERNELS[kernel], **fixed)
 
 
-def flat(x: jax.Array) -> jax.Array:
+def _flat(x: jax.Array) -> jax.Array:
     return jnp.zeros(len(x))
 
 

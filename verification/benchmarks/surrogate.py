@@ -36,6 +36,7 @@ PEERS = (
 
 
 def figures() -> Iterator[Figure]:
+    """Yield the figures of the fit."""
     jax.config.update("jax_enable_x64", True)
     for name in ("matern32", "matern32_ard", "matern32_product", "matern52_product"):
         yield floor(name, USUAL)
@@ -62,7 +63,7 @@ def floor(name: str, runs: int) -> Figure:
         lapack.dpotri(work, lower=1, overwrite_c=1)
         return value
 
-    return compared(what(name, runs), "dpotrf + dpotri alone", ours(name, x, y), theirs, rtol=1e-6, repeats=REPEATS)
+    return compared(_what(name, runs), "dpotrf + dpotri alone", ours(name, x, y), theirs, rtol=1e-6, repeats=REPEATS)
 
 
 def scikit_learn(name: str, runs: int) -> Figure:
@@ -79,14 +80,14 @@ def scikit_learn(name: str, runs: int) -> Figure:
     def theirs() -> float:
         return float(peer.log_marginal_likelihood(theta, eval_gradient=True, clone_kernel=False)[0])
 
-    return compared(what(name, runs), "scikit-learn", ours(name, x, y), theirs, rtol=1e-6, repeats=REPEATS)
+    return compared(_what(name, runs), "scikit-learn", ours(name, x, y), theirs, rtol=1e-6, repeats=REPEATS)
 
 
 def in_processes(peer_name: str, program: str, python: Path, *, cores: int, runs: int = USUAL) -> Figure:
     """Compare with a peer in its own process and environment; gradients must agree as well."""
     x, y = training(runs)
     content = {"x": x, "y": y, "lengths": LENGTHS, "variance": VARIANCE, "nugget": NUGGET}
-    programs, task = (["evidence.py", "strandline"], ["evidence.py", program]), what("matern32_product", runs)
+    programs, task = (["evidence.py", "strandline"], ["evidence.py", program]), _what("matern32_product", runs)
     try:
         return versus(task, peer_name, programs, content, cores=cores, python=python, repeats=REPEATS)
     except NotMeasured as why:
@@ -131,5 +132,5 @@ def training(runs: int) -> tuple[np.ndarray, np.ndarray]:
     return (u - u.mean(0)) / u.std(0), y - y.mean()
 
 
-def what(name: str, runs: int) -> str:
+def _what(name: str, runs: int) -> str:
     return f"evidence and gradient, {name}, n = {runs}"

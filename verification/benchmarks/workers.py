@@ -114,4 +114,5 @@ def core_counts() -> Sequence[int]:
 
 
 def cores_case(cores: int) -> str:
+    """Return a number of cores in words."""
     return "1 core" if cores == 1 else f"{cores} cores"

@@ -37,17 +37,17 @@ def draw(tables: Sequence[Table], folder: Path) -> None:
     """Write forward-convergence.png and forward-mesh.png into `folder`."""
     named = {table.name: table for table in tables}
     figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
-    convergence_of_benchmark(axes[0], named["FSI1"])
-    convergence_of_solid(axes[1], named["manufactured"])
+    _convergence_of_benchmark(axes[0], named["FSI1"])
+    _convergence_of_solid(axes[1], named["manufactured"])
     figure.savefig(folder / "forward-convergence.png", dpi=130)
     plt.close(figure)
     figure, axes = plt.subplots(figsize=(8, 4.2), layout="constrained")
-    mesh_of_three_parts(axes)
+    _mesh_of_three_parts(axes)
     figure.savefig(folder / "forward-mesh.png", dpi=130)
     plt.close(figure)
 
 
-def convergence_of_benchmark(ax: Axes, table: Table) -> None:
+def _convergence_of_benchmark(ax: Axes, table: Table) -> None:
     for k, key in enumerate(dict.fromkeys(table.column("quantity"))):
         for order, style in ((2, "o-"), (3, "s--")):
             rows = [row for row in table.rows if (row[0], row[2]) == (key, order)]
@@ -57,7 +57,7 @@ def convergence_of_benchmark(ax: Axes, table: Table) -> None:
     ax.legend(fontsize="x-small", ncols=2)
 
 
-def convergence_of_solid(ax: Axes, table: Table) -> None:
+def _convergence_of_solid(ax: Axes, table: Table) -> None:
     """Draw the errors of the manufactured solution against the element size; other laws are as good as neo-Hookean."""
     for k, law in enumerate(("saint_venant_kirchhoff", "neo_hookean")):
         for poisson, style in ((-0.5, "o-"), (0.49, "s--")):
@@ -69,7 +69,7 @@ def convergence_of_solid(ax: Axes, table: Table) -> None:
     ax.legend(fontsize="x-small")
 
 
-def mesh_of_three_parts(ax: Axes) -> None:
+def _mesh_of_three_parts(ax: Axes) -> None:
     mesh: Any = mesh_flow_cell(Outline().interface(), MESHES["default"], Channel(), Partition.PRESETS["three_parts"])
     points = np.array([v.point for v in mesh.vertices])
     names = ("fluid", *(f"solid{k}" for k in (1, 2, 3)))

@@ -228,6 +228,7 @@ def force_imbalance(cell: FlowCell) -> tuple[float, float]:
 
 
 def mass_imbalance(cell: FlowCell) -> float:
+    """Return |outflow / inflow - 1| after a solve."""
     velocity = cell.system.state.components[0]
     rates = [ng.Integrate(velocity[0], cell.mesh, definedon=cell.mesh.Boundaries(n)) for n in ("inlet", "outlet")]
     return float(abs(rates[1] / rates[0] - 1))

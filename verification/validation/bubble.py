@@ -94,7 +94,7 @@ def halved(grey: Grey) -> Grey:
     return np.asarray(grey[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2).mean(axis=(1, 3)))
 
 
-def compressed(grey: Grey) -> Grey:
+def _compressed(grey: Grey) -> Grey:
     memory = BytesIO()
     Image.fromarray(_bytes(grey)).save(memory, "JPEG", quality=50)
     return np.asarray(Image.open(memory), float)
@@ -106,7 +106,7 @@ VARIANTS = (
     Variant("mirrored", lambda grey: grey[:, ::-1], lambda points, size: [size[0] - 1, 0] + points * [-1, 1]),
     Variant("half the resolution", halved, lambda points, size: 0.5 * (points - 0.5)),
     Variant("half the brightness", lambda grey: 0.5 * grey),
-    Variant("JPEG, quality 50", compressed),
+    Variant("JPEG, quality 50", _compressed),
 )
 
 
@@ -164,6 +164,7 @@ def pixel(grey: np.ndarray, sides: Float[np.ndarray, "side click 2"]) -> float:
 
 
 def answer(folder: Path, name: str) -> Found:
+    """Return the posterior of a study that is run now."""
     if str(EXAMPLE) not in sys.path:
         sys.path.insert(0, str(EXAMPLE))
     said = run_study(load_study(folder), executor=InProcess()).summary["misfit"]
@@ -185,6 +186,7 @@ def _found(name: str, posterior: Posterior, flagged: bool, verdict: str) -> Foun
 
 
 def missed(found: Found, original: Found) -> list[str]:
+    """Return the aims that a picture misses."""
     aims = {
         f"{TRUTH:g} mN/m in the 95 % interval": found.low <= TRUTH <= found.high,
         "a standard deviation of 0.4 to 1.5 mN/m": 0.4 <= found.sd <= 1.5,
@@ -196,6 +198,7 @@ def missed(found: Found, original: Found) -> list[str]:
 
 
 def grey_of(photograph: Path) -> Grey:
+    """Return the grey values of a photograph."""
     with Image.open(photograph) as picture:
         return np.asarray(picture.convert("L"), float)
 
@@ -205,7 +208,7 @@ HEADING = (
 )
 
 
-def main() -> None:
+def _main() -> None:
     options = arguments(__doc__, photograph=PHOTOGRAPH, only=(), folder=Path)
     if not options.photograph.exists():
         print(f"no photograph at {options.photograph}")
@@ -230,4 +233,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    _main()

@@ -214,7 +214,7 @@ def holds(posterior: Weighted, truth: Float[np.ndarray, " 2"]) -> Float[np.ndarr
     return np.asarray((below >= 0.05) & (below <= 0.95), float)
 
 
-def of_crossings(found: Sequence[Crossing]) -> tuple[Table, list[str]]:
+def _of_crossings(found: Sequence[Crossing]) -> tuple[Table, list[str]]:
     of_law = [[one for one in found if one.law == k] for k in range(2)]
     rows, missed = [], []
     for name, some in zip(("Saint-Venant–Kirchhoff", "neo-Hookean", "both"), (*of_law, found), strict=True):
@@ -234,7 +234,7 @@ def of_crossings(found: Sequence[Crossing]) -> tuple[Table, list[str]]:
     return table("compare-crossings", "Averaged intervals that contain the truth", heading, rows), missed
 
 
-def main() -> None:
+def _main() -> None:
     options = arguments(__doc__, nodes=12, crossings=40, folder=Path, publish=False)
     use_double()
     made = []
@@ -242,7 +242,7 @@ def main() -> None:
         if options.nodes:
             made.append(against_quadrature(options.nodes, folder))
         if options.crossings:
-            made.append(of_crossings(crossings(options.crossings, folder)))
+            made.append(_of_crossings(crossings(options.crossings, folder)))
     tables = [table for table, _ in made]
     show(tables, page=PAGE if options.publish else None)
     if options.publish:
@@ -251,4 +251,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    _main()

@@ -156,6 +156,7 @@ def _cell(law: str) -> CreepingCell:
 
 
 def tables() -> list[Table]:
+    """Return the tables of closed forms and of orders in time."""
     forms = [
         ("relaxation of a block stretched in steps and ramps, Saint-Venant–Kirchhoff", "7 steps", relaxation_error()),
         ("the same, incompressible within 1e-4", "7 steps", relaxation_error(0.4999)),

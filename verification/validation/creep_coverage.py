@@ -22,7 +22,7 @@ NAMES = ("E", "nu", "ratio", "tau")
 RATE = 100.0
 
 
-def write(folder: Path, **changes: Any) -> sl.Study:
+def _write(folder: Path, **changes: Any) -> sl.Study:
     content = yaml.safe_load((EXAMPLES / "creep" / "study.yaml").read_text("utf-8"))
     content |= {"name": folder.name, **changes}
     folder.mkdir(parents=True, exist_ok=True)
@@ -36,7 +36,7 @@ def analysed(folder: Path, truth: Mapping[str, float], seed: int, shared: Path, 
     if kept.is_file():
         return json.loads(kept.read_text("utf-8"))
     observation = {"synthetic": {**truth, "V_in": RATE}, "noise": {"sd": 0.003, "seed": seed}}
-    study = write(folder, observation=observation, reuse=[f"../{shared.name}"], design=design)
+    study = _write(folder, observation=observation, reuse=[f"../{shared.name}"], design=design)
     outcome = sl.run_study(study)
     posterior, certificate = outcome.calibration.posterior, outcome.summary.get("certificate") or {}
     draws, exact = _scaled(posterior.draws), _scaled(np.array([[truth[name] for name in NAMES]]))
@@ -77,13 +77,13 @@ def truths(study: sl.Study, number: int) -> list[dict[str, float]]:
     return found
 
 
-def main() -> None:
+def _main() -> None:
     options = arguments(__doc__, truths=20, shared=128, active=False, folder=OUTPUT / "creep", publish=False)
     shared, rows, sobol = options.folder / "shared", [], {"sobol": {"runs": options.shared, "scramble": 1}}
-    design, study = {"active": {"runs": 100}} if options.active else sobol, write(shared, design=sobol)
+    design, study = {"active": {"runs": 100}} if options.active else sobol, _write(shared, design=sobol)
     with sl.Ledger.open(study.ledger_path, model=study.runs.identity, description="shared") as ledger:
         sl.run_campaign(study.model, study.runs.design, ledger=ledger, executor=study.executor)
-    for number, truth in enumerate(truths(write(options.folder / "truths"), options.truths)):
+    for number, truth in enumerate(truths(_write(options.folder / "truths"), options.truths)):
         found = analysed(options.folder / f"set-{number}", truth, number, shared, design)
         print(found, flush=True)
         moments = zip(NAMES, found["mean"], found["sd"], strict=True)
@@ -97,4 +97,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    _main()

@@ -126,7 +126,7 @@ def megapixel(repeats: int = 3) -> Iterator[tuple]:
         yield method, len(edge.points), min(seconds), float(off.mean()), float(off.std()), edge.errors.sd
 
 
-def main() -> None:
+def _main() -> None:
     options = arguments(__doc__, pictures=40, only=())
     cases = [case for case in CASES if not options.only or any(word in case.name for word in options.only)]
     rows = (row(case, options.pictures) for case in cases)
@@ -137,4 +137,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    _main()

@@ -72,17 +72,17 @@ def tables_of(
     """
     pair = (*records.values(), fold)
     return [
-        failures_table(records),
+        _failures_table(records),
         evidence_table(records),
         band_table(*pair),
-        differing_table(*pair),
+        _differing_table(*pair),
         interfaces_table(*pair),
-        fold_table(ratios, critical),
+        _fold_table(ratios, critical),
         compression_table(records, compressions),
     ]
 
 
-def failures_table(records: Mapping[str, Records]) -> Table:
+def _failures_table(records: Mapping[str, Records]) -> Table:
     kinds = sorted({_kind(run) for runs in records.values() for run in runs if not run.ok})
     rows = []
     for mesh, runs in records.items():
@@ -132,7 +132,7 @@ def band_table(default: Records, fine: Records, fold: Fold) -> Table:
     return table("two_meshes", "Two meshes", heading, [row])
 
 
-def differing_table(default: Records, fine: Records, fold: Fold) -> Table:
+def _differing_table(default: Records, fine: Records, fold: Fold) -> Table:
     rows = []
     for a, b in differing(default, fine):
         young, poisson, critical = a.inputs["E"], a.inputs["nu"], float(fold(a.inputs["nu"]))
@@ -161,7 +161,7 @@ def interfaces_table(default: Records, fine: Records, fold: Fold) -> Table:
     return table("two_interfaces", "Interfaces of two meshes", heading, rows)
 
 
-def fold_table(ratios: Sequence[float], critical: Mapping[str, Float[np.ndarray, " ratio"]]) -> Table:
+def _fold_table(ratios: Sequence[float], critical: Mapping[str, Float[np.ndarray, " ratio"]]) -> Table:
     rows = [
         (ratio, *map(float, values), PROTOTYPE_FOLD.get(ratio))
         for ratio, *values in sorted(zip(ratios, *critical.values(), strict=True))

@@ -58,6 +58,7 @@ def _scale(name: str, value: float) -> float:
 
 
 def layer(length: float = 2.0, **options: Any) -> Biofilm:
+    """Return the model of a flat layer in a channel of this length, mm."""
     channel = {"length": length} | options.pop("channel", {})
     points = ((0.0, BOTTOM), (length / 2, BOTTOM), (length, BOTTOM))
     return _biofilm("coarse", outline={"points": points, "spline": False, "nodes": 21}, channel=channel, **options)
@@ -122,6 +123,7 @@ def _flow_cells(mesh: str) -> dict[str, tuple[Biofilm, dict[str, float]]]:
 
 
 def tables(mesh: str = "coarse") -> list[Table]:
+    """Return the tables of sensitivities and of developed flow."""
     rows = []
     for name, (model, inputs) in _flow_cells(mesh).items():
         rows += [(name, key, inputs[key], error) for key, error in sensitivity_errors(model, inputs).items()]

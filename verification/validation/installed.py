@@ -87,7 +87,7 @@ def _asked(path: Path) -> Interpreter | None:
     return Interpreter(tuple(map(int, version)), path) if good else None
 
 
-def require(condition: object, message: str) -> None:
+def _require(condition: object, message: str) -> None:
     if not condition:
         raise Failed(message)
 
@@ -98,12 +98,13 @@ def command(*words: str | Path, folder: Path, **variables: str) -> str:
     together = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
     done = subprocess.run(words, cwd=folder, env=kept | variables, check=False, **together)
     shown = " ".join(map(str, words))
-    require(done.returncode == 0, f"exit code {done.returncode} of {shown}\n{done.stdout[-4000:]}")
-    require("Traceback" not in done.stdout, f"traceback of {shown}\n{done.stdout[-4000:]}")
+    _require(done.returncode == 0, f"exit code {done.returncode} of {shown}\n{done.stdout[-4000:]}")
+    _require("Traceback" not in done.stdout, f"traceback of {shown}\n{done.stdout[-4000:]}")
     return done.stdout
 
 
 def tracked() -> set[str]:
+    """Return the files under version control."""
     listed = command("git", "ls-files", folder=ROOT).splitlines()
     return {name for name in listed if (ROOT / name).is_file()}
 
@@ -121,9 +122,9 @@ def compare_wheel(files: Mapping[str, bytes], known: set[str]) -> None:
     (folder,) = {name.partition("/")[0] for name in files if ".dist-info/" in name}
     information = {"METADATA", "WHEEL", "entry_points.txt", "licenses/LICENSE", "licenses/NOTICE.md"}
     wanted = package | {f"{folder}/{name}" for name in information}
-    require(set(files) == wanted, f"files that differ in the wheel: {sorted(set(files) ^ wanted)}")
+    _require(set(files) == wanted, f"files that differ in the wheel: {sorted(set(files) ^ wanted)}")
     _, _, description = files[f"{folder}/METADATA"].decode().partition("\n\n")
-    require(not LINK.findall(description), f"links of the long description: {LINK.findall(description)}")
+    _require(not LINK.findall(description), f"links of the long description: {LINK.findall(description)}")
 
 
 def compare_sdist(sdist: Path, known: set[str]) -> None:
@@ -131,7 +132,7 @@ def compare_sdist(sdist: Path, known: set[str]) -> None:
     with tarfile.open(sdist) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
     wanted = {name for name in known if not name.startswith(LEFT_OUT)} | {"PKG-INFO"}
-    require(names == wanted, f"files that differ in the source distribution: {sorted(names ^ wanted)}")
+    _require(names == wanted, f"files that differ in the source distribution: {sorted(names ^ wanted)}")
 
 
 def build(folder: Path) -> Path:
@@ -142,7 +143,7 @@ def build(folder: Path) -> Path:
     compare_wheel(wheel_files(wheel), tracked())
     command(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", "from-sdist", sdist, folder=folder)
     same = wheel_files(folder / "from-sdist" / wheel.name) == wheel_files(wheel)
-    require(same, "the wheel built from the source distribution differs from the one built from the checkout")
+    _require(same, "the wheel built from the source distribution differs from the one built from the checkout")
     return wheel
 
 
@@ -153,7 +154,7 @@ def environment(python: Interpreter, wheel: Path, folder: Path) -> Path:
     install(programs, str(wheel), folder)
     command(programs / "python", "-m", "pip", "check", folder=folder)
     where = command(programs / "python", "-c", "import strandline; print(strandline.__file__)", folder=folder)
-    require(Path(where.strip()).is_relative_to(folder), f"not the installed package: {where}")
+    _require(Path(where.strip()).is_relative_to(folder), f"not the installed package: {where}")
     return programs
 
 
@@ -171,17 +172,17 @@ def study(programs: Path, folder: Path) -> None:
     text = file.read_text("utf-8")
     for key, value in SMALL.items():
         text, number = re.subn(rf"^{key}: .*$", f"{key}: {value}", text, flags=re.MULTILINE)
-        require(number == 1, f"no {key} in the study that init writes")
+        _require(number == 1, f"no {key} in the study that init writes")
     file.write_text(text, "utf-8")
     for words in (("run", "--quiet", STUDY), ("report", "--quiet", STUDY)):
         printed = command(programs / "strandline", *words, folder=folder, **home)
-        require("report.html" in printed, f"no report named: {printed}")
+        _require("report.html" in printed, f"no report named: {printed}")
         missing = [name for name in RESULTS if not (folder / STUDY / name).is_file()]
-        require(not missing, f"missing after {words[0]}: {missing}")
+        _require(not missing, f"missing after {words[0]}: {missing}")
         shutil.rmtree(folder / STUDY / "figures")
     command(programs / "strandline", "init", "drop", "--example", "pendant-drop", folder=folder)
     printed = command(programs / "strandline", "check", "drop", folder=folder, **home)
-    require("study.yaml is sound" in printed, f"the check of the example: {printed}")
+    _require("study.yaml is sound" in printed, f"the check of the example: {printed}")
 
 
 def arviz(python: Interpreter, programs: Path, folder: Path) -> str:
@@ -192,13 +193,13 @@ def arviz(python: Interpreter, programs: Path, folder: Path) -> str:
     (documented,) = [text for text in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "import arviz" in text]
     program = f"{documented}print('version', az.__version__)\n"
     printed = command(programs / "python", "-W", "ignore", "-c", program, folder=folder)
-    require(re.search(r"^E +\d", printed, re.MULTILINE), f"no summary of E: {printed}")
+    _require(re.search(r"^E +\d", printed, re.MULTILINE), f"no summary of E: {printed}")
     version = printed.rpartition("version ")[2].strip()
-    require(version.startswith(f"{major}."), f"ArviZ {version} instead of {ARVIZ[major]}")
+    _require(version.startswith(f"{major}."), f"ArviZ {version} instead of {ARVIZ[major]}")
     return version
 
 
-def job(python: Interpreter, wheel: Path, folder: Path) -> str:
+def _job(python: Interpreter, wheel: Path, folder: Path) -> str:
     marks = [time.monotonic()]
     programs = environment(python, wheel, folder)
     marks.append(time.monotonic())
@@ -217,14 +218,14 @@ def has_wheels(python: Interpreter, wheel: Path, folder: Path) -> bool:
     try:
         command(*pip, "--only-binary", ":all:", wheel, folder=folder)
     except Failed as failure:
-        require("No matching distribution" in str(failure), str(failure))
+        _require("No matching distribution" in str(failure), str(failure))
         print(f"Python {python.name}: {str(failure).strip().splitlines()[-1]}")
         return False
     print(f"Python {python.name}: every dependency has a wheel")
     return True
 
 
-def main() -> None:
+def _main() -> None:
     own = Interpreter(sys.version_info[:3], Path(sys.executable))
     newer = [p for p in interpreters() if p.version[:2] > own.version[:2]]
     with tempfile.TemporaryDirectory(prefix="strandline-installed-") as name:
@@ -237,12 +238,12 @@ def main() -> None:
         for each in folders:
             each.mkdir()
         with ThreadPoolExecutor(len(chosen)) as pool:
-            for line in pool.map(job, chosen, [wheel] * len(chosen), folders):
+            for line in pool.map(_job, chosen, [wheel] * len(chosen), folders):
                 print(line, flush=True)
 
 
 if __name__ == "__main__":
     try:
-        main()
+        _main()
     except Failed as failure:
         sys.exit(f"validation.installed: {failure}")

@@ -80,19 +80,19 @@ def descendants(pid: int) -> list[tuple[int, str]]:
     return below
 
 
-def victims(driver: int, kind: str) -> list[int]:
+def _victims(driver: int, kind: str) -> list[int]:
     if kind == "driver":
         return [driver]
     mark = "beam.py" if kind == "simulator" else "strandline.runs.worker"
     return [pid for pid, line in descendants(driver) if mark in line and "supervisor" not in line]
 
 
-def start(folder: Path, environment: dict[str, str]) -> subprocess.Popen[bytes]:
+def _start(folder: Path, environment: dict[str, str]) -> subprocess.Popen[bytes]:
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     return subprocess.Popen([*COMMAND, str(folder)], env=os.environ | environment, **quiet)
 
 
-def wait_for_two_more(driver: subprocess.Popen[bytes], folder: Path) -> None:
+def _wait_for_two_more(driver: subprocess.Popen[bytes], folder: Path) -> None:
     known, deadline = len(finished(folder)), time.monotonic() + 60.0
     while driver.poll() is None and len(finished(folder)) < known + 2 and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -113,15 +113,15 @@ def disturb(
     folder: Path, environment: dict[str, str], kinds: list[str], rng: random.Random, longest_wait: float
 ) -> tuple[Counter[str], int]:
     """Run the study to its end and kill a process of each kind meanwhile; return kills and the number of lost runs."""
-    done, lost, process = Counter[str](), 0, start(folder, environment)
+    done, lost, process = Counter[str](), 0, _start(folder, environment)
     for kind in kinds:
-        wait_for_two_more(process, folder)
+        _wait_for_two_more(process, folder)
         time.sleep(rng.uniform(0.0, longest_wait))
-        before, chosen = finished(folder), victims(process.pid, kind)
+        before, chosen = finished(folder), _victims(process.pid, kind)
         if process.poll() is not None or not chosen:
             print(f"{kind}: none at work, {len(before)} runs finished", flush=True)
             if process.poll() is not None:
-                process = start(folder, environment)
+                process = _start(folder, environment)
             continue
         try:
             os.kill(rng.choice(chosen), signal.SIGKILL)
@@ -130,7 +130,7 @@ def disturb(
         done[kind] += 1
         if kind == "driver":
             process.wait()
-            process = start(folder, environment)
+            process = _start(folder, environment)
         now = finished(folder)
         missing = len(set(before) - set(now))
         lost += missing
@@ -154,7 +154,7 @@ def main(
         for folder in (undisturbed, disturbed):
             prepare(folder, runs, active=active)
         begun = time.monotonic()
-        if start(undisturbed, environment).wait() != 0:
+        if _start(undisturbed, environment).wait() != 0:
             raise SystemExit("the study fails undisturbed")
         print(f"undisturbed: {len(finished(undisturbed))} runs in {time.monotonic() - begun:.0f} s", flush=True)
         done, lost = disturb(disturbed, environment, kinds, rng, 1.5 if active else 0.3)

@@ -36,7 +36,7 @@ def curve_in_micrometres(inputs: Mapping[str, float], workdir: Path) -> sl.Inter
     return sl.Interface.polyline(1e3 * points)
 
 
-def judged(
+def _judged(
     model: Any, parameters: Sequence[sl.Parameter], seen: Sequence[sl.Observation], runs: int, executor: Any = None
 ) -> tuple[Misfit, sl.Posterior]:
     problem = sl.Problem(
@@ -58,7 +58,7 @@ def of_curve(
     seen = np.column_stack([X, truth + SD * random.standard_normal(len(X))]) + shift
     parameters = (sl.Parameter("p", sl.Uniform(0, 1), "1"), sl.Parameter("q", sl.Uniform(-0.6, 0.2), "1/mm"))
     observed = sl.Observation(sl.Interface.polyline(seen), sl.PointErrors(SD))
-    return judged(model, parameters, [observed], 16)
+    return _judged(model, parameters, [observed], 16)
 
 
 def of_biofilm(material: str) -> tuple[Misfit, sl.Posterior]:
@@ -68,7 +68,7 @@ def of_biofilm(material: str) -> tuple[Misfit, sl.Posterior]:
     seen = tuple(sl.Observation(FINE.draw(one, random), FINE, name) for name, one in true.interfaces.items())
     parameters = (sl.Parameter("E", sl.Uniform(250, 600), "Pa"), sl.Parameter("nu", sl.Uniform(-0.2, 0.48), "1"))
     model = sl.Biofilm(inflow_rates=RATES, material=material)
-    return judged(model, parameters, seen, 48, sl.LocalProcesses())
+    return _judged(model, parameters, seen, 48, sl.LocalProcesses())
 
 
 def row(case: str, found: tuple[Misfit, sl.Posterior], truth: Sequence[float] = ()) -> tuple:
@@ -92,7 +92,7 @@ def often(number: int, wrong: float = 0.03) -> None:
         )
 
 
-def main() -> None:
+def _main() -> None:
     options = arguments(__doc__, wrong=50, right=200, quick=False)
     rows = [row(f"{wrong:g} x sin 3πx added", of_curve(1, wrong), CURVE) for wrong in (0.0, 0.03, 0.08)]
     rows.append(row("observation shifted by 50 µm", of_curve(1, shift=(0.0, 0.05))))
@@ -107,4 +107,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    _main()

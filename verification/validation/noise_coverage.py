@@ -80,7 +80,7 @@ def surrogate(runs: int, folder: Path) -> FieldSurrogate:
     return fit_field(FieldTraining(x[good], [records[k].interfaces for k in good], None, LOW, HIGH), tolerance=1e-6)
 
 
-def observed(field: FieldSurrogate, truth: Pair, errors: PointErrors, seed: int) -> Interface:
+def _observed(field: FieldSurrogate, truth: Pair, errors: PointErrors, seed: int) -> Interface:
     predicted = field.interfaces(truth)[""]
     number = round(float(predicted.lengths.sum()) / SPACING) + 1
     return errors.draw(predicted.resampled(number), np.random.default_rng([7, seed]))
@@ -120,7 +120,7 @@ def posterior(likelihood: FieldLikelihood, truth: Pair, at: Pair, sd: Pair) -> t
 def measured(field: FieldSurrogate, errors: PointErrors, number: int, more: bool) -> Iterator[tuple[str, list[float]]]:
     """Yield the figures of each measure, a control with points taken as independent, and inferred noise."""
     truths = LOW + (HIGH - LOW) * np.random.default_rng(11).random((number, 2))
-    seen = [observed(field, truth, errors, k) for k, truth in enumerate(truths)]
+    seen = [_observed(field, truth, errors, k) for k, truth in enumerate(truths)]
     limits = [limit(field, one, errors) for one in seen]
     others = {name: getattr(errors, name) for name in ("shift", "rotation", "scale", "offset")}
     cases = [
@@ -144,7 +144,7 @@ def measured(field: FieldSurrogate, errors: PointErrors, number: int, more: bool
             yield said, figures(*(np.array(part) for part in zip(*found, strict=True)))
 
 
-def main() -> None:
+def _main() -> None:
     options = arguments(__doc__, words="NOISE", observations=200, others=False, runs=64, ledger=Path)
     use_double()
     with kept_or_scratch(options.ledger) as folder:
@@ -163,4 +163,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    _main()

@@ -145,7 +145,7 @@ HEADING = (
 )
 
 
-def main() -> None:
+def _main() -> None:
     options = arguments(__doc__, words=KINDS, pictures=200, runs=64, ledger=Path)
     use_double()
     with kept_or_scratch(options.ledger) as folder:
@@ -164,4 +164,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    _main()

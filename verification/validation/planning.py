@@ -86,7 +86,7 @@ def write_study(
     return sl.load_study(folder)
 
 
-def finished(study: sl.Study) -> sl.Posterior:
+def _finished(study: sl.Study) -> sl.Posterior:
     return sl.run_study(study).calibration.posterior
 
 
@@ -156,7 +156,7 @@ def table_of_gains(output: Path, draws: int, processes: int) -> tuple[Table, dic
     """
     seen = {100.0: observed(100.0, TRUTH, np.random.default_rng(1))}
     study = write_study(output / "gains", seen, {"V_in": list(RATES), "together": 2})
-    posterior = finished(study)
+    posterior = _finished(study)
     found = sl.next_experiment(study, draws=4000).content
     chosen = np.unique(posterior.equally_weighted(7), axis=0)
     chosen = np.random.default_rng(7).permutation(chosen)[:draws]
@@ -243,7 +243,7 @@ def _truth(random: np.random.Generator) -> tuple[dict[str, float], np.ndarray, i
 def _followed(folder: Path, truth: dict[str, float], first: np.ndarray, seed: int) -> dict[str, object]:
     """Return the widths of ν after the first experiment, and with either second one."""
     study = write_study(folder / "first", {100.0: first}, {"V_in": list(ADVISED_RATES)})
-    sd = float(finished(study).sd[1])
+    sd = float(_finished(study).sd[1])
     found = sl.next_experiment(study).content
     best = found["candidates"][0]
     rate = best["settings"][0]["V_in"]
@@ -269,7 +269,7 @@ def _second(folder: Path, truth: dict[str, float], first: np.ndarray, rate: floa
     except sl.ForwardModelError:
         return None
     study = write_study(folder, {100.0: first, rate: second})
-    return float(finished(study).sd[1])
+    return float(_finished(study).sd[1])
 
 
 def table_of_unknown(output: Path) -> tuple[Table, dict[str, object]]:

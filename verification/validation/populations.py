@@ -100,7 +100,7 @@ def populations(study: sl.Study, opened: Specimens, number: int, folder: Path) -
     return counts.tolist(), float(np.concatenate(inside).mean())
 
 
-def rows(options: Namespace, folder: Path) -> Iterator[tuple[str, str, str]]:
+def _rows(options: Namespace, folder: Path) -> Iterator[tuple[str, str, str]]:
     (folder / "study.yaml").write_text(STUDY, encoding="utf-8")
     study = sl.load_study(folder)
     if not (folder / "posterior.nc").is_file():
@@ -138,5 +138,5 @@ def rows(options: Namespace, folder: Path) -> Iterator[tuple[str, str, str]]:
 if __name__ == "__main__":
     chosen = arguments(__doc__, folder=Path("populations"), specimens=1000, checked=50, populations=40, publish=False)
     chosen.folder.mkdir(parents=True, exist_ok=True)
-    found = table("populations", "Many biofilms", "what | aim | found", rows(chosen, chosen.folder), live=True)
+    found = table("populations", "Many biofilms", "what | aim | found", _rows(chosen, chosen.folder), live=True)
     show([found], page=PAGE if chosen.publish else None)

@@ -161,7 +161,7 @@ def kept(name: str, make: Callable[[], Trace]) -> Trace:
     return json.loads(path.read_text("utf-8"))
 
 
-def traces(problem: Problem, *, peer: bool) -> Iterator[Trace]:
+def _traces(problem: Problem, *, peer: bool) -> Iterator[Trace]:
     seeds = range(1, problem.seeds + 1)
     for seed in seeds:
         yield kept(f"{problem.key}-ours-{seed}", partial(ours, problem, seed))
@@ -240,20 +240,20 @@ def tables(found: Mapping[str, Sequence[Trace]], problems: Sequence[Problem]) ->
     ]
 
 
-def missing_peer() -> str | None:
+def _missing_peer() -> str | None:
     if (PEER / "bin" / "python").exists() and not not_installed(PEER):
         return None
     return f"PyVBMC is not measured: {not_installed(PEER) or 'it is not installed; make pyvbmc-env does'}"
 
 
-def main() -> None:
-    options, missing = arguments(__doc__, publish=False), missing_peer()
+def _main() -> None:
+    options, missing = arguments(__doc__, publish=False), _missing_peer()
     use_double()
     KEPT.mkdir(parents=True, exist_ok=True)
     if missing:
         print(missing, file=sys.stderr)
     problems = (Biofilm(KEPT), Outline(KEPT))
-    found = {problem.key: [*traces(problem, peer=missing is None)] for problem in problems}
+    found = {problem.key: [*_traces(problem, peer=missing is None)] for problem in problems}
     made = tables(found, problems)
     traces_of_all = [trace for one in found.values() for trace in one]
     errors = sorted({trace["error"] for trace in traces_of_all if trace["error"]})
@@ -270,4 +270,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    _main()

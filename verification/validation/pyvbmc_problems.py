@@ -227,7 +227,7 @@ class Outline:
         truth = self.known
         weights = [np.exp(value - 0.25 * truth["log"]) for value in (truth["log"], known.expected(truth["x"]))]
         a, b = (marginals(truth["x"], w / w.sum(), truth["edges"]) for w in weights)
-        return mean_variation(a, b)
+        return _mean_variation(a, b)
 
     def asked(self) -> Mapping[str, object]:
         """Return what the peer must report on its posteriors: draws."""
@@ -236,14 +236,14 @@ class Outline:
     def theirs(self, answer: Float[np.ndarray, "draw 7"]) -> float:
         """Return the mean marginal variation between draws and the truth."""
         found = marginals(answer, np.full(len(answer), 1 / len(answer)), self.known["edges"])
-        return mean_variation(found, self.known["marginals"])
+        return _mean_variation(found, self.known["marginals"])
 
     def accuracy(self) -> dict[str, float]:
         halves = self.known["halves"]
         return {
             "draws of the prior": float(self.draws),
             "effective draws": float(self.known["effective"]),
-            "mean marginal variation between its halves": mean_variation(halves[0], halves[1]),
+            "mean marginal variation between its halves": _mean_variation(halves[0], halves[1]),
             "draws at which active designs are compared": float(len(self.known["x"])),
         }
 
@@ -253,5 +253,5 @@ def marginals(x: np.ndarray, weight: np.ndarray, edges: np.ndarray) -> Float[np.
     return np.stack([np.histogram(x[:, k], edges[k], weights=weight)[0] for k in range(x.shape[1])])
 
 
-def mean_variation(a: Float[np.ndarray, "dim bin"], b: Float[np.ndarray, "dim bin"]) -> float:
+def _mean_variation(a: Float[np.ndarray, "dim bin"], b: Float[np.ndarray, "dim bin"]) -> float:
     return float(0.5 * np.abs(a - b).sum(axis=1).mean())

@@ -85,6 +85,7 @@ def cost(cell: FlowCell, at: Inputs, *, repeats: int = 5) -> float:
 
 
 def tables(points: Sequence[Inputs] = POINTS, *, mesh: str = "default") -> list[Table]:
+    """Return the table of differences between exact sensitivities and extrapolated ones."""
     rows = []
     cells = {n: flow_cell(MESHES[mesh], partition=partition_of(n)) for n in {len(at.young) for at in points}}
     for at in points:
@@ -97,4 +98,5 @@ def tables(points: Sequence[Inputs] = POINTS, *, mesh: str = "default") -> list[
 
 
 def partition_of(parts: int) -> Partition:
+    """Return the partition of the specimen into this number of parts."""
     return Partition.PRESETS["three_parts"] if parts == 3 else Partition()

@@ -35,7 +35,7 @@ def solid(along: float, planes: int) -> tuple[Blob, Microscope]:
     return Blob(centre, axes, bumps=0.04), Microscope(voxel, shape, blur)
 
 
-def seconds_of(measure: ClosestPoint | Currents, seen: Interface) -> float:
+def _seconds_of(measure: ClosestPoint | Currents, seen: Interface) -> float:
     simulated = Interface(1.01 * seen.points, seen.cells)
     start = time.perf_counter()
     measure(simulated, seen)
@@ -74,8 +74,8 @@ def row(name: str, along: float, stacks: int, planes: int) -> tuple[tuple, bool]
         float(scatter.mean()),
         float(ratios.mean()),
         float(np.mean(lengths)),
-        seconds_of(ClosestPoint(direction="to_simulated"), seen),
-        seconds_of(Currents(width, quadrature="centre"), seen),
+        _seconds_of(ClosestPoint(direction="to_simulated"), seen),
+        _seconds_of(Currents(width, quadrature="centre"), seen),
     )
     low, high = OWN
     met = max(times) <= SECONDS and rms <= DISTANCE and low <= ratios.min() and ratios.max() <= high

@@ -73,6 +73,7 @@ def table(name: str, title: str, heading: str, rows: Iterable[Sequence[Any]], *,
 
 
 def from_json(data: Mapping[str, Any]) -> Table:
+    """Return the table that `Table.as_json` wrote."""
     rows = tuple(tuple(row) for row in data["rows"])
     return Table(data["name"], data["title"], tuple(data["columns"]), tuple(data["formats"]), rows)
 

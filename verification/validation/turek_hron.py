@@ -191,6 +191,7 @@ def family(benchmark: Benchmark, *, order: int, levels: int) -> list[Outcome]:
 
 
 def tables() -> list[Table]:
+    """Return a table for each steady benchmark."""
     rows = {name: [] for name in BENCHMARKS}
     for name, order, levels in RUNS:
         rows[name] += _rows(BENCHMARKS[name].reference, order, family(BENCHMARKS[name], order=order, levels=levels))

@@ -202,6 +202,7 @@ def oscillation(times: np.ndarray, values: np.ndarray, window: float, period: fl
 
 
 def rows(case: Case, stage: Stage, run: Run) -> list[tuple]:
+    """Return a row for each quantity of a stage."""
     found, times, series = [], np.array(run.times), np.array(run.rows)
     period = 1.0 / min(frequency for _, _, frequency in case.reference.values())
     window = min(3.2 * period, run.times[-1] - run.times[0])
@@ -212,7 +213,7 @@ def rows(case: Case, stage: Stage, run: Run) -> list[tuple]:
     return found
 
 
-def of_case(case: Case) -> Table:
+def _of_case(case: Case) -> Table:
     lines = [
         row
         for stages in case.runs
@@ -230,4 +231,4 @@ def of_case(case: Case) -> Table:
 
 if __name__ == "__main__":
     for name in arguments(__doc__, words=CASES).words or CASES:
-        show([of_case(CASES[name])])
+        show([_of_case(CASES[name])])

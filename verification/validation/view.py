@@ -101,7 +101,7 @@ def _until(page: Any, act: Callable[[], object], done: str) -> float:
     return time.perf_counter() - begun
 
 
-def row(runs: int, repeats: int, folder: Path, browser: Any) -> tuple[str, ...]:
+def _row(runs: int, repeats: int, folder: Path, browser: Any) -> tuple[str, ...]:
     times, study = [], large_study(folder, runs)
     new = np.max([_new_process(study, browser) for _ in range(3)], axis=0)
     with serving(study) as server:
@@ -117,16 +117,16 @@ def row(runs: int, repeats: int, folder: Path, browser: Any) -> tuple[str, ...]:
     return (str(runs), *(f"{seconds:.2f}" for seconds in new), *warm)
 
 
-def main() -> None:
+def _main() -> None:
     options = arguments(__doc__, repeats=7, publish=False)
     chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     with kept_or_scratch(None) as home, sync_playwright() as started:
         browser = started.chromium.launch(executable_path=chromium)
-        rows = [row(runs, options.repeats, home / str(runs), browser) for runs in SIZES]
+        rows = [_row(runs, options.repeats, home / str(runs), browser) for runs in SIZES]
         browser.close()
     found = table("view", "The page, seconds: median (worst)", HEADING, rows)
     show([found], page=PAGE if options.publish else None)
 
 
 if __name__ == "__main__":
-    main()
+    _main()

@@ -40,7 +40,7 @@ CHANGES: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Any]]] = {
 """What is asked, and the keys of study.yaml that change in the same way; inputs that are not named stay."""
 
 
-def changed(folder: Path, number: int, changes: Mapping[str, Any]) -> Path:
+def _changed(folder: Path, number: int, changes: Mapping[str, Any]) -> Path:
     content = yaml.safe_load((folder / "study.yaml").read_text("utf-8"))
     inputs = {**content["inputs"], **changes.get("inputs", {})}
     target = folder.with_name(f"{folder.name}-what-if-{number}")
@@ -50,7 +50,7 @@ def changed(folder: Path, number: int, changes: Mapping[str, Any]) -> Path:
     return target
 
 
-def row(name: str, answer: Answer, full: sl.Posterior, runs: int, names: tuple[str, ...]) -> tuple:
+def _row(name: str, answer: Answer, full: sl.Posterior, runs: int, names: tuple[str, ...]) -> tuple:
     draws = answer.draws
     cells = [name, "weights" if answer.by == "reweighting" else "new draws"]
     for i in range(len(names)):
@@ -66,25 +66,25 @@ def new_runs(study: sl.Study, calibration: sl.Calibration) -> int:
         return len(set(keys) - set(ledger.latest(keys)))
 
 
-def rows(folder: Path) -> Iterator[tuple]:
+def _rows(folder: Path) -> Iterator[tuple]:
     study = sl.load_study(folder)
     begun = time.perf_counter()
     asked = [{**question, "name": name} for name, (question, _) in CHANGES.items()]
     answers = {one.alternative.name: one for one in sl.what_if(study, asked).found}
     print(f"what-if: {time.perf_counter() - begun:.1f} s", flush=True)
     for number, (name, (_, changes)) in enumerate(CHANGES.items(), start=1):
-        target = changed(folder, number, changes)
+        target = _changed(folder, number, changes)
         calibration = sl.run_study(sl.load_study(target)).calibration
-        yield row(name, answers[name], calibration.posterior, new_runs(study, calibration), study.space.names)
+        yield _row(name, answers[name], calibration.posterior, new_runs(study, calibration), study.space.names)
         print(f"{name} done", flush=True)
 
 
-def compared(folder: Path) -> Table:
+def _compared(folder: Path) -> Table:
     by_input = [f"{name}, {way}" for name in sl.load_study(folder).space.names for way in ("what-if", "full")]
     heading = f"changed | by | {' | '.join(by_input)} | means apart, sd {{.2f}} | sd apart {{.0%}} | new runs {{d}}"
-    return table("what_if", "what-if beside full analyses", heading, rows(folder))
+    return table("what_if", "what-if beside full analyses", heading, _rows(folder))
 
 
 if __name__ == "__main__":
     given = arguments(__doc__, words="FOLDER", publish=False)
-    show([compared(Path(given.words[0]).resolve())], page=PAGE if given.publish else None)
+    show([_compared(Path(given.words[0]).resolve())], page=PAGE if given.publish else None)

@@ -71,6 +71,7 @@ def jax(content: Content) -> Task:
 
 
 def gpjax(content: Content) -> Task:
+    """Use GPJax's conjugate marginal likelihood."""
     import gpjax as gpx
     import jax
     import jax.numpy as jnp

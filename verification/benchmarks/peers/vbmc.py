@@ -31,7 +31,7 @@ class Target:
         self.lowest: float | None = None
 
     def __call__(self, x: Any) -> float:
-        say(self.replies, x=[float(value) for value in x])
+        _say(self.replies, x=[float(value) for value in x])
         answer = json.loads(sys.stdin.readline())
         self.evaluations += 1
         if answer["y"] is not None:
@@ -47,7 +47,7 @@ class Target:
         return FIRST_LOWEST if self.lowest is None else self.lowest
 
 
-def say(stream: Any, **content: object) -> None:
+def _say(stream: Any, **content: object) -> None:
     stream.write(json.dumps(content) + "\n")
     stream.flush()
 
@@ -66,7 +66,7 @@ def boosts(vbmc: Any, every: int, marks: dict[int, tuple[int, float]]) -> list[t
     return found
 
 
-def main() -> None:
+def _main() -> None:
     replies = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # keep what libraries print out of the replies
     import numpy as np
@@ -101,7 +101,7 @@ def main() -> None:
     else:
         found = [vp.sample(task["draws"])[0] for vp in posteriors]
     np.savez(task["out"], posteriors=np.array(found))
-    say(
+    _say(
         replies,
         done={
             "iterations": [marks[k] for k in sorted(marks)],
@@ -116,4 +116,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    _main()

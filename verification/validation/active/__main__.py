@@ -44,7 +44,7 @@ def needed(course: Mapping[str, Any]) -> int | None:
     return found
 
 
-def runs_table(courses: Rows) -> Table:
+def _runs_table(courses: Rows) -> Table:
     """Return the number of runs until the posterior is right, median and worst over the seeds."""
     rows = []
     keys = ("study", "quadrature", "criterion", "share", "sensitivities")
@@ -63,7 +63,7 @@ def runs_table(courses: Rows) -> Table:
     return table("active-runs", "Runs until the posterior is right", heading, rows)
 
 
-def stopping_table(stopped: Rows) -> Table:
+def _stopping_table(stopped: Rows) -> Table:
     rows = []
     for (study, rule, gradients), some in _grouped(stopped, ("study", "quadrature", "sensitivities")):
         ended = [one for one in some if one["converged"]]
@@ -88,7 +88,7 @@ def _grouped(rows: Rows, keys: Sequence[str]) -> Iterable[tuple[tuple[Any, ...],
     return sorted(groups.items(), key=lambda item: str(item[0]))
 
 
-def tasks(part: str, seed: int, criterion: str, rules: tuple[str, ...]) -> Iterator[Callable[[], dict[str, Any]]]:
+def _tasks(part: str, seed: int, criterion: str, rules: tuple[str, ...]) -> Iterator[Callable[[], dict[str, Any]]]:
     if part == "stopping":
         yield partial(stopped, "S3", "refined", sensitivities=False, seed=seed)
         yield partial(stopped, "S3", "centre", sensitivities=True, seed=seed)
@@ -106,11 +106,11 @@ def tasks(part: str, seed: int, criterion: str, rules: tuple[str, ...]) -> Itera
             yield from (partial(s6, rule, options, first=first, most=most) for rule in rules)
 
 
-def compute(part: str, seeds: int, criterion: str, rules: tuple[str, ...], workers: int) -> None:
+def _compute(part: str, seeds: int, criterion: str, rules: tuple[str, ...], workers: int) -> None:
     use_double()
     truth_of(case("S3", "refined"))  # makes the table of true interfaces once, before the workers start
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=use_double) as pool:
-        every = (task for seed in range(1, seeds + 1) for task in tasks(part, seed, criterion, rules))
+        every = (task for seed in range(1, seeds + 1) for task in _tasks(part, seed, criterion, rules))
         jobs = [pool.submit(task) for task in every]
         for done, job in enumerate(as_completed(jobs), 1):
             error = job.exception()
@@ -124,17 +124,17 @@ def compute(part: str, seeds: int, criterion: str, rules: tuple[str, ...], worke
             print(f"{done}/{len(jobs)}", {k: v for k, v in course.items() if k != "points"}, last, flush=True)
 
 
-def main() -> None:
+def _main() -> None:
     defaults = {"seeds": 5, "criterion": "expected_variance", "quadrature": "", "workers": 2, "publish": False}
     given = arguments(__doc__, words=PARTS, **defaults)
     rules = (given.quadrature,) if given.quadrature else ("refined", "centre")
     for part in given.words:
         if part != "table":
-            compute(part, given.seeds, given.criterion, rules, given.workers)
+            _compute(part, given.seeds, given.criterion, rules, given.workers)
             continue
         every = [json.loads(line) for line in FILE.read_text().splitlines()]
-        tables = [runs_table([one for one in every if "points" in one])]
-        tables.append(stopping_table([one for one in every if "points" not in one]))
+        tables = [_runs_table([one for one in every if "points" in one])]
+        tables.append(_stopping_table([one for one in every if "points" not in one]))
         show(tables, page=PAGE if given.publish else None)
         if given.publish:
             numbers = [table.as_json() for table in tables]
@@ -142,4 +142,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    _main()

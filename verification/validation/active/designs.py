@@ -66,6 +66,7 @@ class Case:
 
 
 def case(name: str, quadrature: str) -> Case:
+    """Return S3, S5 or S6 with this quadrature of the currents."""
     study = load_study(STUDIES / NAMES[name])
     model: Any = study.model
 
