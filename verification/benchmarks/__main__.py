@@ -11,6 +11,7 @@ import sys
 import time
 
 from verification.benchmarks import results
+from verification.benchmarks.aims import with_aims
 from verification.benchmarks.figures import Figure
 from verification.benchmarks.results import PARTS
 
@@ -28,15 +29,15 @@ def _main(arguments: list[str]) -> int:
     if not set(arguments) <= set(PARTS):
         sys.exit(f"usage: python -m {HERE} [{'|'.join(PARTS)}]")
     print(f"{os.cpu_count()} cores, OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'unset')}")
-    if not arguments or not results.from_this_machine():
-        print("all earlier results are dropped" if results.RESULTS.exists() else "")
+    if not arguments or not results.this_machine().items() <= results.machine_of_results().items():
+        print("all earlier results are dropped")
         for path in (results.RESULTS, results.MACHINE, results.SCALING):
             path.unlink(missing_ok=True)
     failed = [part for part in arguments or PARTS if not run(part)]
     print(f"\nwritten: {results.RESULTS}")
-    for record in (record for record in results.load() if record["met"] is False):
-        figure = record["ours"] if record["ratio"] is None else record["ratio"]
-        print(f"aim missed: {results.task(record)}: {figure:.3g}, aim {record['aim']:g}")
+    for figure, aim in with_aims(results.load()):
+        if aim.met(figure) is False:
+            print(f"aim missed: {figure.task}: {aim.value(figure):.3g}, aim {aim.bound:g}")
     return 1 if failed else 0
 
 
@@ -48,8 +49,8 @@ def measured(part: str) -> list[Figure]:
     found = []
     for figure in importlib.import_module(f"{HERE}.{part}").figures():
         found.append(figure)
-        cells = results.row(results.judged(figure, part))
-        print("  ".join(f"{cell:{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip(), flush=True)
+        cells = zip(results.row(figure), widths, strict=True)
+        print("  ".join(f"{cell:{width}}" for cell, width in cells).rstrip(), flush=True)
     return found
 
 
@@ -59,14 +60,13 @@ def run(part: str) -> bool:
     JAX fixes its devices when it starts, so the sampler's process starts as the command line does.
     """
     print(f"\n{part}", flush=True)
-    load, begun = results.load_average(), time.perf_counter()
+    (load, *_), begun = os.getloadavg(), time.perf_counter()
     devices = environment() if part == "sampler" else {}
     status = subprocess.run([sys.executable, "-m", HERE, ALONE, part], env={**devices, **os.environ}).returncode
     seconds = time.perf_counter() - begun
     if status:
-        why = f"the part ended with status {status}"
-        results.save(part, [Figure(part, unit="", remark=why)])
-        print(f"{part}: not measured, {why}")
+        results.save(part, [Figure(part, unit="", remark=f"the part ended with status {status}")])
+        print(f"{part}: not measured")
     results.note_run(part, seconds=seconds, load_average=load)
     return status == 0
 

@@ -6,8 +6,10 @@ aims for a value apply to the others, in the unit of the aim. If several aims ap
 """
 
 import re
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from verification.benchmarks.figures import Figure
 
 RATIO, PER_CORE, MOST, LEAST = "ratio ≥", "ratio per core ≥", "value ≤", "value ≥"
 FIGURES = {RATIO: "ratio", PER_CORE: "ratio_per_core", MOST: "ours", LEAST: "ours"}
@@ -23,22 +25,22 @@ class Aim(NamedTuple):
     bound: float
     peer_or_unit: str
 
-    def applies(self, record: Mapping[str, Any]) -> bool:
+    def applies(self, figure: Figure) -> bool:
         """Return whether the aim applies to this figure."""
-        text = f"{record['what']}, {record.get('case', '')}"
-        if record["part"] != self.part or not re.search(self.task, text, re.IGNORECASE):
+        if figure.part != self.part or not re.search(self.task, figure.task, re.IGNORECASE):
             return False
-        peer = record.get("peer_name")
         if self.kind in (RATIO, PER_CORE):
-            return bool(peer) and re.search(self.peer_or_unit, str(peer), re.IGNORECASE) is not None
-        return not peer and record.get("unit") == self.peer_or_unit
+            return bool(figure.peer_name) and bool(re.search(self.peer_or_unit, figure.peer_name, re.IGNORECASE))
+        return not figure.peer_name and figure.unit == self.peer_or_unit
 
-    def met(self, record: Mapping[str, Any]) -> bool | None:
+    def value(self, figure: Figure) -> float | None:
+        """Return what the aim is for; None if it was not measured."""
+        return getattr(figure, FIGURES[self.kind])
+
+    def met(self, figure: Figure) -> bool | None:
         """Return whether the figure meets the aim; None if it was not measured."""
-        figure = record.get(FIGURES[self.kind])
-        if figure is None:
-            return None
-        return bool(figure <= self.bound if self.kind == MOST else figure >= self.bound)
+        value = self.value(figure)
+        return None if value is None else value <= self.bound if self.kind == MOST else value >= self.bound
 
 
 PRODUCT = r"evidence and gradient, matern32_product, n = 2000\b"
@@ -69,6 +71,8 @@ AIMS = (
 )
 
 
-def aim_of(record: Mapping[str, Any]) -> Aim | None:
-    """Return the first aim that applies to this figure."""
-    return next((aim for aim in AIMS if aim.applies(record)), None)
+def with_aims(figures: Sequence[Figure]) -> list[tuple[Figure, Aim]]:
+    """Return the figures that have an aim, each with the first that applies, and an empty one for each other aim."""
+    found = [(one, aim) for one in figures if (aim := next((aim for aim in AIMS if aim.applies(one)), None))]
+    left = [aim for aim in AIMS if all(aim is not one for _, one in found)]
+    return found + [(Figure(aim.name, remark="there is no such figure", part=aim.part), aim) for aim in left]

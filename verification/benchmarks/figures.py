@@ -20,7 +20,7 @@ class NotMeasured(Exception):
 
 @dataclass(frozen=True)
 class Figure:
-    """A line of results.json.
+    """A line of results.json, which leaves out what is as here by default.
 
     Args:
         what: The task.
@@ -32,6 +32,7 @@ class Figure:
         peer: Its median seconds.
         repeats: How often both were timed.
         cpu: Seconds of all cores together, ours and the peer's, where they are known.
+        part: Part of the benchmark.
     """
 
     what: str
@@ -43,11 +44,22 @@ class Figure:
     peer: float | None = None
     repeats: int = 0
     cpu: Pair | None = None
+    part: str = ""
+
+    @property
+    def task(self) -> str:
+        """The task with its case."""
+        return ", ".join(filter(None, (self.what, self.case)))
 
     @property
     def ratio(self) -> float | None:
         """The peer's seconds divided by ours: above 1 if strandline is faster."""
         return None if self.ours is None or self.peer is None else self.peer / self.ours
+
+    @property
+    def ratio_per_core(self) -> float | None:
+        """The same of the seconds of all cores."""
+        return None if self.cpu is None else self.cpu[1] / self.cpu[0]
 
 
 def compared(

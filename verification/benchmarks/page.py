@@ -3,7 +3,8 @@
 The figure shows core-seconds in its upper panels and shares of a core's peak in its lower ones.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
-from verification.benchmarks.aims import FIGURES, PER_CORE, RATIO
-from verification.benchmarks.results import MACHINE, PARTS, SCALING, amount, load, ratio, row, task
+from verification.benchmarks.aims import PER_CORE, RATIO, Aim, with_aims
+from verification.benchmarks.figures import Figure as Measured
+from verification.benchmarks.results import PARTS, SCALING, amount, load, machine_of_results, ratio, row
 from verification.validation.tables import Table, put_into_page
 
 from strandline.report.plots.style import BLUE, GREY, RED, styled
@@ -25,46 +27,35 @@ POWERS = {"runs": 3, "particles": 1, "triangles": 2}
 LOOKS = ((BLUE, "o-"), (RED, "s--"))
 
 
-def tables(records: Sequence[Mapping[str, Any]], machine: Mapping[str, Any]) -> Iterator[Table]:
+def tables(figures: Sequence[Measured], machine: Mapping[str, Any]) -> Iterator[Table]:
     """Yield the tables of the page: aims, the figures of each part, the machine."""
-    with_aim = [record for record in records if record["aim"] is not None]
-    yield _table("aims", ("task", "against", "figure", "aim", "met"), _rows(with_aim, aim_row))
+    yield _table("aims", ("task", "against", "figure", "aim", "met"), [_aim_row(*pair) for pair in with_aims(figures)])
     columns = ("task", "against", "strandline", "other", "ratio", "per core", "remark")
     for part in PARTS:
-        yield _table(part, columns, _rows([record for record in records if record["part"] == part], row))
-    facts = tuple((name, _text(value)) for name, value in machine.items() if name != "runs")
-    yield _table("machine", ("what", "value"), facts)
-    runs = tuple(
-        (part, run["date"], f"{run['seconds']:.0f}", _text(run["load_average_before"]))
+        yield _table(part, columns, [row(one) for one in figures if one.part == part])
+    facts = {name: value for name, value in machine.items() if name != "runs"}
+    facts["versions"] = ", ".join(f"{name} {version}" for name, version in facts["versions"].items())
+    yield _table("machine", ("what", "value"), [(name, str(value)) for name, value in facts.items()])
+    runs = [
+        (part, run["date"], f"{run['seconds']:.0f}", str(run["load_average_before"]))
         for part, run in machine["runs"].items()
-    )
+    ]
     yield _table("runs", ("part", "begun before, UTC", "s", "load average before"), runs)
 
 
-def _table(name: str, columns: tuple[str, ...], cells: tuple[tuple[str, ...], ...]) -> Table:
+def _table(name: str, columns: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Table:
+    cells = tuple(tuple(cell.replace("|", "\\|") for cell in line) for line in rows)
     return Table(f"bench_{name}", name, columns, len(columns) * ("s",), cells)
 
 
-def _rows(records: Sequence[Mapping[str, Any]], line: Callable[..., tuple[str, ...]]) -> tuple[tuple[str, ...], ...]:
-    return tuple(tuple(cell.replace("|", "\\|") for cell in line(record)) for record in records)
-
-
-def aim_row(record: Mapping[str, Any]) -> tuple[str, ...]:
+def _aim_row(figure: Measured, aim: Aim) -> tuple[str, ...]:
     """Return task, peer, the figure that the aim applies to, the aim, and whether it is met."""
-    kind, unit = record["aim_kind"], record.get("unit", "")
-    figure = record.get(FIGURES[kind])
-    if kind in (RATIO, PER_CORE):
-        value, bound = ratio(figure), f"{record['aim']:.3g}"
+    if aim.kind in (RATIO, PER_CORE):
+        value, bound = ratio(aim.value(figure)), f"{aim.bound:.3g}"
     else:
-        value, bound = amount(figure, unit), amount(record["aim"], unit)
-    met = {True: "yes", False: "**no**", None: "not measured"}[record["met"]]
-    return task(record), record.get("peer_name", ""), value, f"{kind} {bound}", met
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return ", ".join(f"{name} {inner}" for name, inner in value.items())
-    return "unknown" if value is None else str(value)
+        value, bound = amount(aim.value(figure), aim.peer_or_unit), amount(aim.bound, aim.peer_or_unit)
+    met = {True: "yes", False: "**no**", None: "not measured"}[aim.met(figure)]
+    return figure.task, figure.peer_name, value, f"{aim.kind} {bound}", met
 
 
 def draw(content: Mapping[str, Any], path: Path) -> None:
@@ -120,6 +111,6 @@ def _coordinates(series: Mapping[str, Any], key: str) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(put_into_page(PAGE.read_text("utf-8"), list(tables(load(), load(MACHINE)))), encoding="utf-8")
+    PAGE.write_text(put_into_page(PAGE.read_text("utf-8"), list(tables(load(), machine_of_results()))), "utf-8")
     if SCALING.exists():
-        draw(load(SCALING), FIGURE)
+        draw(json.loads(SCALING.read_text("utf-8")), FIGURE)

@@ -91,7 +91,7 @@ def in_processes(peer_name: str, program: str, python: Path, *, cores: int, runs
     try:
         return versus(task, peer_name, programs, content, cores=cores, python=python, repeats=REPEATS)
     except NotMeasured as why:
-        return Figure(task, cores_case(cores), peer_name=peer_name, remark=f"not measured: {why}")
+        return Figure(task, cores_case(cores), peer_name=peer_name, remark=str(why))
 
 
 class Column(Matern):

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from verification.benchmarks import page, results, sampler, surrogate, workers
-from verification.benchmarks.aims import AIMS, aim_of
+from verification.benchmarks.aims import AIMS, with_aims
 from verification.benchmarks.figures import Figure, NotMeasured
 
 from strandline.posterior.quadrature import integrate
@@ -22,40 +22,38 @@ JUDGED = [
 ]
 
 
+def judged(figure):
+    """Return the bound of a figure's aim, and whether it is met."""
+    return next(((aim.bound, aim.met(one)) for one, aim in with_aims([figure]) if one is figure), (None, None))
+
+
 def test_a_figure_has_its_aim_and_is_judged_by_it():
     for part, what, peer, ratio, bound, met in JUDGED:
         ours, theirs = (2.0, 2.0 * ratio) if ratio else (None, None)
-        record = results.judged(Figure(what, ours=ours, peer_name=peer, peer=theirs, repeats=3), part)
-        assert (record["aim"], record["met"], record["ratio"]) == (bound, met, ratio), (part, what, peer)
-    memory = Figure("currents: d², 100352² triangles", "width 0.3", 1200.0, "MiB")
-    assert results.judged(memory, "norms")["met"] is False
+        figure = Figure(what, ours=ours, peer_name=peer, peer=theirs, repeats=3, part=part)
+        assert (*judged(figure), figure.ratio) == (bound, met, ratio), (part, what, peer)
+    memory = Figure("currents: d², 100352² triangles", "width 0.3", 1200.0, "MiB", part="norms")
+    assert judged(memory) == (1000, False)
 
 
 def test_a_part_replaces_its_own_figures_and_aims_without_one_are_listed(tmp_path):
     path = tmp_path / "results.json"
     results.save("startup", [Figure("strandline --help", ours=9.0), Figure("strandline runs", ours=1.0)], path)
     results.save("norms", [Figure("currents", remark="no memory")], path)
-    results.save("startup", [Figure("strandline --help", ours=0.1, remark="quick")], path)
-    missing = [one["what"] for one in results.load(path) if one["remark"] == results.MISSING]
-    assert sorted(missing) == sorted(aim.name for aim in AIMS if aim.name != "strandline --help")
-    norms, startup = (one for one in results.load(path) if one["remark"] != results.MISSING)
-    assert (norms["what"], norms["ours"], norms["remark"]) == ("currents", None, "not measured: no memory")
-    assert (startup["what"], startup["ours"], startup["met"]) == ("strandline --help", 0.1, True)
+    results.save("startup", [Figure("strandline --help", ours=0.0, remark="quick")], path)
+    norms, startup = found = results.load(path)
+    assert (norms.what, norms.ours, results.row(norms)[-1]) == ("currents", None, "not measured: no memory")
+    assert (startup.what, startup.ours, judged(startup)[1]) == ("strandline --help", 0.0, True)
+    missing = [(one.what, aim.met(one)) for one, aim in with_aims(found) if one not in found]
+    assert missing == [(aim.name, None) for aim in AIMS if aim.name != "strandline --help"]
 
 
-def test_results_are_a_list_of_figures_every_aim_has_one_and_the_page_has_their_tables():
+def test_every_aim_has_a_figure_and_the_page_has_the_tables_of_all():
     found = results.load()
-    for one in found:
-        assert one["part"] in results.PARTS
-        assert one["ours"] is not None or one["remark"].startswith("not measured: ")
-        if one["ratio"] is not None:
-            np.testing.assert_allclose(one["ratio"], one["peer"] / one["ours"], rtol=1e-6)
-    for aim in AIMS:
-        own = [one for one in found if aim_of(one) is aim or (one["what"] == aim.name and one["ours"] is None)]
-        assert own, aim.name
-        assert all(one["aim"] == aim.bound and one["met"] is aim.met(one) for one in own)
+    assert {one.part for one in found} == set(results.PARTS)
+    assert all(one in found for one, _ in with_aims(found))
     written = page.PAGE.read_text("utf-8")
-    tables = list(page.tables(found, results.load(results.MACHINE)))
+    tables = list(page.tables(found, results.machine_of_results()))
     for table in tables:
         assert f"<!-- table: {table.name} -->\n{table.markdown()}\n<!-- end -->" in written
     assert written.count("<!-- table: bench_") == len(tables)
