@@ -12,17 +12,16 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import NullLocator
 from verification.reproduction.designs import NestedStep
 from verification.reproduction.evidence import Evidence
 
 from strandline.models.biofilm.geometry import MESHES, mesh_flow_cell
-from strandline.models.biofilm.model import Biofilm
 from strandline.report.figure_files import PAGE_PIXELS_PER_INCH
 from strandline.report.plots import style
+from strandline.report.plots.field import FieldGrid, plot_field
 from strandline.report.plots.style import CYCLE, DASHES, DOTS_PER_INCH, axes_or_new, styled
 
-WINDOW_SDS, POINTS, COLUMNS = 5.0, (121, 101), 3
+WINDOW_SDS, POINTS = 5.0, (121, 101)
 LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
 COLOURS = ("#dbe9f4", "#7fb3d5", "#f0b27a", "#82c39b", "#c39bd3", "#f7dc6f")
 
@@ -76,20 +75,22 @@ def draw(evidence: Evidence) -> Iterator[Picture]:
             f"S2: likelihood of nested designs, {rule} quadrature, with the contours of the true model's (dashed); "
             "TV is the total variation between the two posteriors."
         )
-        yield Picture("8" if rule == "centre" else f"8, {rule}", caption, png(plot_nested_likelihoods(evidence, rule)))
+        yield Picture("8" if rule == "centre" else f"8, {rule}", caption, _png(plot_nested_likelihoods(evidence, rule)))
     caption = "S2: total variation to the true posterior and leave-one-out error, which a user sees, against the runs."
-    yield Picture("8, errors", caption, png(plot_convergence(evidence.nested).figure))
-    yield Picture("11", "S6: the three parts of the specimen.", png(plot_parts(evidence).figure))
+    yield Picture("8, errors", caption, _png(plot_convergence(evidence.nested).figure))
+    with styled():
+        ax = axes_or_new(None, (style.DOUBLE, 3.8))
+        plot_parts(evidence.studies["biofilm-parts"].model, ax)
+    yield Picture("11", "S6: the three parts of the specimen.", _png(ax.figure))
     for key, words in (("log_likelihood", "log-likelihood"), ("likelihood", "likelihood")):
         errors = {rule: getattr(found, key) for rule, found in evidence.convergence.items()}
         sizes = evidence.convergence["centre"].sizes
         axes = plot_surrogate_errors(sizes, errors, quantity=f"relative L² error of the {words}")
         caption = f"S6: error of the surrogate of the {words} at later points of the Sobol sequence."
-        yield Picture("12" if key == "log_likelihood" else "12, likelihood", caption, png(axes.figure))
+        yield Picture("12" if key == "log_likelihood" else "12, likelihood", caption, _png(axes.figure))
 
 
-def png(figure: Any) -> bytes:
-    """Return the figure as a file of the page's resolution."""
+def _png(figure: Any) -> bytes:
     buffer = io.BytesIO()
     with styled():
         figure.savefig(buffer, format="png", dpi=DOTS_PER_INCH)
@@ -102,51 +103,38 @@ def plot_nested_likelihoods(evidence: Evidence, rule: str) -> Figure:
     study, calibration = evidence.studies["biofilm-uniform"], evidence.outcomes["biofilm-uniform"].calibration
     space = study.space
     training = np.array([[record.inputs[name] for name in space.names] for record in calibration.records if record.ok])
+    at = None if study.truth is None else np.array([study.truth[name] for name in space.names])
     low = np.maximum(truth.mean - WINDOW_SDS * truth.sd, space.low)
     high = np.minimum(truth.mean + WINDOW_SDS * truth.sd, space.high)
     e, nu = (np.linspace(a, b, n) for a, b, n in zip(low, high, POINTS, strict=True))
     points = np.stack(np.meshgrid(e, nu, indexing="ij"), axis=-1).reshape(-1, 2)
-    colours = {"cmap": "viridis", "vmin": 0, "vmax": 1, "shading": "gouraud", "rasterized": True}
-    contours = {"levels": LEVELS, "colors": "white", "linewidths": 0.6, "linestyles": "dashed"}
-    rows = -(-len(steps) // COLUMNS)
+    contours = {"levels": LEVELS, "colors": "black", "linewidths": 0.6, "linestyles": "dashed"}
     with styled():
-        figure = style.figure_or_new(None, (style.DOUBLE, 0.6 + 1.8 * rows))
-        panels = figure.subplots(rows, COLUMNS, sharex=True, sharey=True, squeeze=False).ravel()
-        for ax, step in zip(panels, steps, strict=False):
+        figure, panels = style.panel_grid(None, len(steps), 1.8, margin=0.6, sharex=True, sharey=True)
+        for ax, step in zip(panels, steps, strict=True):
             values = step.surrogate.process.mean(points).reshape(POINTS)
-            drawn = ax.pcolormesh(e, nu, np.exp(values - values.max()).T, **colours)
+            grid = FieldGrid(*space.parameters, e, nu, values, truth=at)
+            plot_field(grid, kind="likelihood", colour_bar=False, legend=False, ax=ax)
             ax.contour(truth.grid.young, truth.grid.nu, (truth.density / truth.density.max()).T, **contours)
             used = training[: step.succeeded]
             ax.plot(*used.T, "o", color="white", markersize=2.6, markeredgecolor=style.BLACK, markeredgewidth=0.3)
-            if study.truth is not None:
-                at = np.array([study.truth[name] for name in space.names])
-                style.mark(ax, at, style.RED, "ground truth", marker="o", size=6.0)
+            ax.set(xlim=(e[0], e[-1]), ylim=(nu[0], nu[-1]))
             ax.set_title(f"{step.runs} runs, TV {step.total_variation:.2g}")
-            ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-        for ax in panels[len(steps) :]:
-            ax.remove()
-        for ax in panels[: len(steps)]:
-            ax.set(xlabel=space.parameters[0].figure_label(), ylabel=space.parameters[1].figure_label())
             ax.label_outer()
-        figure.colorbar(drawn, ax=list(panels[: len(steps)]), label="likelihood / maximum", pad=0.01)
+        figure.colorbar(panels[0].collections[0], ax=panels, label="likelihood / maximum", pad=0.01)
     return figure
 
 
 def plot_convergence(steps: Mapping[str, Sequence[NestedStep]]) -> Axes:
     """Draw total variation to the truth (lines) and leave-one-out error near the mode (dashed) against the runs."""
-    proxy = {"marker": "s", "linestyle": DASHES[1], "fillstyle": "none"}
+    sizes = [step.runs for step in next(iter(steps.values()))]
+    variations = {rule: [step.total_variation for step in sequence] for rule, sequence in steps.items()}
+    ax = plot_surrogate_errors(sizes, variations, quantity="error")
     with styled():
-        ax = axes_or_new(None, (style.SINGLE, 3.0))
-        for colour, (name, sequence) in zip(CYCLE, steps.items(), strict=False):
-            runs = [step.runs for step in sequence]
-            ax.plot(runs, [s.total_variation for s in sequence], "o-", color=colour, label=name)
-            ax.plot(runs, [s.surrogate.validation.loo_rms_near_mode for s in sequence], color=colour, **proxy)
-        ax.plot([], [], "o-", color=style.GREY, label="total variation")
-        ax.plot([], [], color=style.GREY, label="leave-one-out near the mode", **proxy)
-        ax.set(xscale="log", yscale="log", xlabel="forward runs of the design", ylabel="error")
-        ticks = sorted({step.runs for sequence in steps.values() for step in sequence})
-        ax.set_xticks(ticks, labels=[str(n) for n in ticks], minor=False)
-        ax.minorticks_off()
+        for colour, (rule, sequence) in zip(CYCLE, steps.items(), strict=False):
+            errors = [step.surrogate.validation.loo_rms_near_mode for step in sequence]
+            label = f"{rule}, leave-one-out near the mode"
+            ax.plot(sizes, errors, "s", linestyle=DASHES[1], fillstyle="none", color=colour, label=label)
         style.below(ax, columns=2)
     return ax
 
@@ -155,29 +143,24 @@ def plot_surrogate_errors(sizes: Sequence[int], errors: Mapping[str, Sequence[fl
     """Draw the errors of each case against the number of training runs, both on logarithmic scales."""
     with styled():
         ax = axes_or_new(None, (style.SINGLE, 2.8))
-        for (case, values), colour, dashes in zip(errors.items(), CYCLE, DASHES, strict=False):
-            ax.loglog(sizes, values, linestyle=dashes, marker="o", markersize=4, color=colour, label=case)
+        for (case, values), colour in zip(errors.items(), CYCLE, strict=False):
+            ax.loglog(sizes, values, "o-", markersize=4, color=colour, label=case)
         ax.set(xlabel="training runs", ylabel=quantity)
         ax.set_xticks(list(sizes), [f"{n:d}" for n in sizes])
-        ax.xaxis.set_minor_locator(NullLocator())
+        ax.minorticks_off()
         ax.legend()
     return ax
 
 
-def plot_parts(evidence: Evidence) -> Axes:
+def plot_parts(model: Any, ax: Axes) -> None:
     """Draw the triangles of the fluid and of each part of the specimen in its own colour."""
-    model: Any = evidence.studies["biofilm-parts"].model
-    assert isinstance(model, Biofilm)
     mesh: Any = mesh_flow_cell(model.outline.interface(), MESHES[model.mesh], model.channel, model.partition)
     x, y = np.array([vertex.point for vertex in mesh.vertices], float).T
     names = {"fluid": "fluid"} | {f"solid{k}": f"part {k}" for k in range(1, 1 + len(model.partition.markers))}
-    with styled():
-        ax = axes_or_new(None, (style.DOUBLE, 3.8))
-        for name, colour in zip(names, COLOURS, strict=False):
-            cells = np.array([[v.nr for v in e.vertices] for e in mesh.Elements(ng.VOL) if e.mat == name])
-            look = {"cmap": ListedColormap([colour]), "edgecolors": "0.4", "lw": 0.3, "rasterized": True}
-            ax.tripcolor(x, y, cells, facecolors=np.zeros(len(cells)), **look)
-        handles = [Patch(facecolor=colour, edgecolor="0.4") for colour in COLOURS[: len(names)]]
-        ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
-        ax.legend(handles, list(names.values()), loc="upper right", ncols=len(names))
-    return ax
+    for name, colour in zip(names, COLOURS, strict=False):
+        cells = np.array([[v.nr for v in e.vertices] for e in mesh.Elements(ng.VOL) if e.mat == name])
+        look = {"cmap": ListedColormap([colour]), "edgecolors": "0.4", "lw": 0.3, "rasterized": True}
+        ax.tripcolor(x, y, cells, facecolors=np.zeros(len(cells)), **look)
+    handles = [Patch(facecolor=colour, edgecolor="0.4") for colour in COLOURS[: len(names)]]
+    ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
+    ax.legend(handles, list(names.values()), loc="upper right", ncols=len(names))

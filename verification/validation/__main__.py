@@ -8,20 +8,17 @@ Run it with:  python -m verification.validation [--publish]
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import matplotlib.pyplot as plt
-import ngsolve as ng
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap
+from verification.reproduction.figures import plot_parts
 from verification.validation import analytic, biofilm_mesh, generality, sensitivities, turek_hron
 from verification.validation.tables import DOCS, OUTPUT, Table, arguments, as_text, show
 
-from strandline.models.biofilm.geometry import MESHES, Partition, mesh_flow_cell
-from strandline.models.biofilm.outline import Channel, Outline
+from strandline.models.biofilm.geometry import Partition
+from strandline.models.biofilm.model import Biofilm
 
-COLOURS = ("#dbe9f4", "#7fb3d5", "#f0b27a", "#82c39b")
 PAGE = DOCS / "results" / "forward-model.md"
 PARTS = (
     turek_hron.tables,
@@ -42,7 +39,7 @@ def draw(tables: Sequence[Table], folder: Path) -> None:
     figure.savefig(folder / "forward-convergence.png", dpi=130)
     plt.close(figure)
     figure, axes = plt.subplots(figsize=(8, 4.2), layout="constrained")
-    _mesh_of_three_parts(axes)
+    plot_parts(Biofilm(partition=Partition.PRESETS["three_parts"]), axes)
     figure.savefig(folder / "forward-mesh.png", dpi=130)
     plt.close(figure)
 
@@ -67,18 +64,6 @@ def _convergence_of_solid(ax: Axes, table: Table) -> None:
     ax.loglog(h, 3e-6 * (h / 0.05) ** 3, "k:", label="order 3")
     ax.set(xlabel="element size", ylabel="L² error of the displacement", title="Manufactured solution")
     ax.legend(fontsize="x-small")
-
-
-def _mesh_of_three_parts(ax: Axes) -> None:
-    mesh: Any = mesh_flow_cell(Outline().interface(), MESHES["default"], Channel(), Partition.PRESETS["three_parts"])
-    points = np.array([v.point for v in mesh.vertices])
-    names = ("fluid", *(f"solid{k}" for k in (1, 2, 3)))
-    for name, colour in zip(names, COLOURS, strict=True):
-        cells = [[v.nr for v in e.vertices] for e in mesh.Elements(ng.VOL) if e.mat == name]
-        ax.tripcolor(
-            *points.T, cells, facecolors=np.zeros(len(cells)), cmap=ListedColormap([colour]), edgecolors="0.4", lw=0.3
-        )
-    ax.set(aspect="equal", xlabel="x, mm", ylabel="y, mm")
 
 
 if __name__ == "__main__":
