@@ -8,6 +8,7 @@ and Fig. 12) there is no true posterior, only errors at test points.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -44,14 +45,10 @@ SD_WITHIN = 0.1
 
 @dataclass(frozen=True, eq=False)
 class NestedStep:
-    """The result of the first runs of a design.
+    """The surrogate from the first runs of a design, of which `succeeded` did not fail.
 
-    Args:
-        runs: Size of the design, including failed runs.
-        succeeded: Number of runs that the surrogate was fitted to.
-        surrogate: Surrogate of the log-likelihood; its leave-one-out error is what a user sees of its error.
-        total_variation: ½ ∫ |p - q| between its posterior, by quadrature without sampling noise, and the true one.
-        maximum_likelihood: (E, ν) at the maximum of the surrogate in the box.
+    `total_variation` is between its posterior by quadrature and the true one, `maximum_likelihood` is (E, ν) at the
+    maximum of the surrogate in the box.
     """
 
     runs: int
@@ -71,12 +68,8 @@ def nested_surrogates(
 ) -> tuple[NestedStep, ...]:
     """Fit the surrogate to each of the nested designs and measure its posterior against the truth.
 
-    Args:
-        x: (E, ν) of all runs of the largest design, including the failed ones.
-        log_likelihoods: Their log-likelihoods, NaN for a failed run.
-        truth: True posterior on a grid of (E, ν) at the fixed inflow rate of the design.
-        space: Space of E and ν, in this order.
-        sizes: Sizes of the nested designs.
+    `x` are the (E, ν) of all runs of the largest design; the log-likelihoods of failed ones are NaN. The truth is at
+    the fixed inflow rate of the design.
     """
     _require_runs(sizes, len(x))
     steps = []
@@ -95,30 +88,20 @@ def _maximum_likelihood(
     process: GaussianProcess, best_run: Float[np.ndarray, "2"], space: ParameterSpace
 ) -> Float[np.ndarray, "2"]:
     """Return the point of the box with the largest mean of the surrogate, by grids narrowed around the best point."""
-    low, high = space.low, space.high
-    best, reach = best_run, 0.5 * (high - low)
-    centre, points = 0.5 * (low + high), 201
+    low, high, best, points, reach = space.low, space.high, best_run, 201, 0.02 * (space.high - space.low)
     for _ in range(5):
-        axes = [
-            np.linspace(max(a, c - r), min(b, c + r), points)
-            for a, b, c, r in zip(low, high, centre, reach, strict=True)
-        ]
+        axes = np.linspace(low, high, points, axis=1)
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
         candidates = np.concatenate([grid, best[None]])
         best = candidates[np.argmax(process.mean(candidates))]
-        centre, reach, points = best, reach / 25, 41
+        low, high = np.maximum(best - reach, space.low), np.minimum(best + reach, space.high)
+        points, reach = 41, reach / 25
     return np.asarray(best)
 
 
 @dataclass(frozen=True, eq=False)
 class LargerDesign:
-    """The result of a design of `runs` points.
-
-    Args:
-        runs: Size of the design.
-        succeeded: Number of points inside the table, which the surrogate is conditioned on.
-        differences: Differences of the surrogate's posterior from the true one, by reading.
-    """
+    """How far the posterior from a design is from the true one; `succeeded` of its points are inside the table."""
 
     runs: int
     succeeded: int
@@ -141,14 +124,7 @@ def larger_designs(
     """Fit the study's surrogate to the true log-likelihood at more and more Sobol points and integrate its posterior.
 
     A design of more than `FITTED` runs keeps the hyperparameters of its first ones: length scales are in standard
-    deviations of the inputs, which further Sobol points hardly change.
-
-    Args:
-        field: Log-likelihood of the true model.
-        truth: Posteriors of the true model, ``joint`` and ``cut``.
-        space: Space of E, ν and V, in this order.
-        sizes: Sizes of the designs, ascending.
-        panels: Number of panels of the quadrature of the surrogate in log E, ν and V.
+    deviations of the inputs, which further Sobol points hardly change. `panels` of the quadrature are in log E, ν, V.
     """
     x = space.to_physical(sobol(max(sizes), space.dim))
     values = field(x)
@@ -163,18 +139,20 @@ def larger_designs(
         few = used.sum() < len(first.x_train)
         process = fit_log_likelihood(x[used], values[used]).process if few else condition(x[used], values[used], **kept)
 
-        def inside_table(
-            points: Float[np.ndarray, "point 3"], process: GaussianProcess = process
-        ) -> Float[np.ndarray, " point"]:
-            found = np.full(len(points), -np.inf)
-            inside = field.coordinates.inside(points)
-            found[inside] = process.mean(points[inside])
-            return found
-
-        posteriors = posteriors_on_grid(inside_table, space, grid)
+        posteriors = posteriors_on_grid(partial(_inside, field, process), space, grid)
         differences = {reading: compare(posteriors[reading], truth[reading]) for reading in READINGS}
         designs.append(LargerDesign(runs, int(used.sum()), differences))
     return tuple(designs)
+
+
+def _inside(
+    field: LogLikelihoodField, process: GaussianProcess, points: Float[np.ndarray, "point 3"]
+) -> Float[np.ndarray, " point"]:
+    """Return the mean of a surrogate, -inf outside the table of the true model."""
+    inside = field.coordinates.inside(points)
+    found = np.full(len(points), -np.inf)
+    found[inside] = process.mean(points[inside])
+    return found
 
 
 def runs_to_find(designs: Sequence[LargerDesign], reading: Reading) -> int | None:
@@ -185,13 +163,7 @@ def runs_to_find(designs: Sequence[LargerDesign], reading: Reading) -> int | Non
 
 @dataclass(frozen=True, eq=False)
 class Convergence:
-    """Relative L² errors of the surrogate's mean at test points, by the number of training runs.
-
-    Args:
-        sizes: Numbers of training runs.
-        log_likelihood: ‖m - 𝓛‖ / ‖𝓛‖ of the posterior mean m.
-        likelihood: ‖exp m - L‖ / ‖L‖; dominated by the few test points of high likelihood.
-    """
+    """Relative L² errors of the surrogate's mean m at test points, ‖m - 𝓛‖ / ‖𝓛‖ and ‖exp m - L‖ / ‖L‖, by size."""
 
     sizes: tuple[int, ...]
     log_likelihood: tuple[float, ...]

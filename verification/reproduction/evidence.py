@@ -42,15 +42,9 @@ RULES = {"centre": "", "refined": "-refined"}
 class Plan:
     """The extent of the work in addition to the studies themselves.
 
-    Args:
-        table: Intervals of the table of interfaces in load, ν and V, even.
-        nodes: Nodes of the log-likelihood in load, ν and V.
-        checks: Number of runs outside the table's data, to measure its error.
-        nested: Sizes of the designs of S2.
-        larger: Sizes of the designs of S5 whose runs are read from the table.
-        sizes: Sizes of the training sets of Fig. 12.
-        tests: Number of test points of Fig. 12, later points of the sequence.
-        draws: Number of draws of each check of a posterior.
+    `table` and `nodes` are the intervals of the table of interfaces, even, and the nodes of the log-likelihood, in
+    load, ν and V. `checks` runs measure the table's error; `nested`, `larger` and `sizes` are those of the designs of
+    S2, of S5 and of Fig. 12, with `tests` later points of its sequence. Each check of a posterior has `draws`.
     """
 
     table: tuple[int, int, int] = (6, 10, 8)

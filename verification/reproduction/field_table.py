@@ -97,14 +97,9 @@ class LoadCoordinates:
 
 @dataclass(frozen=True, eq=False)
 class FieldTable:
-    """Displacements of the interface's points at Chebyshev nodes of the box, interpolated by polynomials.
+    """Displacements of the interface's points, mm, at Chebyshev nodes of the box, interpolated by polynomials.
 
-    Args:
-        coordinates: Coordinates of the box.
-        reference: Interface without load, mm.
-        axes: Nodes of each coordinate; with a single node the table is constant in it.
-        values: Displacements, mm; the coordinates of all points in a row.
-        runs: Number of forward runs in the table.
+    `reference` is the interface without load. With a single node in a coordinate, the table is constant in it.
     """
 
     coordinates: LoadCoordinates
@@ -160,16 +155,9 @@ def tabulate(
     executor: Executor,
     coordinates: LoadCoordinates | None = None,
 ) -> FieldTable:
-    """Make the forward runs of a table; those in the ledger are not repeated.
+    """Make the forward runs of a table, in E, nu and V_in; those in the ledger are not repeated.
 
-    Args:
-        model: Model with the inputs E, nu and V_in.
-        reference: Interface of the model without load.
-        intervals: Number of intervals in s, ν and V; even numbers have a nested table with half as many. 0 in V fixes V
-            at its upper end.
-        ledger: Ledger of this model.
-        executor: Executor of the runs.
-        coordinates: Box of the table; by default that of the built-in biofilm.
+    Even numbers of intervals in s, ν and V have a nested table with half as many. 0 in V fixes V at its upper end.
     """
     box = coordinates or LoadCoordinates()
     a, b, c = (lobatto(n) for n in intervals)

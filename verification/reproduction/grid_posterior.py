@@ -68,16 +68,10 @@ def _gauss(low: float, high: float, panels: int) -> tuple[Float[np.ndarray, " no
 
 @dataclass(frozen=True, eq=False)
 class GridPosterior:
-    """The posterior of (E, ν) on a product grid.
+    """The posterior of (E, ν) on a product grid: its normalised density, 1/Pa, and moments.
 
-    Args:
-        grid: Points of the grid.
-        density: Normalised density at the points of the (E, ν) plane, 1/Pa.
-        mean: Mean of E and ν (2,).
-        covariance: Covariance of E and ν (2, 2).
-        log_evidence: log ∫ L p; also given for the cut reading, whose posterior does not use it.
-        edge_mass: Mass that would lie beyond the soft end of the table if the likelihood kept its value there, as a
-            share of the mass inside. Everywhere else that likelihood is taken as zero.
+    `log_evidence` is log ∫ L p, also for the cut reading, which does not use it; `edge_mass` what would lie beyond the
+    soft end of the table if the likelihood kept its value there, as a share of the mass inside. It is taken as zero.
     """
 
     grid: ProductGrid
@@ -103,13 +97,8 @@ def posteriors_on_grid(
     """Integrate prior times likelihood in both readings of V, which are the same if V is fixed.
 
     ``joint`` integrates V out of the posterior of all inputs; ``cut`` averages the posteriors at each V, each
-    normalised by its own evidence, over the prior of V: the data do not update V.
-
-    Args:
-        log_likelihood: Log-likelihood of the true model, or a surrogate's.
-        space: The inputs with their priors.
-        grid: Grid from `product_grid`, with V fixed or not.
-        coordinates: Coordinates of the table behind the likelihood, for the mass at its soft end.
+    normalised by its own evidence, over the prior of V: the data do not update V. The mass at the soft end of the table
+    behind the likelihood needs its coordinates.
     """
     log_area = np.log(grid.area)
     slices, edges = [], []
@@ -178,13 +167,9 @@ def _log_edge(
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """The difference of one posterior from another.
+    """The difference of one posterior from another: means in the other's sds, ratio of the sds minus 1, log evidences.
 
-    Args:
-        mean: Difference of the means, in the other's standard deviations.
-        sd_ratio: Ratio of the standard deviations minus 1.
-        log_evidence: Difference of the log evidences.
-        total_variation: Total variation between them; None for different grids.
+    There is no total variation between posteriors on different grids.
     """
 
     mean: Float[np.ndarray, "2"]

@@ -19,16 +19,9 @@ PROMINENCE = 0.05
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of the study and what our numbers say about it.
+    """A claim of the study, supported by these of its figures, and what our numbers say about it, and the study's.
 
-    Args:
-        key: C1 to C10.
-        statement: The claim.
-        figures: Numbers of the study's figures that support it.
-        verdict: ``confirmed``, ``refuted``, or ``differs`` if the study's setting cannot be compared with ours.
-        because: The reason in a sentence, with figures.
-        numbers: Our numbers.
-        study: The study's numbers, if it prints them.
+    The verdict ``differs`` is for a setting of the study that cannot be compared with ours.
     """
 
     key: str

@@ -143,14 +143,6 @@ def checks(evidence: Evidence, names: Sequence[str]) -> Table:
     )  # fmt: skip
 
 
-def sensitivities(evidence: Evidence, name: str) -> tuple[Table, ...]:
-    """Return the Sobol indices of a study's log-likelihood, first order and total, if it has them."""
-    inputs = (evidence.outcomes[name].summary.get("sensitivity") or {"inputs": {}})["inputs"]
-    rows = tuple((name, key, item["first"], item["total"]) for key, item in inputs.items())
-    note = "Sobol indices of the surrogate of the log-likelihood under the prior: shares of its variance."
-    return (Table(("study", "input", "first order", "total"), rows, note),) if rows else ()
-
-
 def cost(costs: Sequence[Cost]) -> Table:
     """Return the runs and seconds of each part of the work, and their sums."""
     stages = list(dict.fromkeys(stage for c in costs for stage in c.seconds))
@@ -191,7 +183,6 @@ def sections(evidence: Evidence, pictures: Mapping[str, Picture]) -> tuple[Secti
         chosen = (p for n, p in pictures.items() if n.split(",")[0].rstrip("abcd") in numbers or n in numbers)
         return tuple(sorted(chosen, key=_place))
 
-    inflow, parts = (sensitivities(evidence, name) for name in ("biofilm-inflow", "biofilm-parts"))
     by_parts = [name for name in evidence.checks if name.startswith("biofilm-parts")]
     others = [name for name in evidence.checks if name not in by_parts]
     return (
@@ -202,9 +193,9 @@ def sections(evidence: Evidence, pictures: Mapping[str, Picture]) -> tuple[Secti
                 shown("9a", "9a, refined", "9b"), ("C5", "C6")),
         Section("S4", "S4 informed", "S4: informed prior", (), shown("9c"), ("C7",)),
         Section("S5", "S5 inflow", "S5: uncertain inflow",
-                (uncertain_against_truth(evidence), larger(evidence), checks(evidence, others), *inflow),
+                (uncertain_against_truth(evidence), larger(evidence), checks(evidence, others)),
                 shown("9d", "9d, cut", "10"), ("C8",)),
-        Section("S6", "S6 parts", "S6: heterogeneous specimen", (checks(evidence, by_parts), *parts),
+        Section("S6", "S6 parts", "S6: heterogeneous specimen", (checks(evidence, by_parts),),
                 shown("11", "12", "13", "14", "15"), ("C9", "C10")),
     )  # fmt: skip
 

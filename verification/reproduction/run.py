@@ -37,14 +37,8 @@ def reproduce(
 ) -> Reproduction:
     """Run everything, judge the claims, and write report.html and claims.json into `folder`.
 
-    Forward runs that a ledger holds are not repeated: a second call goes on where the first one stopped.
-
-    Args:
-        studies: Folder that holds the study folders.
-        folder: Folder of the results; created if it does not exist.
-        plan: Extent of the work in addition to the studies.
-        executor: Executor of forward runs; by default that of the studies.
-        observer: Observer of the progress.
+    Forward runs that a ledger holds are not repeated: a second call goes on where the first one stopped. `studies` is
+    the folder that holds the study folders; without an executor, theirs make the runs.
     """
     begun, tell = time.perf_counter(), observer or Observer()
     require_studies(studies)

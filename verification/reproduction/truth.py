@@ -34,14 +34,7 @@ NODES = (97, 41, 33)
 
 @dataclass(frozen=True, eq=False)
 class LogLikelihoodField:
-    """log L on the box of a table as a tensor spline; -inf outside it.
-
-    Args:
-        coordinates: Coordinates of the box.
-        axes: Nodes of each box coordinate; with a single node the field is constant in it.
-        values: log L at the nodes.
-        spline: Spline through the values, over the coordinates with more than one node.
-    """
+    """log L on the box of a table as a tensor spline over the coordinates with more than one node; -inf outside it."""
 
     coordinates: LoadCoordinates
     axes: tuple[Float[np.ndarray, " s"], Float[np.ndarray, " nu"], Float[np.ndarray, " rate"]]
@@ -71,13 +64,9 @@ def log_likelihood_field(
     nodes: tuple[int, int, int] = NODES,
     rate: float | None = None,
 ) -> LogLikelihoodField:
-    """Return the log-likelihood of one observed polyline, without its constant, on equally spaced nodes.
+    """Return the log-likelihood of one observed polyline, without its constant, on equally spaced nodes in s, ν and V.
 
-    Args:
-        table: Table of the interfaces.
-        likelihood: Likelihood of one observation.
-        nodes: Number of nodes in s, ν and V, at least 11 each (the halved field needs 6); odd numbers are nested.
-        rate: Fixed inflow rate, which has one node; then `nodes[2]` is not used.
+    There are at least 11 each (the halved field needs 6); odd numbers are nested. A fixed rate has one node.
     """
     s, nu = (np.linspace(-1.0, 1.0, n) for n in nodes[:2])
     low, high = table.coordinates.rate
@@ -139,13 +128,9 @@ def true_posteriors(
     rate: float | None = None,
     panels: tuple[int, int, int] = (64, 32, 24),
 ) -> dict[Reading, TruePosterior]:
-    """Return the posterior of the true model in both readings of an uncertain inflow rate.
+    """Return the posterior of the true model in both readings of an uncertain inflow rate; the same for a fixed `rate`.
 
-    Args:
-        fields: Log-likelihoods of the table and of its halved table from `true_fields`.
-        space: Space of E and nu, and of V_in unless `rate` is given.
-        rate: Fixed inflow rate, mm²/s; then both readings are the same.
-        panels: Number of panels of the quadrature in log E, ν and V.
+    The fields are those of a table and of its halved table; `panels` of the quadrature are in log E, ν and V.
     """
     fine, coarse = fields
     grid = product_grid(space, panels=panels, rate=rate)
