@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from verification.reproduction.figures import plot_parts
 from verification.validation import analytic, biofilm_mesh, generality, sensitivities, turek_hron
-from verification.validation.tables import DOCS, OUTPUT, Table, arguments, as_text, show
+from verification.validation.tables import DOCS, Table, arguments, show
 
 from strandline.models.biofilm.geometry import Partition
 from strandline.models.biofilm.model import Biofilm
@@ -71,9 +71,6 @@ if __name__ == "__main__":
     for part in PARTS:
         tables += part()
         print(f"{tables[-1].title} done", flush=True)
-    show(tables, page=PAGE if options.publish else None)
-    OUTPUT.mkdir(exist_ok=True)
-    (OUTPUT / "verification.json").write_text(as_text(tables), "utf-8")
+    show(tables, page=PAGE if options.publish else None, numbers="verification.json")
     if options.publish:
-        PAGE.with_name("verification.json").write_text(as_text(tables), "utf-8")
         draw(tables, DOCS / "figures")

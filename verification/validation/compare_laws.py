@@ -20,7 +20,7 @@ import numpy as np
 import yaml
 from jaxtyping import Float
 from scipy.special import logsumexp, softmax
-from verification.validation.tables import DOCS, Table, arguments, as_text, finish, kept_or_scratch, show, table
+from verification.validation.tables import DOCS, Table, arguments, finish, kept_or_scratch, show, table, write_study
 
 import strandline as sl
 from strandline.calibration.evidence import ModelComparison, averaged, evidence_of, integrated
@@ -78,13 +78,10 @@ def runs_of(law: str, rates: dict[str, float], x: Float[np.ndarray, "run 2"], fo
 
 def study(law: str, rates: dict[str, float], folder: Path) -> sl.Study:
     """Write the study of one law, with the data in files beside it, and return it."""
-    home = folder / f"{len(rates)}-rates" / law
-    home.mkdir(parents=True, exist_ok=True)
     content = yaml.safe_load(STUDY)
     content |= {"name": law, "model": {"biofilm": {"mesh": "coarse", "material": law, "inflow_rates": rates}}}
     content["observation"] = [{"condition": name, "file": f"../{name}.csv", "unit": "mm"} for name in rates]
-    (home / "study.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
-    return sl.load_study(home)
+    return sl.load_study(write_study(folder / f"{len(rates)}-rates" / law, content))
 
 
 def data(rates: dict[str, float], folder: Path) -> tuple[sl.Observation, ...]:
@@ -244,9 +241,7 @@ def _main() -> None:
         if options.crossings:
             made.append(_of_crossings(crossings(options.crossings, folder)))
     tables = [table for table, _ in made]
-    show(tables, page=PAGE if options.publish else None)
-    if options.publish:
-        PAGE.with_name("comparison.json").write_text(as_text(tables), "utf-8")
+    show(tables, page=PAGE if options.publish else None, numbers="comparison.json")
     finish(said for _, missed in made for said in missed)
 
 

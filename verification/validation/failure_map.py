@@ -23,7 +23,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from scipy.interpolate import CubicSpline
 from verification.validation.biofilm_mesh import BOX, RATE, flow_cell
-from verification.validation.tables import DOCS, OUTPUT, Cell, Table, arguments, as_text, show, table
+from verification.validation.tables import DOCS, OUTPUT, Cell, Table, arguments, show, table
 
 from strandline.design import sobol
 from strandline.models.biofilm.cell import FlowCell
@@ -61,14 +61,9 @@ def tables_of(
     critical: Mapping[str, Float[np.ndarray, " ratio"]],
     fold: Fold,
 ) -> list[Table]:
-    """Return all tables for the page.
+    """Return all tables for the page: of records and first-order compressions of the points of the box, by mesh.
 
-    Args:
-        records: Records of the points of the box, on the default and on the fine mesh.
-        compressions: First-order compression at the same points, by mesh.
-        ratios: ν at which the fold is known.
-        critical: E of the fold at these (ratio,), Pa, by mesh.
-        fold: Its line on the fine mesh.
+    The fold is known at ν of `ratios`, E in Pa by mesh; `fold` is its line on the fine mesh.
     """
     pair = (*records.values(), fold)
     return [
@@ -321,10 +316,7 @@ def main() -> None:
     critical = {mesh: critical_moduli(search[mesh], FOLD_RATIOS) for mesh in MESHES}
     fold = CubicSpline(FOLD_RATIOS, critical["fine"])
     tables = tables_of(records, compressions, FOLD_RATIOS, critical, fold)
-    show(tables, page=PAGE if options.publish else None)
-    (OUTPUT / "failure-map.json").write_text(as_text(tables), "utf-8")
-    if options.publish:
-        PAGE.with_name("failure-map.json").write_text(as_text(tables), "utf-8")
+    show(tables, page=PAGE if options.publish else None, numbers="failure-map.json")
     draw(*records.values(), fold, (DOCS / "figures" if options.publish else OUTPUT) / "forward-failures.png")
 
 

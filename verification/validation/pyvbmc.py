@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from verification.benchmarks.peers.install import OWN, not_installed
 from verification.validation.pyvbmc_problems import Biofilm, Outline
-from verification.validation.tables import DOCS, OUTPUT, Table, arguments, as_text, show, table
+from verification.validation.tables import DOCS, OUTPUT, Table, arguments, show, table
 
 from strandline.design import sobol
 from strandline.design.active import Active, learn, posterior_state
@@ -263,10 +263,8 @@ def _main() -> None:
         "missing": missing,
         "traces": traces_of_all,
     }
-    show(made, page=PAGE if options.publish else None)
+    show(made, page=PAGE if options.publish else None, numbers="pyvbmc.json", content=raw)
     print("".join(f"\nException: `{error}`\n" for error in errors))
-    for path in (OUTPUT / "pyvbmc.json", *([PAGE.with_name("pyvbmc.json")] if options.publish else [])):
-        path.write_text(as_text(raw), "utf-8")
 
 
 if __name__ == "__main__":

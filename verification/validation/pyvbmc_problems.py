@@ -1,6 +1,5 @@
 """The two problems of the comparison with PyVBMC: the built-in biofilm, and an outline with seven inputs."""
 
-import pickle
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -39,7 +38,7 @@ INTERVALS = (16, 8, 0)
 class Biofilm:
     """(E, ν) of the built-in biofilm, observed without noise; the true posterior comes from quadrature.
 
-    Within its range, a table of the model replaces runs; outside it the model itself is run. The folder keeps it.
+    Within its range, a table of the model replaces runs; outside it the model itself is run. The folder keeps its runs.
     """
 
     folder: Path
@@ -60,17 +59,14 @@ class Biofilm:
 
     @cached_property
     def known(self) -> tuple[FieldTable, TruePosterior]:
-        """The table and the true posterior; computed if they are not kept."""
-        kept = self.folder / "biofilm.pkl"
-        if not kept.exists():
-            model: Any = self.study.model
-            box = LoadCoordinates(rate=(1.0, RATE))
-            with Ledger.open(self.folder / "table.sqlite", model=model) as ledger:
-                start, runs = model.undeformed(), InProcess()
-                table = tabulate(model, start, intervals=INTERVALS, ledger=ledger, executor=runs, coordinates=box)
-            likelihood = InterfaceLikelihood(self._observed(table), self.discrepancy)
-            kept.write_bytes(pickle.dumps((table, true_posterior(table, likelihood, self.space, rate=RATE))))
-        return pickle.loads(kept.read_bytes())
+        """The table and the true posterior."""
+        model: Any = self.study.model
+        box = LoadCoordinates(rate=(1.0, RATE))
+        with Ledger.open(self.folder / "table.sqlite", model=model) as ledger:
+            start, runs = model.undeformed(), InProcess()
+            table = tabulate(model, start, intervals=INTERVALS, ledger=ledger, executor=runs, coordinates=box)
+        likelihood = InterfaceLikelihood(self._observed(table), self.discrepancy)
+        return table, true_posterior(table, likelihood, self.space, rate=RATE)
 
     @staticmethod
     def _observed(table: FieldTable) -> tuple[Observation, ...]:

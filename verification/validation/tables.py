@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import yaml
 
 ROOT = Path(__file__).parents[2]
 DOCS, EXAMPLES, STUDIES = ROOT / "docs", ROOT / "examples", ROOT / "studies"
@@ -21,14 +22,9 @@ Cell = str | float | int | None
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of numbers.
+    """Rows of raw values, None for a cell without one, and the format of each column, ``s`` for text.
 
-    Args:
-        name: Name on a page, where the table is between ``<!-- table: name -->`` and ``<!-- end -->``.
-        title: Title, one line.
-        columns: Headings with units.
-        formats: Format specification of each column, ``s`` for text.
-        rows: Raw values; None for a cell without a value.
+    On a page, the table is between ``<!-- table: name -->`` and ``<!-- end -->``.
     """
 
     name: str
@@ -53,14 +49,9 @@ class Table:
 
 
 def table(name: str, title: str, heading: str, rows: Iterable[Sequence[Any]], *, live: bool = False) -> Table:
-    """Return a table.
+    """Return a table, each row printed as soon as it is known if it is `live`.
 
-    Args:
-        name: Name on a page.
-        title: Title, one line.
-        heading: Columns with their formats: ``mesh | elements {d} | error, % {.2f}``; without a format: text.
-        rows: Raw values.
-        live: Whether to print each row as soon as it is known.
+    The heading has columns with their formats: ``mesh | elements {d} | error, % {.2f}``; without a format: text.
     """
     parts = [re.fullmatch(r"\s*(.*?)(?: \{(.+)\})?\s*", part) for part in heading.split("|")]
     columns, formats = (tuple(part[k] or "s" for part in parts if part) for k in (1, 2))
@@ -94,12 +85,25 @@ def put_into_page(page: str, tables: Sequence[Table]) -> str:
     return page
 
 
-def show(tables: Sequence[Table], *, page: Path | None = None) -> None:
-    """Print the tables; put them into a page if one is given."""
+def show(tables: Sequence[Table], *, page: Path | None = None, numbers: str = "", content: object = None) -> None:
+    """Print the tables; put them into a page if one is given, and their numbers, or `content`, into a file beside it.
+
+    Without a page, the numbers go into a file of this name in `OUTPUT`.
+    """
     for one in tables:
         print(f"\n{one.title}\n\n{one.markdown()}", flush=True)
     if page is not None:
         page.write_text(put_into_page(page.read_text("utf-8"), tables), "utf-8")
+    if numbers:
+        OUTPUT.mkdir(exist_ok=True)
+        (page or OUTPUT / "page").with_name(numbers).write_text(as_text(content or tables), "utf-8")
+
+
+def write_study(folder: Path, content: Mapping[str, Any]) -> Path:
+    """Write study.yaml into a folder, which is made if it does not exist, and return the folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "study.yaml").write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), "utf-8")
+    return folder
 
 
 def as_text(content: object) -> str:
@@ -110,12 +114,9 @@ def as_text(content: object) -> str:
 
 
 def arguments(doc: str | None, *, words: Any = None, **defaults: Any) -> argparse.Namespace:
-    """Return the options of a script.
+    """Return the options of a script from their defaults: False is a flag, `Path` a path that is None by default.
 
-    Args:
-        doc: Docstring of the script, shown as help.
-        words: What words without an option stand for, as ``words``, or a collection of those that are allowed.
-        defaults: Default of each option. False is a flag, `Path` a path that is None by default, () words.
+    `words` says what words without an option stand for, or is a collection of those that are allowed.
     """
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     allowed = () if isinstance(words, str | None) else tuple(words)
@@ -125,8 +126,6 @@ def arguments(doc: str | None, *, words: Any = None, **defaults: Any) -> argpars
     for name, default in defaults.items():
         if default is False:
             parser.add_argument(f"--{name}", action="store_true")
-        elif default == ():
-            parser.add_argument(f"--{name}", nargs="*", default=())
         elif default is Path:
             parser.add_argument(f"--{name}", type=Path)
         else:

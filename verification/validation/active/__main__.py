@@ -19,7 +19,7 @@ from statistics import median
 from typing import Any
 
 from verification.validation.active.designs import case, right, s3, s5, s6, stopped, truth_of
-from verification.validation.tables import DOCS, OUTPUT, Table, arguments, as_text, show, table
+from verification.validation.tables import DOCS, OUTPUT, Table, arguments, show, table
 
 from strandline.numerics.threads import use_double
 
@@ -135,10 +135,8 @@ def _main() -> None:
         every = [json.loads(line) for line in FILE.read_text().splitlines()]
         tables = [_runs_table([one for one in every if "points" in one])]
         tables.append(_stopping_table([one for one in every if "points" not in one]))
-        show(tables, page=PAGE if given.publish else None)
-        if given.publish:
-            numbers = [table.as_json() for table in tables]
-            PAGE.with_name("active-designs.json").write_text(as_text(numbers), "utf-8")
+        numbers = [table.as_json() for table in tables]
+        show(tables, page=PAGE if given.publish else None, numbers="active-designs.json", content=numbers)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,5 @@
 """S3, S5 and S6 with real runs: when the posterior is right, and where whole calibrations stop."""
 
-import pickle
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -92,17 +91,12 @@ def truth_of(one: Case) -> TruePosterior:
 
 @cache
 def _table() -> FieldTable:
-    """Return the table of true interfaces; the table and its runs are kept in verification/validation/output."""
-    kept = OUTPUT / "table.pickle"
-    if kept.is_file():
-        return pickle.loads(kept.read_bytes())
+    """Return the table of true interfaces; its runs are kept in verification/validation/output."""
     model: Any = load_study(STUDIES / NAMES["S3"]).model
     reference: Interface = model.undeformed()
     OUTPUT.mkdir(exist_ok=True)
     with Ledger.open(OUTPUT / "table.sqlite", model=model) as ledger:
-        table = tabulate(model, reference, intervals=INTERVALS, ledger=ledger, executor=LocalProcesses())
-    kept.write_bytes(pickle.dumps(table))
-    return table
+        return tabulate(model, reference, intervals=INTERVALS, ledger=ledger, executor=LocalProcesses())
 
 
 @dataclass(frozen=True, eq=False)
