@@ -9,9 +9,7 @@ The right side of this bubble is 0.8 % wider than the left one, which no axisymm
 smooth and four times what the edge's own errors allow. The study therefore allows for an error of the model. A last row
 shows the answer without it, where strandline must report that the model does not fit.
 
-    python -m verification.validation.bubble [--photograph FILE] [--only WORD ...] [--folder FOLDER]
-
-`--only` names parts of the names of pictures beside the original.
+    python -m verification.validation.bubble [--photograph FILE] [--folder FOLDER]
 """
 
 import sys
@@ -26,7 +24,7 @@ import yaml
 from jaxtyping import Float
 from PIL import Image
 from scipy.ndimage import affine_transform
-from verification.validation.tables import EXAMPLES, ROOT, arguments, finish, kept_or_scratch, show, table
+from verification.validation.tables import EXAMPLES, ROOT, arguments, finish, kept_or_scratch, show, table, write_study
 
 from strandline.imaging import find_edge
 from strandline.numerics.threads import use_double
@@ -147,8 +145,7 @@ def study(folder: Path, variant: Variant, photograph: Grey, *, particles: int = 
     content["noise"] = {"sd": "image", "unit": "um", "model_error": True, "unknown": unknown}
     content["design"] = {"sobol": {"runs": 40}}
     content["sampler"]["smc"]["particles"] = particles
-    (folder / "study.yaml").write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-    return folder
+    return write_study(folder, content)
 
 
 def pixel(grey: np.ndarray, sides: Float[np.ndarray, "side click 2"]) -> float:
@@ -209,20 +206,18 @@ HEADING = (
 
 
 def _main() -> None:
-    options = arguments(__doc__, photograph=PHOTOGRAPH, only=(), folder=Path)
+    options = arguments(__doc__, photograph=PHOTOGRAPH, folder=Path)
     if not options.photograph.exists():
         print(f"no photograph at {options.photograph}")
         return
     use_double()
     grey, found, failed = grey_of(options.photograph), [], []
-    words = options.only or [""]
 
     def rows(folder: Path) -> Iterator[tuple[str | float, ...]]:
         for number, variant in enumerate(VARIANTS):
-            if number == 0 or any(word in variant.name for word in words):
-                found.append(answer(study(folder / str(number), variant, grey), variant.name))
-                failed.extend(missed(found[-1], found[0]))
-                yield found[-1].row(found[0])
+            found.append(answer(study(folder / str(number), variant, grey), variant.name))
+            failed.extend(missed(found[-1], found[0]))
+            yield found[-1].row(found[0])
         right = without_model_error(folder / "0", "original, no error of the model")
         failed.extend([] if right.flagged else [f"{right.picture}: the misfit goes unnoticed"])
         yield right.row(found[0])

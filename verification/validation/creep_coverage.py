@@ -6,14 +6,13 @@ One design of Sobol runs serves all of them; with --active, each analysis makes 
     python -m verification.validation.creep_coverage [--truths 20] [--shared 128] [--active] [--publish]
 """
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
-from verification.validation.tables import DOCS, EXAMPLES, OUTPUT, arguments, show, table
+from verification.validation.tables import DOCS, EXAMPLES, OUTPUT, arguments, show, table, write_study
 
 import strandline as sl
 
@@ -24,17 +23,11 @@ RATE = 100.0
 
 def _write(folder: Path, **changes: Any) -> sl.Study:
     content = yaml.safe_load((EXAMPLES / "creep" / "study.yaml").read_text("utf-8"))
-    content |= {"name": folder.name, **changes}
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "study.yaml").write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), "utf-8")
-    return sl.load_study(folder)
+    return sl.load_study(write_study(folder, content | {"name": folder.name, **changes}))
 
 
 def analysed(folder: Path, truth: Mapping[str, float], seed: int, shared: Path, design: Any) -> dict[str, Any]:
-    """Return how one data set ended; kept in the folder for a later call."""
-    kept = folder / "outcome.json"
-    if kept.is_file():
-        return json.loads(kept.read_text("utf-8"))
+    """Return how one data set ended."""
     observation = {"synthetic": {**truth, "V_in": RATE}, "noise": {"sd": 0.003, "seed": seed}}
     study = _write(folder, observation=observation, reuse=[f"../{shared.name}"], design=design)
     outcome = sl.run_study(study)
@@ -45,8 +38,7 @@ def analysed(folder: Path, truth: Mapping[str, float], seed: int, shared: Path, 
     precision = np.linalg.inv((draws - mean).T @ (weights[:, None] * (draws - mean)))
     far, of_truth = (np.einsum("ij,jk,ik->i", x - mean, precision, x - mean) for x in (draws, exact))
     marginal = zip(*posterior.quantiles((0.05, 0.95)), (truth[name] for name in NAMES), strict=True)
-    found = {
-        "truth": dict(truth),
+    return {
         "mean": posterior.mean.tolist(),
         "sd": posterior.sd.tolist(),
         "inside": bool(weights[far <= of_truth[0]].sum() <= 0.9),
@@ -54,8 +46,6 @@ def analysed(folder: Path, truth: Mapping[str, float], seed: int, shared: Path, 
         "new": outcome.summary["runs"]["new"],
         "verdict": certificate.get("verdict", "not checked"),
     }
-    kept.write_text(json.dumps(found), "utf-8")
-    return found
 
 
 def _scaled(x: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 Cameras (blur 1.5 px, contrast/noise 10) and OCT B-scans (10 dB, exponential speckle, three shadows) of arches like the
 biofilm's. Paths are 12 clicks, off by 2.5 px; both ends are trimmed by 5 %.
 
-    python -m verification.validation.edges [--pictures 40] [--only PART ...]
+    python -m verification.validation.edges [--pictures 40] [PART ...]
 """
 
 import time
@@ -127,11 +127,11 @@ def megapixel(repeats: int = 3) -> Iterator[tuple]:
 
 
 def _main() -> None:
-    options = arguments(__doc__, pictures=40, only=())
-    cases = [case for case in CASES if not options.only or any(word in case.name for word in options.only)]
+    options = arguments(__doc__, words="PART", pictures=40)
+    cases = [case for case in CASES if not options.words or any(word in case.name for word in options.words)]
     rows = (row(case, options.pictures) for case in cases)
     show([table("edges", "Edges in rendered pictures", HEADING, rows, live=True)])
-    if not options.only:
+    if not options.words:
         heading = "method | points {d} | seconds {.2f} | bias, px {+.3f} | s, px {.3f} | own s, px {.3f}"
         show([table("edges_megapixel", "A megapixel", heading, megapixel())])
 

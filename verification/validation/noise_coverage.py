@@ -6,7 +6,7 @@ for σ_N² takes seconds, so that one observation in 25 serves for the next ones
 
     python -m verification.validation.noise_coverage [--observations 200] [--runs 64] [--ledger FOLDER] [NOISE ...]
 
-NOISE is part of the name of a noise; `--others` adds further measures.
+NOISE is part of the name of a noise.
 """
 
 from collections.abc import Iterator
@@ -49,13 +49,6 @@ MEASURES: dict[str, Discrepancy] = {
     "measurement_lines, 40": MeasurementLines(40),
     "currents, 0.1 mm": Currents(0.1),
 }
-OTHERS: dict[str, Discrepancy] = {
-    "closest_point, to_observed": ClosestPoint(direction="to_observed"),
-    "closest_point, length": ClosestPoint(weighting="length"),
-    "measurement_lines, 10": MeasurementLines(10),
-    "currents, 0.02 mm": Currents(0.02),
-}
-"""Further measures, with `--others`."""
 SERVES = 25
 """Observations for which one evaluation of the rule for σ_N² serves."""
 REACH, PLACES = 5.0, 25
@@ -117,14 +110,14 @@ def posterior(likelihood: FieldLikelihood, truth: Pair, at: Pair, sd: Pair) -> t
     return np.array(ranks), found
 
 
-def measured(field: FieldSurrogate, errors: PointErrors, number: int, more: bool) -> Iterator[tuple[str, list[float]]]:
+def measured(field: FieldSurrogate, errors: PointErrors, number: int) -> Iterator[tuple[str, list[float]]]:
     """Yield the figures of each measure, a control with points taken as independent, and inferred noise."""
     truths = LOW + (HIGH - LOW) * np.random.default_rng(11).random((number, 2))
     seen = [_observed(field, truth, errors, k) for k, truth in enumerate(truths)]
     limits = [limit(field, one, errors) for one in seen]
     others = {name: getattr(errors, name) for name in ("shift", "rotation", "scale", "offset")}
     cases = [
-        *((name, measure, errors) for name, measure in (MEASURES | (OTHERS if more else {})).items()),
+        *((name, measure, errors) for name, measure in MEASURES.items()),
         ("normal_offset, s and ℓ unknown", NormalOffset(), UnknownErrors(**others)),
         ("control: points independent, no global errors", NormalOffset(), PointErrors(errors.sd)),
     ]
@@ -145,7 +138,7 @@ def measured(field: FieldSurrogate, errors: PointErrors, number: int, more: bool
 
 
 def _main() -> None:
-    options = arguments(__doc__, words="NOISE", observations=200, others=False, runs=64, ledger=Path)
+    options = arguments(__doc__, words="NOISE", observations=200, runs=64, ledger=Path)
     use_double()
     with kept_or_scratch(options.ledger) as folder:
         field = surrogate(options.runs, folder)
@@ -153,7 +146,7 @@ def _main() -> None:
         (name, measure, *found)
         for name, errors in NOISES.items()
         if not options.words or any(word in name for word in options.words)
-        for measure, found in measured(field, errors, options.observations, options.others)
+        for measure, found in measured(field, errors, options.observations)
     )
     heading = (
         "noise | measure | E covered, % {.1f} | ν covered, % {.1f} | p(E) {.3f} | p(ν) {.3f} "

@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 from jaxtyping import Float
 from scipy.stats import gaussian_kde
-from verification.validation.tables import EXAMPLES, arguments, finish, kept_or_scratch
+from verification.validation.tables import EXAMPLES, arguments, finish, kept_or_scratch, write_study
 
 import strandline as sl
 
@@ -87,7 +87,7 @@ def _write(folder: Path, bent: Float[np.ndarray, "point 2"], random: np.random.G
     study = yaml.safe_load((EXAMPLE / "study.yaml").read_text())
     study["model"]["biofilm"]["outline"]["image"]["path"] = _marked(made, still, (0.0, 0.0), 0.0, random)
     study["observation"]["image"]["path"] = _marked(made, bent, place, turned, random)
-    (folder / "study.yaml").write_text(yaml.safe_dump(study))
+    write_study(folder, study)
 
 
 def _marked(

@@ -46,7 +46,7 @@ def row(name: str, along: float, stacks: int, planes: int) -> tuple[tuple, bool]
     """Return what was found in stacks of one kind, and whether the aims were met."""
     blob, microscope = solid(along, planes)
     clean, side = microscope.clean(blob), float(np.prod(microscope.voxel)) ** (1 / 3)
-    times, off, own, offsets, lengths, triangles = [], [], [], [], [], 0
+    times, off, found, triangles = [], [], [], 0
     for seed in range(stacks):
         stack = microscope.with_noise(clean, np.random.default_rng([7, seed]))
         start = time.perf_counter()
@@ -55,16 +55,15 @@ def row(name: str, along: float, stacks: int, planes: int) -> tuple[tuple, bool]
         Observation(seen, GaussianNoise(1.0))
         times.append(time.perf_counter() - start)
         off.append(blob.distances(seen.points) / side)
-        own.append(surface.errors.sd / side)
-        offsets.append(surface.errors.offset / side)
-        lengths.append(surface.errors.length / side)
+        found.append(surface.errors)
         triangles = max(triangles, len(seen.cells))
     inside = np.concatenate([off[-1], blob.distances(seen.centres) / side])
     rms = max(float(np.sqrt(np.mean(part**2))) for part in (*off, inside))
     scatter = np.array([part.std() for part in off])
-    ratios = np.array(own) / scatter
+    own, offsets, lengths = (np.array([getattr(one, k) for one in found]) / side for k in ("sd", "offset", "length"))
+    ratios = own / scatter
     width = 0.1 * float(np.ptp(seen.points, axis=0).max())
-    found = (
+    cells = (
         f"{name}, {2 * planes} × {2 * planes} × {planes}",
         max(times),
         triangles,
@@ -79,7 +78,7 @@ def row(name: str, along: float, stacks: int, planes: int) -> tuple[tuple, bool]
     )
     low, high = OWN
     met = max(times) <= SECONDS and rms <= DISTANCE and low <= ratios.min() and ratios.max() <= high
-    return found, met and triangles <= TRIANGLES
+    return cells, met and triangles <= TRIANGLES
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from verification.validation.tables import DOCS, Table, arguments, show, table
+from verification.validation.tables import DOCS, Table, arguments, show, table, write_study
 
 import strandline as sl
 from strandline.calibration.what_if import Answer
@@ -44,10 +44,7 @@ def _changed(folder: Path, number: int, changes: Mapping[str, Any]) -> Path:
     content = yaml.safe_load((folder / "study.yaml").read_text("utf-8"))
     inputs = {**content["inputs"], **changes.get("inputs", {})}
     target = folder.with_name(f"{folder.name}-what-if-{number}")
-    target.mkdir(exist_ok=True)
-    whole = {**content, **changes, "inputs": inputs, "reuse": [f"../{folder.name}"]}
-    (target / "study.yaml").write_text(yaml.safe_dump(whole, sort_keys=False, allow_unicode=True), "utf-8")
-    return target
+    return write_study(target, {**content, **changes, "inputs": inputs, "reuse": [f"../{folder.name}"]})
 
 
 def _row(name: str, answer: Answer, full: sl.Posterior, runs: int, names: tuple[str, ...]) -> tuple:
