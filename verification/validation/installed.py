@@ -19,9 +19,8 @@ import time
 import zipfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 from verification.validation.tables import ROOT
 
@@ -47,11 +46,10 @@ class Failed(Exception):
     """A step has failed."""
 
 
-@dataclass(frozen=True, order=True)
-class Interpreter:
+class Interpreter(NamedTuple):
     """A Python that can make virtual environments, and its version."""
 
-    version: tuple[int, int, int]
+    version: tuple[int, ...]
     path: Path
 
     @property
@@ -62,18 +60,14 @@ class Interpreter:
 def interpreters() -> Sequence[Interpreter]:
     """Return one released CPython of each minor version, the newest first: on PATH, or installed by pyenv or uv."""
     if override := os.environ.get(OVERRIDE):
-        candidates = [Path(item) for item in override.split(os.pathsep) if item]
+        candidates = {Path(item) for item in override.split(os.pathsep) if item}
     else:
-        pyenv = Path(os.environ.get("PYENV_ROOT") or "~/.pyenv").expanduser()
-        uv = Path(os.environ.get("UV_PYTHON_INSTALL_DIR") or "~/.local/share/uv/python").expanduser()
         folders = [Path(item) for item in os.environ.get("PATH", "").split(os.pathsep) if item]
-        folders += [*pyenv.glob("versions/*/bin"), *uv.glob("*/bin")]
-        paths = (path for folder in folders for path in sorted(folder.glob("python3*")))
-        candidates = [path for path in paths if re.fullmatch(r"python3(\.\d+)?", path.name)]
-    found: dict[tuple[int, int], Interpreter] = {}
-    for interpreter in sorted(filter(None, map(_asked, dict.fromkeys(candidates))), reverse=True):
-        found.setdefault(interpreter.version[:2], interpreter)
-    return list(found.values())
+        folders += [*Path.home().glob(".pyenv/versions/*/bin"), *Path.home().glob(".local/share/uv/python/*/bin")]
+        paths = (path for folder in folders for path in folder.glob("python3*"))
+        candidates = {path for path in paths if re.fullmatch(r"python3(\.\d+)?", path.name)}
+    newest_last = {one.version[:2]: one for one in sorted(filter(None, map(_asked, candidates)))}
+    return list(newest_last.values())[::-1]
 
 
 def _asked(path: Path) -> Interpreter | None:
@@ -83,8 +77,7 @@ def _asked(path: Path) -> Interpreter | None:
     except (OSError, subprocess.SubprocessError):
         return None
     kind, *version, level = done.stdout.split()
-    good = (kind, level) == ("cpython", "final")
-    return Interpreter(tuple(map(int, version)), path) if good else None
+    return Interpreter(tuple(map(int, version)), path) if (kind, level) == ("cpython", "final") else None
 
 
 def _require(condition: object, message: str) -> None:
@@ -96,7 +89,7 @@ def command(*words: str | Path, folder: Path, **variables: str) -> str:
     """Run a command in `folder`, independent of this checkout's Python; return what it printed."""
     kept = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")}
     together = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-    done = subprocess.run(words, cwd=folder, env=kept | variables, check=False, **together)
+    done = subprocess.run(words, cwd=folder, env=kept | variables, **together)
     shown = " ".join(map(str, words))
     _require(done.returncode == 0, f"exit code {done.returncode} of {shown}\n{done.stdout[-4000:]}")
     _require("Traceback" not in done.stdout, f"traceback of {shown}\n{done.stdout[-4000:]}")
@@ -200,15 +193,11 @@ def arviz(python: Interpreter, programs: Path, folder: Path) -> str:
 
 
 def _job(python: Interpreter, wheel: Path, folder: Path) -> str:
-    marks = [time.monotonic()]
+    begun = time.monotonic()
     programs = environment(python, wheel, folder)
-    marks.append(time.monotonic())
     study(programs, folder)
-    marks.append(time.monotonic())
     version = arviz(python, programs, folder)
-    marks.append(time.monotonic())
-    seconds = [f"{end - begin:.0f} s" for begin, end in pairwise(marks)]
-    return f"Python {python.name}: installed in {seconds[0]}, study in {seconds[1]}, ArviZ {version} in {seconds[2]}"
+    return f"Python {python.name}: installed, study made, ArviZ {version}, in {time.monotonic() - begun:.0f} s"
 
 
 def has_wheels(python: Interpreter, wheel: Path, folder: Path) -> bool:

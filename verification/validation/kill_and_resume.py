@@ -20,10 +20,10 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 
-import numpy as np
+import psutil
 import yaml
 from verification.validation.tables import EXAMPLES, arguments
 
@@ -64,27 +64,16 @@ def finished(folder: Path) -> list[tuple[str, int]]:
         return connection.execute(FINISHED).fetchall()
 
 
-def descendants(pid: int) -> list[tuple[int, str]]:
-    """Return process numbers and command lines of all descendants of a process."""
-    found = []
-    for path in Path("/proc").glob("[0-9]*"):
-        try:
-            status = (path / "stat").read_text().rpartition(")")[2].split()
-            found.append((int(path.name), int(status[1]), (path / "cmdline").read_bytes().decode(errors="replace")))
-        except OSError:
-            continue
-    below, families = [], {pid}
-    while new := [(one, line) for one, parent, line in found if parent in families and one not in families]:
-        below += new
-        families |= {one for one, _ in new}
-    return below
-
-
 def _victims(driver: int, kind: str) -> list[int]:
     if kind == "driver":
         return [driver]
-    mark = "beam.py" if kind == "simulator" else "strandline.runs.worker"
-    return [pid for pid, line in descendants(driver) if mark in line and "supervisor" not in line]
+    mark, found = "beam.py" if kind == "simulator" else "strandline.runs.worker", []
+    with suppress(psutil.Error):  # the driver has ended
+        for process in psutil.Process(driver).children(recursive=True):
+            with suppress(psutil.Error):  # this one has
+                line = " ".join(process.cmdline())
+                found += [process.pid] if mark in line and "supervisor" not in line else []
+    return found
 
 
 def _start(folder: Path, environment: dict[str, str]) -> subprocess.Popen[bytes]:
@@ -96,17 +85,6 @@ def _wait_for_two_more(driver: subprocess.Popen[bytes], folder: Path) -> None:
     known, deadline = len(finished(folder)), time.monotonic() + 60.0
     while driver.poll() is None and len(finished(folder)) < known + 2 and time.monotonic() < deadline:
         time.sleep(0.02)
-
-
-def same_content(first: Path, second: Path) -> bool:
-    """Compare two posterior.nc files: groups, variables, attributes, every bit of every value."""
-    a, b = (read(folder / "posterior.nc") for folder in (first, second))
-    same = a.groups == b.groups and a.attrs == b.attrs
-    for left, right in ((a[group].to_dataset(), b[group].to_dataset()) for group in a.groups if same):
-        same &= list(left.variables) == list(right.variables) and left.attrs == right.attrs
-        for x, y in ((np.asarray(left[name]), np.asarray(right[name])) for name in left.variables if same):
-            same &= (x.dtype, x.shape, x.tobytes()) == (y.dtype, y.shape, y.tobytes())
-    return same
 
 
 def disturb(
@@ -158,7 +136,8 @@ def main(
             raise SystemExit("the study fails undisturbed")
         print(f"undisturbed: {len(finished(undisturbed))} runs in {time.monotonic() - begun:.0f} s", flush=True)
         done, lost = disturb(disturbed, environment, kinds, rng, 1.5 if active else 0.3)
-        outcomes, same = finished(disturbed), same_content(undisturbed, disturbed)
+        outcomes, results = finished(disturbed), [read(one / "posterior.nc") for one in (undisturbed, disturbed)]
+        same = results[0].identical(results[1])
         again = len(outcomes) - len({key for key, _ in outcomes})
         rollback = has_rollback_journal(disturbed / "ledger.sqlite")
         folders = len(list(Path(base, "tmp").glob(f"{PREFIX}*")))
