@@ -20,19 +20,10 @@ class NotMeasured(Exception):
 
 @dataclass(frozen=True)
 class Figure:
-    """A line of results.json, which leaves out what is as here by default.
+    """A line of results.json, which leaves out what is as here by default: a task, and a case of it.
 
-    Args:
-        what: The task.
-        case: What distinguishes this line from others of the same task.
-        ours: Median seconds of strandline, or another value in `unit`; None if it was not measured.
-        unit: Unit of `ours` and `peer`.
-        remark: Where the numbers come from, or why there are none.
-        peer_name: The other program, if there is one.
-        peer: Its median seconds.
-        repeats: How often both were timed.
-        cpu: Seconds of all cores together, ours and the peer's, where they are known.
-        part: Part of the benchmark.
+    `ours` and `peer` are median seconds, or values in another unit, after so many repeats; None if not measured. `cpu`
+    are the seconds of all cores, ours and the peer's. The remark says where numbers come from, or why there are none.
     """
 
     what: str

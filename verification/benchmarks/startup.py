@@ -14,8 +14,7 @@ from pathlib import Path
 
 from verification.benchmarks.figures import Figure, timed
 
-from strandline.design import sobol
-from strandline.runs import InProcess, Ledger, run_campaign
+from strandline.runs import InProcess, run_campaign
 from strandline.studies import load_study
 from strandline.testing.studies import write_study
 
@@ -62,7 +61,6 @@ def write(folder: Path, *, seed: int) -> None:
 def make_runs(folder: Path) -> None:
     """Make the runs of a study's design as a driver would."""
     study = load_study(folder)
-    inputs = [{**study.fixed, **study.space.as_mapping(x)} for x in study.space.to_physical(sobol(RUNS, 1))]
-    with Ledger.open(study.ledger_path, model=study.model, description=study.name) as ledger:
+    with study.runs.ledger() as ledger:
         ledger.plan(study.runs.plan)
-        run_campaign(study.model, inputs, ledger=ledger, executor=InProcess())
+        run_campaign(study.model, study.runs.design, ledger=ledger, executor=InProcess())

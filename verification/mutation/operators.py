@@ -8,42 +8,23 @@ import ast
 from collections.abc import Iterator
 from copy import deepcopy
 from dataclasses import dataclass
+from typing import Any
 
 __all__ = ["Mutant", "mutants"]
 
-OTHER_OPERATOR = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult}
-OTHER_COMPARISON = {
-    ast.Lt: ast.GtE,
-    ast.GtE: ast.Lt,
-    ast.Gt: ast.LtE,
-    ast.LtE: ast.Gt,
-    ast.Eq: ast.NotEq,
-    ast.NotEq: ast.Eq,
-    ast.Is: ast.IsNot,
-    ast.IsNot: ast.Is,
-    ast.In: ast.NotIn,
-    ast.NotIn: ast.In,
-}
-OTHER_NAME = {
-    "min": "max",
-    "max": "min",
-    "minimum": "maximum",
-    "maximum": "minimum",
-    "any": "all",
-    "all": "any",
-    "argmin": "argmax",
-    "argmax": "argmin",
-    "sum": "mean",
-    "mean": "sum",
-    "sin": "cos",
-    "cos": "sin",
-    "zeros": "ones",
-    "ones": "zeros",
-    "floor": "ceil",
-    "ceil": "floor",
-    "expected": "plug_in",
-    "log_expected": "log_plug_in",
-}
+
+def _both_ways(*pairs: tuple[Any, Any]) -> dict[Any, Any]:
+    return dict(pairs) | {other: one for one, other in pairs}
+
+
+OTHER_OPERATOR = _both_ways((ast.Add, ast.Sub), (ast.Mult, ast.Div))
+OTHER_COMPARISON = _both_ways(
+    (ast.Lt, ast.GtE), (ast.Gt, ast.LtE), (ast.Eq, ast.NotEq), (ast.Is, ast.IsNot), (ast.In, ast.NotIn)
+)
+OTHER_NAME = _both_ways(
+    ("min", "max"), ("minimum", "maximum"), ("any", "all"), ("argmin", "argmax"), ("sum", "mean"), ("sin", "cos"),
+    ("zeros", "ones"), ("floor", "ceil"),
+) | {"expected": "plug_in", "log_expected": "log_plug_in"}  # fmt: skip
 ONLY_ARGUMENT = frozenset({"abs", "sqrt", "exp", "log", "sort", "sorted", "isfinite", "clip", "cumsum", "conj"})
 """Functions whose call is replaced by its first argument."""
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from math import isfinite
 from typing import Any, Literal
 
 import numpy as np
@@ -33,8 +32,8 @@ class Claim:
     study: Mapping[str, Any] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the entry of claims.json; None replaces a number that is not finite, such as k̂ = inf."""
-        return {name: _finite(value) for name, value in asdict(self).items() if name != "key"}
+        """Return the entry of claims.json."""
+        return {name: value for name, value in asdict(self).items() if name != "key"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,15 +127,6 @@ def mass_within(posterior: Posterior, approximation: GaussianApproximation, leve
     """Return the posterior mass inside the ellipse that holds `level` of a Gaussian approximation's mass."""
     inside = approximation.radius(posterior.draws) <= approximation.percentile_radius(level)
     return float(posterior.weights[inside].sum())
-
-
-def _finite(value: Any) -> Any:
-    """Return `value` with None for each number that is not finite."""
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 def _beside_prior(

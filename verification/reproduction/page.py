@@ -1,7 +1,6 @@
 """reproduction/report.html and claims.json, and the tables in them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,17 +21,12 @@ WORDS = {"map": "MAP", "mean": "mean"}
 Cell = str | float | int | None
 
 
-@dataclass(frozen=True)
-class Table:
+class Table(NamedTuple):
     """A table: names of its columns, rows of numbers and words, and a note below."""
 
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
-    note: str = ""
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the table as stored in claims.json."""
-        return {"columns": list(self.columns), "rows": [list(row) for row in self.rows]}
+    note: str
 
 
 TRUTH_COLUMNS = ("posterior", "input", "mean", "true model", "off, sd", "sd", "true model", "ratio")
@@ -169,19 +163,12 @@ class Section(NamedTuple):
     claims: tuple[str, ...]
 
 
-def _place(picture: Picture) -> tuple[int, str, str]:
-    """Return a sort key for pictures in the study's order: number, letter, the figure itself before its variants."""
-    number, _, variant = picture.number.partition(",")
-    digits = number.rstrip("abcd")
-    return int(digits), number[len(digits) :], variant
-
-
-def sections(evidence: Evidence, pictures: Mapping[str, Picture]) -> tuple[Section, ...]:
+def sections(evidence: Evidence, pictures: Sequence[Picture]) -> tuple[Section, ...]:
     """Return the sections of the page in the study's order."""
 
-    def shown(*numbers: str) -> tuple[Picture, ...]:
-        chosen = (p for n, p in pictures.items() if n.split(",")[0].rstrip("abcd") in numbers or n in numbers)
-        return tuple(sorted(chosen, key=_place))
+    def shown(*names: str) -> tuple[Picture, ...]:
+        """Return the figures of these numbers, with a letter or without, in their order, with all variants."""
+        return tuple(one for name in names for one in pictures if one.number.partition(",")[0] == name)
 
     by_parts = [name for name in evidence.checks if name.startswith("biofilm-parts")]
     others = [name for name in evidence.checks if name not in by_parts]
@@ -190,11 +177,11 @@ def sections(evidence: Evidence, pictures: Mapping[str, Picture]) -> tuple[Secti
                 ("C1", "C2", "C3")),
         Section("S2", "S2 training", "S2: size of the training set", (), shown("8"), ("C4",)),
         Section("S3", "S3 uniform", "S3: uniform prior", (against_truth(evidence),),
-                shown("9a", "9a, refined", "9b"), ("C5", "C6")),
+                shown("9a", "9b"), ("C5", "C6")),
         Section("S4", "S4 informed", "S4: informed prior", (), shown("9c"), ("C7",)),
         Section("S5", "S5 inflow", "S5: uncertain inflow",
                 (uncertain_against_truth(evidence), larger(evidence), checks(evidence, others)),
-                shown("9d", "9d, cut", "10"), ("C8",)),
+                shown("9d", "10"), ("C8",)),
         Section("S6", "S6 parts", "S6: heterogeneous specimen", (checks(evidence, by_parts),),
                 shown("11", "12", "13", "14", "15"), ("C9", "C10")),
     )  # fmt: skip
@@ -214,12 +201,11 @@ def compared(claim: Claim) -> list[tuple[str, float, float]]:
 
 def write_page(evidence: Evidence, claims: Mapping[str, Claim], folder: Path) -> Path:
     """Write report.html into `folder`, whole or not at all, and return its path."""
-    named = {picture.number: picture for picture in draw(evidence)}
     text = template("reproduction.html.j2", package="verification.reproduction").render(
         version=__version__,
         claims=claims,
         compared=compared,
-        sections=sections(evidence, named),
+        sections=sections(evidence, tuple(draw(evidence))),
         cost=cost(evidence.costs),
     )
     path = folder / "report.html"
@@ -236,12 +222,10 @@ def write_claims(evidence: Evidence, claims: Mapping[str, Claim], folder: Path, 
         name: {k: v for k, v in check.content.items() if k not in ("particles", "interfaces")}
         for name, check in evidence.checks.items()
     }
-    content["truth"] = {
-        "uniform": against_truth(evidence).as_json(),
-        "uncertain_inflow": uncertain_against_truth(evidence).as_json(),
-        "uncertain_inflow_with_more_runs": larger(evidence).as_json(),
-    }
-    content["cost"] = cost(evidence.costs).as_json() | {"seconds": seconds}
+    tables = against_truth(evidence), uncertain_against_truth(evidence), larger(evidence)
+    names = "uniform", "uncertain_inflow", "uncertain_inflow_with_more_runs"
+    content["truth"] = {name: table._asdict() for name, table in zip(names, tables, strict=True)}
+    content["cost"] = cost(evidence.costs)._asdict() | {"seconds": seconds}
     path = folder / "claims.json"
     write_json(path, content)
     return path

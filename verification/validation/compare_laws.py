@@ -207,7 +207,7 @@ def _crossing(
 
 def holds(posterior: Weighted, truth: Float[np.ndarray, " 2"]) -> Float[np.ndarray, " 2"]:
     """Return which inputs the central 90 % intervals contain, 1 or 0."""
-    below = np.array([posterior.weights[posterior.draws[:, k] < truth[k]].sum() for k in range(2)])
+    below = posterior.weights @ (posterior.draws < truth)
     return np.asarray((below >= 0.05) & (below <= 0.95), float)
 
 

@@ -24,12 +24,9 @@ _LINES = 16
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera: a step, blurred by a Gaussian, with white noise.
+    """A camera: a step, blurred by a Gaussian (sd in px), with white noise, over whose sd the contrast is given.
 
-    Args:
-        blur: Standard deviation of the blur, px.
-        contrast_to_noise: Difference between the two sides over the standard deviation of the noise.
-        light: Relative fall of the light from the left to the right of the picture.
+    The light falls by a share from the left to the right.
     """
 
     blur: float = 1.5
@@ -50,14 +47,9 @@ class Scan:
     The field is Gaussian white noise, as strong as the square root of the reflectivity, convolved with a Gaussian of
     standard deviation w; the correlation of the intensity at distance r is exp(-r²/2w²).
 
-    Args:
-        contrast: Reflectivity inside over that outside, dB.
-        speckle: w, px.
-        shadows: Number of dark columns.
-        over: Range of the middles of shadows, as shares of the width of the region.
-        depth: Depth inside the region at which light has fallen to 1/e, px.
-        shade: Share of the light left in the middle of a shadow.
-        floor: Intensity of the detector's noise, over that outside of the region; not shadowed.
+    `contrast` is the reflectivity inside over that outside, dB, `speckle` w in px; light falls to 1/e at a `depth` in
+    the region, px. Shadows have their middles over a range of shares of the region's width, where a share `shade` of
+    the light is left; `floor` is the intensity of the detector's noise, over that outside, which is not shadowed.
     """
 
     contrast: float = 10.0

@@ -15,14 +15,7 @@ from strandline.imaging import Stack
 
 @dataclass(frozen=True)
 class Blob:
-    """An ellipsoid with bumps: the points whose direction and scaled distance from the centre fit.
-
-    Args:
-        centre: Centre (x, y, z).
-        axes: Half axes along x, y and z.
-        bumps: Height of the bumps, as a share of the half axes.
-        waves: Number of waves of the bumps.
-    """
+    """An ellipsoid with half axes along x, y and z, and waves of bumps, whose height is a share of the axes."""
 
     centre: tuple[float, float, float]
     axes: tuple[float, float, float]
@@ -51,14 +44,9 @@ class Blob:
 
 @dataclass(frozen=True)
 class Microscope:
-    """A microscope.
+    """A microscope: size of a voxel and sd of the blur along x, y and z, mm, and numbers of planes, rows and columns.
 
-    Args:
-        voxel: Size of a voxel along x, y and z, mm.
-        shape: Planes, rows and columns.
-        blur: Standard deviation of the blur along x, y and z, mm.
-        contrast_to_noise: Difference between the two sides over the standard deviation of the noise of a voxel.
-        bright: Whether the solid is the brighter part.
+    The contrast is given over the standard deviation of the noise of a voxel; the solid is `bright`, or dark.
     """
 
     voxel: tuple[float, float, float]

@@ -28,7 +28,7 @@ E, NU = np.linspace(100.0, 800.0, 141), np.linspace(-0.8, 0.5, 131)
 
 def settled(claim, verdict, *figures):
     """Return the numbers of a claim as JSON gives them back, its verdict and the figures in its reason checked."""
-    content = json.loads(json.dumps(claim.as_json(), allow_nan=False))
+    content = json.loads(json.dumps(claim.as_json()))
     assert content["verdict"] == claim.verdict == verdict
     assert [figure for figure in figures if figure not in claim.because] == []
     return content["numbers"]
