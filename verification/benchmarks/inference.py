@@ -6,20 +6,20 @@ its load; ratios less so.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 
 import jax
 import numpy as np
-from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
+from verification.benchmarks.executors import overhead
 from verification.benchmarks.figures import Figure, compared, in_turns
 from verification.benchmarks.norms import arches
+from verification.benchmarks.surrogate import marginal
 
 from strandline import Currents, Interface, LocalProcesses
-from strandline.runs import RunRequest
 from strandline.surrogate import KERNELS, evidence
 from strandline.testing.models import Cantilever
 
@@ -44,15 +44,11 @@ def gp_fit() -> Figure:
     x, y = training()
     standard, centred = (x - x.mean(0)) / x.std(0), y - y.mean()
     kernel = ConstantKernel(VARIANCE) * Matern(LENGTH, nu=1.5)
-    peer = GaussianProcessRegressor(kernel, alpha=NUGGET, optimizer=None).fit(standard, centred)
-    theta = peer.kernel_.theta
+    theirs = marginal(standard, centred, kernel, NUGGET)
 
     def mine() -> float:
         settings = {"length_scale": LENGTH, "signal_variance": VARIANCE, "nugget": NUGGET}
         return evidence(standard, centred, kernel=KERNELS["matern32"], **settings).value
-
-    def theirs() -> float:
-        return float(peer.log_marginal_likelihood(theta, eval_gradient=True, clone_kernel=False)[0])
 
     return compared(f"GP: evidence and gradient, n = {RUNS}", "scikit-learn", mine, theirs, rtol=1e-6)
 
@@ -79,17 +75,7 @@ def currents(quadrature: str, what: str, peer_name: str, nodes: int, repeats: in
 
 def executor() -> Figure:
     """Compare the time per run of a model that costs nothing, from the first record to the last."""
-    inputs = [{"E": 1e4 + i, "load": 0.01} for i in range(TRIVIAL_RUNS)]
-
-    def mine() -> Iterator[object]:
-        requests = [RunRequest(str(i), one) for i, one in enumerate(inputs)]
-        return LocalProcesses(workers=2)(Cantilever(), requests)
-
-    def theirs() -> Iterator[object]:
-        with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-            yield from as_completed([pool.submit(Cantilever(), one, Path()) for one in inputs])
-
-    seconds = [(paced(mine), paced(theirs)) for _ in range(5)]
+    seconds = [(overhead(LocalProcesses(workers=2), TRIVIAL_RUNS)[0], pool_overhead()) for _ in range(5)]
     return in_turns(f"executor: overhead of a run, {TRIVIAL_RUNS} runs", "concurrent.futures", seconds)
 
 
@@ -118,10 +104,12 @@ def _gauss_points(one: Interface, nodes: int) -> tuple[np.ndarray, np.ndarray]:
     return points.reshape(-1, 2), normals.reshape(-1, 2)
 
 
-def paced(task: Callable[[], Iterator[object]]) -> float:
-    """Return the mean seconds between the items that `task` yields."""
-    records = task()
-    next(records)
-    begun = time.perf_counter()
-    number = sum(1 for _ in records)
-    return (time.perf_counter() - begun) / number
+def pool_overhead() -> float:
+    """Return the mean seconds between results of a process pool."""
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        inputs = ({"E": 300.0 + 0.1 * i, "load": 1e-5} for i in range(TRIVIAL_RUNS))
+        done = as_completed([pool.submit(Cantilever(), one, Path()) for one in inputs])
+        next(done)
+        begun = time.perf_counter()
+        number = sum(1 for _ in done)
+        return (time.perf_counter() - begun) / number

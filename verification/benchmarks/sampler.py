@@ -16,8 +16,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial, reduce
-from operator import mul
+from functools import partial
 from typing import Any
 
 import jax
@@ -31,6 +30,7 @@ from verification.benchmarks.figures import Figure, in_turns
 
 from strandline.design import sobol
 from strandline.numerics.compiled import WIDEST
+from strandline.posterior import Weighted
 from strandline.posterior.quadrature import integrate
 from strandline.smc import SMCSettings, sample
 from strandline.smc.sampler import spread as over_devices
@@ -198,8 +198,7 @@ def _scikit_learn_of_two(task: Task) -> Log:
 
 def scikit_learn_of_seven(task: Task) -> Log:
     """Return scikit-learn's mean of the surrogate of seven inputs."""
-    factors = [surrogate.Column(length, nu=1.5, column=d) for d, length in enumerate(surrogate.LENGTHS)]
-    return scikit_learn(task.process, ConstantKernel(surrogate.VARIANCE) * reduce(mul, factors), surrogate.NUGGET)
+    return scikit_learn(task.process, surrogate.product(), surrogate.NUGGET)
 
 
 def scikit_learn(process: Any, kernel: Any, nugget: float) -> Log:
@@ -331,9 +330,8 @@ def unit_prior(x: Any) -> Any:
 
 def moments(found: tuple[float, np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean and the standard deviation of weighted particles."""
-    _, x, w = found
-    mean = w @ x
-    return mean, np.sqrt(w @ (x - mean) ** 2)
+    weighted = Weighted(*found[1:])
+    return weighted.mean, weighted.sd
 
 
 def require_right(found: tuple[float, np.ndarray, np.ndarray], exact: Any) -> None:

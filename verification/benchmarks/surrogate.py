@@ -69,18 +69,21 @@ def floor(name: str, runs: int) -> Figure:
 def scikit_learn(name: str, runs: int) -> Figure:
     """Compare with scikit-learn, which takes each factor of the product as a kernel of one column."""
     x, y = training(runs)
-    correlation = (
-        Matern(LENGTHS, nu=1.5)
-        if name == "matern32_ard"
-        else reduce(mul, [Column(length, nu=1.5, column=d) for d, length in enumerate(LENGTHS)])
-    )
-    peer = GaussianProcessRegressor(ConstantKernel(VARIANCE) * correlation, alpha=NUGGET, optimizer=None).fit(x, y)
-    theta = peer.kernel_.theta
-
-    def theirs() -> float:
-        return float(peer.log_marginal_likelihood(theta, eval_gradient=True, clone_kernel=False)[0])
-
+    kernel = ConstantKernel(VARIANCE) * Matern(LENGTHS, nu=1.5) if name == "matern32_ard" else product()
+    theirs = marginal(x, y, kernel, NUGGET)
     return compared(_what(name, runs), "scikit-learn", ours(name, x, y), theirs, rtol=1e-6, repeats=REPEATS)
+
+
+def marginal(x: np.ndarray, y: np.ndarray, kernel: Any, nugget: float) -> Callable[[], float]:
+    """Return scikit-learn's log marginal likelihood, which computes its gradient too."""
+    peer = GaussianProcessRegressor(kernel, alpha=nugget, optimizer=None).fit(x, y)
+    theta = peer.kernel_.theta
+    return lambda: float(peer.log_marginal_likelihood(theta, eval_gradient=True, clone_kernel=False)[0])
+
+
+def product() -> Any:
+    """Return scikit-learn's product of a kernel for each input."""
+    return ConstantKernel(VARIANCE) * reduce(mul, [Column(one, nu=1.5, column=d) for d, one in enumerate(LENGTHS)])
 
 
 def in_processes(peer_name: str, program: str, python: Path, *, cores: int, runs: int = USUAL) -> Figure:

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from verification.benchmarks.figures import Figure, NotMeasured, in_turns
-from verification.benchmarks.peers.install import not_installed
 from verification.benchmarks.peers.worker import CORES
 
 PEERS = Path(__file__).parent / "peers"
@@ -35,24 +34,11 @@ def working(
     """
     if not python.exists():
         raise NotMeasured("the environment of the peers does not exist (`make bench-env`)")
-    complaints, environment = (
-        task.with_suffix(f".{program[-1]}.txt"),
-        {**os.environ, **dict.fromkeys(THREADS, str(cores))},
-    )
-    with (
-        complaints.open("w") as stream,
-        subprocess.Popen(
-            [python, "-W", "ignore", *program, task],
-            cwd=folder,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=stream,
-            env=environment,
-            text=True,
-        ) as process,
-    ):
-        assert process.stdin is not None
-        assert process.stdout is not None
+    complaints, environment = task.with_suffix(f".{program[-1]}.txt"), dict.fromkeys(THREADS, str(cores))
+    options = {"cwd": folder, "env": {**os.environ, **environment}, "text": True}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    command = [python, "-W", "ignore", *program, task]
+    with complaints.open("w") as stream, subprocess.Popen(command, stderr=stream, **pipes, **options) as process:
 
         def next_line() -> Any:
             line = process.stdout.readline()
@@ -60,7 +46,7 @@ def working(
                 return json.loads(line)
             said = complaints.read_text("utf-8").strip().splitlines()
             why = said[-1] if said else f"the program ended with status {process.wait()}"
-            raise NotMeasured("; ".join(filter(None, [why, not_installed()])) if "ModuleNotFound" in why else why)
+            raise NotMeasured(why)
 
         def answer() -> Any:
             process.stdin.write("again\n")

@@ -26,7 +26,7 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from verification.benchmarks.peers.install import OWN, not_installed
+from verification.benchmarks.peers.install import OWN, stamp
 from verification.validation.pyvbmc_problems import Biofilm, Outline
 from verification.validation.tables import DOCS, OUTPUT, Table, arguments, show, table
 
@@ -51,7 +51,7 @@ FAILED = {"biofilm": ("-1000", "lowest", "-inf"), "outline": ("-1000",)}
 
 Problem = Biofilm | Outline
 Trace = dict[str, Any]
-"""One method on one problem from one seed; None or empty for ours is what only PyVBMC has.
+"""One method on one problem from one seed.
 
 method, problem, seed, version; failed: log L given to PyVBMC for failed runs; runs and failures: their numbers; error:
 what ended the run; final: total variation of the posterior that PyVBMC returns, after its own choice and boost. marks:
@@ -92,8 +92,7 @@ def ours(problem: Problem, seed: int) -> Trace:
         records += [problem.run(row) for row in picked]
     failures = sum(not record.ok for record in records)
     of = {"method": "strandline", "problem": problem.key, "failed": "", "seed": seed, "marks": marks}
-    none = {"error": None, "final": None, "version": "", "boosted": []}
-    return of | {"runs": len(x), "failures": failures} | none
+    return of | {"runs": len(x), "failures": failures, "error": None}
 
 
 def theirs(problem: Problem, seed: int, failed: str) -> Trace:
@@ -240,14 +239,9 @@ def tables(found: Mapping[str, Sequence[Trace]], problems: Sequence[Problem]) ->
     ]
 
 
-def _missing_peer() -> str | None:
-    if (PEER / "bin" / "python").exists() and not not_installed(PEER):
-        return None
-    return f"PyVBMC is not measured: {not_installed(PEER) or 'it is not installed; make pyvbmc-env does'}"
-
-
 def _main() -> None:
-    options, missing = arguments(__doc__, publish=False), _missing_peer()
+    options = arguments(__doc__, publish=False)
+    missing = None if stamp(PEER).exists() else "PyVBMC is not measured: make pyvbmc-env installs it"
     use_double()
     KEPT.mkdir(parents=True, exist_ok=True)
     if missing:

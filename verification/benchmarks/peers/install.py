@@ -1,16 +1,15 @@
 """Make the peers' environment, .venv in this folder: ``make bench-env``, part of `make bench`.
 
-With the argument ``pyvbmc`` it makes .venv-pyvbmc for `verification.validation.pyvbmc`: ``make pyvbmc-env``.
-
-What cannot be installed is printed and noted in ``.venv/not-installed.json`` for the benchmark, which goes on without
-it. An environment whose lists have not changed is left as it is, unless something was missing.
+With the argument ``pyvbmc`` it makes .venv-pyvbmc for `verification.validation.pyvbmc`: ``make pyvbmc-env``. The
+benchmark goes on without what cannot be installed. An environment whose lists have not changed is left as it is, unless
+something was missing.
 """
 
-import json
 import re
 import subprocess
 import sys
 import venv
+from collections.abc import Iterator
 from pathlib import Path
 
 HERE = Path(__file__).parent
@@ -20,43 +19,30 @@ OWN: dict[str, tuple[Path, tuple[str, ...]]] = {
     "pyvbmc": (HERE / ".venv-pyvbmc", ("requirements-pyvbmc.txt",)),
 }
 """Folder and lists of each environment, by the argument that selects it."""
-NOTE = "not-installed.json"
 
 
-def install(folder: Path, names: tuple[str, ...]) -> dict[str, str]:
-    """Install each list; return those that could not be installed, with the reason."""
-    stamp, content = folder / "installed.txt", "\n".join((HERE / name).read_text("utf-8") for name in names)
-    if stamp.exists() and stamp.read_text("utf-8") == content:
-        return {}
-    try:
-        venv.create(folder, with_pip=True)
-    except (OSError, subprocess.CalledProcessError) as error:
-        return dict.fromkeys(names, f"no environment could be made: {error}")
-    missing, pip = {}, [folder / "bin" / "python", "-m", "pip", "install", "--quiet", "-r"]
+def stamp(folder: Path) -> Path:
+    """Return the file of an environment that says what was installed, if all could be."""
+    return folder / "installed.txt"
+
+
+def install(folder: Path, names: tuple[str, ...]) -> Iterator[str]:
+    """Install each list; yield those that could not be installed, with pip's last message, without addresses."""
+    content = "\n".join((HERE / name).read_text("utf-8") for name in names)
+    if stamp(folder).exists() and stamp(folder).read_text("utf-8") == content:
+        return
+    venv.create(folder, with_pip=True)
+    pip, complete = [folder / "bin" / "python", "-m", "pip", "install", "--quiet", "-r"], True
     for name in names:
         done = subprocess.run([*pip, HERE / name], capture_output=True, text=True)
         if done.returncode:
-            missing[name] = reason(done.stderr)
-    (folder / NOTE).write_text(json.dumps(missing), encoding="utf-8")
-    if not missing:
-        stamp.write_text(content, encoding="utf-8")
-    return missing
-
-
-def reason(complaints: str) -> str:
-    """Return pip's last message, without addresses."""
-    errors = [line for line in complaints.splitlines() if line.startswith("ERROR")] or complaints.splitlines()
-    return re.sub(r"\S+://\S+|\(from [^)]*\)", "", errors[-1] if errors else "pip ended without a word").strip()
-
-
-def not_installed(folder: Path = FOLDER) -> str:
-    """Return what could not be installed and why, or nothing."""
-    note = folder / NOTE
-    missing = json.loads(note.read_text("utf-8")) if note.exists() else {}
-    return "; ".join(f"{name}: {why}" for name, why in missing.items())
+            complete = False
+            yield f"{name}: " + re.sub(r"\S+://\S+|\(from [^)]*\)", "", done.stderr.strip().rpartition("\n")[2]).strip()
+    if complete:
+        stamp(folder).write_text(content, encoding="utf-8")
 
 
 if __name__ == "__main__":
     for argument in sys.argv[1:] or [""]:
-        for name, why in install(*OWN[argument]).items():
-            print(f"benchmarks: the peers of {name} are not measured: {why}", file=sys.stderr)
+        for why in install(*OWN[argument]):
+            print(f"not installed and not measured: {why}", file=sys.stderr)
