@@ -7,8 +7,6 @@ from verification.validation.tables import Table, put_into_page
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.schema import listed
 
-__all__ = ["PAGE", "page"]
-
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "study.md"
 
 

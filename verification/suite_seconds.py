@@ -16,19 +16,13 @@ from typing import Any
 
 import pytest
 
-__all__ = ["Seconds"]
-
 KINDS = ("compile", "solve", "programs", "waiting", "rest")
 COMPILING = "/jax/core/compile/"
 NAME = "strandline seconds"
 
 
 class Seconds:
-    """Plugin of pytest: measures where the tests run, prints tables where they are reported.
-
-    Args:
-        most: Most rows of a table.
-    """
+    """Plugin of pytest: measures where the tests run, prints tables of at most so many rows where they are reported."""
 
     def __init__(self, most: int) -> None:
         self.most = most

@@ -19,20 +19,15 @@ from filelock import FileLock
 from verification.mutation.results import fingerprint
 from verification.mutation.trial import forked, run_tests
 
-__all__ = ["Covering", "measured"]
-
 LINES = 6
 """Most lines of an expression: Python may count the later ones to the first."""
 
 
 @dataclass(frozen=True)
 class Covering:
-    """Tests that execute lines.
+    """Tests that execute lines, by file of the package, line of it and file of tests; and seconds of each test.
 
-    Args:
-        tests: Names by file of the package and line of it: those of the tests in each file of tests that execute
-            it; none if only its fixtures do.
-        seconds: Seconds of each test in each file of tests, with coverage.
+    There are no names where only the fixtures of a file execute a line. Seconds are with coverage.
     """
 
     tests: Mapping[str, Mapping[int, Mapping[str, Sequence[str]]]]
@@ -42,12 +37,7 @@ class Covering:
         """Return tests for a change of a line, in the order in which to try them: first those that execute it.
 
         Tests in the file named after the changed one are among them: what processes that they start execute is not
-        seen.
-
-        Args:
-            file: Changed file, from the package's folder.
-            line: Changed line.
-            most: Most seconds that they may take together, without their start; one test may take more.
+        seen. Together they may take `most` seconds, without their start; one test may take more.
         """
         lines = self.tests.get(file, {})
         found = next((lines[one] for one in range(line, line - LINES, -1) if one in lines), {})
@@ -81,13 +71,8 @@ def _own(file: str, tests: str) -> bool:
 def measured(package: Path, files: Sequence[Path], kept: Path) -> Covering:
     """Return which tests in these files execute which lines of a package.
 
-    What is kept is not measured again until the text of the file of tests changes. After changes of the package, remove
-    it.
-
-    Args:
-        package: Folder of the package.
-        files: Files of tests.
-        kept: Folder for what is measured: one file for each file of tests.
+    What is kept, one file for each file of tests, is not measured again until the text of that file changes. After
+    changes of the package, remove it.
     """
     tests: dict[str, dict[int, dict[str, Sequence[str]]]] = {}
     seconds: dict[str, Mapping[str, float]] = {}

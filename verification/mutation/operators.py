@@ -10,8 +10,6 @@ from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["Mutant", "mutants"]
-
 
 def _both_ways(*pairs: tuple[Any, Any]) -> dict[Any, Any]:
     return dict(pairs) | {other: one for one, other in pairs}
@@ -31,15 +29,7 @@ ONLY_ARGUMENT = frozenset({"abs", "sqrt", "exp", "log", "sort", "sorted", "isfin
 
 @dataclass(frozen=True)
 class Mutant:
-    """One change of one file.
-
-    Args:
-        line: Line of the change, from 1.
-        start: First changed byte of the file.
-        end: Byte after the last changed one.
-        before: Text that is replaced, on one line.
-        after: Text that replaces it.
-    """
+    """One change of one file: its line, from 1, its bytes from `start` to before `end`, and both texts, on one line."""
 
     line: int
     start: int

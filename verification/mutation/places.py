@@ -6,8 +6,6 @@ from zlib import crc32
 import numpy as np
 from verification.mutation.operators import Mutant, mutants
 
-__all__ = ["PARTS", "TIERS", "drawn", "near", "part_of"]
-
 PARTS = {
     "sampler": ("smc",),
     "posterior": ("posterior",),
@@ -49,11 +47,6 @@ def drawn(package: Path, number: int, seed: int) -> list[tuple[Path, Mutant]]:
 
     What is drawn of a file depends on this file alone, but for how many: after a change of one file, the results of the
     others still count.
-
-    Args:
-        package: Folder of the package.
-        number: Number of mutants.
-        seed: Seed of the draw.
     """
     first: list[tuple[Path, Mutant]] = []
     others: list[tuple[float, Path, Mutant]] = []

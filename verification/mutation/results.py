@@ -10,8 +10,6 @@ from pathlib import Path
 from verification.mutation.places import PARTS, part_of
 from verification.validation.tables import Table
 
-__all__ = ["SURVIVED", "Result", "explained", "fingerprint", "known_results", "name_of", "record", "table"]
-
 PACKAGE = Path(__file__).parents[2] / "src" / "strandline"
 EXPLAINED = Path(__file__).parent / "explained.csv"
 """Changes that no test has to notice, and why; some only on lines with a certain text."""
@@ -35,10 +33,7 @@ def name_of(result: Result) -> tuple[str, ...]:
 def known_results(package: Path, recorded: Path, kept: Path) -> dict[tuple[str, ...], Result]:
     """Return the results for the files of a package as they are now; later ones replace earlier ones.
 
-    Args:
-        package: Folder of the package.
-        recorded: Table in the repository.
-        kept: Results of this machine, one a line.
+    They come from the table in the repository and from what this machine has kept, one a line.
     """
     rows: list[Result] = []
     if recorded.exists():

@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-__all__ = ["Outcome", "forked", "prepare", "run_tests", "tried"]
-
 LIBRARIES = (
     "pytest", "hypothesis", "jax.numpy", "jax.scipy.special", "scipy.optimize", "scipy.stats", "scipy.spatial",
     "scipy.interpolate", "xarray", "pandas", "matplotlib.pyplot", "matplotlib.backends._backend_pdf_ps", "beartype",
@@ -27,14 +25,7 @@ OPTIONS = ("-q", "-x", "-rf", "-m", "not long", "-p", "no:cacheprovider", "-W", 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What tests made of a mutant.
-
-    Args:
-        end: "passed" if all tests passed, "failed" if one failed, "broke" if tests could not begin, "hung" if they took
-            too long.
-        test: The test that failed, if any.
-        seconds: Seconds that the tests took.
-    """
+    """What tests made of a mutant: which one failed, if any, or that they could not begin, or took too long."""
 
     end: Literal["passed", "failed", "broke", "hung"]
     test: str
@@ -50,13 +41,9 @@ def prepare() -> None:
 
 
 def tried(package: Path, tests: Sequence[str], output: Path, limit: float) -> Outcome:
-    """Return what tests make of a changed package, in a fork of this process.
+    """Return what tests make of a changed package, in a fork of this process that may take `limit` seconds.
 
-    Args:
-        package: Folder that contains the changed package.
-        tests: Tests, and options of pytest.
-        output: File for what pytest prints.
-        limit: Most seconds.
+    `package` is the folder that contains it; pytest prints into the file `output`.
     """
 
     def run() -> int:
@@ -76,13 +63,7 @@ def run_tests(tests: Sequence[str], plugins: Sequence[object] = ()) -> int:
 
 
 def forked(run: Callable[[], int], output: Path, limit: float) -> Outcome:
-    """Return how a function that runs tests ends in a fork of this process.
-
-    Args:
-        run: Function that returns pytest's exit code.
-        output: File for what it prints.
-        limit: Most seconds.
-    """
+    """Return how a function that runs tests, and returns pytest's exit code, ends in a fork of this process."""
     start = time.monotonic()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # JAX warns of its threads; it has not started any

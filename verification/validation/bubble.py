@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -99,7 +99,7 @@ def _compressed(grey: Grey) -> Grey:
 
 
 VARIANTS = (
-    Variant("original", lambda grey: grey),
+    Variant("original", np.asarray),
     Variant(f"turned by {TURN:g}°", turned, _turning, TURN),
     Variant("mirrored", lambda grey: grey[:, ::-1], lambda points, size: [size[0] - 1, 0] + points * [-1, 1]),
     Variant("half the resolution", halved, lambda points, size: 0.5 * (points - 0.5)),
@@ -108,8 +108,7 @@ VARIANTS = (
 )
 
 
-@dataclass(frozen=True)
-class Found:
+class Found(NamedTuple):
     """The posterior of the surface tension, mN/m, and what is said about the fit."""
 
     picture: str
@@ -121,8 +120,7 @@ class Found:
     verdict: str
 
     def row(self, original: "Found") -> tuple[str | float, ...]:
-        moved, ratio = (self.mean - original.mean) / original.sd, self.sd / original.sd
-        return self.picture, self.mean, self.sd, self.low, self.high, moved, ratio, self.verdict
+        return *self[:5], (self.mean - original.mean) / original.sd, self.sd / original.sd, self.verdict
 
 
 def study(folder: Path, variant: Variant, photograph: Grey, *, particles: int = 1000) -> Path:

@@ -12,9 +12,12 @@ from typing import Any
 
 import numpy as np
 import yaml
+from numpy.linalg import inv
+from scipy.spatial.distance import cdist
 from verification.validation.tables import DOCS, EXAMPLES, OUTPUT, arguments, show, table, write_study
 
 import strandline as sl
+from strandline.posterior import Weighted
 
 PAGE = DOCS / "how-to" / "creep.md"
 NAMES = ("E", "nu", "ratio", "tau")
@@ -34,14 +37,13 @@ def analysed(folder: Path, truth: Mapping[str, float], seed: int, shared: Path, 
     posterior, certificate = outcome.calibration.posterior, outcome.summary.get("certificate") or {}
     draws, exact = _scaled(posterior.draws), _scaled(np.array([[truth[name] for name in NAMES]]))
     weights = posterior.weights
-    mean = weights @ draws
-    precision = np.linalg.inv((draws - mean).T @ (weights[:, None] * (draws - mean)))
-    far, of_truth = (np.einsum("ij,jk,ik->i", x - mean, precision, x - mean) for x in (draws, exact))
+    scaled = Weighted(draws, weights)
+    far, of_truth = (cdist(x, scaled.mean[None], "mahalanobis", VI=inv(scaled.covariance)) for x in (draws, exact))
     marginal = zip(*posterior.quantiles((0.05, 0.95)), (truth[name] for name in NAMES), strict=True)
     return {
         "mean": posterior.mean.tolist(),
         "sd": posterior.sd.tolist(),
-        "inside": bool(weights[far <= of_truth[0]].sum() <= 0.9),
+        "inside": bool(weights[far[:, 0] <= of_truth[0, 0]].sum() <= 0.9),
         "marginal": [bool(low <= x <= high) for low, high, x in marginal],
         "new": outcome.summary["runs"]["new"],
         "verdict": certificate.get("verdict", "not checked"),

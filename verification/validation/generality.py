@@ -24,12 +24,8 @@ STEPS = (4e-2, 2e-2, 1e-2)
 def law_inputs(law: str) -> dict[str, float]:
     """Return inputs of the study's specimen with another law."""
     names = (item.name for item in further_parameters(LAWS[law]))
-    return {
-        "E": 250.0 if FURTHER[law] else 400.0,
-        "nu": 0.3,
-        **dict(zip(names, FURTHER[law], strict=True)),
-        "V_in": 100.0,
-    }
+    further = dict(zip(names, FURTHER[law], strict=True))
+    return {"E": 250.0 if further else 400.0, "nu": 0.3, **further, "V_in": 100.0}
 
 
 def sensitivity_errors(model: Biofilm, inputs: Mapping[str, float]) -> dict[str, float]:
@@ -51,10 +47,9 @@ def _scale(name: str, value: float) -> float:
     It is small for ν, which the interface depends on steeply, and large for inputs that change it little: Newton's
     tolerance would show in small differences.
     """
-    kind = name.rstrip("0123456789")
-    if kind == "nu":
+    if name == "nu":
         return 0.05
-    return abs(value) if kind in ("E", "V_in", "p_drop", "viscosity", "density") else 8 * abs(value)
+    return abs(value) if name in ("E", "V_in", "p_drop", "viscosity", "density") else 8 * abs(value)
 
 
 def layer(length: float = 2.0, **options: Any) -> Biofilm:

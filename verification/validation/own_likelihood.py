@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from verification.validation.tables import arguments, show, table
@@ -36,15 +37,16 @@ TOGETHER = PointErrors(0.001, shift=0.005, offset=0.002)
 """Errors with a part that all points share, which a planted mistake drops."""
 
 
+def analysed(experiment: Experiment, noise: Any, **changes: Any) -> Experiment:
+    """Return the experiment analysed with another noise in all conditions."""
+    return replace(experiment, noises=dict.fromkeys(experiment.noises, noise), **changes)
+
+
 def with_mistakes(experiment: Experiment) -> dict[str, Experiment]:
     """Return the experiment with each planted mistake in its analysis."""
-
-    def analysed(noise: GaussianNoise | PointErrors) -> Experiment:
-        return replace(experiment, noises=dict.fromkeys(experiment.noises, noise))
-
     return {
-        "planted: σ² given for σ": analysed(PointErrors(ERRORS.sd**2)),
-        "planted: ½ forgotten": analysed(GaussianNoise(0.5 * ERRORS.sd**2)),
+        "planted: σ² given for σ": analysed(experiment, PointErrors(ERRORS.sd**2)),
+        "planted: ½ forgotten": analysed(experiment, GaussianNoise(0.5 * ERRORS.sd**2)),
         "planted: Λ dropped": replace(experiment, errors=dict.fromkeys(experiment.errors, TOGETHER)),
     }
 
@@ -64,10 +66,7 @@ def rows(study: Study, replicates: int, published: int, planted: int, mistake: s
         experiment = repeatable(source)
         analyses = {
             "normal_offset, s = 1 µm": (experiment, replicates),
-            f"{name}, study's σ_N²": (
-                replace(experiment, measure=measure, noises=dict.fromkeys(experiment.noises, noise)),
-                published,
-            ),
+            f"{name}, study's σ_N²": (analysed(experiment, noise, measure=measure), published),
         }
         wrong = with_mistakes(experiment).items() if planted else ()
         analyses |= {label: (one, planted) for label, one in wrong if mistake in label}
@@ -94,11 +93,6 @@ HEADING = (
 if __name__ == "__main__":
     options = arguments(__doc__, words="FOLDER", replicates=200, published=100, planted=0, mistake="")
     use_double()
-    found = (
-        row
-        for folder in options.words
-        for row in rows(
-            load_study(Path(folder)), options.replicates, options.published, options.planted, options.mistake
-        )
-    )
+    numbers = options.replicates, options.published, options.planted, options.mistake
+    found = (row for folder in options.words for row in rows(load_study(Path(folder)), *numbers))
     show([table("own_likelihood", "1 µm of white noise", HEADING, found, live=True)])

@@ -76,7 +76,6 @@ class Cover:
 
     @property
     def of_control(self) -> Float[np.ndarray, " 2"]:
-        """The same for the control."""
         return np.asarray(coverage_of(self.control, 0.9).found)
 
     def row(self) -> tuple[str | float, ...]:

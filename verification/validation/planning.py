@@ -11,6 +11,7 @@ With ``--publish`` the tables go into docs/results/designs.md. All results are k
 
 import json
 import shutil
+from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from itertools import combinations_with_replacement
@@ -24,8 +25,7 @@ import yaml
 from jaxtyping import Float
 from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
-from verification.validation.tables import DOCS, OUTPUT, STUDIES, Table, arguments, as_text, show, table
-from verification.validation.tables import write_study as written
+from verification.validation.tables import DOCS, OUTPUT, STUDIES, Table, arguments, as_text, show, table, write_study
 
 import strandline as sl
 
@@ -68,7 +68,7 @@ def observed(rate: float, truth: Mapping[str, float], random: np.random.Generato
     return sl.PointErrors(SD).draw(true, random).points
 
 
-def write_study(
+def observed_study(
     folder: Path, seen: Mapping[float, Float[np.ndarray, "point 2"]], candidates: Mapping[str, Any] | None = None
 ) -> sl.Study:
     """Write a study with these observations by rate, and return it; several rates become conditions."""
@@ -83,7 +83,7 @@ def write_study(
     else:
         content["model"]["biofilm"]["inflow_rates"] = {f"V{rate:g}": rate for rate in seen}
         content["observation"] = [{"condition": f"V{rate:g}", **file} for rate, file in files.items()]
-    return sl.load_study(written(folder, content))
+    return sl.load_study(write_study(folder, content))
 
 
 def _finished(study: sl.Study) -> sl.Posterior:
@@ -146,18 +146,18 @@ def _true_runs(kept: Path, draws: Float[np.ndarray, "draw dim"], processes: int)
     return dict(zip(RATES, np.load(kept)["points"], strict=True))
 
 
-def table_of_gains(output: Path, draws: int, processes: int) -> tuple[Table, dict[str, object]]:
+def table_of_gains(output: Path, options: Namespace) -> tuple[Table, dict[str, object]]:
     """Return the gains of all rates and of the best pairs, and the largest differences.
 
     The true model is run at so many draws of the posterior; `output` keeps the study and these runs.
     """
     seen = {100.0: observed(100.0, TRUTH, np.random.default_rng(1))}
-    study = write_study(output / "gains", seen, {"V_in": list(RATES), "together": 2})
+    study = observed_study(output / "gains", seen, {"V_in": list(RATES), "together": 2})
     posterior = _finished(study)
     found = sl.next_experiment(study, draws=4000).content
     chosen = np.unique(posterior.equally_weighted(7), axis=0)
-    chosen = np.random.default_rng(7).permutation(chosen)[:draws]
-    points = _true_runs(output / "true-runs.npz", chosen, processes)
+    chosen = np.random.default_rng(7).permutation(chosen)[: options.draws]
+    points = _true_runs(output / "true-runs.npz", chosen, options.processes)
     signals = {rate: offsets(one) for rate, one in points.items()}
     failing = {rate: float(np.isnan(one).any(axis=1).mean()) for rate, one in signals.items()}
     ours = {tuple(s["V_in"] for s in one["settings"]): one for one in found["candidates"]}
@@ -184,12 +184,12 @@ def _row(rates: Sequence[float], ours: dict, signals: dict, failing: dict) -> tu
     return name, ours["gain"], ours["error"], gain, error, ours["failing"], fails
 
 
-def table_of_advice(output: Path, truths: int) -> tuple[Table, dict[str, object]]:
+def table_of_advice(output: Path, options: Namespace) -> tuple[Table, dict[str, object]]:
     """Return the widths after each second experiment, and a summary; finished truths are kept."""
     kept = output / "advice-rows.json"
     rows = json.loads(kept.read_text()) if kept.is_file() else []
     random = np.random.default_rng(2026)
-    for number in range(truths):
+    for number in range(options.truths):
         truth, first, seed = _truth(random)
         if number < len(rows):
             continue
@@ -225,7 +225,7 @@ def _truth(random: np.random.Generator) -> tuple[dict[str, float], np.ndarray, i
 
 def _followed(folder: Path, truth: dict[str, float], first: np.ndarray, seed: int) -> dict[str, object]:
     """Return the widths of ν after the first experiment, and with either second one."""
-    study = write_study(folder / "first", {100.0: first}, {"V_in": list(ADVISED_RATES)})
+    study = observed_study(folder / "first", {100.0: first}, {"V_in": list(ADVISED_RATES)})
     sd = float(_finished(study).sd[1])
     found = sl.next_experiment(study).content
     best = found["candidates"][0]
@@ -249,11 +249,11 @@ def _second(folder: Path, truth: dict[str, float], first: np.ndarray, rate: floa
         second = observed(rate, truth, np.random.default_rng(seed))
     except sl.ForwardModelError:
         return None
-    study = write_study(folder, {100.0: first, rate: second})
+    study = observed_study(folder, {100.0: first, rate: second})
     return float(_finished(study).sd[1])
 
 
-def table_of_unknown(output: Path) -> tuple[Table, dict[str, object]]:
+def table_of_unknown(output: Path, options: Namespace) -> tuple[Table, dict[str, object]]:
     """Return the combinations of the inputs with what is expected and what is found of the prior's width."""
     folder = output / "unknown"
     if not folder.is_dir():
@@ -286,11 +286,7 @@ def scaled_draws(study: sl.Study, posterior: sl.Posterior) -> np.ndarray:
     return np.asarray(both[1] / both[0].std(axis=0))
 
 
-PARTS = {
-    "gains": lambda folder, options: table_of_gains(folder, options.draws, options.processes),
-    "advice": lambda folder, options: table_of_advice(folder, options.truths),
-    "unknown": lambda folder, options: table_of_unknown(folder),
-}
+PARTS = {"gains": table_of_gains, "advice": table_of_advice, "unknown": table_of_unknown}
 
 if __name__ == "__main__":
     options = arguments(__doc__, words=PARTS, truths=20, draws=1000, processes=2, publish=False)

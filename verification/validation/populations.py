@@ -76,14 +76,6 @@ def full(study: sl.Study, seen: sl.Interface, ledger: Path) -> sl.Posterior:
     return sl.calibrate(problem, settings, ledger=ledger, executor=study.executor).posterior
 
 
-def covered(found: Sequence[SpecimenPosterior], mean: np.ndarray, spread: np.ndarray) -> Iterator[np.bool_]:
-    """Yield for E and ν whether the intervals of the mean and of the spread contain them."""
-    population = population_of(found)
-    for draws, truth in ((population.mean, mean), (population.sd, spread)):
-        low, high = np.quantile(draws, [0.05, 0.95], axis=0)
-        yield from (low <= truth) & (truth <= high)
-
-
 def populations(study: sl.Study, opened: Specimens, number: int, folder: Path) -> tuple[list[int], float]:
     """Return how many of the population's intervals contain the truth, and what share of the shrunk ones do."""
     random, counts, inside = np.random.default_rng(5), np.zeros(4, int), []
@@ -93,8 +85,10 @@ def populations(study: sl.Study, opened: Specimens, number: int, folder: Path) -
         truths = np.clip(truths, study.space.low, study.space.high)
         seen = outlines(study, truths, folder / "populations.sqlite", 100 + k)
         found = answered(opened, seen)
-        counts += list(covered(found, mean, spread))
-        lifted = shrunk(population_of(found), tuple(one.name for one in found))
+        population = population_of(found)
+        low, high = np.quantile(np.hstack([population.mean, population.sd]), [0.05, 0.95], axis=0)
+        counts += (low <= np.hstack([mean, spread])) & (np.hstack([mean, spread]) <= high)
+        lifted = shrunk(population, tuple(one.name for one in found))
         known = truths[[int(one.name) for one in found]]
         inside.append((lifted.quantiles[:, 0] <= known) & (known <= lifted.quantiles[:, 2]))
     return counts.tolist(), float(np.concatenate(inside).mean())

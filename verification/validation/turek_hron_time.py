@@ -118,9 +118,6 @@ class Cylinder:
             self._inflow = np.array(self.system.values)
             self.system.values[:] = 0.0
 
-    def at_rest(self) -> Moment:
-        return Moment(0.0, np.zeros(self.system.space.ndof), np.zeros(self.system.space.ndof))
-
     def prescribe(self, moment: float) -> None:
         """Write the inflow, which grows smoothly to its final value in two seconds."""
         share = 0.5 * (1 - np.cos(np.pi * moment / RAMP)) if moment < RAMP else 1.0
@@ -175,7 +172,8 @@ def simulate(case: Case, stages: Sequence[Stage]) -> Iterator[Run]:
     for stage in stages:
         if run is None or run.cylinder.level != stage.level:
             cylinder = Cylinder(case, stage.level)
-            start = cylinder.at_rest() if run is None else cylinder.moved_from(run.cylinder, run.last)
+            rest = np.zeros(cylinder.system.space.ndof)
+            start = Moment(0.0, rest, rest) if run is None else cylinder.moved_from(run.cylinder, run.last)
         else:
             cylinder, start = run.cylinder, run.last
         run = Run(cylinder, start)
@@ -214,13 +212,8 @@ def rows(case: Case, stage: Stage, run: Run) -> list[tuple]:
 
 
 def _of_case(case: Case) -> Table:
-    lines = [
-        row
-        for stages in case.runs
-        for stage, run in zip(stages, simulate(case, stages), strict=True)
-        if stage.shown
-        for row in rows(case, stage, run)
-    ]
+    pairs = [pair for stages in case.runs for pair in zip(stages, simulate(case, stages), strict=True)]
+    lines = [row for stage, run in pairs if stage.shown for row in rows(case, stage, run)]
     lines.sort(key=lambda row: list(case.reference).index(row[0]))
     heading = (
         "quantity | published mean {.5g} | amplitude {.5g} | Hz {.5g} | elements {d} | unknowns {d} | step, s {g} "

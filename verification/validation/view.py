@@ -112,8 +112,7 @@ def _row(runs: int, repeats: int, folder: Path, browser: Any) -> tuple[str, ...]
             page.wait_for_selector("#assumptions [data-knob=noise]")
             times.append([*seconds, *answered(page, number)])
             page.close()
-    medians, worst = np.median(times, axis=0), np.max(times, axis=0)
-    warm = (f"{m:.2f} ({w:.2f})" for m, w in zip(medians, worst, strict=True))
+    warm = (f"{np.median(one):.2f} ({np.max(one):.2f})" for one in zip(*times, strict=True))
     return (str(runs), *(f"{seconds:.2f}" for seconds in new), *warm)
 
 

@@ -10,8 +10,7 @@ All parts take two hours on two cores. A quadrature restricts s3 and s6 to this 
 """
 
 import json
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import partial
 from multiprocessing import get_context
@@ -81,11 +80,10 @@ def _stopping_table(stopped: Rows) -> Table:
     return table("active-stopping", title, heading, rows)
 
 
-def _grouped(rows: Rows, keys: Sequence[str]) -> Iterable[tuple[tuple[Any, ...], list[Mapping[str, Any]]]]:
-    groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = defaultdict(list)
-    for row in rows:
-        groups[tuple(row[key] for key in keys)].append(row)
-    return sorted(groups.items(), key=lambda item: str(item[0]))
+def _grouped(rows: Rows, keys: Sequence[str]) -> Iterator[tuple[tuple[Any, ...], list[Mapping[str, Any]]]]:
+    groups = {tuple(row[key] for key in keys) for row in rows}
+    for group in sorted(groups, key=str):
+        yield group, [row for row in rows if tuple(row[key] for key in keys) == group]
 
 
 def _tasks(part: str, seed: int, criterion: str, rules: tuple[str, ...]) -> Iterator[Callable[[], dict[str, Any]]]:
@@ -113,9 +111,8 @@ def _compute(part: str, seeds: int, criterion: str, rules: tuple[str, ...], work
         every = (task for seed in range(1, seeds + 1) for task in _tasks(part, seed, criterion, rules))
         jobs = [pool.submit(task) for task in every]
         for done, job in enumerate(as_completed(jobs), 1):
-            error = job.exception()
-            if error is not None:
-                print(f"{done}/{len(jobs)} FAILED: {error!r}", flush=True)
+            if job.exception() is not None:
+                print(f"{done}/{len(jobs)} FAILED: {job.exception()!r}", flush=True)
                 continue
             course = job.result() | {"part": part}
             with FILE.open("a") as file:
