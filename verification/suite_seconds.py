@@ -1,14 +1,12 @@
 """Where the seconds of the tests go, by kind, by file and by fixture.
 
-    python -m verification.suite_seconds [--most 30] [OPTIONS OF PYTEST ...]
+    python -m pytest -p verification.suite_seconds [OPTIONS OF PYTEST ...]
 
 Kinds: JAX compiles, the built-in model solves, started programs compute, the test waits (for them, or for the other
 processes of this machine), the rest.
 """
 
-import argparse
 import os
-import sys
 import time
 from collections import defaultdict
 from collections.abc import Iterator
@@ -19,13 +17,14 @@ import pytest
 KINDS = ("compile", "solve", "programs", "waiting", "rest")
 COMPILING = "/jax/core/compile/"
 NAME = "strandline seconds"
+MOST = 30
+"""Most rows of a table."""
 
 
 class Seconds:
-    """Plugin of pytest: measures where the tests run, prints tables of at most so many rows where they are reported."""
+    """Plugin of pytest: measures where the tests run, prints tables where they are reported."""
 
-    def __init__(self, most: int) -> None:
-        self.most = most
+    def __init__(self) -> None:
         self.inside: dict[str, float] = defaultdict(float)
         self.fixtures: dict[str, float] = {}
         self.files: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
@@ -100,26 +99,13 @@ class Seconds:
         rows = {"all": {kind: sum(one[kind] for one in rows.values()) for kind in ("cases", *KINDS)}, **rows}
         ranked = sorted(rows.items(), key=lambda row: -sum(row[1][kind] for kind in KINDS if kind != "waiting"))
         line(f"{'seconds by file':60}{'cases':>8}" + "".join(f"{kind:>10}" for kind in KINDS))
-        for name, row in ranked[: self.most]:
+        for name, row in ranked[:MOST]:
             line(f"{name:60}{row['cases']:8.0f}" + "".join(f"{row[kind]:10.1f}" for kind in KINDS))
         line(f"{'seconds by fixture':60}{'times':>8}{'all':>10}")
-        for name, seconds in sorted(self.shared.items(), key=lambda row: -sum(row[1]))[: self.most]:
+        for name, seconds in sorted(self.shared.items(), key=lambda row: -sum(row[1]))[:MOST]:
             line(f"{name:60}{len(seconds):8}{sum(seconds):10.1f}")
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Measure in the processes of a run, too: each loads this module as a plugin."""
-    config.pluginmanager.register(Seconds(int(os.environ.get("STRANDLINE_MOST", "30"))))
-
-
-def main() -> int:
-    """Run the command."""
-    parser = argparse.ArgumentParser(description="Where the seconds of the tests go.")
-    parser.add_argument("--most", type=int, default=30, help="rows of each table")
-    asked, options = parser.parse_known_args()
-    os.environ["STRANDLINE_MOST"] = str(asked.most)
-    return int(pytest.main(["-p", "verification.suite_seconds", *options]))
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    config.pluginmanager.register(Seconds())

@@ -53,7 +53,7 @@ def covering_of(part: str, far: bool) -> Covering:
 
 
 def judged(file: Path, mutant: Mutant, covering: Covering, scratch: Path, most: float) -> Outcome:
-    """Return what the tests make of a mutant of a file in at most so many seconds; `scratch` has a copy of the package."""
+    """Return what the tests make of a mutant of a file in so many seconds; `scratch` has a copy of the package."""
     place = scratch / "strandline" / file
     place.write_text(mutant.applied(place.read_text("utf-8")), "utf-8")
     try:

@@ -127,7 +127,6 @@ def gather(folder: Path, results: Path, *, plan: Plan, executor: Executor | None
 
     `folder` holds the folders of `STUDIES`, `results` will hold the ledgers of further runs.
     """
-    require_studies(folder)
     studies = {name: load_study(folder / name) for name in STUDIES}
     work = _Work(studies, {}, results, plan, executor, observer, [])
     for name, study in studies.items():

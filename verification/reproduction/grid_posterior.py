@@ -123,15 +123,9 @@ def posteriors_on_grid(
     return found
 
 
-def posterior_on_grid(
-    log_likelihood: LogLikelihood,
-    space: ParameterSpace,
-    grid: ProductGrid,
-    *,
-    coordinates: LoadCoordinates | None = None,
-) -> GridPosterior:
+def posterior_on_grid(log_likelihood: LogLikelihood, space: ParameterSpace, grid: ProductGrid) -> GridPosterior:
     """Return the joint reading, the posterior if V is fixed."""
-    return posteriors_on_grid(log_likelihood, space, grid, coordinates=coordinates)["joint"]
+    return posteriors_on_grid(log_likelihood, space, grid)["joint"]
 
 
 def _normalised(grid: ProductGrid, density: Float[np.ndarray, "e nu"], evidence: float, edge: float) -> GridPosterior:

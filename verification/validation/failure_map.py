@@ -10,8 +10,7 @@ Run it with:  python -m verification.validation.failure_map [--points N] [--publ
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +25,11 @@ from verification.validation.biofilm_mesh import BOX, RATE, flow_cell
 from verification.validation.tables import DOCS, OUTPUT, Cell, Table, arguments, show, table
 
 from strandline.design import sobol
-from strandline.models.biofilm.cell import FlowCell
 from strandline.models.biofilm.flow import STRESS_SCALE, VELOCITY_SCALE
 from strandline.models.biofilm.geometry import MESHES
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.biofilm.steady import DIRECT_STRAIN, SAFE_STRAIN
-from strandline.models.protocol import ForwardModel, Simulation
+from strandline.models.protocol import ForwardModel
 from strandline.report.plots.style import SKY
 from strandline.runs import Ledger, LocalProcesses, Progress, RunRecord, run_campaign
 
@@ -206,29 +204,16 @@ def _of(function: Callable[[Float[np.ndarray, " run"]], float], values: Float[np
     return float(function(values)) if len(values) else None
 
 
-@dataclass(frozen=True)
-class FirstOrder:
-    """The largest first-order compression of the solid, by which `steady_state` chooses its path, as a diagnostic."""
-
-    mesh: str
-
-    @property
-    def fingerprint(self) -> str:
-        return f"first-order compression:{Biofilm(mesh=self.mesh).fingerprint}"
-
-    def __call__(self, inputs: Inputs, workdir: Path | None = None) -> Simulation:
-        """Return the undeformed interface and the compression at E [Pa], nu and V_in [mm²/s]."""
-        cell = _cell(self.mesh)
-        cell.system.set_material([inputs["E"] / STRESS_SCALE], [inputs["nu"]])
-        load = inputs["V_in"] / VELOCITY_SCALE
+def compressions_of(mesh: str, inputs: Sequence[Inputs]) -> list[float]:
+    """Return the largest first-order compression of the solid, by which `steady_state` chooses its path, at inputs."""
+    cell, found = flow_cell(MESHES[mesh]), []
+    for one in inputs:
+        cell.system.set_material([one["E"] / STRESS_SCALE], [one["nu"]])
+        load = one["V_in"] / VELOCITY_SCALE
         rest = cell.undeformed(load)
         linear = rest - cell.factorise(rest, load).solve(cell.residual(rest, load))
-        return Simulation.of(cell.outline, {"compression": cell.largest_compression(linear)})
-
-
-@cache
-def _cell(mesh: str) -> FlowCell:
-    return flow_cell(MESHES[mesh])
+        found.append(float(cell.largest_compression(linear)))
+    return found
 
 
 def made(name: str, model: ForwardModel, inputs: Sequence[Inputs]) -> tuple[RunRecord, ...]:
@@ -311,8 +296,7 @@ def main() -> None:
     models = {mesh: Biofilm(mesh=mesh, failure_budget=0) for mesh in MESHES}
     search = {mesh: partial(made, f"failure-map-{mesh}", model) for mesh, model in models.items()}
     records = {mesh: search[mesh](inputs) for mesh in PAIR}
-    linear = {mesh: made(f"first-order-{mesh}", FirstOrder(mesh), inputs) for mesh in PAIR}
-    compressions = {mesh: [record.diagnostics["compression"] for record in found] for mesh, found in linear.items()}
+    compressions = {mesh: compressions_of(mesh, inputs) for mesh in PAIR}
     critical = {mesh: critical_moduli(search[mesh], FOLD_RATIOS) for mesh in MESHES}
     fold = CubicSpline(FOLD_RATIOS, critical["fine"])
     tables = tables_of(records, compressions, FOLD_RATIOS, critical, fold)

@@ -61,10 +61,8 @@ def repeats(left: Axes, right: Axes) -> None:
         right.plot(along(truth), 1e3 * signed_distances(contour.points, truth), color=BLUE if k == 0 else GREY, lw=0.6)
     zoomed(left)
     sd, length = 1e3 * found.sd, 1e3 * found.length
-    right.axhspan(-sd, sd, color=GREEN, alpha=0.25, linewidth=0, label=f"± sd, {sd:.1f} µm")
-    right.plot([0.4, 0.4 + found.length], 2 * [-3.4 * sd], color=RED, lw=2.5, label=f"length, {length:.0f} µm")
-    right.set(xlabel="along the outline, mm", ylabel="offset, µm", xlim=(0.3, 0.7), ylim=(-4 * sd, 5.5 * sd))
-    right.legend(loc="upper right", ncols=2)
+    band(right, sd, f"± sd, {sd:.1f} µm", found.length, f"length, {length:.0f} µm")
+    right.set(ylabel="offset, µm", xlim=(0.3, 0.7))
 
 
 def roughness(left: Axes, right: Axes) -> None:
@@ -78,10 +76,16 @@ def roughness(left: Axes, right: Axes) -> None:
     left.legend(loc="upper left")
     sd, true = 1e3 * found.errors.sd, 1e3 * TRUE.sd
     right.plot(along(truth), 1e3 * signed_distances(contour.points, truth), color=BLUE, linewidth=0.7)
-    right.axhspan(-sd, sd, color=GREEN, alpha=0.25, linewidth=0, label=f"± sd found, {sd:.1f} µm (true {true:.1f})")
-    right.plot([0.4, 0.4 + found.window], 2 * [-3.4 * sd], color=RED, lw=2.5, label="window")
-    right.set(xlabel="along the outline, mm", ylabel="error, µm", xlim=(0.3, 1.1), ylim=(-4 * sd, 5.5 * sd))
-    right.legend(loc="upper right", ncols=2)
+    band(right, sd, f"± sd found, {sd:.1f} µm (true {true:.1f})", found.window, "window")
+    right.set(ylabel="error, µm", xlim=(0.3, 1.1))
+
+
+def band(ax: Axes, sd: float, said: str, length: float, name: str) -> None:
+    """Draw ± one standard deviation, µm, and a bar of a length, mm, along the outline."""
+    ax.axhspan(-sd, sd, color=GREEN, alpha=0.25, linewidth=0, label=said)
+    ax.plot([0.4, 0.4 + length], 2 * [-3.4 * sd], color=RED, lw=2.5, label=name)
+    ax.set(xlabel="along the outline, mm", ylim=(-4 * sd, 5.5 * sd))
+    ax.legend(loc="upper right", ncols=2)
 
 
 def zoomed(ax: Axes) -> None:

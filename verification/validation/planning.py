@@ -9,13 +9,10 @@ unknown: what a study of seven inputs is expected to leave unknown, against its 
 With ``--publish`` the tables go into docs/results/designs.md. All results are kept in output/planning.
 """
 
-import json
 import shutil
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from itertools import combinations_with_replacement
-from multiprocessing import get_context
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -90,20 +87,16 @@ def _finished(study: sl.Study) -> sl.Posterior:
     return sl.run_study(study).calibration.posterior
 
 
-def true_points(rate: float, draws: Float[np.ndarray, "draw dim"], processes: int) -> Points:
-    """Return the interface of the true model at each draw; NaN where its run fails."""
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        found = [*pool.map(_run, [(rate, *draw) for draw in draws], chunksize=25)]
-    shape = next(one for one in found if one is not None).shape
-    return np.array([np.full(shape, np.nan) if one is None else one for one in found])
-
-
-def _run(inputs: tuple[float, float, float]) -> Float[np.ndarray, "point 2"] | None:
-    rate, young, poisson = inputs
-    try:
-        return sl.Biofilm(mesh="coarse")({"E": young, "nu": poisson, "V_in": rate}).interface.points
-    except sl.ForwardModelError:
-        return None
+def true_points(rate: float, draws: Float[np.ndarray, "draw dim"], ledger: Path, processes: int) -> Points:
+    """Return the interface of the true model at each draw, NaN where its run fails; the ledger keeps the runs."""
+    model, executor = sl.Biofilm(mesh="coarse"), sl.LocalProcesses(workers=processes)
+    inputs = [{"E": float(young), "nu": float(poisson), "V_in": rate} for young, poisson in draws]
+    with sl.Ledger.open(ledger, model=model) as opened:
+        found = sl.run_campaign(model, inputs, ledger=opened, executor=executor)
+    points = np.full((len(found), *next(one.interface.points.shape for one in found if one.ok)), np.nan)
+    for place, one in zip(points, found, strict=True):
+        place[:] = one.interface.points if one.ok else np.nan
+    return points
 
 
 def offsets(points: Points) -> Float[np.ndarray, "draw point"]:
@@ -139,13 +132,6 @@ def _log_ratios(signals: Float[np.ndarray, "draw signal"], noise: Float[np.ndarr
     return np.asarray(fits - (logsumexp(squares, axis=1) - np.log(len(signals) - 1)))
 
 
-def _true_runs(kept: Path, draws: Float[np.ndarray, "draw dim"], processes: int) -> dict[float, Points]:
-    """Return the true interfaces by rate, which are kept for a later call."""
-    if not kept.is_file() or not np.array_equal(np.load(kept)["draws"], draws):
-        np.savez(kept, draws=draws, points=np.array([true_points(rate, draws, processes) for rate in RATES]))
-    return dict(zip(RATES, np.load(kept)["points"], strict=True))
-
-
 def table_of_gains(output: Path, options: Namespace) -> tuple[Table, dict[str, object]]:
     """Return the gains of all rates and of the best pairs, and the largest differences.
 
@@ -157,8 +143,8 @@ def table_of_gains(output: Path, options: Namespace) -> tuple[Table, dict[str, o
     found = sl.next_experiment(study, draws=4000).content
     chosen = np.unique(posterior.equally_weighted(7), axis=0)
     chosen = np.random.default_rng(7).permutation(chosen)[: options.draws]
-    points = _true_runs(output / "true-runs.npz", chosen, options.processes)
-    signals = {rate: offsets(one) for rate, one in points.items()}
+    ledger = output / "true-runs.sqlite"
+    signals = {rate: offsets(true_points(rate, chosen, ledger, options.processes)) for rate in RATES}
     failing = {rate: float(np.isnan(one).any(axis=1).mean()) for rate, one in signals.items()}
     ours = {tuple(s["V_in"] for s in one["settings"]): one for one in found["candidates"]}
     candidates = [*((rate,) for rate in RATES), *combinations_with_replacement(RATES, 2)]
@@ -185,16 +171,10 @@ def _row(rates: Sequence[float], ours: dict, signals: dict, failing: dict) -> tu
 
 
 def table_of_advice(output: Path, options: Namespace) -> tuple[Table, dict[str, object]]:
-    """Return the widths after each second experiment, and a summary; finished truths are kept."""
-    kept = output / "advice-rows.json"
-    rows = json.loads(kept.read_text()) if kept.is_file() else []
-    random = np.random.default_rng(2026)
+    """Return the widths after each second experiment, and a summary; runs are kept."""
+    random, rows = np.random.default_rng(2026), []
     for number in range(options.truths):
-        truth, first, seed = _truth(random)
-        if number < len(rows):
-            continue
-        rows.append(_followed(output / f"truth-{number}", truth, first, seed))
-        kept.write_text(json.dumps(rows))
+        rows.append(_followed(output / f"truth-{number}", *_truth(random)))
         print(rows[-1], flush=True)
     heading = (
         "E, Pa {.0f} | ν {.2f} | advised rate {.0f} | sd(ν) at 100 {.3f} | with 50 {.3f} | with the advised {.3f} "

@@ -118,8 +118,7 @@ class Biofilm:
 
     @cached_property
     def _truth(self) -> GridPosterior:
-        table, true = self.known
-        return posterior_on_grid(true.field, self.space, self._grid, coordinates=table.coordinates)
+        return posterior_on_grid(self.known[1].field, self.space, self._grid)
 
 
 @dataclass(frozen=True, eq=False)

@@ -63,12 +63,6 @@ def table(name: str, title: str, heading: str, rows: Iterable[Sequence[Any]], *,
     return Table(name, title, columns, formats, tuple(found))
 
 
-def from_json(data: Mapping[str, Any]) -> Table:
-    """Return the table that `Table.as_json` wrote."""
-    rows = tuple(tuple(row) for row in data["rows"])
-    return Table(data["name"], data["title"], tuple(data["columns"]), tuple(data["formats"]), rows)
-
-
 def put_into_page(page: str, tables: Sequence[Table]) -> str:
     """Return the text of a page with each table in its place.
 

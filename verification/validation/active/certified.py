@@ -142,18 +142,8 @@ def true_moments(model: Model, seen: Interface) -> Weighted:
     return Weighted(x, weights / weights.sum())
 
 
-@dataclass(frozen=True)
-class Found:
-    """How a design ended."""
-
-    converged: bool
-    right: bool
-    runs: int
-    region: float
-
-
-def played(name: str, seed: int, active: Active) -> Found:
-    """Return how a design on a model of this name ended."""
+def played(name: str, seed: int, active: Active) -> tuple[bool, bool, int, float]:
+    """Return whether a design on a model of this name converged, and is right, its runs, and the least region found."""
     random, model = np.random.default_rng([8, seed]), MODELS[name](seed)
     heights = model.heights(TRUTH[None])[0] + NOISE * random.standard_normal(len(X))
     seen = Interface.polyline(np.stack([X, heights], axis=1))
@@ -175,19 +165,19 @@ def played(name: str, seed: int, active: Active) -> Found:
     off = np.abs(design.state.mean - true.mean) / true.sd
     width = np.abs(np.log(design.state.sd / true.sd))
     right = bool(off.max() < MEAN_OFF and width.max() < WIDTH_OFF)
-    return Found(design.converged, right, len(x), least_found(x, SPACE))
+    return design.converged, right, len(x), least_found(x, SPACE)
 
 
 def rows(names: Sequence[str], seeds: int, active: Active, workers: int) -> Iterator[tuple]:
     """Yield a row for each model."""
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=use_double) as pool:
         for name in names:
-            found = [*pool.map(played, [name] * seeds, range(seeds), [active] * seeds)]
-            wrong = [one for one in found if one.converged and not one.right]
-            said = sum(one.region > MODELS[name](0).share > 0 for one in wrong)
-            runs = np.array([one.runs for one in found])
-            ended = sum(one.converged for one in found), len(wrong), said, sum(one.right for one in found)
-            yield name, len(found), *ended, float(np.median(runs)), int(runs.max())
+            found = zip(*pool.map(played, [name] * seeds, range(seeds), [active] * seeds), strict=True)
+            converged, right, runs, region = map(np.array, found)
+            wrong, share = converged & ~right, MODELS[name](0).share
+            said = wrong & (region > share) & (share > 0)
+            counts = (int(some.sum()) for some in (converged, wrong, said, right))
+            yield name, seeds, *counts, float(np.median(runs)), int(runs.max())
 
 
 if __name__ == "__main__":

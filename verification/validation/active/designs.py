@@ -185,7 +185,7 @@ def s3(quadrature: str, options: Options, *, most: int, share: float = 0.0) -> C
         found = posterior_on_grid(lambda x, known=known: known.expected(x[:, :2]), one.space, grid)
         variation = {"total_variation": total_variation(found, true)}
         points.append(grown.figures() | variation | errors(found.mean, found.sd, true))
-    return {"study": "S3", "quadrature": quadrature, **options, "points": points, "share": share}
+    return _course("S3", quadrature, options, points, share)
 
 
 def s5(quadrature: str, options: Options, *, most: int) -> Course:
@@ -195,7 +195,7 @@ def s5(quadrature: str, options: Options, *, most: int) -> Course:
     for grown in grow(one, options, batch=4, most=most):
         found = delivered(one, grown.state.knowledge, options["seed"])
         points.append(grown.figures() | errors(found.mean[axes], found.sd[axes], truth))
-    return {"study": "S5", "quadrature": quadrature, **options, "points": points, "share": 0.0}
+    return _course("S5", quadrature, options, points)
 
 
 def s6(quadrature: str, options: Options, *, most: int, first: int) -> Course:
@@ -205,7 +205,11 @@ def s6(quadrature: str, options: Options, *, most: int, first: int) -> Course:
         points.append(grown.figures() | (checked(one, grown, options["seed"]) if grown.runs >= first else {}))
         if right(points[-1]):
             break
-    return {"study": "S6", "quadrature": quadrature, **options, "points": points, "share": 0.0}
+    return _course("S6", quadrature, options, points)
+
+
+def _course(study: str, quadrature: str, options: Options, points: list, share: float = 0.0) -> Course:
+    return {"study": study, "quadrature": quadrature, **options, "points": points, "share": share}
 
 
 def right(point: dict[str, Any]) -> bool:

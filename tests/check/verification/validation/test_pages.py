@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 from verification.validation import pyvbmc
-from verification.validation.tables import Table, from_json, observed_orders, put_into_page
+from verification.validation.tables import Table, observed_orders, put_into_page
 
 from strandline.models.biofilm.materials import LAWS
 
 RESULTS = Path(__file__).parents[4] / "docs" / "results"
 PAGE = (RESULTS / "forward-model.md").read_text("utf-8")
 TABLES = {
-    name: from_json(data)
+    name: Table(**data)
     for source in ("verification.json", "failure-map.json")
     for name, data in json.loads((RESULTS / source).read_text("utf-8")).items()
 }
@@ -69,10 +69,10 @@ def test_a_table_is_put_into_its_place_and_the_order_of_a_cubic_is_three():
 def test_the_tables_of_pyvbmc_follow_from_the_published_steps():
     page = pyvbmc.PAGE.read_text("utf-8")
     published = json.loads(pyvbmc.PAGE.with_name("pyvbmc.json").read_text("utf-8"))
-    tables = [from_json(one) for one in published["tables"].values()]
+    tables = [Table(**one) for one in published["tables"].values()]
     assert put_into_page(page, tables) == page
     assert page.count("<!-- table: ") == len(tables)
-    first = from_json(published["tables"]["pyvbmc"]).rows[0]
+    first = published["tables"]["pyvbmc"]["rows"][0]
     for column, method, failed in ((4, "strandline", ""), (5, "PyVBMC", "-1000")):
         runs = [
             next(mark["runs"] for mark in one["marks"] if mark["variation"] < 0.2)
