@@ -251,11 +251,11 @@ def informed_prior(informed: Posterior, uniform: Posterior) -> Claim:
 
 
 def uncertain_inflow(
-    uncertain: Mapping[str, Any], certain: Posterior, truth: Mapping[Reading, GridPosterior], known: GridPosterior
+    uncertain: Mapping[str, Any], truth: Mapping[Reading, GridPosterior], known: GridPosterior
 ) -> Claim:
     """Judge C8 by the true model with the inflow uncertain, in both readings, and known; the surrogate's figures too.
 
-    `uncertain` is the entry `under_uncertainty` of the study's summary, `certain` the posterior with the inflow known.
+    `uncertain` is the entry `under_uncertainty` of the study's summary.
     """
     exact = truth["joint"]
     figures = {
@@ -288,7 +288,6 @@ def uncertain_inflow(
             },
             "true_model_inflow_known": {"mean": _point(known.mean), "sd": _point(known.sd)},
             "sd_ratio_E": ratio,
-            "surrogate_sd_ratio_E": float(joint["sd"] / certain.sd[0]),
         },
         {"map": {"E": 322.0, "nu": 0.09}, "mean": {"E": 416.0, "nu": -0.09}},
     )

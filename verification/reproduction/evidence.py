@@ -22,16 +22,9 @@ from strandline.runs import Executor, Ledger, run_campaign, run_key
 from strandline.studies import Outcome, PosteriorCheck, Study, check_posterior, load_study, run_study
 
 STUDIES = (
-    "biofilm-uniform",
-    "biofilm-uniform-refined",
-    "biofilm-informed",
-    "biofilm-measures",
-    "biofilm-inflow",
-    "biofilm-inflow-refined",
-    "biofilm-parts",
-    "biofilm-parts-refined",
-    "biofilm-parts-iterated",
-)
+    "biofilm-uniform", "biofilm-uniform-refined", "biofilm-informed", "biofilm-measures", "biofilm-inflow",
+    "biofilm-inflow-refined", "biofilm-parts", "biofilm-parts-refined", "biofilm-parts-iterated",
+)  # fmt: skip
 """Study folders, in an order that has the runs ready that each reuses."""
 NOT_CHECKED = ("biofilm-informed", "biofilm-measures")
 RULES = {"centre": "", "refined": "-refined"}

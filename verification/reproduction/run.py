@@ -75,7 +75,6 @@ def judge(evidence: Evidence) -> dict[str, Claim]:
         claims.informed_prior(found["biofilm-informed"].posterior, uniform.posterior),
         claims.uncertain_inflow(
             evidence.outcomes["biofilm-inflow"].summary["under_uncertainty"],
-            uniform.posterior,
             {reading: one.posterior for reading, one in truths.uncertain["centre"].items()},
             truths.certain["centre"].posterior,
         ),

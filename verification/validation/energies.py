@@ -14,13 +14,7 @@ from jaxtyping import Float
 Tensor = Float[np.ndarray, "2 2"]
 Energy = Callable[..., Any]
 
-FURTHER = {
-    "saint_venant_kirchhoff": (),
-    "neo_hookean": (),
-    "mooney_rivlin": (0.4,),
-    "yeoh": (0.6, 0.8),
-    "fung": (1.5,),
-}
+FURTHER = {"saint_venant_kirchhoff": (), "neo_hookean": (), "mooney_rivlin": (0.4,), "yeoh": (0.6, 0.8), "fung": (1.5,)}
 """Values of each law's further parameters in the verification."""
 STEP = 1e-30
 

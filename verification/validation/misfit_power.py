@@ -37,12 +37,9 @@ def curve_in_micrometres(inputs: Mapping[str, float], workdir: Path) -> sl.Inter
 def _judged(
     model: Any, parameters: Sequence[sl.Parameter], seen: Sequence[sl.Observation], runs: int, executor: Any = None
 ) -> tuple[Misfit, sl.Posterior]:
-    problem = sl.Problem(
-        model, sl.ParameterSpace(tuple(parameters)), {}, tuple(seen), {"normal_offset": sl.NormalOffset()}
-    )
-    settings = sl.Settings(
-        runs=runs, surrogate="field", particles=2000, smc=sl.SMCSettings(rejuvenation_steps=10, zeta=0.5)
-    )
+    space, measures = sl.ParameterSpace(tuple(parameters)), {"normal_offset": sl.NormalOffset()}
+    problem, smc = sl.Problem(model, space, {}, tuple(seen), measures), sl.SMCSettings(rejuvenation_steps=10, zeta=0.5)
+    settings = sl.Settings(runs=runs, surrogate="field", particles=2000, smc=smc)
     found = sl.calibrate(problem, settings, executor=executor)
     return found.misfit, found.posterior
 

@@ -99,19 +99,10 @@ def theirs(problem: Problem, seed: int, failed: str) -> Trace:
     """Answer PyVBMC's requests until it stops by itself or has used up its evaluations."""
     space, out = problem.space, KEPT / "peer.npz"
     ends = [space.prior_quantiles(np.full((1, space.dim), p))[0].tolist() for p in (PLAUSIBLE, 1 - PLAUSIBLE)]
-    task = {
-        "lower": space.low.tolist(),
-        "upper": space.high.tolist(),
-        "plausible_lower": ends[0],
-        "plausible_upper": ends[1],
-        "evaluations": problem.most[1],
-        "seed": seed,
-        "failed": failed,
-        "boost": problem.boost,
-        "out": str(out),
-        **problem.asked(),
-    }
-    done = conversation(task, answering(problem))
+    bounds = {"lower": space.low.tolist(), "upper": space.high.tolist()}
+    bounds |= {"plausible_lower": ends[0], "plausible_upper": ends[1]}
+    how = {"evaluations": problem.most[1], "seed": seed, "failed": failed, "boost": problem.boost, "out": str(out)}
+    done = conversation({**bounds, **how, **problem.asked()}, answering(problem))
     with np.load(out) as content:
         variations = [problem.theirs(answer) for answer in content["posteriors"]]
     marks = [_mark(n, v, s) for (n, s), v in zip(done["iterations"], variations, strict=False)]

@@ -19,32 +19,24 @@ import strandline as sl
 from strandline.calibration.what_if import Answer
 
 PAGE = DOCS / "results" / "accuracy.md"
-E = {"unit": "Pa", "box": [100, 800]}
-POINTS = {"sd": 10, "unit": "um"}
-CHANGES: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Any]]] = {
-    "E normal, 350 ± 50 Pa": (
-        {"prior": {"E": {"normal": [350, 50]}}},
-        {"inputs": {"E": {"prior": {"normal": [350, 50]}, **E}}},
-    ),
-    "E flat in its logarithm": (
-        {"prior": {"E": {"loguniform": [100, 800]}}},
-        {"inputs": {"E": {"prior": {"loguniform": [100, 800]}, **E}}},
-    ),
-    "noise half as large": ({"noise": {"variance": 0.000125}}, {"noise": {"variance": 0.000125}}),
-    "noise twice as large": ({"noise": {"variance": 0.002}}, {"noise": {"variance": 0.002}}),
-    "normal offset, points 10 µm": (
-        {"measure": "normal_offset", "noise": POINTS},
-        {"discrepancy": {"normal_offset": {}}, "noise": POINTS},
-    ),
+QUESTIONS: Mapping[str, Mapping[str, Any]] = {
+    "E normal, 350 ± 50 Pa": {"prior": {"E": {"normal": [350, 50]}}},
+    "E flat in its logarithm": {"prior": {"E": {"loguniform": [100, 800]}}},
+    "noise half as large": {"noise": {"variance": 0.000125}},
+    "noise twice as large": {"noise": {"variance": 0.002}},
+    "normal offset, points 10 µm": {"measure": "normal_offset", "noise": {"sd": 10, "unit": "um"}},
 }
-"""What is asked, and the keys of study.yaml that change in the same way; inputs that are not named stay."""
 
 
-def _changed(folder: Path, number: int, changes: Mapping[str, Any]) -> Path:
-    content = yaml.safe_load((folder / "study.yaml").read_text("utf-8"))
-    inputs = {**content["inputs"], **changes.get("inputs", {})}
-    target = folder.with_name(f"{folder.name}-what-if-{number}")
-    return write_study(target, {**content, **changes, "inputs": inputs, "reuse": [f"../{folder.name}"]})
+def _changed(folder: Path, number: int, question: Mapping[str, Any]) -> Path:
+    """Write the study that a question is about into a folder beside the finished one, whose runs it takes over."""
+    content = yaml.safe_load((folder / "study.yaml").read_text("utf-8")) | {"reuse": [f"../{folder.name}"]}
+    for name, prior in question.get("prior", {}).items():
+        content["inputs"][name] = {"prior": prior, "unit": "Pa", "box": [100, 800]}
+    if "measure" in question:
+        content["discrepancy"] = {question["measure"]: {}}
+    content["noise"] = question.get("noise", content["noise"])
+    return write_study(folder.with_name(f"{folder.name}-what-if-{number}"), content)
 
 
 def _row(name: str, answer: Answer, full: sl.Posterior, runs: int, names: tuple[str, ...]) -> tuple:
@@ -66,12 +58,11 @@ def new_runs(study: sl.Study, calibration: sl.Calibration) -> int:
 def _rows(folder: Path) -> Iterator[tuple]:
     study = sl.load_study(folder)
     begun = time.perf_counter()
-    asked = [{**question, "name": name} for name, (question, _) in CHANGES.items()]
+    asked = [{**question, "name": name} for name, question in QUESTIONS.items()]
     answers = {one.alternative.name: one for one in sl.what_if(study, asked).found}
     print(f"what-if: {time.perf_counter() - begun:.1f} s", flush=True)
-    for number, (name, (_, changes)) in enumerate(CHANGES.items(), start=1):
-        target = _changed(folder, number, changes)
-        calibration = sl.run_study(sl.load_study(target)).calibration
+    for number, (name, question) in enumerate(QUESTIONS.items(), start=1):
+        calibration = sl.run_study(sl.load_study(_changed(folder, number, question))).calibration
         yield _row(name, answers[name], calibration.posterior, new_runs(study, calibration), study.space.names)
         print(f"{name} done", flush=True)
 

@@ -159,8 +159,7 @@ def test_c8_wider_and_lower_or_not():
         nu = {"mean": -0.1, "sd": 0.1, "map": -0.1}
         found = {"inputs": {"E": {"mean": 372.0, "sd": 45.0, "map": 360.0}, "nu": nu}}
         truth = {"joint": of(joint), "cut": of(normal(360.0, 60.0, -0.1, 0.1))}
-        certain, known = weighted(normal(400.0, 30.0, -0.1, 0.1)), of(normal(400.0, 20.0, -0.1, 0.1))
-        return claims.uncertain_inflow({"joint": found, "cut": found}, certain, truth, known)
+        return claims.uncertain_inflow({"joint": found, "cut": found}, truth, of(normal(400.0, 20.0, -0.1, 0.1)))
 
     figures = "2.00 times", "from 400 to 370 Pa", "360 ± 60 Pa", "372 ± 45 Pa", "0.05 sd off."
     settled(claim(normal(370.0, 40.0, -0.1, 0.1)), "confirmed", *figures)
