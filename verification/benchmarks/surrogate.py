@@ -6,6 +6,7 @@ passes over the matrix and scikit-learn alike. JAX, GPJax, GPyTorch and strandli
 the same number of cores.
 """
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from functools import reduce
@@ -19,7 +20,7 @@ from scipy.linalg import lapack
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 from verification.benchmarks.figures import Figure, NotMeasured, compared
-from verification.benchmarks.workers import PEERS_PYTHON, core_counts, cores_case, versus
+from verification.benchmarks.workers import PEERS_PYTHON, cores_case, versus
 
 from strandline.design import sobol
 from strandline.surrogate import KERNELS
@@ -43,7 +44,7 @@ def figures() -> Iterator[Figure]:
     yield floor("matern32_product", LARGE)
     yield scikit_learn("matern32_ard", USUAL)
     yield scikit_learn("matern32_product", USUAL)
-    yield from (in_processes(*peer, cores=cores) for cores in core_counts() for peer in PEERS)
+    yield from (in_processes(*peer, cores=cores) for cores in sorted({1, os.cpu_count() or 1}) for peer in PEERS)
 
 
 def floor(name: str, runs: int) -> Figure:

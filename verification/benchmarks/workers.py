@@ -26,11 +26,8 @@ def working(
 ) -> Iterator[tuple[dict[str, str], Callable[[], Any]]]:
     """Start a program of a folder, script and arguments, and let it answer its task once; see ``peers/worker.py``.
 
-    Yields:
-        The versions of its packages, and a function that returns its next answer with its seconds.
-
-    Raises:
-        NotMeasured: It could not be started, or it ended.
+    Yield the versions of its packages, and a function that returns its next answer with its seconds. `NotMeasured` says
+    why it could not be started, or ended.
     """
     if not python.exists():
         raise NotMeasured("the environment of the peers does not exist (`make bench-env`)")
@@ -71,10 +68,7 @@ def versus(
     """Compare two programs, the first in this environment, on the same task in turns.
 
     Their answers, a value and its gradient, must agree: the value to `rtol`, the gradient to `rtol` times its largest
-    entry.
-
-    Raises:
-        NotMeasured: The peer's program could not be started, or it ended.
+    entry. `NotMeasured` says why the peer could not be started, or ended.
     """
     with ExitStack() as stack:
         task = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "task.npz"
@@ -92,11 +86,6 @@ def versus(
     seconds, cpu = ([(one[key], other[key]) for one, other in pairs] for key in ("wall", "cpu"))
     remark = ", ".join(f"{package} {version}" for package, version in versions.items())
     return in_turns(what, peer_name, seconds, cpu=cpu, case=cores_case(cores), remark=remark)
-
-
-def core_counts() -> Sequence[int]:
-    """Return the numbers of cores to compare on: one and all."""
-    return sorted({1, os.cpu_count() or 1})
 
 
 def cores_case(cores: int) -> str:

@@ -210,9 +210,5 @@ def relative_error_of_exponentials(found: Float[np.ndarray, " point"], truth: Fl
 
 def _require_runs(sizes: Sequence[int], runs: int) -> None:
     if max(sizes) > runs:
-        raise InvalidInput(
-            "numbers of training runs",
-            value=list(sizes),
-            expected=f"none above {runs}, the number of runs",
-            remedy="Make more runs, or leave some sizes out.",
-        )
+        remedy, expected = "Make more runs, or leave some sizes out.", f"none above {runs}, the number of runs"
+        raise InvalidInput("numbers of training runs", value=list(sizes), expected=expected, remedy=remedy)

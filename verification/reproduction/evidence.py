@@ -143,12 +143,9 @@ def require_studies(folder: Path) -> None:
     """Refuse a folder that lacks some of `STUDIES`."""
     missing = [name for name in STUDIES if not (folder / name / "study.yaml").is_file()]
     if missing:
-        raise InvalidInput(
-            "folder of the studies to reproduce",
-            value=f"{folder}, without {', '.join(missing)}",
-            expected="the folder `studies` of the project",
-            remedy="Go to the root of the project, or say where it is with --studies.",
-        )
+        value, remedy = f"{folder}, without {', '.join(missing)}", "Say where it is with --studies."
+        expected = "the folder `studies` of the project"
+        raise InvalidInput("folder of the studies to reproduce", value=value, expected=expected, remedy=remedy)
 
 
 def _truths(work: _Work) -> Truths:

@@ -153,10 +153,9 @@ def cost(costs: Sequence[Cost]) -> Table:
 
 
 class Section(NamedTuple):
-    """One example of the study: titles, tables, pictures, claims."""
+    """One example of the study: title, tables, pictures, claims."""
 
     key: str
-    short: str
     title: str
     tables: tuple[Table, ...]
     figures: tuple[Picture, ...]
@@ -173,16 +172,14 @@ def sections(evidence: Evidence, pictures: Sequence[Picture]) -> tuple[Section, 
     by_parts = [name for name in evidence.checks if name.startswith("biofilm-parts")]
     others = [name for name in evidence.checks if name not in by_parts]
     return (
-        Section("S1", "S1 measures", "S1: three measures of discrepancy", (), shown("3", "4", "5", "6", "7"),
-                ("C1", "C2", "C3")),
-        Section("S2", "S2 training", "S2: size of the training set", (), shown("8"), ("C4",)),
-        Section("S3", "S3 uniform", "S3: uniform prior", (against_truth(evidence),),
-                shown("9a", "9b"), ("C5", "C6")),
-        Section("S4", "S4 informed", "S4: informed prior", (), shown("9c"), ("C7",)),
-        Section("S5", "S5 inflow", "S5: uncertain inflow",
+        Section("S1", "S1: three measures of discrepancy", (), shown("3", "4", "5", "6", "7"), ("C1", "C2", "C3")),
+        Section("S2", "S2: size of the training set", (), shown("8"), ("C4",)),
+        Section("S3", "S3: uniform prior", (against_truth(evidence),), shown("9a", "9b"), ("C5", "C6")),
+        Section("S4", "S4: informed prior", (), shown("9c"), ("C7",)),
+        Section("S5", "S5: uncertain inflow",
                 (uncertain_against_truth(evidence), larger(evidence), checks(evidence, others)),
                 shown("9d", "10"), ("C8",)),
-        Section("S6", "S6 parts", "S6: heterogeneous specimen", (checks(evidence, by_parts),),
+        Section("S6", "S6: heterogeneous specimen", (checks(evidence, by_parts),),
                 shown("11", "12", "13", "14", "15"), ("C9", "C10")),
     )  # fmt: skip
 

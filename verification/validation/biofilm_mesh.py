@@ -64,11 +64,10 @@ def flow_cell(
     return FlowCell(outline, size, channel=Channel(), partition=partition, law=LAWS[law])
 
 
-def box_points(count: int) -> Float[np.ndarray, "run 2"]:
-    """Return (E in Pa, ν) at the first points of a scrambled Sobol sequence over the box."""
-    unit = np.asarray(sobol(count, 2, scramble=5))
+def box_points(count: int, *, scramble: int | None = 5) -> Float[np.ndarray, "run 2"]:
+    """Return (E in Pa, ν) at the first points of a Sobol sequence over the box."""
     low, high = np.array(BOX).T
-    return low + (high - low) * unit
+    return low + (high - low) * np.asarray(sobol(count, 2, scramble=scramble))
 
 
 def displacements(cell: FlowCell, points: Float[np.ndarray, "run 2"]) -> tuple[list[Points | None], list[float]]:

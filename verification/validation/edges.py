@@ -7,11 +7,11 @@ biofilm's. Paths are 12 clicks, off by 2.5 px; both ends are trimmed by 5 %.
 """
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from verification.validation.rendered import Camera, Scan, arch, clicks, covered
+from verification.validation.rendered import Camera, Scan, arch, clicks
 from verification.validation.tables import arguments, show, table
 
 from strandline.discrepancy.normal_offset import signed_distances
@@ -106,34 +106,11 @@ HEADING = (
 )
 
 
-def megapixel(repeats: int = 3) -> Iterator[tuple]:
-    """Yield points and seconds for a closed edge in a picture of a megapixel, one row per method."""
-    angle = np.linspace(0.0, 2 * np.pi, 4001)[:-1]
-    radius = 300.0 * (1 + 0.2 * np.cos(3 * angle))
-    line = 500.0 + np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
-    random, shape = np.random.default_rng(1), (1000, 1000)
-    pictures = {"erf": Camera()(line, shape, random), "contour": Camera()(line, shape, random)}
-    pictures["path"] = Scan()(line, shape, random)
-    assert covered(line, shape).max() <= 1.0 + 1e-12
-    path = line[::100] + random.normal(0.0, 2.5, (40, 2))
-    for method, picture in pictures.items():
-        seconds = []
-        for _ in range(repeats):
-            start = time.perf_counter()
-            edge = find_edge(picture, path, method=method, closed=True)
-            seconds.append(time.perf_counter() - start)
-        off = signed_distances(edge.points, Interface.polyline(line, closed=True))
-        yield method, len(edge.points), min(seconds), float(off.mean()), float(off.std()), edge.errors.sd
-
-
 def _main() -> None:
     options = arguments(__doc__, words="PART", pictures=40)
     cases = [case for case in CASES if not options.words or any(word in case.name for word in options.words)]
     rows = (row(case, options.pictures) for case in cases)
     show([table("edges", "Edges in rendered pictures", HEADING, rows, live=True)])
-    if not options.words:
-        heading = "method | points {d} | seconds {.2f} | bias, px {+.3f} | s, px {.3f} | own s, px {.3f}"
-        show([table("edges_megapixel", "A megapixel", heading, megapixel())])
 
 
 if __name__ == "__main__":

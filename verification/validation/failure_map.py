@@ -21,10 +21,9 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from scipy.interpolate import CubicSpline
-from verification.validation.biofilm_mesh import BOX, RATE, flow_cell
+from verification.validation.biofilm_mesh import BOX, RATE, box_points, flow_cell
 from verification.validation.tables import DOCS, OUTPUT, Cell, Table, arguments, show, table
 
-from strandline.design import sobol
 from strandline.models.biofilm.flow import STRESS_SCALE, VELOCITY_SCALE
 from strandline.models.biofilm.geometry import MESHES
 from strandline.models.biofilm.model import Biofilm
@@ -229,17 +228,12 @@ def made(name: str, model: ForwardModel, inputs: Sequence[Inputs]) -> tuple[RunR
 
 def box_inputs(count: int) -> list[dict[str, float]]:
     """Return the inputs at the first points of an unscrambled Sobol sequence over the study's box."""
-    low, high = np.array(BOX).T
-    points = low + (high - low) * np.asarray(sobol(count, 2))
-    return [{"E": float(young), "nu": float(poisson), "V_in": RATE} for young, poisson in points]
+    points = box_points(count, scramble=None).tolist()
+    return [{"E": young, "nu": poisson, "V_in": RATE} for young, poisson in points]
 
 
 def critical_moduli(search: Callable[[Sequence[Inputs]], Records], ratios: Sequence[float]) -> np.ndarray:
-    """Return the smallest E [Pa] with a steady state at each ν, by bisection at all of them at once.
-
-    Raises:
-        ValueError: The fold does not lie inside `BRACKET`.
-    """
+    """Return the smallest E [Pa] with a steady state at each ν, in `BRACKET`, by bisection at all of them at once."""
     low, high = (np.full(len(ratios), end) for end in BRACKET)
     while (high - low).max() > WIDTH:
         middle = 0.5 * (low + high)

@@ -99,10 +99,7 @@ class Cover:
 def seen_in(true: Interface, kind: Kind, random: np.random.Generator) -> tuple[Interface, Edge]:
     """Return the edge in a picture of the region under an outline, in the model's coordinates and in pixels.
 
-    Its errors are in mm; the search begins at clicks along the outline.
-
-    Raises:
-        InvalidInput: The picture shows no edge.
+    Its errors are in mm; the search begins at clicks along the outline. A picture may show no edge: `InvalidInput`.
     """
     fine = true.resampled(round(FINE * float(true.lengths.sum()) / PIXEL)).points
     low, high = fine.min(axis=0), fine.max(axis=0)

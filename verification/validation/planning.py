@@ -56,11 +56,7 @@ PAGE = DOCS / "results" / "designs.md"
 
 
 def observed(rate: float, truth: Mapping[str, float], random: np.random.Generator) -> Float[np.ndarray, "point 2"]:
-    """Return the points of the interface at a rate with drawn errors, mm.
-
-    Raises:
-        ForwardModelError: The run fails.
-    """
+    """Return the points of the interface at a rate with drawn errors, mm; the run may fail."""
     true = sl.Biofilm(mesh="coarse")({**truth, "V_in": rate}).interface
     return sl.PointErrors(SD).draw(true, random).points
 

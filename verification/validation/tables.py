@@ -64,11 +64,7 @@ def table(name: str, title: str, heading: str, rows: Iterable[Sequence[Any]], *,
 
 
 def put_into_page(page: str, tables: Sequence[Table]) -> str:
-    """Return the text of a page with each table in its place.
-
-    Raises:
-        ValueError: A table has no place, or more than one.
-    """
+    """Return the text of a page with each table in its place, of which it must have exactly one."""
     for one in tables:
         place = re.compile(rf"<!-- table: {one.name} -->\n.*?<!-- end -->", re.DOTALL)
         found = place.findall(page)
