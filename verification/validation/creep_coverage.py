@@ -15,6 +15,7 @@ import yaml
 from numpy.linalg import inv
 from scipy.spatial.distance import cdist
 from verification.validation.tables import DOCS, EXAMPLES, OUTPUT, arguments, show, table, write_study
+from verification.validation.what_if import new_runs
 
 import strandline as sl
 from strandline.posterior import Weighted
@@ -29,10 +30,10 @@ def _write(folder: Path, **changes: Any) -> sl.Study:
     return sl.load_study(write_study(folder, content | {"name": folder.name, **changes}))
 
 
-def analysed(folder: Path, truth: Mapping[str, float], seed: int, shared: Path, design: Any) -> dict[str, Any]:
+def analysed(folder: Path, truth: Mapping[str, float], seed: int, shared: sl.Study, design: Any) -> dict[str, Any]:
     """Return how one data set ended."""
     observation = {"synthetic": {**truth, "V_in": RATE}, "noise": {"sd": 0.003, "seed": seed}}
-    study = _write(folder, observation=observation, reuse=[f"../{shared.name}"], design=design)
+    study = _write(folder, observation=observation, reuse=[f"../{shared.folder.name}"], design=design)
     outcome = sl.run_study(study)
     posterior, certificate = outcome.calibration.posterior, outcome.summary.get("certificate") or {}
     draws, exact = _scaled(posterior.draws), _scaled(np.array([[truth[name] for name in NAMES]]))
@@ -45,7 +46,7 @@ def analysed(folder: Path, truth: Mapping[str, float], seed: int, shared: Path, 
         "sd": posterior.sd.tolist(),
         "inside": bool(weights[far[:, 0] <= of_truth[0, 0]].sum() <= 0.9),
         "marginal": [bool(low <= x <= high) for low, high, x in marginal],
-        "new": outcome.summary["runs"]["new"],
+        "new": new_runs(shared, outcome.calibration),
         "verdict": certificate.get("verdict", "not checked"),
     }
 
@@ -71,10 +72,11 @@ def truths(study: sl.Study, number: int) -> list[dict[str, float]]:
 
 def _main() -> None:
     options = arguments(__doc__, truths=20, shared=128, active=False, folder=OUTPUT / "creep", publish=False)
-    shared, rows, sobol = options.folder / "shared", [], {"sobol": {"runs": options.shared, "scramble": 1}}
-    design, study = {"active": {"runs": 100}} if options.active else sobol, _write(shared, design=sobol)
-    with sl.Ledger.open(study.ledger_path, model=study.runs.identity, description="shared") as ledger:
-        sl.run_campaign(study.model, study.runs.design, ledger=ledger, executor=study.executor)
+    rows, sobol = [], {"sobol": {"runs": options.shared, "scramble": 1}}
+    design = {"active": {"runs": 100}} if options.active else sobol
+    shared = _write(options.folder / "shared", design=sobol)
+    with sl.Ledger.open(shared.ledger_path, model=shared.runs.identity, description="shared") as ledger:
+        sl.run_campaign(shared.model, shared.runs.design, ledger=ledger, executor=shared.executor)
     for number, truth in enumerate(truths(_write(options.folder / "truths"), options.truths)):
         found = analysed(options.folder / f"set-{number}", truth, number, shared, design)
         print(found, flush=True)

@@ -9,6 +9,7 @@ unknown: what a study of seven inputs is expected to leave unknown, against its 
 With ``--publish`` the tables go into docs/results/designs.md. All results are kept in output/planning.
 """
 
+import json
 import shutil
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
@@ -167,10 +168,13 @@ def _row(rates: Sequence[float], ours: dict, signals: dict, failing: dict) -> tu
 
 
 def table_of_advice(output: Path, options: Namespace) -> tuple[Table, dict[str, object]]:
-    """Return the widths after each second experiment, and a summary; runs are kept."""
+    """Return the widths after each second experiment, and a summary; finished truths are kept."""
     random, rows = np.random.default_rng(2026), []
     for number in range(options.truths):
-        rows.append(_followed(output / f"truth-{number}", *_truth(random)))
+        kept, drawn = output / f"truth-{number}.json", _truth(random)
+        if not kept.is_file():
+            kept.write_text(json.dumps(_followed(output / f"truth-{number}", *drawn)), "utf-8")
+        rows.append(json.loads(kept.read_text("utf-8")))
         print(rows[-1], flush=True)
     heading = (
         "E, Pa {.0f} | ν {.2f} | advised rate {.0f} | sd(ν) at 100 {.3f} | with 50 {.3f} | with the advised {.3f} "
