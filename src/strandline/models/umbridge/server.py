@@ -129,59 +129,6 @@ def _carries(authorization: str, token: str) -> bool:
     return hmac.compare_digest(given.strip().encode(), token.encode())
 
 
-class Connections:
-    """Counts connections; each is waiting for a request or working on one.
-
-    When all places are taken, a new connection replaces the one that has waited longest for its client. Those that are
-    working are never ended. A client must send a whole request within `patience` seconds.
-    """
-
-    def __init__(self, most: int, patience: float) -> None:
-        self._patience = patience
-        self._free = threading.BoundedSemaphore(most)
-        self._lock = threading.Lock()
-        self._waiting: dict[socket.socket, float] = {}
-
-    def admit(self, connection: socket.socket) -> bool:
-        """Give a new connection a place; return whether there is one."""
-        for _ in range(2):  # after the first round those that have just been made may be ended too
-            if self._free.acquire(blocking=False):
-                break
-            self._end_older_than(SOON_SECONDS, most=1)
-            if self._free.acquire(timeout=SOON_SECONDS):
-                break
-        else:
-            return False
-        self.waits(connection)
-        return True
-
-    def leave(self, connection: socket.socket) -> None:
-        self.works(connection)
-        self._free.release()
-
-    def waits(self, connection: socket.socket) -> None:
-        """Note that the connection waits for its client's next request, from now on."""
-        with self._lock:
-            self._waiting[connection] = time.monotonic()
-
-    def works(self, connection: socket.socket) -> None:
-        """Note that the client has sent its request."""
-        with self._lock:
-            self._waiting.pop(connection, None)
-
-    def end_overdue(self) -> None:
-        """End the connections whose client has not sent a whole request in time, even if it keeps sending slowly."""
-        self._end_older_than(self._patience)
-
-    def _end_older_than(self, seconds: float, *, most: int | None = None) -> None:
-        limit = time.monotonic() - seconds
-        with self._lock:  # oldest first: the dictionary keeps the order, and `waits` may only refresh
-            found = sorted((since, n, c) for n, (c, since) in enumerate(self._waiting.items()) if since <= limit)
-            for _, _, connection in found[:most]:
-                with contextlib.suppress(OSError):
-                    connection.shutdown(socket.SHUT_RDWR)
-
-
 class UMBridgeServer(ThreadingHTTPServer):
     """Answers requests for `models`, each in its own thread; runs from `serve_forever` until `shutdown`.
 
@@ -207,7 +154,8 @@ class UMBridgeServer(ThreadingHTTPServer):
         self.models = tuple(models)
         self.door = Access.of(host) if door is None else door
         self.patience = patience
-        self.connections = Connections(connections, patience)
+        self._free, self._lock = threading.BoundedSemaphore(connections), threading.Lock()
+        self._waiting: dict[socket.socket, float] = {}
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
             super().__init__((host, port), _Handler)
@@ -227,30 +175,65 @@ class UMBridgeServer(ThreadingHTTPServer):
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Answer in a thread, or turn the client away if all places are taken."""
-        if not self.connections.admit(request):
+        if not self._admit(request):
             self._turn_away(request)
             return
         try:
             super().process_request(request, client_address)
         except BaseException:
-            self.connections.leave(request)
+            self._leave(request)
             raise
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         try:
             super().process_request_thread(request, client_address)
         finally:
-            self.connections.leave(request)
+            self._leave(request)
 
     def service_actions(self) -> None:
-        """End connections that have been silent for too long; called twice a second."""
-        self.connections.end_overdue()
+        """End connections without a whole request in time, even if the client keeps sending; called twice a second."""
+        self._end_older_than(self.patience)
+
+    def waits(self, connection: socket.socket) -> None:
+        """Note that the connection waits for its client's next request, from now on."""
+        with self._lock:
+            self._waiting.pop(connection, None)
+            self._waiting[connection] = time.monotonic()
+
+    def works(self, connection: socket.socket) -> None:
+        """Note that the client has sent its request; a connection at work is never ended."""
+        with self._lock:
+            self._waiting.pop(connection, None)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore clients that go away; print one line about any other error."""
         error = sys.exception()
         if not isinstance(error, OSError):
             print(f"a request could not be answered: {type(error).__name__}: {str(error)[:200]!r}", file=sys.stderr)
+
+    def _admit(self, connection: socket.socket) -> bool:
+        """Give a new connection a place, if need be that of the one that has waited longest; return whether it has."""
+        for _ in range(2):  # after the first round those that have just been made may be ended too
+            if self._free.acquire(blocking=False):
+                break
+            self._end_older_than(SOON_SECONDS, most=1)
+            if self._free.acquire(timeout=SOON_SECONDS):
+                break
+        else:
+            return False
+        self.waits(connection)
+        return True
+
+    def _leave(self, connection: socket.socket) -> None:
+        self.works(connection)
+        self._free.release()
+
+    def _end_older_than(self, seconds: float, *, most: int | None = None) -> None:
+        limit = time.monotonic() - seconds
+        with self._lock:
+            for connection in [one for one, since in self._waiting.items() if since <= limit][:most]:  # oldest first
+                with contextlib.suppress(OSError):
+                    connection.shutdown(socket.SHUT_RDWR)
 
     def _turn_away(self, request: Any) -> None:
         content = json.dumps(Rejected("Busy", "too many connections; try again later", 503).answer.content).encode()
@@ -274,7 +257,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.connection.settimeout(self.server.patience)
 
     def handle_one_request(self) -> None:
-        self.server.connections.waits(self.connection)
+        self.server.waits(self.connection)
         super().handle_one_request()
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
@@ -295,7 +278,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.close_connection = True
             self._send(refused.answer)
             return
-        self.server.connections.works(self.connection)
+        self.server.works(self.connection)
         path = self.path.partition("?")[0].partition("#")[0].rstrip("/")
         self._send(answer(self.server.models, self.command, path, body))
 
