@@ -213,16 +213,13 @@ class UMBridgeServer(ThreadingHTTPServer):
 
     def _admit(self, connection: socket.socket) -> bool:
         """Give a new connection a place, if need be that of the one that has waited longest; return whether it has."""
-        for _ in range(2):  # after the first round those that have just been made may be ended too
-            if self._free.acquire(blocking=False):
-                break
-            self._end_older_than(SOON_SECONDS, most=1)
-            if self._free.acquire(timeout=SOON_SECONDS):
-                break
-        else:
-            return False
-        self.waits(connection)
-        return True
+        for patience in (0.0, SOON_SECONDS, SOON_SECONDS):  # in the end, one that has just been made may be ended too
+            if patience:
+                self._end_older_than(SOON_SECONDS, most=1)
+            if self._free.acquire(timeout=patience):
+                self.waits(connection)
+                return True
+        return False
 
     def _leave(self, connection: socket.socket) -> None:
         self.works(connection)
