@@ -19,6 +19,7 @@ from strandline.models.command.options import (
     SourceFile,
     commands_of,
     declared_by,
+    environment_of,
     exit_codes_of,
     file_in,
     kept_folder,
@@ -26,7 +27,6 @@ from strandline.models.command.options import (
     read_result,
     readings_of,
     relative_name,
-    texts_of,
 )
 from strandline.models.command.process import ProcessEnd, supervised
 from strandline.models.protocol import ModelInput, Simulation
@@ -244,10 +244,7 @@ class _Parts:
             templates=tuple((target, template) for template, target in sources),
             files=tuple(files),
             commands=commands_of(model.command, model.post, shell=model.shell),
-            environment={
-                name: InputTemplate(f"environment.{name}", value)
-                for name, value in texts_of(model.environment, "environment").items()
-            },
+            environment=environment_of(model.environment),
             readings=readings_of(model.result, model.results),
             exit_codes=exit_codes_of(model.exit_codes),
         )

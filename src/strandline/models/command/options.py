@@ -98,16 +98,12 @@ def _written(value: Any) -> Any:
 
 def commands_of(command: object, post: object, *, shell: bool) -> tuple[tuple[InputTemplate, ...], ...]:
     """Return the commands of a run as templates of their arguments."""
-    if shell:
-        if not isinstance(command, str) or not command.strip():
-            raise _unfit("command", command, "with `shell: true` one text for /bin/sh")
-        first: tuple[InputTemplate, ...] = (InputTemplate("command", command),)
-    else:
-        first = _arguments(command, "command")
+    if shell and not (isinstance(command, str) and command.strip()):
+        raise _unfit("command", command, "with `shell: true` one text for /bin/sh")
     if not isinstance(post, list | tuple):
         raise _unfit("post", post, 'a command such as ["python", "extract.py"], or a list of commands')
     several = [post] if post and not isinstance(post[0], list | tuple) else list(post)
-    return (first, *(_arguments(one, "post") for one in several))
+    return (_arguments([command] if shell else command, "command"), *(_arguments(one, "post") for one in several))
 
 
 def _arguments(command: object, place: str) -> tuple[InputTemplate, ...]:
@@ -116,14 +112,12 @@ def _arguments(command: object, place: str) -> tuple[InputTemplate, ...]:
     return tuple(InputTemplate(place, str(item)) for item in command)
 
 
-def texts_of(given: object, place: str) -> dict[str, str]:
-    """Return a mapping of texts; numbers become texts."""
-    fits = isinstance(given, Mapping) and all(isinstance(k, str) and _is_word(v) for k, v in given.items())
-    if not (fits and isinstance(given, Mapping)) or any(
-        "\0" in f"{k}{v}" or "=" in k or not k for k, v in given.items()
-    ):
-        raise _unfit(place, given, "names with texts, e.g. {NAME: text}")
-    return {name: str(value) for name, value in given.items()}
+def environment_of(given: object) -> dict[str, InputTemplate]:
+    """Return the templates of environment variables; numbers become texts."""
+    pairs = given.items() if isinstance(given, Mapping) else [("", "")]
+    if not all(isinstance(name, str) and name and not {*name} & {*"\0="} and _is_word(value) for name, value in pairs):
+        raise _unfit("environment", given, "names with texts, e.g. {NAME: text}")
+    return {name: InputTemplate(f"environment.{name}", str(value)) for name, value in pairs}
 
 
 def exit_codes_of(given: object) -> frozenset[int] | None:
