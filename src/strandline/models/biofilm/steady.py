@@ -146,39 +146,44 @@ class _Path:
         loads = _between(below, above, strain, SHARES, LOAD)[:, 0]
         guess = _between(below, above, strain, SHARES[[np.argmax(loads >= self.load)]])[0, :-1]
         try:
-            found = newton.solve(_AtLoad(self, self.load), guess, weights=self.system.weights, settings=ARRIVAL)
+            found = newton.solve(AtLoad(self, self.load), guess, weights=self.system.weights, settings=ARRIVAL)
         except ForwardModelError as error:
             if error.kind in SHORTER_STEPS:
                 return None
             raise
         return found.x
 
+    def residual(self, x: Vector, load: float) -> Vector:
+        return self.system.residual(x, load)
+
     def factorise(self, x: Vector, load: float) -> LinearSolver:
-        """Factorise within the budget."""
+        """Factorise within the budget, and keep the tangent there."""
         if 0 < self.budget <= self.jacobians:
             raise self._failure("continuation_stalled", "the search along the load path was given up")
         self.jacobians += 1
-        return self.system.factorise(x, load)
+        jacobian = self.system.factorise(x, load)
+        self.tangent = -jacobian.solve(self.system.by_load())
+        return jacobian
 
     def _first_point(self, linear: Vector, load: float) -> PathPoint:
         """Return the steady state at a low load, by Newton's method; at a lower one if that fails."""
-        system = _AtLoad(self, load)
         try:
-            found = newton.solve(system, load / self.load * linear, weights=self.system.weights, settings=CORRECTOR)
+            guess, weights = load / self.load * linear, self.system.weights
+            found = newton.solve(AtLoad(self, load), guess, weights=weights, settings=CORRECTOR)
         except ForwardModelError as error:
             if error.kind == "continuation_stalled":
                 raise
             return self._first_point(linear, 0.5 * load)
-        return self._accepted(found.x, load, system.tangent)
+        return self._accepted(found.x, load)
 
-    def _accepted(self, x: Vector, load: float, tangent: Vector) -> PathPoint:
+    def _accepted(self, x: Vector, load: float) -> PathPoint:
         try:
             figures = self.system.check(x)
         except ForwardModelError as error:
             raise self._failure(error.kind, error.message, error.evidence) from error
         if load > self.reached:
             self.reached, self.figures = load, figures
-        return PathPoint(x, load, tangent)
+        return PathPoint(x, load, self.tangent)
 
     def _next_step(self, last: PathPoint, point: PathPoint, strain: Strain) -> float:
         """Return a step of strain that leads a little beyond where the slope d(load)/d(strain) would be zero."""
@@ -201,9 +206,9 @@ class _Path:
             start = _predicted(last, point, strain, step)
             try:
                 found = newton.solve(system, start, weights=weights, settings=CORRECTOR)
-                if strain.functional @ system.tangent < 0.0:
+                if strain.functional @ self.tangent < 0.0:
                     found = newton.solve(system, found.x, weights=weights, settings=POLISH)
-                return self._accepted(found.x[:-1], float(found.x[-1]), system.tangent)
+                return self._accepted(found.x[:-1], float(found.x[-1]))
             except ForwardModelError as error:
                 if error.kind not in SHORTER_STEPS:
                     raise
@@ -235,39 +240,18 @@ class _Path:
 SHORTER_STEPS = ("newton_stalled", "newton_maxit", "nonfinite_residual", "linear_solve", "inverted_elements")
 
 
-class _AtLoad:
-    """The equations at a given load; keeps the tangent that belongs to the last Jacobian."""
-
-    tangent: Vector
-
-    def __init__(self, path: _Path, load: float) -> None:
-        self._path, self._load = path, load
-
-    def residual(self, x: Vector) -> Vector:
-        return self._path.system.residual(x, self._load)
-
-    def factorise(self, x: Vector) -> LinearSolver:
-        jacobian = self._path.factorise(x, self._load)
-        self.tangent = -jacobian.solve(self._path.system.by_load())
-        return jacobian
-
-
 class _AtStrain:
     """The equations with the load as a further unknown and a given value of a functional as a further equation."""
-
-    tangent: Vector
 
     def __init__(self, path: _Path, functional: Vector, value: float) -> None:
         self._path, self._functional, self._value = path, functional, value
 
     def residual(self, z: Vector) -> Vector:
         x, load = z[:-1], float(z[-1])
-        return np.append(self._path.system.residual(x, load), self._functional @ x - self._value)
+        return np.append(self._path.residual(x, load), self._functional @ x - self._value)
 
     def factorise(self, z: Vector) -> LinearSolver:
-        jacobian = self._path.factorise(z[:-1], float(z[-1]))
-        self.tangent = -jacobian.solve(self._path.system.by_load())
-        return _Bordered(jacobian, self.tangent, self._functional)
+        return _Bordered(self._path.factorise(z[:-1], float(z[-1])), self._path.tangent, self._functional)
 
 
 @dataclass(frozen=True, eq=False)
@@ -369,11 +353,11 @@ def _on_first_branch(bending: Bending, x: Vector, load: float) -> bool:
 class AtLoad:
     """The equations of a loaded solid at one load, as `newton.solve` takes them."""
 
-    def __init__(self, bending: Bending, load: float) -> None:
-        self._bending, self._load = bending, load
+    def __init__(self, system: LoadedSystem | _Path, load: float) -> None:
+        self._system, self._load = system, load
 
     def residual(self, x: Vector) -> Vector:
-        return self._bending.residual(x, self._load)
+        return self._system.residual(x, self._load)
 
     def factorise(self, x: Vector) -> LinearSolver:
-        return self._bending.factorise(x, self._load)
+        return self._system.factorise(x, self._load)
