@@ -120,10 +120,26 @@ class TwoLoads:
         return {name: {"E": -loads[name] / modulus * unit, "load": factors[name] * unit} for name in self.conditions}
 
 
+@dataclass(frozen=True)
+class Faulty:
+    """A `Cantilever` with a fault, see `_misbehave`, if Young's modulus is above `above`."""
+
+    fault: str = "exception"
+    above: float = 500.0
+
+    @property
+    def fingerprint(self) -> str:
+        return f"{Cantilever().fingerprint}+{self.fault}:E>{self.above!r}"
+
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
+        good = Cantilever()(inputs, workdir)
+        return _misbehave(self.fault, good, workdir) if inputs["E"] > self.above else good
+
+
 class SameResults:
     """A wrapper that changes no result of its `base`."""
 
-    base: Any
+    base: Any = Cantilever()
 
     @property
     def fingerprint(self) -> str:
@@ -131,33 +147,14 @@ class SameResults:
 
 
 @dataclass(frozen=True)
-class Faulty:
-    """`base`, with a fault, see `_misbehave`, if the input `name` is above `above`."""
-
-    base: Any = Cantilever()
-    fault: str = "exception"
-    name: str = "E"
-    above: float = 500.0
-
-    @property
-    def fingerprint(self) -> str:
-        return f"{self.base.fingerprint}+{self.fault}:{self.name}>{self.above!r}"
-
-    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
-        good = self.base(inputs, workdir)
-        return _misbehave(self.fault, good, workdir) if inputs[self.name] > self.above else good
-
-
-@dataclass(frozen=True)
 class Slow(SameResults):
-    """`base`, `seconds` later; with `name` given, that many seconds per unit of the input."""
+    """`base`, `seconds` later."""
 
     base: Any = Cantilever()
     seconds: float = 0.1
-    name: str | None = None
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
-        time.sleep(self.seconds * (1.0 if self.name is None else inputs[self.name]))
+        time.sleep(self.seconds)
         return self.base(inputs, workdir)
 
 
@@ -169,29 +166,29 @@ class Counted(SameResults):
     base: Any = Cantilever()
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
-        line = f"{os.getpid()} {sorted(inputs.items())}\n"
-        _append(Path(self.folder) / "calls", line)
+        self._append("calls", inputs)
         result = self.base(inputs, workdir)
-        _append(Path(self.folder) / "ends", line)
+        self._append("ends", inputs)
         return result
+
+    def _append(self, name: str, inputs: Mapping[str, float]) -> None:
+        with (Path(self.folder) / name).open("a", encoding="utf-8") as file:  # written when closed, in one piece
+            file.write(f"{os.getpid()} {sorted(inputs.items())}\n")
 
 
 @dataclass(frozen=True)
 class Patient(SameResults):
-    """`base`; a run with `name` above `above` first waits until there are `others` files in `folder`.
+    """A run with a Young's modulus above 500 Pa first waits until there are `others` files in `folder`.
 
     The receiver of the records puts them there, and so decides which runs end first.
     """
 
     folder: str
     others: int
-    base: Any = Cantilever()
-    name: str = "E"
-    above: float = 500.0
     longest: float = 60.0
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
-        deadline = time.monotonic() + (self.longest if inputs[self.name] > self.above else 0.0)
+        deadline = time.monotonic() + (self.longest if inputs["E"] > 500.0 else 0.0)
         while len(list(Path(self.folder).iterdir())) < self.others and time.monotonic() < deadline:
             time.sleep(0.005)
         return self.base(inputs, workdir)
@@ -203,15 +200,6 @@ class UnpicklableError(Exception):
     def __init__(self, first: object, second: object) -> None:
         self.payload = lambda: (first, second)
         super().__init__("payload that cannot travel")
-
-
-def _append(path: Path, line: str) -> None:
-    """Write one line in one system call, so that lines of several processes do not mix."""
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-    try:
-        os.write(descriptor, line.encode())
-    finally:
-        os.close(descriptor)
 
 
 def _misbehave(fault: str, good: Simulation, workdir: Path) -> Simulation | None:

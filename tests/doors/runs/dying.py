@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from strandline.testing.models import Cantilever, SameResults
+from strandline.testing.models import SameResults
 
 
 @dataclass(frozen=True)
@@ -15,7 +15,6 @@ class CrashesOnce(SameResults):
     """`base`, whose process dies the first time that inputs are run; `folder` remembers it."""
 
     folder: str
-    base = Cantilever()
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
         mark = Path(self.folder) / "-".join(value.hex() for _, value in sorted(inputs.items()))
@@ -31,7 +30,6 @@ class KilledWhileLoading(SameResults):
 
     folder: str
     times: int
-    base = Cantilever()
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
         self.__dict__.update(state)
