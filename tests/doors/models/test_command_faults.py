@@ -14,8 +14,7 @@ from tests.doors.models.command_faults import FAULTS, MARKER, left_after, proces
 from tests.doors.models.waiting import until
 from tests.unit.models.command.commands import RESULT
 
-from strandline.models.command.model import CommandModel
-from strandline.models.command.process import LOG_LIMIT
+from strandline.models.command.model import LOG_LIMIT, CommandModel
 from strandline.runs import Counts, InProcess, Ledger, LocalProcesses, RunRequest, run_campaign
 from strandline.studies.parse import made
 from strandline.testing.studies import write_study

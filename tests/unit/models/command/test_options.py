@@ -11,7 +11,6 @@ from tests.unit.models.command.commands import ECHO, RESULT, filled, model, stud
 
 from strandline.errors import ForwardModelError, InvalidInput, InvalidStudy
 from strandline.models.command import model as command_model
-from strandline.models.command import process
 from strandline.models.command.options import InputTemplate, named_by
 from strandline.models.fingerprint import fingerprint
 from strandline.models.protocol import declared_failure_kinds
@@ -133,11 +132,11 @@ def test_a_study_names_the_key_that_is_wrong_and_checks_declared_inputs(tmp_path
 
 def test_lack_of_memory_says_so_and_is_tried_again(tmp_path):
     answer = {"exit_code": -9, "timeout": False, "tail": "", "left": 0, "out_of_memory": True}
-    ended = process._ended(json.dumps(answer).encode(), 0, tmp_path / "log")
+    ended = command_model._ended(json.dumps(answer).encode(), 0, tmp_path / "log")
     error = command_model._killed(ended, "solver")
     assert (error.kind, error.state) == ("out_of_memory", "killed")
     assert "out of memory" in error.message
     answer = {"error": "Cannot allocate memory", "errno": errno.ENOMEM}
     with pytest.raises(ForwardModelError, match="Cannot allocate memory") as caught:
-        process._ended(json.dumps(answer).encode(), 0, tmp_path / "log")
+        command_model._ended(json.dumps(answer).encode(), 0, tmp_path / "log")
     assert (caught.value.kind, caught.value.state) == ("out_of_memory", "killed")
