@@ -7,7 +7,6 @@ up to at most the tolerance; earlier errors do not grow, since the solid relaxes
 """
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,7 +19,7 @@ from strandline.models.biofilm.cell import FlowCell, Setting, Solution
 from strandline.models.biofilm.course import Course, Piece, pieces
 from strandline.models.biofilm.flow import Fluid
 from strandline.models.biofilm.memory import Branch, Memory, Past
-from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, NewtonSolution
+from strandline.models.biofilm.newton import LinearSolver, NewtonSettings
 from strandline.models.biofilm.steady import SHORTER_STEPS, AtLoad, steady_state
 from strandline.models.biofilm.system import CoupledSystem
 
@@ -184,14 +183,8 @@ class QuasiStatic:
 
     def _solved(self, guess: Vector, share: float) -> Vector:
         """Return the unknowns at a share of the inflow; the last Jacobian serves as long as steps contract well."""
-        system, weights = AtLoad(self.cell, self._load(share)), self.cell.weights
-        if self._last is not None:
-            with suppress(ForwardModelError):  # then the Jacobian is out of date
-                first = newton.step(system, guess, self._last)
-                return self._kept(newton.solve(system, guess, weights=weights, settings=STEP, first=first))
-        return self._kept(newton.solve(system, guess, weights=weights, settings=STEP))
-
-    def _kept(self, found: NewtonSolution) -> Vector:
+        system = AtLoad(self.cell, self._load(share))
+        found = newton.solve_again(system, guess, self._last, weights=self.cell.weights, settings=STEP)
         self.jacobians, self._last = self.jacobians + found.jacobians, found.jacobian
         return found.x
 

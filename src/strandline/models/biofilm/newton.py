@@ -7,6 +7,7 @@ residual is not, and stalls on bending. After a full step that contracts well, B
 Jacobians: a Jacobian, assembled and factorised, costs as much as ten such steps.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -97,6 +98,16 @@ def solve(
     except ForwardModelError as error:
         spent = {"jacobians": float(search.jacobians), "simplified_steps": float(search.steps)}
         raise ForwardModelError(error.kind, error.message, spent | dict(error.evidence)) from error
+
+
+def solve_again(
+    system: System, x: Vector, jacobian: LinearSolver | None, *, weights: Vector, settings: NewtonSettings
+) -> NewtonSolution:
+    """Return the root as `solve` does: with a Jacobian from elsewhere first, if there is one, then with new ones."""
+    if jacobian is not None:
+        with suppress(ForwardModelError):
+            return solve(system, x, weights=weights, settings=settings, first=step(system, x, jacobian))
+    return solve(system, x, weights=weights, settings=settings)
 
 
 class _Search:

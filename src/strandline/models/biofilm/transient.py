@@ -149,16 +149,9 @@ class March:
 
     def _corrected(self, guess: Vector) -> Vector:
         """Return the solution of the step's equations; the last Jacobian is used as long as it serves."""
-        leading, corrector = self.system.rates.leading, self.settings.corrector
-        first = None
-        if self._jacobian is not None and abs(leading - self._leading) <= AS_BEFORE * self._leading:
-            first = newton.step(self.system, guess, self._jacobian)
-        try:
-            found = newton.solve(self.system, guess, weights=self.weights, settings=corrector, first=first)
-        except ForwardModelError:
-            if first is None:
-                raise
-            found = newton.solve(self.system, guess, weights=self.weights, settings=corrector)
+        leading, settings = self.system.rates.leading, self.settings.corrector
+        kept = self._jacobian if abs(leading - self._leading) <= AS_BEFORE * self._leading else None
+        found = newton.solve_again(self.system, guess, kept, weights=self.weights, settings=settings)
         self.jacobians += found.jacobians
         if found.jacobians:
             self._leading = leading
