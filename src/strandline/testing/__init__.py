@@ -1,4 +1,7 @@
-"""Public helpers for tests: conformance suites, one for each kind of part, and small models and a study for them."""
+"""Public helpers for tests: conformance suites, one for each kind of part, and small models and a study for them.
+
+Each check of a suite takes a part and raises `AssertionError` with a sentence on what is wrong.
+"""
 
 from typing import Any
 

@@ -1,7 +1,6 @@
 """Conformance suite for criteria of active designs: what any `strandline.design.active.Criterion` must do.
 
-Each check takes a criterion and raises `AssertionError` with a sentence on what is wrong. The state is that of a bent
-line with two inputs after ten runs.
+The state is that of a bent line with two inputs after ten runs.
 """
 
 from collections.abc import Callable

@@ -1,7 +1,4 @@
-"""Conformance suite for discrepancies: what any `strandline.discrepancy.Discrepancy` must do.
-
-Each check takes a measure of polylines and raises `AssertionError` with a sentence on what is wrong.
-"""
+"""Conformance suite for discrepancies: what any `strandline.discrepancy.Discrepancy` must do."""
 
 import itertools
 import math

@@ -1,7 +1,7 @@
 """Conformance suite for ways to find an edge in the picture of a camera, ``module:name`` in ``edge: {method: …}``.
 
-Each check takes a method and raises `AssertionError` with a sentence on what is wrong. The picture is a disc before a
-darker background, blurred over 1.5 pixels, with independent noise of a twentieth of the contrast.
+The picture is a disc before a darker background, blurred over 1.5 pixels, with independent noise of a twentieth of the
+contrast.
 """
 
 from collections.abc import Callable

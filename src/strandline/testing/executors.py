@@ -1,7 +1,6 @@
 """Conformance suite for executors: what any `strandline.runs.Executor` must do.
 
-Each check takes an executor and the number of runs that it makes at a time, and raises `AssertionError` with a
-sentence on what is wrong. With pytest:
+Each check takes an executor and the number of runs that it makes at a time. With pytest:
 
 ```python
 @pytest.mark.parametrize("check", CHECKS.values(), ids=CHECKS.keys())

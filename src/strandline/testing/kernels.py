@@ -1,7 +1,4 @@
-"""Conformance suite for kernels: what any `strandline.surrogate.kernels.Kernel` must do.
-
-Each check takes a kernel and raises `AssertionError` with a sentence on what is wrong.
-"""
+"""Conformance suite for kernels: what any `strandline.surrogate.kernels.Kernel` must do."""
 
 from collections.abc import Callable
 

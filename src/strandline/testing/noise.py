@@ -1,7 +1,4 @@
-"""Conformance suite for noise models: what any `strandline.interface.Noise` must do.
-
-Each check takes a noise model and raises `AssertionError` with a sentence on what is wrong.
-"""
+"""Conformance suite for noise models: what any `strandline.interface.Noise` must do."""
 
 import math
 from collections.abc import Callable

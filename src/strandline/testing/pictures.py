@@ -1,7 +1,6 @@
 """Conformance suite for readers of pictures, ``module:name`` in ``image: {reader: …}``.
 
-Each check takes the path of an intact file and how to read it, and raises `AssertionError` with a sentence on what is
-wrong.
+Each check takes the path of an intact file and how to read it.
 """
 
 from collections.abc import Callable

@@ -1,7 +1,4 @@
-"""Conformance suite for priors: what any `strandline.priors.Prior` must do.
-
-Each check takes a prior and raises `AssertionError` with a sentence on what is wrong.
-"""
+"""Conformance suite for priors: what any `strandline.priors.Prior` must do."""
 
 from collections.abc import Callable
 

@@ -1,7 +1,6 @@
 """Conformance suite for readers of files: what any entry of `strandline.readers.READERS` must do.
 
-Each check takes the path of an intact file and how to read it, and raises `AssertionError` with a sentence on what is
-wrong.
+Each check takes the path of an intact file and how to read it.
 """
 
 from collections.abc import Callable

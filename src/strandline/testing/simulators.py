@@ -1,7 +1,6 @@
 """Conformance suite for simulators: what any `strandline.models.protocol.ForwardModel` must do.
 
-Each check takes a model and the inputs of a run that succeeds, by name, and raises `AssertionError` with a sentence on
-what is wrong.
+Each check takes a model and the inputs of a run that succeeds, by name.
 """
 
 import contextlib

@@ -1,7 +1,4 @@
-"""Conformance suite for surrogates: what any function that learns a log-likelihood must do.
-
-Each check takes a `strandline.surrogate.Fit` and raises `AssertionError` with a sentence on what is wrong.
-"""
+"""Conformance suite for surrogates: what any `strandline.surrogate.Fit` must do."""
 
 from collections.abc import Callable
 

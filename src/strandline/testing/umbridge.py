@@ -1,7 +1,6 @@
 """Conformance suite for servers of UM-Bridge 1.0: each endpoint, its answers and its errors.
 
-Each check takes one model of a running server and raises `AssertionError` with a sentence on what is wrong. With
-pytest:
+Each check takes one model of a running server. With pytest:
 
 ```python
 @pytest.mark.parametrize("check", CHECKS.values(), ids=CHECKS.keys())
