@@ -9,6 +9,7 @@ from strandline.calibration.usual_alternatives import facts_of, prior_in_words, 
 from strandline.errors import InvalidStudy
 from strandline.interface import Observation
 from strandline.likelihood import FieldLikelihood
+from strandline.questions.knowledge import require
 from strandline.studies.inputs import build_prior
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.observation import Noise
@@ -39,12 +40,13 @@ def alternative_of(asked: WhatIf, study: Study, now: Baseline) -> Alternative:
             prior that cannot be used.
     """
     priors = {name: build_prior(given, f"{PLACE}.prior.{name}") for name, given in asked.prior.items()}
-    _require_known({**priors, **asked.fix}, study)
-    both = next((name for name in priors if name in asked.fix), None)
-    if both is not None:
-        raise _refused("fix", both, "an input without another prior in the same alternative", "Remove one of the two.")
+    for name in (*priors, *asked.fix):
+        entry(dict.fromkeys(study.space.names), name, f"{PLACE}: name of an input")
     for name, value in asked.fix.items():
-        _require_inside(name, value, study)
+        once = "an input without another prior in the same alternative"
+        _require(name not in priors, "fix", name, once, "Remove one of the two.")
+        low, high = study.space[name].interval
+        _require(low <= value <= high, f"fix.{name}", value, f"a value in its box, [{low:g}, {high:g}]")
     with refused_at(f"{PLACE}.prior"):
         space = with_prior(now.space, priors)
     parts = list(_parts(asked))
@@ -114,27 +116,15 @@ def _changed(asked: WhatIf, study: Study) -> Study:
 
 
 def _left(asked: WhatIf, observations: tuple[Observation, ...]) -> tuple[Observation, ...]:
-    conditions = {seen.condition: seen for seen in observations}
-    if asked.without and len(conditions) == 1:
-        raise _refused("without", ", ".join(asked.without), "several conditions: the study has one", "Remove it.")
+    conditions, named = {seen.condition: seen for seen in observations}, ", ".join(asked.without)
+    one_alone = bool(named) and len(conditions) == 1
+    _require(not one_alone, "without", named, "several conditions: the study has one", "Remove it.")
     for name in asked.without:
         entry(conditions, name, f"{PLACE}.without")
     left = tuple(seen for name, seen in conditions.items() if name not in asked.without)
-    if not left:
-        raise _refused("without", ", ".join(asked.without), "at least one condition left", "Leave out fewer.")
+    _require(len(left) > 0, "without", named, "at least one condition left", "Leave out fewer.")
     return left
 
 
-def _require_known(given: Mapping[str, Any], study: Study) -> None:
-    for name in given:
-        entry(dict.fromkeys(study.space.names), name, f"{PLACE}: name of an input")
-
-
-def _require_inside(name: str, value: float, study: Study) -> None:
-    low, high = study.space[name].interval
-    if not low <= value <= high:
-        raise _refused(f"fix.{name}", value, f"a value in its box, [{low:g}, {high:g}]", "Choose another value.")
-
-
-def _refused(key: str, value: Any, expected: str, remedy: str) -> InvalidStudy:
-    return InvalidStudy(f"{PLACE}.{key}", value=value, expected=expected, remedy=remedy)
+def _require(right: bool, key: str, value: Any, expected: str, remedy: str = "Choose another value.") -> None:
+    require(right, f"{PLACE}.{key}", value, expected, remedy, InvalidStudy)

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+import numpy as np
 from filelock import FileLock, Timeout
 from markupsafe import escape
 from matplotlib.figure import Figure
 
 from strandline.calibration.source import FieldQuality
 from strandline.errors import InvalidStudy
+from strandline.posterior import Weighted
 from strandline.report import ANSWERS, write_answer
 from strandline.studies.folder import told_if_unwritable, write_json
 from strandline.studies.provenance import versions
@@ -127,7 +129,6 @@ class Answer(Generic[Found]):
 
     @property
     def figures(self) -> dict[str, Figure]:
-        """The figures of the page by name."""
         return {one.name: one.figure for one in ANSWERS[self.name](self.content)}
 
     def written(self, *, draft: bool) -> "Answer[Found]":
@@ -152,6 +153,13 @@ def digits(value: float, number: int = 4) -> str:
 def label_and_unit(item: Mapping[str, Any]) -> tuple[Symbol, str]:
     """Return an input's label, and its unit."""
     return Symbol(item["label"]), unit_text(item["unit"]) or "–"
+
+
+def moments(draws: Weighted, i: int, quantiles: Mapping[str, float]) -> dict[str, float]:
+    """Return mean, standard deviation and quantiles, probabilities by name, of an input."""
+    found = np.quantile(draws.draws[:, i], [*quantiles.values()], weights=draws.weights, method="inverted_cdf")
+    values = dict(zip(quantiles, found.tolist(), strict=True))
+    return {"mean": float(draws.mean[i]), "sd": float(draws.sd[i]), **values}
 
 
 def facts_of(study: Study, seed: int) -> dict[str, Any]:

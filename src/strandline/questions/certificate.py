@@ -44,7 +44,6 @@ class Certified:
 
     @property
     def verdict(self) -> str:
-        """``good`` or ``refine``."""
         return "good" if self.good else "refine"
 
 

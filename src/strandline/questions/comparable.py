@@ -5,13 +5,15 @@ What may differ is the model, its unknown and its known inputs, and whether the 
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 
-from strandline.errors import InvalidInput, InvalidStudy
+from strandline.errors import InvalidStudy
 from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
 from strandline.likelihood.compared import adapted
+from strandline.questions.knowledge import require
 from strandline.studies.first_run import observations_of
 from strandline.studies.parse import in_words
 from strandline.studies.study import Study
@@ -24,34 +26,23 @@ DEFAULTS = {"shared": False, "shares": ()}
 
 def require_several(studies: Sequence[Study]) -> None:
     """Refuse fewer than two studies, and the same folder twice."""
-    if len(studies) < 2:
-        raise InvalidInput(
-            "studies to compare",
-            value=", ".join(str(one.folder) for one in studies) or "none",
-            expected="at least two study folders",
-            remedy="Name the other one too: strandline compare A B",
-        )
+    folders = ", ".join(str(one.folder) for one in studies) or "none"
+    remedy = "Name the other one too: strandline compare A B"
+    require(len(studies) >= 2, "studies to compare", folders, "at least two study folders", remedy)
     seen: set[Path] = set()
     for one in studies:
-        if one.folder.resolve() in seen:
-            raise InvalidInput(
-                "studies to compare",
-                value=f"{one.folder} twice",
-                expected="different folders",
-                remedy="Name each study once.",
-            )
-        seen.add(one.folder.resolve())
+        here = one.folder.resolve()
+        require(here not in seen, "studies to compare", f"{one.folder} twice", "different folders")
+        seen.add(here)
 
 
 def labels_of(studies: Sequence[Study]) -> tuple[str, ...]:
     """Return a different name for each study: its own, or else that of its folder, or else the path."""
-    for names in (
-        [one.name for one in studies],
-        [one.folder.resolve().name for one in studies],
-    ):
+    folders = [one.folder.resolve() for one in studies]
+    for names in ([one.name for one in studies], [one.name for one in folders]):
         if len(set(names)) == len(names):
             return tuple(names)
-    return tuple(str(one.folder.resolve()) for one in studies)
+    return tuple(map(str, folders))
 
 
 def require_comparable(studies: Mapping[str, Study]) -> None:
@@ -64,10 +55,8 @@ def require_comparable(studies: Mapping[str, Study]) -> None:
         _require_same_data(both, first, study)
         _require_same_measure(both, first, study)
         _require_same_noise(both, first, study)
-    names = list(studies)
-    for k, one in enumerate(names):
-        for other in names[k + 1 :]:
-            _require_same_supports(f"{one} and {other} cannot be compared", studies[one], studies[other])
+    for (one, study), (other, second) in combinations(studies.items(), 2):
+        _require_same_supports(f"{one} and {other} cannot be compared", study, second)
 
 
 def may_err(study: Study) -> bool:
@@ -88,10 +77,8 @@ def _require_same_data(both: str, first: Study, other: Study) -> None:
             value = "another number of points" if apart == np.inf else f"points up to {1e3 * apart:.3g} µm apart"
             remedy = "Give both studies the same file under observation."
             if first.truth is not None or other.truth is not None:
-                remedy = (
-                    "A synthetic observation comes from the study's own model: write it to a file with `strandline "
-                    "forward … --csv`, and give that to both."
-                )
+                where = "write it to a file with `strandline forward … --csv`, and give that to both."
+                remedy = f"A synthetic observation comes from the study's own model: {where}"
             _refuse(f"{both}: the observed interfaces{of} differ", value, "the same data", remedy)
 
 

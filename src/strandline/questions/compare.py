@@ -1,6 +1,5 @@
 """Which model do the data prefer? Finished studies of the same data, compared without a run."""
 
-import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +11,6 @@ import numpy as np
 from strandline.calibration import Observer
 from strandline.calibration.evidence import Evidence, ModelComparison, averaged, log_evidence, require_odds
 from strandline.calibration.progress import observer_or_default
-from strandline.design.active import Knowledge
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.numerics.threads import one_thread, use_double
 from strandline.parameters import ParameterSpace
@@ -22,12 +20,12 @@ from strandline.questions.answer import Answer, Part, Table, digits, label_and_u
 from strandline.questions.comparable import labels_of, may_err, require_comparable, require_several
 from strandline.questions.comparison import ComparedStudy, describe_comparison, not_flat
 from strandline.questions.information import Discrimination, expected_discrimination
-from strandline.questions.knowledge import field_knowledge, require_seed
+from strandline.questions.knowledge import field_knowledge, require, require_seed
 from strandline.questions.separation import CandidateSignals, candidates_of, require_settable, shown_by_models
 from strandline.runs import Executor
 from strandline.studies.check import finished_posterior
 from strandline.studies.first_run import observations_of
-from strandline.studies.folder import STUDY, SUMMARY, require_writable
+from strandline.studies.folder import STUDY, SUMMARY, read_json, require_writable
 from strandline.studies.study import Study, load_study
 
 __all__ = ["Comparison", "compare"]
@@ -90,15 +88,17 @@ def compare(
     wanted = candidates_of(loaded) if separate else ()
     require_settable(named, wanted)
     posteriors = {name: finished_posterior(study, purpose="compare") for name, study in named.items()}
-    summaries = {name: _summary(study) for name, study in named.items()}
+    summaries = {name: read_json(study.folder / SUMMARY) for name, study in named.items()}
     constants = _constants(named, summaries)
     folder = Path(to)
     _require_free(folder)
     use_double()
     tell = observer_or_default(observer)
     tell.stage("surrogate")
+    with one_thread():
+        known = {name: field_knowledge(study, purpose="a comparison") for name, study in named.items()}
     compared = {
-        name: ComparedStudy(study, posteriors[name], _learnt(study), summaries[name], constants[name])
+        name: ComparedStudy(study, posteriors[name], known[name], summaries[name], constants[name])
         for name, study in named.items()
     }
     tell.stage("evidence")
@@ -116,12 +116,7 @@ def compare(
 
 
 def _named(studies: Sequence[Study], odds: Sequence[float] | None) -> dict[str, Study]:
-    """Return the studies by name, once they can be compared.
-
-    Raises:
-        InvalidInput: Fewer than two studies, the same one twice, or wrong odds.
-        InvalidStudy: A study is not finished, or the studies explain other data.
-    """
+    """Return the studies by name, once they can be compared."""
     require_several(studies)
     if odds is not None:
         require_odds(odds, len(studies))
@@ -134,77 +129,43 @@ def _named(studies: Sequence[Study], odds: Sequence[float] | None) -> dict[str, 
 
 
 def odds_in(text: str | None) -> tuple[float, ...] | None:
-    """Return the numbers of prior odds such as ``2:1``; None for none.
-
-    Raises:
-        InvalidInput: The text is no such list of numbers.
-    """
+    """Return the numbers of prior odds such as ``2:1``; None for none. Refuse what is no such list."""
     if text is None:
         return None
-    parts = re.split(r"[:/]", text)
     try:
-        return tuple(float(part) for part in parts)
+        return tuple(float(part) for part in re.split(r"[:/]", text))
     except ValueError:
-        raise InvalidInput(
-            "prior odds of the models",
-            value=text,
-            expected="numbers above 0 with colons between them",
-            remedy="Give them in the order of the studies, e.g. --odds 2:1.",
-        ) from None
-
-
-def _summary(study: Study) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((study.folder / SUMMARY).read_text(encoding="utf-8"))
-    return found
+        words = "numbers above 0 with colons between them", "Give them in the order of the studies, e.g. --odds 2:1."
+        raise InvalidInput("prior odds of the models", value=text, expected=words[0], remedy=words[1]) from None
 
 
 def _constants(studies: Mapping[str, Study], summaries: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
-    """Return the constant that each study leaves out of log L; 0 for all if it is the same.
-
-    Raises:
-        InvalidStudy: Only some of the studies allow for an error of the model, and the constants are not known.
-    """
+    """Return the constant that each study leaves out of log L; 0 for all if it is the same."""
     if len({may_err(study) for study in studies.values()}) == 1:
         return dict.fromkeys(studies, 0.0)
     found = {name: summary["likelihood"]["gaussian_constant"] for name, summary in summaries.items()}
     unknown = [name for name, constant in found.items() if constant is None]
-    if unknown:
-        raise InvalidStudy(
-            "studies with and without an error of the model cannot be compared",
-            value=f"a likelihood of unknown normalisation in {', '.join(unknown)}",
-            expected="residuals of a fixed number, with stated errors of the points",
-            remedy="Use the measure normal_offset in all studies.",
-        )
-    return {name: float(constant) for name, constant in found.items()}
+    require(
+        not unknown,
+        "studies with and without an error of the model cannot be compared",
+        f"a likelihood of unknown normalisation in {', '.join(unknown)}",
+        "residuals of a fixed number, with stated errors of the points",
+        "Use the measure normal_offset in all studies.",
+        InvalidStudy,
+    )
+    return found
 
 
 def _require_free(folder: Path) -> None:
-    """Refuse a folder that cannot hold the result; nothing is created yet.
-
-    Raises:
-        InvalidStudy: It is a study's own folder, or cannot be created or written to.
-    """
-    if (folder / STUDY).exists():
-        raise InvalidStudy(
-            "folder of the comparison",
-            value=f"{folder}, which is a study",
-            expected="a folder that is no study, since a comparison belongs to several",
-            remedy="Choose another one, e.g. --to comparison.",
-        )
+    """Refuse a folder that cannot hold the result; nothing is created yet."""
     there = next(one for one in (folder, *folder.absolute().parents) if one.exists())
-    if not there.is_dir():
-        raise InvalidStudy(
-            "folder of the comparison",
-            value=f"{there}, which is a file",
-            expected="a folder, or a path where one can be created",
-            remedy="Choose another one, e.g. --to comparison.",
-        )
+    for wrong, value, expected in (
+        ((folder / STUDY).exists(), f"{folder}, which is a study", "one that is no study: a comparison has several"),
+        (not there.is_dir(), f"{there}, which is a file", "a folder, or a path where one can be created"),
+    ):
+        remedy = "Choose another one, e.g. --to comparison."
+        require(not wrong, "folder of the comparison", value, expected, remedy, InvalidStudy)
     require_writable(there)
-
-
-def _learnt(study: Study) -> Knowledge:
-    with one_thread():
-        return field_knowledge(study, next(iter(study.discrepancies)), purpose="a comparison")
 
 
 def _found(
@@ -241,7 +202,6 @@ def _separation(found: ModelComparison, shown: CandidateSignals, seed: int) -> D
 
 
 def _answer(content: dict[str, Any], found: Comparison, folder: Path) -> Answer[Comparison]:
-    """Return what compare.json says, in words and tables."""
     names = ", ".join(content["models"])
     return Answer(
         name="compare",

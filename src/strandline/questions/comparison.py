@@ -13,6 +13,7 @@ from strandline.design import sobol
 from strandline.design.active import Knowledge
 from strandline.interface import Interface
 from strandline.posterior import FLAT, Posterior, Weighted, interface_band, prior_conflicts
+from strandline.questions.answer import moments
 from strandline.questions.comparable import may_err
 from strandline.questions.information import CLEAR, Discrimination
 from strandline.questions.separation import CandidateSignals
@@ -23,7 +24,7 @@ from strandline.studies.study import Study
 from strandline.text import listed
 from strandline.version import __version__
 
-QUANTILES = (0.05, 0.5, 0.95)
+QUANTILES = {"median": 0.5, "q05": 0.05, "q95": 0.95}
 PREDICTED = 200
 """Draws of each posterior whose interfaces are predicted."""
 BINS = 25
@@ -196,8 +197,8 @@ def _averaged(together: Weighted, compared: Mapping[str, ComparedStudy], shared:
         out[name] = {
             "label": space[name].shown,
             "unit": space[name].unit,
-            **_figures(whole),
-            "models": {label: _figures(part) for label, part in parts.items()},
+            **moments(whole, 0, QUANTILES),
+            "models": {label: moments(part, 0, QUANTILES) for label, part in parts.items()},
             "histogram": {
                 "edges": edges.tolist(),
                 "averaged": _histogram(whole, edges),
@@ -205,17 +206,6 @@ def _averaged(together: Weighted, compared: Mapping[str, ComparedStudy], shared:
             },
         }
     return out
-
-
-def _figures(one: Weighted) -> dict[str, float]:
-    low, median, high = np.quantile(one.draws[:, 0], QUANTILES, weights=one.weights, method="inverted_cdf")
-    return {
-        "mean": float(one.mean[0]),
-        "sd": float(one.sd[0]),
-        "median": float(median),
-        "q05": float(low),
-        "q95": float(high),
-    }
 
 
 def _histogram(one: Weighted, edges: Float[np.ndarray, " edge"]) -> list[float]:

@@ -5,6 +5,7 @@ Each replicate is written to coverage.jsonl as it ends, so that a stopped comman
 
 import time
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from strandline.calibration.source import (
     posterior_source,
     prior_source,
 )
-from strandline.errors import InvalidInput, InvalidStudy
+from strandline.errors import InvalidStudy
 from strandline.interface import Noise, PointErrors, UnknownErrors
 from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import Posterior
@@ -40,7 +41,7 @@ from strandline.questions.answer import (
     label_and_unit,
     surrogate_note,
 )
-from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require_seed
+from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require, require_seed
 from strandline.runs import Progress
 from strandline.studies.check import finished_posterior, posterior_digest
 from strandline.studies.first_run import observations_of
@@ -51,19 +52,16 @@ from strandline.studies.study import Study
 __all__ = ["coverage"]
 
 ARRAYS = ("truth", "ranks", "mean", "sd", "limit")
-NUMBERS = ("fit_rank", "effective")
 
 
 def _entry(one: Replicate, key: str) -> dict[str, Any]:
     """Return a replicate as coverage.jsonl has it, with the digest of what it depends on, apart from its number."""
-    arrays = {name: getattr(one, name).tolist() for name in ARRAYS}
-    return {"of": key, "number": one.number, **arrays, **{name: getattr(one, name) for name in NUMBERS}, "by": one.by}
+    return {"of": key, **{name: value.tolist() if name in ARRAYS else value for name, value in vars(one).items()}}
 
 
 def _replicate(entry: Mapping[str, Any]) -> Replicate:
-    arrays: dict[str, Any] = {name: np.array(entry[name], float) for name in ARRAYS}
-    numbers: dict[str, Any] = {name: float(entry[name]) for name in NUMBERS}
-    return Replicate(number=int(entry["number"]), by=entry["by"], **arrays, **numbers)
+    names = [field.name for field in fields(Replicate)]
+    return Replicate(**{name: np.array(entry[name], float) if name in ARRAYS else entry[name] for name in names})
 
 
 FEWEST_REPLICATES = 20
@@ -149,17 +147,9 @@ def _replicates(
 
 
 def _require_arguments(replicates: int, source: str, seed: int) -> None:
-    if replicates < FEWEST_REPLICATES:
-        raise InvalidInput(
-            "replicates of the coverage",
-            value=replicates,
-            expected=f"at least {FEWEST_REPLICATES}",
-            remedy="200 are a good start; more make the bands narrower.",
-        )
-    if source not in SOURCES:
-        raise InvalidInput(
-            "source of the true inputs", value=source, expected=" or ".join(SOURCES), remedy="Choose one of them."
-        )
+    fewest, remedy = f"at least {FEWEST_REPLICATES}", "200 are a good start; more make the bands narrower."
+    require(replicates >= FEWEST_REPLICATES, "replicates of the coverage", replicates, fewest, remedy)
+    require(source in SOURCES, "source of the true inputs", source, " or ".join(SOURCES))
     require_seed(seed, "the coverage")
 
 
@@ -287,7 +277,6 @@ def _in_words(errors: PointErrors | CoordinateErrors, noise: Noise | PointErrors
 
 
 def _answer(content: dict[str, Any], found: CoverageFound, folder: Path) -> Answer[CoverageFound]:
-    """Return what coverage.json says, in words and tables."""
     sentence, *remarks = content["remarks"]
     return Answer(
         name="coverage",

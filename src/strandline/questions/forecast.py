@@ -105,9 +105,7 @@ def field_of(surrogate: FieldSurrogate, interfaces: Mapping[str, Interface]) -> 
 
 
 def slopes_of_field(
-    surrogate: FieldSurrogate,
-    sensitivities: Mapping[str, Mapping[str, Float[np.ndarray, "_ _"]]],
-    names: Sequence[str],
+    surrogate: FieldSurrogate, sensitivities: Mapping[str, Mapping[str, Float[np.ndarray, "_ _"]]], names: Sequence[str]
 ) -> Float[np.ndarray, "value dim"] | None:
     """Return a run's sensitivities as derivatives of the field; None if it has other points or lacks an input."""
     if any(layout.way != "nodes" for layout in surrogate.layouts.values()):

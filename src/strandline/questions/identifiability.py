@@ -60,9 +60,7 @@ class Direction:
 
 
 def directions_left(
-    scale: Scale,
-    x: Float[np.ndarray, "draw dim"],
-    informations: Sequence[Float[np.ndarray, "dim dim"]],
+    scale: Scale, x: Float[np.ndarray, "draw dim"], informations: Sequence[Float[np.ndarray, "dim dim"]]
 ) -> tuple[Direction, ...]:
     """Return the combinations of the inputs, from the least to the best known after the experiment.
 

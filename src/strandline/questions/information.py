@@ -134,35 +134,6 @@ def _weighed(
         yield total - np.log1p(-now.weights[rows]), 1.0 / (weights**2).sum(axis=1), sds, log_dets
 
 
-def linear_gain(
-    covariance: Float[np.ndarray, "dim dim"],
-    informations: Sequence[Float[np.ndarray, "dim dim"]],
-    *,
-    interest: Sequence[int] | None = None,
-) -> float:
-    """Return the mean of ½ log |Σ| / |(Σ⁻¹ + F)⁻¹|.
-
-    It is exact for a normal distribution of the inputs and an interface that is linear in them.
-
-    Args:
-        covariance: Covariance Σ of the inputs.
-        informations: Fisher informations F at draws of the inputs.
-        interest: Columns of the inputs whose part of the two matrices counts; all by default.
-    """
-    columns = np.arange(len(covariance)) if interest is None else np.asarray(interest)
-    part = np.ix_(columns, columns)
-    before = np.linalg.slogdet(covariance[part])[1]
-    after = [np.linalg.slogdet(_left(covariance, one)[part])[1] for one in informations]
-    return float(0.5 * np.mean(before - np.array(after)))
-
-
-def linear_sd(
-    covariance: Float[np.ndarray, "dim dim"], informations: Sequence[Float[np.ndarray, "dim dim"]]
-) -> Float[np.ndarray, " dim"]:
-    """Return the mean posterior standard deviation of each input by the same formula, shape (dim,)."""
-    return np.asarray(np.mean([np.sqrt(np.diag(_left(covariance, one))) for one in informations], axis=0))
-
-
 def _left(
     covariance: Float[np.ndarray, "dim dim"], information: Float[np.ndarray, "dim dim"]
 ) -> Float[np.ndarray, "dim dim"]:
@@ -211,9 +182,15 @@ def expected_outlook(
 def linear_outlook(
     covariance: Float[np.ndarray, "dim dim"], informations: _Informations, *, interest: Sequence[int]
 ) -> Outlook:
-    """Return the outlook from Fisher informations at draws of the inputs; `interest` are columns of the inputs."""
-    gain = linear_gain(covariance, informations, interest=interest)
-    return Outlook(gain, 0.0, linear_sd(covariance, informations), "linearised")
+    """Return the outlook from Fisher informations F at draws of the inputs; `interest` are columns of the inputs.
+
+    The gain is the mean of ½ log |Σ| / |(Σ⁻¹ + F)⁻¹|, or of its parts of interest: exact for a normal distribution of
+    the inputs and an interface that is linear in them. The standard deviations are means, too.
+    """
+    part, left = np.ix_(interest, interest), np.array([_left(covariance, one) for one in informations])
+    after = [np.linalg.slogdet(one[part])[1] for one in left]
+    gain = float(0.5 * np.mean(np.linalg.slogdet(covariance[part])[1] - np.array(after)))
+    return Outlook(gain, 0.0, np.asarray(np.mean([np.sqrt(np.diag(one)) for one in left], axis=0)), "linearised")
 
 
 CLEAR = 3.0
@@ -247,9 +224,7 @@ class Discrimination:
 
 
 def expected_discrimination(
-    signals: Sequence[Float[np.ndarray, "_ signal"]],
-    probabilities: Sequence[float],
-    random: np.random.Generator,
+    signals: Sequence[Float[np.ndarray, "_ signal"]], probabilities: Sequence[float], random: np.random.Generator
 ) -> Discrimination:
     """Return what an experiment is expected to tell about which model is right.
 

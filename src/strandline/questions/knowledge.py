@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from strandline.calibration.alternative import Baseline, baseline
 from strandline.calibration.learning import known_field
 from strandline.design.active import Knowledge
 from strandline.design.active.fidelities import as_by_model
-from strandline.errors import InvalidInput, InvalidStudy, NoCommonPoints
+from strandline.errors import InvalidInput, InvalidStudy, NoCommonPoints, TooFewRuns
 from strandline.likelihood.set_aside import RunFilter
+from strandline.posterior import Posterior
 from strandline.runs import Ledger, RunRecord
 from strandline.runs.ledger_rows import outcome_digest
 from strandline.studies.first_run import observations_of
@@ -21,22 +23,30 @@ from strandline.studies.study_runs import settled
 from strandline.version import __version__
 
 
+def require(
+    right: bool,
+    what: str,
+    value: object,
+    expected: str,
+    remedy: str = "Choose another one.",
+    error: type[InvalidInput] = InvalidInput,
+) -> None:
+    """Refuse what is not right."""
+    if not right:
+        raise error(what, value=value, expected=expected, remedy=remedy)
+
+
 def chosen_measure(study: Study, name: str | None, of: str) -> str:
     """Return the name of a measure of the study, by default its first; `of` is what it is for."""
-    if name is not None and name not in study.discrepancies:
-        raise InvalidInput(
-            f"measure of {of}",
-            value=name,
-            expected=f"one of the study's: {', '.join(study.discrepancies)}",
-            remedy="Name one of them, or add it to study.yaml under discrepancy.",
-        )
-    return next(iter(study.discrepancies)) if name is None else name
+    known = f"one of the study's: {', '.join(study.discrepancies)}"
+    remedy = "Name one of them, or add it to study.yaml under discrepancy."
+    require(name is None or name in study.discrepancies, f"measure of {of}", name, known, remedy)
+    return name or next(iter(study.discrepancies))
 
 
 def require_seed(seed: int, of: str) -> None:
     """Refuse a negative seed; `of` says what it is for."""
-    if seed < 0:
-        raise InvalidInput(f"seed of {of}", value=seed, expected="0 or above", remedy="Choose another one.")
+    require(seed >= 0, f"seed of {of}", seed, "0 or above")
 
 
 MOST_ROWS, FEWEST_RUNS = 400, 50
@@ -44,18 +54,17 @@ MOST_ROWS, FEWEST_RUNS = 400, 50
 
 
 def field_knowledge(
-    study: Study, measure: str, *, purpose: str = "coverage", more: Sequence[RunRecord] = ()
+    study: Study, measure: str | None = None, *, purpose: str = "coverage", more: Sequence[RunRecord] = ()
 ) -> Knowledge:
-    """Learn the interface from the runs of a finished study, and `more` of its model, and what one of its measures says
-    of it.
+    """Learn the interface from the runs of a finished study, and `more` of its model, and what a measure says of it.
 
-    `purpose` is what needs the interface, a noun for the message.
+    The measure is the first one by default; `purpose` is what needs the interface, a noun for the message.
 
     Raises:
         InvalidStudy: The runs have no common points, or the synthetic observation is missing.
         TooFewRuns: Too few runs succeeded.
     """
-    observed = observations_of(study)
+    measure, observed = measure or next(iter(study.discrepancies)), observations_of(study)
     if not observed:
         raise InvalidStudy(
             "the synthetic observation is not in the ledger",
@@ -75,6 +84,14 @@ def field_knowledge(
             expected="runs whose interfaces can be brought to common points",
             remedy="Let the simulator return interfaces of the same kind, best with the same nodes in all runs.",
         ) from error
+
+
+def baseline_of(study: Study, posterior: Posterior, *, purpose: str) -> Baseline:
+    """Return the posterior of a finished study beside the surrogate of the interface, if one can be learnt."""
+    try:
+        return baseline(posterior, field_knowledge(study, purpose=purpose))
+    except (InvalidStudy, TooFewRuns) as error:
+        return baseline(posterior, None, why_not=f"there is no surrogate of the interface ({error.value})")
 
 
 def runs_to_learn_from(study: Study) -> tuple[RunRecord, ...]:

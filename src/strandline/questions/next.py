@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,12 @@ import numpy as np
 from strandline.calibration import Observer
 from strandline.calibration.progress import observer_or_default
 from strandline.design.candidates import Candidate
-from strandline.errors import InvalidInput, InvalidStudy
+from strandline.errors import InvalidStudy
 from strandline.interface import UnknownErrors
 from strandline.numerics.threads import one_thread, use_double
 from strandline.questions.answer import TO_MICROMETRES, Answer, Part, Symbol, Table, digits, facts_of
-from strandline.questions.identifiability import Direction, in_words
-from strandline.questions.knowledge import require_seed
+from strandline.questions.identifiability import in_words
+from strandline.questions.knowledge import require, require_seed
 from strandline.questions.next_from_posterior import answers_from_posterior
 from strandline.questions.next_from_prior import answers_from_prior
 from strandline.questions.next_runs import Answers, CandidateAnswer, ranked
@@ -69,7 +70,8 @@ def next_experiment(
     _require_arguments(source, draws, runs, seed)
     begun, tell = time.perf_counter(), observer_or_default(observer)
     executor = executor or study.executor
-    after = source == "posterior" or (source is None and _has_posterior(study))
+    found = results_of(study) == "current" and (study.folder / POSTERIOR).is_file()
+    after = source == "posterior" or (source is None and found)
     if source == "posterior":
         finished_posterior(study, purpose="plan from")
     candidates = _candidates(study, after=after)
@@ -77,16 +79,12 @@ def next_experiment(
     use_double()
     with one_thread():
         if after:
-            found = answers_from_posterior(study, candidates, draws=draws, seed=seed, executor=executor, observer=tell)
+            made = answers_from_posterior(study, candidates, draws=draws, seed=seed, executor=executor, observer=tell)
         else:
-            found = answers_from_prior(study, candidates, runs=runs, executor=executor, observer=tell)
+            made = answers_from_prior(study, candidates, runs=runs, executor=executor, observer=tell)
     tell.stage("report")
-    content = _described(study, found, seed=seed, seconds=time.perf_counter() - begun)
-    return _answer(content, found, study.folder).written(draft=study.settings.draft)
-
-
-def _has_posterior(study: Study) -> bool:
-    return results_of(study) == "current" and (study.folder / POSTERIOR).is_file()
+    content = _described(study, made, seed=seed, seconds=time.perf_counter() - begun)
+    return _answer(content, made, study.folder).written(draft=study.settings.draft)
 
 
 def _candidates(study: Study, *, after: bool) -> tuple[Candidate, ...]:
@@ -105,21 +103,10 @@ def _candidates(study: Study, *, after: bool) -> tuple[Candidate, ...]:
 
 
 def _require_arguments(source: str | None, draws: int, runs: int, seed: int) -> None:
-    if source is not None and source not in SOURCES:
-        raise InvalidInput(
-            "source of the next experiment", value=source, expected=" or ".join(SOURCES), remedy="Choose one of them."
-        )
-    if not FEWEST_DRAWS <= draws <= MOST_DRAWS:
-        raise InvalidInput(
-            "draws of the posterior",
-            value=draws,
-            expected=f"from {FEWEST_DRAWS} to {MOST_DRAWS}",
-            remedy="1000 are a good start; more make the gains more certain.",
-        )
-    if runs < FEWEST_RUNS:
-        raise InvalidInput(
-            "runs of each candidate", value=runs, expected=f"at least {FEWEST_RUNS}", remedy="8 are a good start."
-        )
+    require(source in (None, *SOURCES), "source of the next experiment", source, " or ".join(SOURCES))
+    several = f"from {FEWEST_DRAWS} to {MOST_DRAWS}", "1000 are a good start; more make the gains more certain."
+    require(FEWEST_DRAWS <= draws <= MOST_DRAWS, "draws of the posterior", draws, *several)
+    require(runs >= FEWEST_RUNS, "runs of each candidate", runs, f"at least {FEWEST_RUNS}", "8 are a good start.")
     require_seed(seed, "the next experiment")
 
 
@@ -156,7 +143,14 @@ def _described(study: Study, found: Answers, *, seed: int, seconds: float) -> di
         "noise": [_noise(study, found, name) for name in found.errors],
         "advice": _advice(study, found, answers),
         "candidates": [_candidate(study, one, AGAIN[found.source], sd) for one in answers],
-        "directions": [_direction(study, one) for one in found.directions],
+        "directions": [
+            {
+                "weights": dict(zip(study.space.names, one.weights.tolist(), strict=True)),
+                "left": one.left,
+                "in_words": in_words(one, study.space.names),
+            }
+            for one in found.directions
+        ],
         "identifiability": _identifiability(study, found),
         "runs": {"new": found.new, "reused": found.reused},
         "seconds": seconds,
@@ -199,17 +193,11 @@ def _candidate(study: Study, one: CandidateAnswer, again: str, sd: np.ndarray) -
     }
 
 
-def _direction(study: Study, one: Direction) -> dict[str, Any]:
-    weights = dict(zip(study.space.names, one.weights.tolist(), strict=True))
-    return {"weights": weights, "left": one.left, "in_words": in_words(one, study.space.names)}
-
-
 def _identifiability(study: Study, found: Answers) -> list[str]:
     """Return which combinations of the inputs the picture cannot determine, in words."""
-    after = found.source == "posterior"
     picture, leaves, determines, cannot = (
         ("The picture", "leaves", "determines", "cannot determine")
-        if after
+        if found.source == "posterior"
         else ("The planned picture", "would leave", "would determine", "could not determine")
     )
     lines = []
@@ -219,20 +207,15 @@ def _identifiability(study: Study, found: Answers) -> list[str]:
             lines.append(f"{picture} {cannot} {what}: {left}.")
         elif one.left > PARTLY:
             lines.append(f"{picture} {determines} {what} only roughly: {left}.")
-    if not lines:
-        worst = found.directions[0]
-        what, left = in_words(worst, study.space.names), f"it {leaves} {100 * worst.left:.0f} % of the prior's width"
-        lines.append(f"{picture} {determines} all combinations of the inputs, {what} least well: {left}.")
+        elif not lines:  # the first one is known least
+            return [f"{picture} {determines} all combinations of the inputs, {what} least well: {left}."]
     return lines
 
 
 def _advice(study: Study, found: Answers, answers: Sequence[CandidateAnswer]) -> str:
     """Return what to do next in a few sentences: the best experiment, and the best of several together."""
-    numbers = sorted({len(one.candidate.settings) for one in answers})
-    return " ".join(
-        _best(study, found, [one for one in answers if len(one.candidate.settings) == number], number)
-        for number in numbers
-    )
+    some = groupby(answers, key=lambda one: len(one.candidate.settings))
+    return " ".join(_best(study, found, list(those), number) for number, those in some)
 
 
 def _best(study: Study, found: Answers, answers: Sequence[CandidateAnswer], number: int) -> str:
@@ -263,7 +246,6 @@ def _words(candidate: Candidate, again: str) -> str:
 
 
 def _answer(content: dict[str, Any], found: Answers, folder: Path) -> Answer[Answers]:
-    """Return what next.json says, in words and tables."""
     after, runs = content["source"] == "posterior", content["runs"]
     made = f"{runs['new']} new forward runs, {runs['reused']} known; {digits(content['seconds'], 3)} s"
     return Answer(

@@ -68,7 +68,7 @@ def prospects_of(
     """
     posterior = finished_posterior(study, purpose="plan from")
     observer.stage("surrogate")
-    knowledge = field_knowledge(study, next(iter(study.discrepancies)), purpose="planning the next experiment")
+    knowledge = field_knowledge(study, purpose="planning the next experiment")
     source = posterior_source(knowledge, posterior)
     conditions = {name for one in candidates for name in one.look.conditions}
     surrogate = _surrogate(study, knowledge, conditions)
@@ -147,7 +147,6 @@ class AfterExperiment:
         return learn_failure_by_size(self.surrogate, known.x, known.ok, self.undeformed, others)
 
     def prospect(self, setting: Setting, runs: PointRuns | None) -> Prospect:
-        """Return the predicted interfaces of an experiment."""
         surrogate, known = self.surrogate, self.known(setting)
         if runs is not None and runs.failed is not None:
             return Prospect(None, np.zeros((0, 0)), None, problem_of(runs.failed))
@@ -170,7 +169,6 @@ class AfterExperiment:
         return Prospect(forecast, fields, 1 - (1 - float(self.now.weights @ failing)) * (1 - crossing))
 
     def _carried(self, runs: PointRuns, known: Mapping[int, float]) -> Fields:
-        """Return the field of another experiment, carried over from its runs at a point."""
         field = field_of(self.surrogate, runs.run.interfaces)
         at = with_known(runs.x[None], known)[0]
         return transfer(self.surrogate, at, field, _slopes(self, runs, field), self.now.covariance)
@@ -238,7 +236,6 @@ def _runs(present: AfterExperiment, settings: Sequence[Setting], executor: Execu
 
 
 def _succeeded(present: AfterExperiment, runs: Runs) -> Float[np.ndarray, "run value"] | None:
-    """Return the fields of all runs that succeeded; None if there are none."""
     surrogate = present.surrogate
     good = [record for one in runs.points for record in (one.run, *one.others) if record.ok]
     return np.array([field_of(surrogate, record.interfaces) for record in good]) if good else None
@@ -291,7 +288,6 @@ def answers_from_posterior(
 
 
 def _answer(present: AfterExperiment, candidate: Candidate, made: Sequence[Prospect], seed: int) -> CandidateAnswer:
-    """Return what one candidate can be expected to teach."""
     problem = next((one.problem for one in made if one.problem), "")
     if problem:
         return CandidateAnswer(candidate, None, None, None, problem)
@@ -300,32 +296,20 @@ def _answer(present: AfterExperiment, candidate: Candidate, made: Sequence[Prosp
     pairs = list(zip(observing, made, strict=True))
     signals = np.hstack([seen.signals(present.nodes(one.fields)) for seen, one in pairs])
 
+    def information(one: Prospect, x: Float[np.ndarray, " dim"]) -> Float[np.ndarray, "dim dim"]:
+        assert one.forecast is not None
+        slopes = slopes_of_points(one.forecast, x, present.surrogate)
+        return present.observing(one.forecast(x[None])[0], candidate.look).fisher(slopes)
+
     def informations() -> list[Float[np.ndarray, "dim dim"]]:
         some = now.draws[np.linspace(0, len(now.draws) - 1, INFORMATIONS).astype(int)]
-        return [np.sum([_information(present, one, candidate.look, x) for one in made], axis=0) for x in some]
+        return [np.sum([information(one, x) for one in made], axis=0) for x in some]
 
     outlook = expected_outlook(now, signals, informations, interest=present.study.space.calibrated, seed=seed)
-    failing = [one.failing for one in made]
-    known = [1 - one for one in failing if one is not None]
-    sizes = [] if present.undeformed is None else [_displacement(present, seen) for seen in observing]
-    return CandidateAnswer(
-        candidate,
-        outlook,
-        1 - float(np.prod(known)) if len(known) == len(failing) else None,
-        max(sizes) if sizes else None,
-    )
-
-
-def _information(
-    present: AfterExperiment, one: Prospect, look: Look, x: Float[np.ndarray, " dim"]
-) -> Float[np.ndarray, "dim dim"]:
-    assert one.forecast is not None
-    return present.observing(one.forecast(x[None])[0], look).fisher(
-        slopes_of_points(one.forecast, x, present.surrogate)
-    )
-
-
-def _displacement(present: AfterExperiment, observing: Observing) -> float:
-    assert present.undeformed is not None
-    nodes = present.nodes(present.undeformed[None])
-    return observing.displacement({name: points[0] for name, points in nodes.items()})
+    known = [1 - one.failing for one in made if one.failing is not None]
+    sizes = []
+    if present.undeformed is not None:
+        rest = {name: points[0] for name, points in present.nodes(present.undeformed[None]).items()}
+        sizes = [seen.displacement(rest) for seen in observing]
+    failing = 1 - float(np.prod(known)) if len(known) == len(made) else None
+    return CandidateAnswer(candidate, outlook, failing, max(sizes, default=None))

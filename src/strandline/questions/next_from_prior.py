@@ -60,14 +60,27 @@ def answers_from_prior(
     )
     observer.stage("gains")
     at = {key_of(setting): made.points[k * runs : (k + 1) * runs] for k, setting in enumerate(settings)}
-    _require_one(at[key_of({})])
-    before = _Before(study, _errors(study, at[key_of({})], asked))
+    failed = [one.failed for one in at[key_of({})] if one.failed is not None]
+    good = [one for one in at[key_of({})] if one.failed is None]
+    if not good:
+        raise TooFewRuns(
+            "the planned experiment failed at every draw of the prior",
+            value=f"0 of {runs}; e.g. {problem_of(failed[0])}",
+            expected="a prior where the simulator runs",
+            remedy="Look at the failures, or move the priors to where it runs.",
+        )
+    before = _Before(study, _errors(study, good[0].run, asked))
     now = Weighted(
         space.prior_quantiles(sobol(PRIOR_DRAWS, space.dim, scramble=SCRAMBLE)), np.full(PRIOR_DRAWS, 1 / PRIOR_DRAWS)
     )
-    good = [one for one in at[key_of({})] if one.failed is None]
     planned = [information for _, information in before.experiments(good, PLANNED.look)]
-    _require_slopes(planned)
+    if not planned:
+        raise InvalidInput(
+            "slopes of the interface in the inputs",
+            value="runs whose interfaces have different nodes, and no sensitivities",
+            expected="interfaces with the same nodes in all runs, or sensitivities",
+            remedy="Let the simulator return the same nodes, or finish the study and plan from its posterior.",
+        )
     return Answers(
         source="prior",
         now=now,
@@ -107,9 +120,8 @@ class _Before:
         return Observing(views, reference)
 
 
-def _errors(study: Study, points: Sequence[PointRuns], asked: Sequence[Candidate]) -> dict[str, Errors]:
+def _errors(study: Study, run: RunRecord, asked: Sequence[Candidate]) -> dict[str, Errors]:
     """Return the errors of the points in each condition that is, or would be, observed, near a run that succeeded."""
-    run = next(one.run for one in points if one.failed is None)
     measure, found = study.measure, {}
     wanted = {*(study.observed or run.interfaces), *(name for one in asked for name in one.look.conditions)}
     for name in sorted(wanted):
@@ -140,37 +152,12 @@ def _answer(
             candidate, None, failing, None, "the runs have different nodes, so that they give no slopes"
         )
     informations = [np.sum([one[k][1] for one in found], axis=0) for k in range(len(good))]
-    undeformed = undeformed_interface(before.study.model)
-    sizes = [] if undeformed is None else [_displacement(seen, undeformed) for one in found for seen, _ in one]
-    known = [size for size in sizes if size is not None]
+    rest = undeformed_interface(before.study.model)
+    sizes = [
+        seen.displacement(dict.fromkeys(seen.reference, rest.points))
+        for several in found
+        for seen, _ in several
+        if rest is not None and all(nodes.shape == rest.points.shape for nodes in seen.reference.values())
+    ]
     outlook = linear_outlook(now.covariance, informations, interest=before.study.space.calibrated)
-    return CandidateAnswer(candidate, outlook, failing, float(np.median(known)) if known else None)
-
-
-def _displacement(observing: Observing, undeformed: Interface) -> float | None:
-    """Return the displacement in standard deviations; None if the undeformed interface has other nodes."""
-    if any(nodes.shape != undeformed.points.shape for nodes in observing.reference.values()):
-        return None
-    return observing.displacement(dict.fromkeys(observing.reference, undeformed.points))
-
-
-def _require_one(points: Sequence[PointRuns]) -> None:
-    if all(one.failed is not None for one in points):
-        failed = points[0].failed
-        assert failed is not None
-        raise TooFewRuns(
-            "the planned experiment failed at every draw of the prior",
-            value=f"0 of {len(points)}; e.g. {problem_of(failed)}",
-            expected="a prior where the simulator runs",
-            remedy="Look at the failures, or move the priors to where it runs.",
-        )
-
-
-def _require_slopes(informations: Sequence[Float[np.ndarray, "dim dim"]]) -> None:
-    if not informations:
-        raise InvalidInput(
-            "slopes of the interface in the inputs",
-            value="runs whose interfaces have different nodes, and no sensitivities",
-            expected="interfaces with the same nodes in all runs, or sensitivities",
-            remedy="Let the simulator return the same nodes, or finish the study and plan from its posterior.",
-        )
+    return CandidateAnswer(candidate, outlook, failing, float(np.median(sizes)) if sizes else None)

@@ -1,5 +1,6 @@
 """Forward runs of candidates, with sensitivities if the model offers them; they have their own ledger, next.sqlite."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -59,45 +60,31 @@ def runs_at(
     Each point has the quantities that differ from the study's, and the inputs. If the sensitivities of its run are not
     `usable`, further runs are made at a distance of `steps` in each input.
     """
-    model, identity = _sensitive(study), study.runs.identity
+    plain = study.model.model if isinstance(study.model, WithCheaper) else study.model
+    model, identity, counts = _sensitive(plain), study.runs.identity, Counter[str]()
     beside = [_beside(study, x, steps) for _, x in points]
     at_points = [_inputs(study, setting, x) for setting, x in points]
     around = [[_inputs(study, setting, row) for row in rows] for (setting, _), rows in zip(points, beside, strict=True)]
+
+    def made(model: Any, inputs: Sequence[Mapping[str, float]]) -> tuple[RunRecord, ...]:
+        keys = {run_key(identity, entry) for entry in inputs}
+        known = len(settled(ledger, keys, sensitivities=getattr(model, "sensitivities", False) is True))
+        counts.update(new=len(keys) - known, reused=known)
+        return run_campaign(model, inputs, ledger=ledger, executor=executor, on_record=observer.run)
+
     with Ledger.open(study.folder / NEXT_LEDGER, model=identity, description=f"{study.name}, next") as ledger:
-        campaign = _Campaign(ledger, executor, observer, identity)
-        records = campaign.run(model, at_points)
+        records = made(model, at_points)
         if any(one.failure_kind == "no_sensitivities" for one in records):
-            model = _plain(study)
-            records = campaign.run(model, at_points)
+            model = plain
+            records = made(model, at_points)
         bare = [one.ok and not usable(one) for one in records]
         entries = [entry for some, is_bare in zip(around, bare, strict=True) if is_bare for entry in some]
-        others = iter(campaign.run(model, entries))
+        others = iter(made(model, entries) if entries else ())
     found = tuple(
         PointRuns(x, rows, record, tuple(next(others) for _ in rows) if is_bare else ())
         for (_, x), rows, record, is_bare in zip(points, beside, records, bare, strict=True)
     )
-    return Runs(found, campaign.new, campaign.reused)
-
-
-@dataclass
-class _Campaign:
-    """Campaigns in one ledger, with a count of the runs."""
-
-    ledger: Ledger
-    executor: Executor
-    observer: Observer
-    identity: str
-    new: int = 0
-    reused: int = 0
-
-    def run(self, model: Any, inputs: Sequence[Mapping[str, float]]) -> tuple[RunRecord, ...]:
-        """Return the record of each entry."""
-        if not inputs:
-            return ()
-        keys = {run_key(self.identity, entry) for entry in inputs}
-        known = len(settled(self.ledger, keys, sensitivities=getattr(model, "sensitivities", False) is True))
-        self.new, self.reused = self.new + len(keys) - known, self.reused + known
-        return run_campaign(model, inputs, ledger=self.ledger, executor=self.executor, on_record=self.observer.run)
+    return Runs(found, counts["new"], counts["reused"])
 
 
 def _inputs(study: Study, setting: Mapping[str, float], x: Float[np.ndarray, " dim"]) -> dict[str, float]:
@@ -109,16 +96,11 @@ def _beside(study: Study, x: Float[np.ndarray, " dim"], steps: Float[np.ndarray,
     return np.asarray(x + np.diag(np.where(x + steps > study.space.high, -steps, steps)))
 
 
-def _plain(study: Study) -> Any:
-    return study.model.model if isinstance(study.model, WithCheaper) else study.model
-
-
-def _sensitive(study: Study) -> Any:
-    """Return the model with sensitivities if it offers them."""
+def _sensitive(model: Any) -> Any:
     try:
-        return with_sensitivities(_plain(study))
+        return with_sensitivities(model)
     except InvalidInput:
-        return _plain(study)
+        return model
 
 
 @dataclass(frozen=True, eq=False)

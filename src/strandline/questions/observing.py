@@ -89,7 +89,6 @@ def _with_sd(errors: Errors, sd: float) -> Errors:
 
 
 def _cut(view: View, seen: Interface, part: tuple[float, float]) -> View:
-    """Return the view of those points that lie in a part."""
     chain, shares = _along(seen)
     chain = chain[(shares >= part[0] - 1e-9) & (shares <= part[1] + 1e-9)]
     if len(chain) < FEWEST_POINTS:

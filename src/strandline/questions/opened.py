@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
@@ -12,16 +11,15 @@ from typing import Any
 import numpy as np
 
 from strandline.discrepancy import Discrepancy
-from strandline.errors import InvalidInput
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
 from strandline.numerics.threads import one_thread, use_double
 from strandline.parameters import ParameterSpace
 from strandline.questions.answer import LineFile
 from strandline.questions.certificate import Certified
-from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require_seed
+from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require, require_seed
 from strandline.questions.many import Task
 from strandline.questions.specimen import SpecimenPosterior, posterior_of
-from strandline.questions.specimen_files import SpecimenFiles, noise_of_outline, require_one_condition, specimen_files
+from strandline.questions.specimen_files import SpecimenFiles, require_one_condition, specimen_files
 from strandline.questions.start import Start
 from strandline.runs import Ledger, RunRecord
 from strandline.studies.folder import SPECIMENS_LEDGER, SPECIMENS_LINES
@@ -34,55 +32,43 @@ __all__ = ["Specimens", "open_specimens"]
 ARRAYS = ("mean", "covariance", "quantiles", "draws")
 
 
-@dataclass(frozen=True)
-class SpecimenLines:
-    """A file of posteriors, one a line, each with the digest of all that it depends on; `space` has all inputs of the
-    study.
-    """
-
-    lines: LineFile
-    space: ParameterSpace
-
-    def held(self) -> AbstractContextManager[None]:
-        return self.lines.held("strandline specimens", "posteriors")
-
-    def read(self) -> dict[str, SpecimenPosterior]:
-        return {str(one["of"]): self._posterior(one) for one in self.lines.entries() if self._ours(one)}
-
-    def append(self, one: SpecimenPosterior, of: str) -> None:
-        entry = {
-            "of": of,
-            "specimen": one.name,
-            "given": dict(one.given),
-            "inputs": list(one.space.names),
-            **{name: getattr(one, name).tolist() for name in ARRAYS},
-            "effective": one.effective,
-            "by": one.by,
-            "shift": one.certified.shift,
-            "surprise": one.certified.surprise,
-        }
-        self.lines.append(entry)
-
-    def _ours(self, entry: Mapping[str, Any]) -> bool:
-        names = entry.get("inputs")
-        return "of" in entry and isinstance(names, list) and set(names) <= set(self.space.names)
-
-    def _posterior(self, entry: Mapping[str, Any]) -> SpecimenPosterior:
-        arrays: dict[str, Any] = {name: np.array(entry[name], float) for name in ARRAYS}
-        return SpecimenPosterior(
-            name=entry["specimen"],
-            given=entry["given"],
-            space=ParameterSpace(tuple(self.space[name] for name in entry["inputs"])),
-            effective=entry["effective"],
-            by=entry["by"],
-            certified=Certified(entry["shift"], entry["surprise"]),
-            **arrays,
-        )
+def lines_of(study: Study) -> LineFile:
+    """Return the file of a study's posteriors, one a line, each with the digest of all that it depends on."""
+    return LineFile(study.folder / SPECIMENS_LINES)
 
 
-def lines_of(study: Study) -> SpecimenLines:
-    """Return the file of a study's specimens."""
-    return SpecimenLines(LineFile(study.folder / SPECIMENS_LINES), study.space)
+def known_posteriors(study: Study) -> dict[str, SpecimenPosterior]:
+    """Return the posteriors of specimens that have been written, by digest."""
+    names = {*study.space.names}
+    ours = (one for one in lines_of(study).entries() if "of" in one and names.issuperset(one.get("inputs", [""])))
+    return {str(one["of"]): _posterior(one, study.space) for one in ours}
+
+
+def entry_of(one: SpecimenPosterior, of: str) -> dict[str, Any]:
+    """Return a posterior as a line has it, with the digest of all that it depends on."""
+    return {
+        "of": of,
+        "specimen": one.name,
+        "given": dict(one.given),
+        "inputs": list(one.space.names),
+        **{name: getattr(one, name).tolist() for name in ARRAYS},
+        "effective": one.effective,
+        "by": one.by,
+        **vars(one.certified),
+    }
+
+
+def _posterior(entry: Mapping[str, Any], space: ParameterSpace) -> SpecimenPosterior:
+    arrays: dict[str, Any] = {name: np.array(entry[name], float) for name in ARRAYS}
+    return SpecimenPosterior(
+        name=entry["specimen"],
+        given=entry["given"],
+        space=ParameterSpace(tuple(space[name] for name in entry["inputs"])),
+        effective=entry["effective"],
+        by=entry["by"],
+        certified=Certified(entry["shift"], entry["surprise"]),
+        **arrays,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +125,7 @@ class Specimens:
         Raises:
             InvalidInput: The outline cannot be compared, or a known input lies outside its box.
         """
-        stated = noise_of_outline(self.study, interface) if noise is None else noise
+        stated = self.study.observation(interface, "").noise if noise is None else noise
         task = Task(name, (self._observation(interface, stated, name),), given or {})
         use_double()
         with one_thread():
@@ -162,13 +148,8 @@ class Specimens:
     def _observation(self, interface: Interface, noise: Noise | PointErrors | UnknownErrors, name: str) -> Observation:
         """Return an outline in the direction of the runs."""
         template = self.begin.knowledge.surrogate.layouts[""].template
-        if interface.dim != template.dim:
-            raise InvalidInput(
-                f"outline of {name}",
-                value=f"{interface.dim} dimensions",
-                expected=f"{template.dim}, as the runs have",
-                remedy="Check the file.",
-            )
+        found, expected = f"{interface.dim} dimensions", f"{template.dim}, as the runs have"
+        require(interface.dim == template.dim, f"outline of {name}", found, expected, "Check the file.")
         require_plausible(f"outline of {name}", interface, template)
         seen = Observation(interface, noise)
         return seen.reversed() if interface.runs_against(template) else seen

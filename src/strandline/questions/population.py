@@ -28,15 +28,13 @@ from jaxtyping import Float
 from scipy.special import logsumexp, ndtr
 from scipy.stats import chi2
 
-from strandline.calibration.importance_sampler import Densities, Pool, StudentMixture, followed, only_inside
+from strandline.calibration.importance_sampler import Densities, Pool, StudentMixture, followed, only_inside, tempered
 from strandline.design import sobol
-from strandline.design.refinement import SAMPLING
 from strandline.errors import InvalidInput
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted, systematic_indices
 from strandline.posterior.importance import pareto_smoothed
 from strandline.questions.specimen import SpecimenPosterior, matched
-from strandline.smc import OnHost, sample
 from strandline.text import with_sd
 
 __all__ = ["FEWEST_SPECIMENS", "Population", "Shrunk", "population_of", "shrunk"]
@@ -249,7 +247,6 @@ def _require_alike(specimens: Sequence[SpecimenPosterior]) -> None:
 
 
 def _sampled(mixtures: Mixtures, random: np.random.Generator) -> Weighted:
-    """Return weighted draws of (m, s)."""
     dim = mixtures.dim
     scales = np.repeat([1.0, LARGEST_SPREAD], dim)
 
@@ -282,15 +279,13 @@ def _first_guess(mixtures: Mixtures) -> StudentMixture:
 
 
 def _by_smc(log_densities: Densities, scales: Float[np.ndarray, " twice"], random: np.random.Generator) -> Weighted:
-    """Sample (m, s) by tempering, from its prior."""
 
     def log_prior(x: jax.Array) -> jax.Array:
         inside = ((x > 0) & (x < scales)).all(axis=-1)
         return jnp.where(inside, -float(np.log(scales).sum()), -jnp.inf)
 
     initial = scales * random.random((PARTICLES, len(scales)))
-    key = jax.random.key(int(random.integers(2**32)))
-    found = sample(key, OnHost(lambda x: log_densities(x)[1]), log_prior, initial, settings=SAMPLING)
+    found = tempered(lambda x: log_densities(x)[1], log_prior, initial, random)
     return Weighted(found.positions, np.exp(found.log_weights))
 
 

@@ -10,6 +10,7 @@ from strandline.calibration import Observer
 from strandline.design.candidates import Candidate
 from strandline.errors import InvalidStudy
 from strandline.models.protocol import declared_conditions
+from strandline.questions.knowledge import require
 from strandline.questions.next_from_posterior import AfterExperiment, Prospect, Prospects, prospects_of
 from strandline.questions.observing import signals_of
 from strandline.runs import Executor
@@ -29,20 +30,17 @@ class CandidateSignals:
 
 
 def candidates_of(studies: Sequence[Study]) -> tuple[Candidate, ...]:
-    """Return the candidates of the first study that lists some.
-
-    Raises:
-        InvalidStudy: None does.
-    """
+    """Return the candidates of the first study that lists some; refuse studies without any."""
     found = next((one.candidates for one in studies if one.candidates), ())
-    if found:
-        return found
-    raise InvalidStudy(
+    require(
+        bool(found),
         "none of the studies lists candidates for the next experiment",
-        value=", ".join(one.name for one in studies),
-        expected="the key `next` in the study.yaml of one of them",
-        remedy="Add it; the results of the study stay as they are.",
+        ", ".join(one.name for one in studies),
+        "the key `next` in the study.yaml of one of them",
+        "Add it; the results of the study stay as they are.",
+        InvalidStudy,
     )
+    return found
 
 
 def shown_by_models(
@@ -69,45 +67,41 @@ def require_settable(studies: Mapping[str, Study], candidates: Sequence[Candidat
     """
     for name, study in studies.items():
         for candidate in candidates:
-            for setting in candidate.settings:
-                for quantity, value in setting.items():
-                    _require_quantity(name, study, quantity, value)
+            quantities = [pair for setting in candidate.settings for pair in setting.items()]
+            problems = [_problem(study, quantity, value) for quantity, value in quantities]
             missing = [one for one in candidate.look.conditions if one not in declared_conditions(study.model)]
-            if missing:
-                _refuse(name, f"condition {missing[0]}, which its model does not have")
+            problems += [f"condition {one}, which its model does not have" for one in missing]
+            require(
+                not any(problems),
+                f"the candidates under next do not fit {name}",
+                next(filter(None, problems), ""),
+                "quantities that are fixed or a nuisance input in all studies, and conditions of all models",
+                "Remove the candidate, or change the study.",
+                InvalidStudy,
+            )
 
 
-def _require_quantity(name: str, study: Study, quantity: str, value: float) -> None:
+def _problem(study: Study, quantity: str, value: float) -> str:
+    """Return why a study cannot set a quantity; empty if it can."""
     if quantity in study.fixed:
-        return
+        return ""
     if quantity not in study.space.names:
-        _refuse(name, f"{quantity}, which its model does not have")
-    elif not study.space[quantity].nuisance:
-        _refuse(name, f"{quantity}, which is calibrated there")
-    elif not study.space[quantity].interval[0] <= value <= study.space[quantity].interval[1]:
-        _refuse(name, f"{quantity} {value:g}, which is outside its box there")
-
-
-def _refuse(name: str, value: str) -> None:
-    raise InvalidStudy(
-        f"the candidates under next do not fit {name}",
-        value=value,
-        expected="quantities that are fixed or a nuisance input in all studies, and conditions of all models",
-        remedy="Remove the candidate, or change the study.",
-    )
+        return f"{quantity}, which its model does not have"
+    low, high = study.space[quantity].interval
+    if not study.space[quantity].nuisance:
+        return f"{quantity}, which is calibrated there"
+    return "" if low <= value <= high else f"{quantity} {value:g}, which is outside its box there"
 
 
 def _shown(candidate: Candidate, found: Sequence[Prospects]) -> CandidateSignals:
     made = [one.of(candidate) for one in found]
     problem = next((one.problem for several in made for one in several if one.problem), "")
+    presents, experiments = [one.present for one in found], list(zip(*made, strict=True))
+    if not problem and any(not _alike(presents, candidate, several) for several in experiments):
+        problem = "the models' interfaces have different points where nothing was observed"
     if problem:
         return CandidateSignals(candidate.label(), (), problem)
-    presents = [one.present for one in found]
-    if any(not _alike(presents, candidate, several) for several in zip(*made, strict=True)):
-        return CandidateSignals(
-            candidate.label(), (), "the models' interfaces have different points where nothing was observed"
-        )
-    parts = [_signals(candidate, presents, several) for several in zip(*made, strict=True)]
+    parts = [_signals(candidate, presents, several) for several in experiments]
     return CandidateSignals(candidate.label(), tuple(np.hstack(one) for one in zip(*parts, strict=True)))
 
 

@@ -11,7 +11,6 @@ from functools import lru_cache
 from hashlib import sha256
 from typing import Literal
 
-import jax
 import numpy as np
 from jaxtyping import Float
 from scipy.special import gammaincinv, ndtri
@@ -26,9 +25,9 @@ from strandline.calibration.importance_sampler import (
     fitted,
     followed,
     only_inside,
+    tempered,
 )
 from strandline.design import sobol
-from strandline.design.refinement import SAMPLING
 from strandline.discrepancy import Discrepancy
 from strandline.interface import Observation
 from strandline.likelihood import FieldLikelihood
@@ -38,7 +37,6 @@ from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted, systematic_indices
 from strandline.questions.certificate import Certified, certify
 from strandline.questions.start import Start
-from strandline.smc import OnHost, sample
 from strandline.surrogate.field import FieldPrediction
 from strandline.text import with_sd
 
@@ -163,7 +161,6 @@ class _Target:
         return self._of(predicted) if self.near is None else self.near.log_likelihood(predicted.mean)
 
     def at(self, x: Points) -> Values:
-        """Return the log-likelihood at points inside the box."""
         return self._of(self.begin.predict(x)) if self.near is None else self.near.log_likelihood(self.begin.mean(x))
 
     def _of(self, predicted: FieldPrediction) -> Values:
@@ -173,7 +170,7 @@ class _Target:
         return np.asarray(plain + log_gain(around, predicted.variance, plain))
 
     def log_densities(self, x: Points) -> tuple[Values, Values]:
-        return only_inside(self.begin.inside, self._inside)(x)
+        return only_inside(self.begin.unknown.inside, self._inside)(x)
 
     def _inside(self, x: Points) -> tuple[Values, Values]:
         return np.asarray(self.begin.unknown.log_prior(x)), self.begin.log_density(x) + self.at(x)
@@ -236,7 +233,6 @@ def _sequence(dim: int) -> Float[np.ndarray, "draw dim"]:
 
 
 def _by_smc(target: _Target, random: np.random.Generator) -> Weighted:
-    """Sample the posterior by tempering, from its prior."""
     space = target.begin.unknown
 
     def log_likelihood(x: Points) -> Values:
@@ -244,13 +240,11 @@ def _by_smc(target: _Target, random: np.random.Generator) -> Weighted:
         return np.asarray(feasible + target.at(x))
 
     initial = space.prior_quantiles(random.random((PARTICLES, space.dim)))
-    key = jax.random.key(int(random.integers(2**32)))
-    found = sample(key, OnHost(log_likelihood), space.log_prior, initial, settings=SAMPLING)
+    found = tempered(log_likelihood, space.log_prior, initial, random)
     return Weighted(found.positions, np.exp(found.log_weights))
 
 
 def _quantiles(found: Weighted) -> Float[np.ndarray, "three dim"]:
-    """Return the quantiles of 5, 50 and 95 % of each input."""
     columns = []
     for x in found.draws.T:
         order = np.argsort(x, kind="stable")

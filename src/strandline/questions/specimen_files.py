@@ -3,16 +3,18 @@
 import csv
 import glob
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
 from strandline.models.protocol import declared_conditions
+from strandline.questions.knowledge import require
 from strandline.studies.folder import SPECIMENS_TABLE
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.observation import ObservationFile
@@ -53,11 +55,7 @@ class SpecimenFiles:
     @property
     def base(self) -> Path:
         """The folder that names of specimens are relative to."""
-        parts = []
-        for part in Path(self.pattern).parts[:-1]:
-            if glob.has_magic(part):
-                break
-            parts.append(part)
+        parts = takewhile(lambda part: not glob.has_magic(part), Path(self.pattern).parts[:-1])
         return self.study.folder.joinpath(*parts)
 
     @property
@@ -67,26 +65,18 @@ class SpecimenFiles:
         Raises:
             InvalidStudy: The pattern cannot be used.
         """
-        said = self.content.specimens
-        tables = [self.study.folder / SPECIMENS_TABLE]
-        if said is not None and said.given is not None:
-            tables.append(self.study.folder / said.given)
-        apart = {path.resolve() for path in tables}
+        given = self.content.specimens.given if self.content.specimens else None
+        apart = {(self.study.folder / name).resolve() for name in (SPECIMENS_TABLE, given) if name is not None}
+        pattern = Path(self.pattern)
         try:
-            return sorted(path for path in self._matching() if path.is_file() and path.resolve() not in apart)
+            found = Path(pattern.anchor or self.study.folder).glob(str(pattern.relative_to(pattern.anchor)))
+            return sorted(path for path in found if path.is_file() and path.resolve() not in apart)
         except (ValueError, NotImplementedError) as error:
             raise InvalidStudy(
                 "specimens.files", value=self.pattern, expected=f"a pattern of files: {error}", remedy="Correct it."
             ) from None
 
-    def _matching(self) -> Iterator[Path]:
-        pattern = Path(self.pattern)
-        if pattern.is_absolute():
-            return Path(pattern.anchor).glob(str(pattern.relative_to(pattern.anchor)))
-        return self.study.folder.glob(self.pattern)
-
     def name(self, path: Path) -> str:
-        """Return the name of the specimen in a file."""
         base = self.base.absolute()
         return path.absolute().relative_to(base).as_posix() if path.absolute().is_relative_to(base) else path.name
 
@@ -107,12 +97,8 @@ class SpecimenFiles:
         try:
             digest = _digest(path)
         except OSError as error:
-            raise InvalidInput(
-                f"outline {path.name}",
-                value=error.strerror or str(error),
-                expected="a file that can be read",
-                remedy="Check it.",
-            ) from None
+            value, expected = error.strerror or str(error), "a file that can be read"
+            raise InvalidInput(f"outline {path.name}", value=value, expected=expected, remedy="Check it.") from None
         there = str(path.absolute())
         changed: dict[str, Any] = {FILE: there}
         for kind in ("image", "stack"):
@@ -131,17 +117,11 @@ class SpecimenFiles:
         Raises:
             InvalidInput: The table has no row for it, or a cell that is not a number.
         """
-        if not self.known:
-            return {}
-        row = self.given.get(name)
-        missing = list(self.known) if row is None else [key for key, value in row.items() if value is None]
-        if row is None or missing:
-            raise InvalidInput(
-                f"known inputs of {name}",
-                value="no row in the table" if row is None else f"no number for {', '.join(missing)}",
-                expected=f"a row with numbers for {', '.join(self.known)}",
-                remedy=f"Add it to {self.content.specimens.given if self.content.specimens else 'the table'}.",
-            )
+        row = self.given.get(name, {})
+        missing = [key for key in self.known if row.get(key) is None]
+        value = f"no number for {', '.join(missing)}" if row else "no row in the table"
+        expected = f"a row with numbers for {', '.join(self.known)}"
+        require(not missing, f"known inputs of {name}", value, expected, "Add it to the table in specimens.given.")
         return {key: float(value) for key, value in row.items() if value is not None}
 
 
@@ -158,12 +138,8 @@ def specimen_files(study: Study) -> SpecimenFiles:
     content = StudyFile.model_validate(load_yaml(study.text))
     said = content.specimens
     if said is None:
-        raise InvalidStudy(
-            "study.yaml names no specimens",
-            value=study.name,
-            expected="the key specimens, e.g. `specimens: specimens/*.csv`",
-            remedy="Add it; the runs of the study stay valid.",
-        )
+        expected, remedy = "the key specimens, e.g. `specimens: specimens/*.csv`", "Add it; the runs stay valid."
+        raise InvalidStudy("study.yaml names no specimens", value=study.name, expected=expected, remedy=remedy)
     require_one_condition(study)
     known, given = ((), {}) if said.given is None else _table(study, said.given)
     return SpecimenFiles(study, content, said.files, _source(content, said), known, given)
@@ -172,22 +148,17 @@ def specimen_files(study: Study) -> SpecimenFiles:
 def require_one_condition(study: Study) -> None:
     """Refuse a model with named conditions: a specimen has one outline."""
     names = declared_conditions(study.model)
-    if any(names):
-        raise InvalidStudy(
-            "specimens of a model with several conditions",
-            value=", ".join(names),
-            expected="a model with a single outline",
-            remedy="Make a study for each specimen, or let the model return one interface.",
-        )
-
-
-def noise_of_outline(study: Study, interface: Interface) -> Noise | PointErrors | UnknownErrors:
-    """Return the noise of an outline that does not come from a file of the study."""
-    return study.observation(interface, "").noise
+    require(
+        not any(names),
+        "specimens of a model with several conditions",
+        ", ".join(names),
+        "a model with a single outline",
+        "Make a study for each specimen, or let the model return one interface.",
+        InvalidStudy,
+    )
 
 
 def _source(content: StudyFile, said: SpecimensFile) -> ObservationFile:
-    """Return how the files are read."""
     if said.read is None:
         own = content.observation
         if isinstance(own, list) or own.synthetic is not None:
@@ -213,29 +184,17 @@ def _table(study: Study, name: str) -> tuple[tuple[str, ...], dict[str, dict[str
             "specimens.given", value=f"{name}: {error}", expected="a readable table", remedy="Correct the path."
         ) from None
     heads = [str(head).strip() for head in rows[0]] if rows else []
-    wrong = [head for head in heads if head not in (FILE, *study.space.names)]
     known = tuple(head for head in heads if head in study.space.names)
-    if FILE not in heads or not known or wrong or len(known) == study.space.dim:
-        raise InvalidStudy(
-            f"specimens.given: columns of {name}",
-            value=", ".join(heads) or "none",
-            expected=f"file and some, not all, of the inputs {', '.join(study.space.names)}",
-            remedy="Correct the first line of the table.",
-        )
+    right = sorted(heads) == sorted([FILE, *known]) and 0 < len(known) < study.space.dim
+    expected = f"file and some, not all, of the inputs {', '.join(study.space.names)}"
+    what, remedy = f"specimens.given: columns of {name}", "Correct the first line of the table."
+    require(right, what, ", ".join(heads) or "none", expected, remedy, InvalidStudy)
     cleaned = [{str(key).strip(): value for key, value in row.items()} for row in rows]
-    _require_once([str(row[FILE]).strip() for row in cleaned], name)
+    counts = Counter(str(row[FILE]).strip() for row in cleaned)
+    twice = f"several for {', '.join(sorted(one for one, number in counts.items() if number > 1))}"
+    what, remedy = f"specimens.given: rows of {name}", "Remove the wrong ones."
+    require(max(counts.values()) == 1, what, twice, "one for each specimen", remedy, InvalidStudy)
     return known, {str(row[FILE]).strip(): {key: _number(row[key]) for key in known} for row in cleaned}
-
-
-def _require_once(names: Sequence[str], table: str) -> None:
-    twice = sorted(name for name, number in Counter(names).items() if number > 1)
-    if twice:
-        raise InvalidStudy(
-            f"specimens.given: rows of {table}",
-            value=f"several for {', '.join(twice)}",
-            expected="one for each specimen",
-            remedy="Remove the wrong ones.",
-        )
 
 
 def _number(text: str | None) -> float | None:

@@ -15,20 +15,16 @@ from strandline.calibration.progress import observer_or_default
 from strandline.errors import InvalidInput, InvalidStudy, NumericsError
 from strandline.numerics.threads import one_thread
 from strandline.questions.answer import Answer
+from strandline.questions.knowledge import require
 from strandline.questions.many import RefusedSpecimen, Task, posteriors_of
-from strandline.questions.opened import Specimens, lines_of, open_specimens
+from strandline.questions.opened import Specimens, entry_of, known_posteriors, lines_of, open_specimens
 from strandline.questions.population import FEWEST_SPECIMENS, population_of, shrunk
 from strandline.questions.specimen import SpecimenPosterior, runs_for
-from strandline.questions.specimen_files import SpecimenFiles, specimen_files
+from strandline.questions.specimen_files import specimen_files
 from strandline.questions.specimens_content import SpecimensFound, answer_of, describe_specimens, write_table
 from strandline.runs import Executor, Ledger, Progress, run_campaign
 from strandline.studies.check import plain_model
-from strandline.studies.folder import (
-    SPECIMENS_LEDGER,
-    SPECIMENS_TABLE,
-    require_writable,
-    told_if_unwritable,
-)
+from strandline.studies.folder import SPECIMENS_LEDGER, SPECIMENS_TABLE, require_writable, told_if_unwritable
 from strandline.studies.study import Study
 
 __all__ = ["Arrived", "specimens", "watch_specimens"]
@@ -69,17 +65,22 @@ def specimens(
         LedgerError: A ledger is damaged, or belongs to another model.
         TooFewRuns: Too few runs succeeded to learn the interface.
     """
-    _require_arguments(refine, processes)
+    require(refine >= 0, "further runs", refine, "0 or more")
+    require(processes is None or processes >= 1, "processes", processes, "1 or more", "Leave it out to use all cores.")
     tell = observer_or_default(observer)
     require_writable(study.folder)
     files = specimen_files(study)
-    paths = _paths(files)
+    paths = files.paths
+    missing, remedy = f"no file {files.pattern} in {study.folder}", "Correct specimens in study.yaml, or add the files."
+    require(bool(paths), "specimens", missing, "at least one outline", remedy, InvalidStudy)
     tell.stage("surrogate")
     opened = open_specimens(study, seed=seed, measure=measure)
-    with lines_of(study).held(), told_if_unwritable(study.folder):
+    with lines_of(study).held("strandline specimens", "posteriors"), told_if_unwritable(study.folder):
         tell.stage("specimens")
         found = posteriors_of_files(opened, paths, processes=processes, tell=tell)
-        _require_any(found)
+        refused = "; ".join(f"{one.name}: {one.why}" for one in found.refused[:1])
+        words = "at least one outline", "Correct specimens in study.yaml, or the files."
+        require(len(found.posteriors) > 0, "specimens: none of the files can be used", refused, *words, InvalidStudy)
         made = 0
         if refine and any(not one.certified.good for one in found.posteriors):
             opened, made = _refined(opened, paths, found, refine, executor or study.executor, processes, tell)
@@ -106,7 +107,7 @@ def posteriors_of_files(
     Those that are `known`, by digest, are not computed again; by default those in specimens.jsonl.
     """
     lines, begun = lines_of(opened.study), time.monotonic()
-    known = lines.read() if known is None else known
+    known = known_posteriors(opened.study) if known is None else known
     found: list[SpecimenPosterior] = []
     refused: list[RefusedSpecimen] = []
     tasks: list[Task] = []
@@ -126,7 +127,7 @@ def posteriors_of_files(
             refused.append(one)
         else:
             found.append(one)
-            lines.append(one, digests[one.name])
+            lines.append(entry_of(one, digests[one.name]))
         done += 1
         if tell is not None:
             tell.part(Progress(len(paths), done, done, 0, reused, time.monotonic() - begun))
@@ -184,37 +185,6 @@ def _with_population(found: SpecimensFound, seed: int) -> SpecimensFound:
         population = population_of(found.posteriors, seed=seed)
         names = tuple(one.name for one in found.posteriors)
         return replace(found, population=population, shrunk=shrunk(population, names, seed=seed))
-
-
-def _require_any(found: SpecimensFound) -> None:
-    if not found.posteriors:
-        first = found.refused[0]
-        raise InvalidStudy(
-            "specimens: none of the files can be used",
-            value=f"{first.name}: {first.why}",
-            expected="at least one outline",
-            remedy="Correct specimens in study.yaml, or the files.",
-        )
-
-
-def _paths(files: SpecimenFiles) -> list[Path]:
-    """Return the files of the specimens."""
-    paths = files.paths
-    if not paths:
-        raise InvalidStudy(
-            "specimens",
-            value=f"no file {files.pattern} in {files.study.folder}",
-            expected="at least one outline",
-            remedy="Correct specimens in study.yaml, or add the files.",
-        )
-    return paths
-
-
-def _require_arguments(refine: int, processes: int | None) -> None:
-    if refine < 0:
-        raise InvalidInput("further runs", value=refine, expected="0 or more", remedy="E.g. 20.")
-    if processes is not None and processes < 1:
-        raise InvalidInput("processes", value=processes, expected="1 or more", remedy="Leave it out to use all cores.")
 
 
 PAUSE = 0.1
@@ -277,7 +247,7 @@ def watch_specimens(
     require_writable(study.folder)
     opened = open_specimens(study, seed=seed, measure=measure)
     template = opened.begin.knowledge.surrogate.layouts[""].template
-    with lines_of(study).held():
+    with lines_of(study).held("strandline specimens", "posteriors"):
         seen = {path: _Seen(_state(path), 0.0, done=True) for path in opened.files.paths}
         found = posteriors_of_files(opened, list(seen))
         _warm(lambda: opened.posterior(template))

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from strandline.design import sobol
 from strandline.design.active import Knowledge
@@ -47,7 +47,6 @@ class Start:
 
     @cached_property
     def predicted(self) -> FieldPrediction:
-        """The predicted interfaces of these draws."""
         return self.predict(self.points)
 
     @cached_property
@@ -57,11 +56,8 @@ class Start:
 
     def whole(self, x: Float[np.ndarray, "point unknown"]) -> Float[np.ndarray, "point dim"]:
         """Return the values of all inputs, for values of the unknown ones."""
-        out = np.empty((len(x), self.space.dim))
+        out = np.tile([self.given.get(name, 0.0) for name in self.space.names], (len(x), 1))
         out[:, self.columns] = x
-        for i, name in enumerate(self.space.names):
-            if name in self.given:
-                out[:, i] = self.given[name]
         return out
 
     def predict(self, x: Float[np.ndarray, "point unknown"]) -> FieldPrediction:
@@ -74,17 +70,11 @@ class Start:
         """Return the log prior density of unknown inputs plus the log probability that a run succeeds there."""
         return np.asarray(self.unknown.log_prior(x) + self.knowledge.log_feasibility(self.whole(x)))
 
-    def inside(self, x: Float[np.ndarray, "point unknown"]) -> Bool[np.ndarray, " point"]:
-        within = ((x >= self.unknown.low) & (x <= self.unknown.high)).all(axis=1)
-        out = np.zeros(len(x), bool)
-        out[within] = np.isfinite(np.asarray(self.unknown.log_prior(x[within])))
-        return out
-
     def with_given(self, given: Mapping[str, float]) -> "Start":
         """Return the start of a specimen with other known inputs.
 
         Raises:
-            InvalidInput: A name is not an input, a value lies outside its box, or no unknown input is left.
+            InvalidInput: A value lies outside its box, or no unknown input is left.
         """
         if dict(given) == dict(self.given):
             return self
@@ -98,10 +88,6 @@ class Start:
                     remedy="Correct it, or widen the prior of this input in study.yaml and run the study again.",
                 )
         if len(given) == self.space.dim:
-            raise InvalidInput(
-                "known inputs of a specimen",
-                value=", ".join(given),
-                expected="at least one input left to infer",
-                remedy="Remove a column of the table.",
-            )
+            what, expected = "known inputs of a specimen", "at least one input left to infer"
+            raise InvalidInput(what, value=", ".join(given), expected=expected, remedy="Remove a column of the table.")
         return replace(self, given=dict(given))

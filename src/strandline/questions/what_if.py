@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 
 from strandline.calibration import Observer
-from strandline.calibration.alternative import Alternative, Baseline, baseline
+from strandline.calibration.alternative import Alternative, Baseline
 from strandline.calibration.progress import observer_or_default
 from strandline.calibration.usual_alternatives import usual_alternatives
 from strandline.calibration.what_if import LEAST_RATIO, LEAST_SHIFT, reweight_or_resample
 from strandline.calibration.what_if import Answer as Changed
-from strandline.design.active import Knowledge
-from strandline.errors import InvalidInput, InvalidStudy, TooFewRuns
 from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import Weighted
 from strandline.questions.alternatives import alternative_of, asked_in, require_asked
@@ -27,13 +25,13 @@ from strandline.questions.answer import (
     digits,
     facts_of,
     facts_of_surrogate,
+    moments,
     surrogate_note,
 )
-from strandline.questions.knowledge import field_knowledge, require_seed
+from strandline.questions.knowledge import baseline_of, require, require_seed
 from strandline.runs import Progress
 from strandline.studies.check import finished_posterior
 from strandline.studies.folder import require_writable
-from strandline.studies.keys.study_file import WhatIf
 from strandline.studies.study import Study
 from strandline.text import listed
 
@@ -64,10 +62,8 @@ def what_if(
         LedgerError: The ledger is damaged, or belongs to another model.
     """
     require_seed(seed, "what-if")
-    if alternatives is not None and not alternatives:
-        raise InvalidInput(
-            "alternatives", value="none", expected="at least one", remedy="Leave them out to ask the usual questions."
-        )
+    words = "at least one", "Leave them out to ask the usual questions."
+    require(alternatives is None or len(alternatives) > 0, "alternatives", "none", *words)
     asked = asked_in(study) if alternatives is None else tuple(require_asked(one) for one in alternatives)
     posterior = finished_posterior(study, purpose="compare with")
     require_writable(study.folder)
@@ -77,29 +73,14 @@ def what_if(
     tell = observer_or_default(observer)
     with one_thread():
         tell.stage("surrogate")
-        knowledge, why_not = _known(study)
-        now = baseline(posterior, knowledge, why_not=why_not)
-        tried = list(_alternatives(study, now, asked, usual=alternatives is None))
+        now = baseline_of(study, posterior, purpose="what-if")
+        tried = [alternative_of(one, study, now) for one in asked]
+        if alternatives is None:
+            tried += usual_alternatives(now, study.discrepancies)
         tell.stage("alternatives")
         answers = in_order(tuple(_answers(now, tried, seed, tell)))
     tell.stage("report")
     return _answer(_described(study, now, answers, seed), answers, study.folder).written(draft=study.settings.draft)
-
-
-def _known(study: Study) -> tuple[Knowledge | None, str]:
-    """Return the surrogate of the interface with the study's likelihood, or why there is none."""
-    try:
-        return field_knowledge(study, next(iter(study.discrepancies)), purpose="what-if"), ""
-    except (InvalidStudy, TooFewRuns) as error:
-        return None, f"there is no surrogate of the interface ({error.value})"
-
-
-def _alternatives(study: Study, now: Baseline, asked: Sequence[WhatIf], *, usual: bool) -> Iterator[Alternative]:
-    """Yield the alternatives that are asked for, then the usual ones."""
-    for one in asked:
-        yield alternative_of(one, study, now)
-    if usual:
-        yield from usual_alternatives(now, study.discrepancies)
 
 
 def _answers(now: Baseline, tried: Sequence[Alternative], seed: int, tell: Observer) -> Iterator[Changed]:
@@ -109,7 +90,7 @@ def _answers(now: Baseline, tried: Sequence[Alternative], seed: int, tell: Obser
         tell.part(Progress(len(tried), number, number, 0, 0, time.monotonic() - begun))
 
 
-LEVELS = (0.05, 0.95)
+LEVELS = {"low": 0.05, "high": 0.95}
 """Probabilities below the ends of the 90 % intervals."""
 CUT = 1e-3
 """Prior probability outside the box from which it is reported."""
@@ -135,7 +116,7 @@ def _described(study: Study, now: Baseline, answers: Sequence[Changed], seed: in
             "log_evidence": now.log_evidence,
             "effective": float(1 / np.sum(now.weighted.weights**2)),
             "inputs": {
-                one.name: {"label": one.shown, "unit": one.unit, **_moments(now.weighted, i)}
+                one.name: {"label": one.shown, "unit": one.unit, **moments(now.weighted, i, LEVELS)}
                 for i, one in enumerate(now.space)
             },
         },
@@ -144,7 +125,6 @@ def _described(study: Study, now: Baseline, answers: Sequence[Changed], seed: in
 
 
 def _conclusion(answers: Sequence[Changed]) -> str:
-    """Return what the posterior depends on, in a sentence."""
     if all(one.by is None for one in answers):
         return "None of the alternatives can be computed without new runs."
     subjects = list(dict.fromkeys(one.alternative.about for one in answers if one.moves))
@@ -189,10 +169,9 @@ def _remarks(study: Study, now: Baseline, answers: Sequence[Changed]) -> list[st
 
 def _surrogate(now: Baseline) -> dict[str, Any] | None:
     """Return how good the surrogate of the interface is at the present posterior; None if it was not used."""
-    quality = now.quality
-    if now.knowledge is None or quality is None:
+    if now.knowledge is None or now.quality is None:
         return None
-    return {**facts_of_surrogate(now.knowledge.surrogate.runs, quality), "shift": now.shift}
+    return {**facts_of_surrogate(now.knowledge.surrogate.runs, now.quality), "shift": now.shift}
 
 
 def _alternative(one: Changed) -> dict[str, Any]:
@@ -218,7 +197,7 @@ def _alternative(one: Changed) -> dict[str, Any]:
 def _inputs(one: Changed, draws: Weighted) -> dict[str, Any]:
     return {
         name: {
-            **_moments(draws, i),
+            **moments(draws, i, LEVELS),
             "shift": float(one.shift[i]),
             "shift_error": float(one.shift_error[i]),
             "sd_ratio": float(one.sd_ratio[i]),
@@ -229,14 +208,7 @@ def _inputs(one: Changed, draws: Weighted) -> dict[str, Any]:
     }
 
 
-def _moments(draws: Weighted, i: int) -> dict[str, float]:
-    """Return mean, standard deviation and 90 % interval of an input."""
-    low, high = np.quantile(draws.draws[:, i], LEVELS, weights=draws.weights, method="inverted_cdf")
-    return {"mean": float(draws.mean[i]), "sd": float(draws.sd[i]), "low": float(low), "high": float(high)}
-
-
 def _answer(content: dict[str, Any], found: tuple[Changed, ...], folder: Path) -> Answer[tuple[Changed, ...]]:
-    """Return what what-if.json says, in words and tables."""
     some, inputs, limits = content["alternatives"], content["present"]["inputs"], content["limits"]
     symbols = [Symbol(item["label"]) for item in inputs.values()]
     table = Table(

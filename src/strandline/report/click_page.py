@@ -134,7 +134,6 @@ def for_screen(values: Float[np.ndarray, "row column"], *, most_pixels: int = MO
 
 
 def _factor(height: int, width: int, most_pixels: int) -> int:
-    """Return the smallest factor that makes the picture small enough."""
     factor = max(1, math.ceil(max(height, width) / LONGEST_SIDE))
     while math.ceil(height / factor) * math.ceil(width / factor) > most_pixels:
         factor += 1

@@ -28,8 +28,6 @@ SDS = 2.0
 """Half of the width of a band, in standard deviations."""
 DECIMALS, DIGITS = 6, 6
 """Of coordinates in mm: a nanometre; of other numbers."""
-LARGEST_STEP = 300
-"""Decimals that a number may have at most; a power of ten must not overflow."""
 MOST_RUNS, MOST_OUTLINES, MOST_NUMBERS = 1000, 200, 120_000
 """Runs that a page holds, runs with their interfaces, and numbers of which these may consist."""
 BEST = 0.5
@@ -91,13 +89,8 @@ def columns(
 
 def rounded(values: Sequence[float | None] | Float[np.ndarray, " _"], digits: int = DIGITS) -> list[float | None]:
     """Return numbers with so many significant digits; None for those that are not finite."""
-    given = np.array(values, dtype=float)
-    finite = np.isfinite(given)
-    size = np.floor(np.log10(np.abs(given), where=finite & (given != 0.0), out=np.zeros_like(given)))
-    step = np.minimum(digits - 1 - size, LARGEST_STEP)
-    up, down = 10.0 ** np.maximum(step, 0.0), 10.0 ** np.maximum(-step, 0.0)
-    short = np.where(step >= 0, np.round(given * up) / up, np.round(given / down) * down).tolist()
-    return short if finite.all() else [one if good else None for one, good in zip(short, finite, strict=True)]
+    given = np.array(values, dtype=float).tolist()
+    return [float(f"{one:.{digits}g}") if math.isfinite(one) else None for one in given]
 
 
 def outline(interface: Interface) -> list[list[float]]:
@@ -169,12 +162,10 @@ class Explore:
 
     @property
     def licence(self) -> str:
-        """The licence of the library."""
         return PLOTLY.with_name("plotly.LICENSE.txt").read_text(encoding="utf-8")
 
     @property
     def script(self) -> Markup:
-        """The panels, which unpack the library."""
         return Markup(bundled("explore"))
 
     @property
@@ -183,7 +174,6 @@ class Explore:
 
     @property
     def size(self) -> int:
-        """Number of characters."""
         return sum(map(len, (self.data, self.plotly, self.script, self.style)))
 
     @property
@@ -193,9 +183,7 @@ class Explore:
 
 
 def explore(
-    calibration: Calibration,
-    truth: Mapping[str, float] | None,
-    pictures: Mapping[str, Mapping[str, Any]] | None = None,
+    calibration: Calibration, truth: Mapping[str, float] | None, pictures: Mapping[str, Mapping[str, Any]] | None = None
 ) -> Explore:
     """Return what the panels show, thinned so that it fits into a page."""
     every, problem = calibration.all_runs, calibration.problem

@@ -209,7 +209,6 @@ def _outside(seen: Observation, runs: list[RunRecord], least: float) -> bool:
 
 
 def _varying(runs: list[RunRecord]) -> int:
-    """Return how many inputs differ between runs."""
     values: Float[np.ndarray, "run input"] = np.array([list(record.inputs.values()) for record in runs], float)
     return int((np.ptp(values, axis=0) > 0).sum())
 

@@ -40,7 +40,6 @@ def write_page(path: Path, page: str) -> Path:
 
 @lru_cache(maxsize=4)
 def _environment(package: str) -> Environment:
-    """Return the environment that caches the compiled templates of a package."""
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(package), PackageLoader("strandline.report")]),
         autoescape=select_autoescape(default=True, default_for_string=True),

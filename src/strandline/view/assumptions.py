@@ -12,9 +12,10 @@ from strandline.calibration.alternative import Alternative, Baseline
 from strandline.calibration.usual_alternatives import scaled_noise, with_prior
 from strandline.calibration.what_if import Answer, reweight_or_resample, reweighted
 from strandline.errors import InvalidInput
-from strandline.interface import GaussianNoise, Observation, PointErrors
+from strandline.interface import GaussianNoise, PointErrors
 from strandline.likelihood import FieldLikelihood
 from strandline.priors import Prior
+from strandline.questions.knowledge import require
 from strandline.studies.changed_copy import reuse_from, write_copy
 from strandline.studies.inputs import build_prior
 from strandline.studies.study import Study
@@ -70,24 +71,24 @@ def _in_words(noise: object) -> dict[str, Any]:
 
 def asked_by(given: Mapping[str, Any], study: Study) -> Asked:
     """Return what the page asks; refuse values that make no sense."""
-    known = {"noise", "length_um", "measure", "priors", "fixed"}
-    if set(given) - known:
-        raise _refused("assumptions", sorted(set(given) - known)[0], f"some of {', '.join(sorted(known))}")
-    noise = number_in("noise", given.get("noise", 1.0), *NOISE)
-    length = given.get("length_um")
-    length = None if length is None else number_in("length_um", length, *LENGTH)
-    measure = given.get("measure")
-    if measure is not None and (not isinstance(measure, str) or measure not in study.discrepancies):
-        raise _refused("measure", measure, f"one of {', '.join(study.discrepancies)}")
+    known = ["fixed", "length_um", "measure", "noise", "priors"]
+    names, measures = ", ".join(study.space.names), ", ".join(study.discrepancies)
+    for key in given:
+        require(key in known, "assumptions", key, f"some of {', '.join(known)}")
+    length, measure = given.get("length_um"), given.get("measure")
+    require(measure in (None, *study.discrepancies), "measure", measure, f"one of {measures}")
     priors, fixed = (given.get(name) or {} for name in ("priors", "fixed"))
-    if not (isinstance(priors, dict) and isinstance(fixed, dict)):
-        raise _refused("priors and fixed", "something else", "JSON objects by name of the input")
+    objects = isinstance(priors, dict) and isinstance(fixed, dict)
+    require(objects, "priors and fixed", "something else", "JSON objects by name of the input")
     for name in (*priors, *fixed):
-        if name not in study.space.names:
-            raise _refused("input", name, f"one of {', '.join(study.space.names)}")
-    stated = {name: _prior(name, prior) for name, prior in priors.items()}
-    values = {name: number_in(name, one, *study.space[name].interval) for name, one in fixed.items()}
-    return Asked(noise, length, measure, stated, values)
+        require(name in study.space.names, "input", name, f"one of {names}")
+    return Asked(
+        number_in("noise", given.get("noise", 1.0), *NOISE),
+        None if length is None else number_in("length_um", length, *LENGTH),
+        measure,
+        {name: _prior(name, prior) for name, prior in priors.items()},
+        {name: number_in(name, one, *study.space[name].interval) for name, one in fixed.items()},
+    )
 
 
 def answer_to(asked: Asked, study: Study, now: Baseline, *, again: bool) -> Answer:
@@ -107,8 +108,8 @@ def answer_to(asked: Asked, study: Study, now: Baseline, *, again: bool) -> Answ
 def _alternative(asked: Asked, study: Study, now: Baseline) -> Alternative:
     priors: dict[str, Prior] = {name: build_prior(one, f"prior of {name}") for name, one in asked.priors.items()}
     plain = asked.noise == 1 and asked.length_um is None and asked.measure is None
-    if not plain and now.knowledge is None:
-        raise _refused("assumptions", "another noise or measure", f"another prior only: {now.why_not}")
+    possible, expected = plain or now.knowledge is not None, f"another prior only: {now.why_not}"
+    require(possible, "assumptions", "another noise or measure", expected)
     likelihood = None if plain or now.knowledge is None else _likelihood(asked, study, now.knowledge.likelihood)
     return Alternative(
         name="as asked",
@@ -132,7 +133,7 @@ def _likelihood(asked: Asked, study: Study, present: FieldLikelihood) -> FieldLi
             if not isinstance(noise, PointErrors):
                 raise _refused("length_um", asked.length_um, "a study that states the errors of its points")
             noise = replace(noise, length=asked.length_um / TO_UM)
-        seen.append(Observation(one.interface, noise, one.condition))
+        seen.append(replace(one, noise=noise))
     return replace(present, observations=tuple(seen), discrepancy=measure)
 
 
@@ -164,12 +165,11 @@ def save_as(study: Study, name: str, asked: Asked) -> Path:
         InvalidInput: The name cannot be used, there is such a folder, or the assumptions cannot be written.
         InvalidStudy: The folder cannot be written to.
     """
-    if not NAME.fullmatch(name):
-        raise _refused("name of the new study", name, "letters, digits, -, _ and . (at most 63)")
+    good = NAME.fullmatch(name) is not None
+    require(good, "name of the new study", name, "letters, digits, -, _ and . (at most 63)")
     present = study.folder.resolve()
     target = present.parent / name
-    if target.exists():
-        raise _refused("name of the new study", name, "no such folder yet")
+    require(not target.exists(), "name of the new study", name, "no such folder yet")
     text = changed_text(study.text, _changes(study, name, asked, present, target))
     write_copy(present, target, f"# {name}: {study.name} with other assumptions\n{text}")
     return target
@@ -188,7 +188,9 @@ def _changes(study: Study, name: str, asked: Asked, present: Path, target: Path)
     if asked.noise != 1 or asked.length_um is not None:
         changes["noise",] = _noise(study, asked)
     if asked.measure is not None:
-        changes["discrepancy",] = _measures(content["discrepancy"], asked.measure)
+        stated = content["discrepancy"] if isinstance(content["discrepancy"], list) else [content["discrepancy"]]
+        each = [{measure: options} for one in stated for measure, options in one.items()]
+        changes["discrepancy",] = sorted(each, key=lambda one: asked.measure not in one)
     changes["reuse",] = reuse_from(present, target, content.get("reuse"))
     return changes
 
@@ -215,10 +217,3 @@ def _noise(study: Study, asked: Asked) -> dict[str, Any]:
         expected="a study with one standard deviation",
         remedy="Change noise in study.yaml by hand.",
     )
-
-
-def _measures(given: Any, first: str) -> list[Any]:
-    """Return the measures with this one first."""
-    stated = given if isinstance(given, list) else [given]
-    each = [{name: options} for one in stated for name, options in one.items()]
-    return sorted(each, key=lambda one: first not in one)

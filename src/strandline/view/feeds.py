@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from strandline.calibration.alternative import Baseline, baseline, interim_posterior
+from strandline.calibration.alternative import Baseline, interim_posterior
 from strandline.errors import InvalidInput, InvalidStudy, NumericsError, TooFewRuns
 from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import systematic_indices
-from strandline.questions.knowledge import field_knowledge
+from strandline.questions.knowledge import baseline_of, field_knowledge
 from strandline.report.explore import DRAWS, by_name, rounded
 from strandline.runs.ledger_schema import EXCLUDED
 from strandline.runs.overview import OPEN, Attempt, Overview
@@ -164,16 +164,11 @@ class PosteriorFeed:
         self.shown = CurrentPosterior(found, _thinned(found), source, before.why_none, (*before.history, step))
 
     def _posterior(self) -> tuple[Baseline, str]:
-        study, measure = self.study, next(iter(self.study.discrepancies))
-        if results_of(study) == "current":
-            stored = finished_posterior(study, purpose="show")
-            try:
-                knowledge, why_not = field_knowledge(study, measure, purpose="the page"), ""
-            except (InvalidStudy, TooFewRuns) as error:
-                knowledge, why_not = None, f"there is no surrogate of the interface ({error.value})"
-            return baseline(stored, knowledge, why_not=why_not), "stored"
-        knowledge = field_knowledge(study, measure, purpose="the page")
-        return interim_posterior(knowledge, study.space, seed=SEED), "so far"
+        if results_of(self.study) == "current":
+            stored = finished_posterior(self.study, purpose="show")
+            return baseline_of(self.study, stored, purpose="the page"), "stored"
+        knowledge = field_knowledge(self.study, purpose="the page")
+        return interim_posterior(knowledge, self.study.space, seed=SEED), "so far"
 
 
 def _thinned(now: Baseline) -> Baseline:

@@ -18,7 +18,8 @@ from typing import Any
 from tornado.iostream import StreamClosedError
 from tornado.web import Application, RequestHandler, StaticFileHandler
 
-from strandline.errors import InvalidInput, StrandlineError
+from strandline.errors import StrandlineError
+from strandline.questions.knowledge import require
 from strandline.report import PANELS, template
 from strandline.studies.pictures.shown import picture_png
 from strandline.studies.study import Study
@@ -111,13 +112,13 @@ class _Guarded(RequestHandler):
         self.finish(json.dumps(found, allow_nan=False, separators=(",", ":")))
 
     def body(self) -> dict[str, Any]:
+        """Return what was sent; refuse what is no JSON object."""
         try:
             found = json.loads(self.request.body or b"{}")
         except ValueError:
             found = None
-        if not isinstance(found, dict):
-            raise InvalidInput("request", value="no JSON object", expected="one", remedy="Use the page.")
-        return found
+        require(isinstance(found, dict), "request", "no JSON object", "one", "Use the page.")
+        return dict(found)
 
 
 class _Missing(_Guarded):
@@ -145,8 +146,6 @@ class _WithoutSlash(_Guarded):
 
 
 class _Static(_Guarded, StaticFileHandler):
-    """Scripts and styles of the page."""
-
     def initialize(self, path: str, **shared: Any) -> None:  # type: ignore[override]
         _Guarded.initialize(self, **shared)
         StaticFileHandler.initialize(self, path)
@@ -187,14 +186,11 @@ class _Ask(_Guarded):
 
     def _integer(self, name: str) -> int:
         text = self.get_query_argument(name, "0")
-        if not text.isdecimal() or len(text) > 15:
-            raise InvalidInput(name, value=text[:40], expected="a whole number", remedy="Use the page.")
+        require(text.isdecimal() and len(text) <= 15, name, text[:40], "a whole number", "Use the page.")
         return int(text)
 
 
 class _Picture(_Guarded):
-    """The picture of a condition, as PNG."""
-
     async def get(self) -> None:
         condition = self.get_query_argument("condition", "")
         found = await self.session.answer(lambda: picture_png(self.session.viewed.study, condition))
@@ -229,8 +225,7 @@ class _Events(_Guarded):
 def _part(given: dict[str, Any], name: str) -> dict[str, Any]:
     """Return a part of a request, a JSON object; empty if it is missing."""
     found = given.get(name)
-    if found is not None and not isinstance(found, dict):
-        raise InvalidInput(name, value=found, expected="a JSON object", remedy="Use the page.")
+    require(found is None or isinstance(found, dict), name, found, "a JSON object", "Use the page.")
     return found or {}
 
 

@@ -56,7 +56,6 @@ class Session:
         return found
 
     async def answer(self, task: Callable[[], Any]) -> Any:
-        """Do a task that computes."""
         return await asyncio.get_running_loop().run_in_executor(self._answering, task)
 
     async def solve(self, task: Callable[[], Any]) -> Any:

@@ -5,7 +5,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
@@ -23,6 +22,7 @@ from strandline.models.protocol import DrawsFields, ForwardModel, declared_condi
 from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import systematic_indices
 from strandline.posterior.importance import reliability_threshold
+from strandline.questions.knowledge import require
 from strandline.report.explore import (
     BAND_DRAWS,
     DRAWS,
@@ -41,7 +41,7 @@ from strandline.report.explore import (
 from strandline.runs import Ledger
 from strandline.runs.overview import Overview
 from strandline.studies.first_run import observations_of
-from strandline.studies.folder import REFINEMENT, STUDY, SUMMARY, digest_of
+from strandline.studies.folder import REFINEMENT, STUDY, SUMMARY, digest_of, read_json
 from strandline.studies.pictures.shown import picture_behind
 from strandline.studies.progress import progress_as_planned
 from strandline.studies.study import Study
@@ -61,12 +61,10 @@ class ViewedStudy:
 
     @cached_property
     def feed(self) -> RunsFeed:
-        """The runs in the study's ledger."""
         return RunsFeed(self.study.ledger_path, self.study.space.names)
 
     @cached_property
     def newest(self) -> PosteriorFeed:
-        """The posterior now, and how it took shape."""
         return PosteriorFeed(self.study)
 
     @property
@@ -109,9 +107,8 @@ class ViewedStudy:
 
     @property
     def state(self) -> dict[str, Any]:
-        """How far the study has got."""
         progress = progress_as_planned(self.study)
-        summary = _read(self.study.folder / SUMMARY) if progress.results == "current" else {}
+        summary = read_json(self.study.folder / SUMMARY) if progress.results == "current" else {}
         return {
             **progress.as_dict(),
             "version": self.feed.version,
@@ -161,10 +158,7 @@ class ViewedStudy:
         with Ledger.open(self.study.ledger_path, model=None, read_only=True) as ledger:
             record = ledger.latest([key]).get(key)
         return {
-            name: {
-                "line": outline(one),
-                "offsets": None if name not in observed else offsets_um(observed[name], one),
-            }
+            name: {"line": outline(one), "offsets": None if name not in observed else offsets_um(observed[name], one)}
             for name, one in ({} if record is None else record.interfaces).items()
         }
 
@@ -199,12 +193,12 @@ class ViewedStudy:
             InvalidInput: An input is missing or outside its box, or there is no surrogate yet.
         """
         shown = self.newest.shown
-        if shown.now is None or shown.now.knowledge is None:
+        knowledge = None if shown.now is None else shown.now.knowledge
+        if knowledge is None:
             why = shown.why_none if shown.now is None else shown.now.why_not
             remedy = "Make more runs." if shown.source == "stored" else "Wait for more runs."
             raise InvalidInput("prediction", value=why, expected="a good surrogate of the interface", remedy=remedy)
         x = self._inputs(given)
-        knowledge = shown.now.knowledge
         chance = float(np.exp(knowledge.log_feasibility(x[None])[0]))
         return {"conditions": _predicted(knowledge, x, observations_of(self.study)), "success": chance}
 
@@ -253,18 +247,9 @@ class ViewedStudy:
             InvalidInput: An input is missing or outside its box, or the model has no fields.
             ForwardModelError: The run failed.
         """
-        if not isinstance(self.study.model, DrawsFields):
-            raise InvalidInput(
-                "flow",
-                value=type(self.study.model).__name__,
-                expected="a model that offers its fields",
-                remedy="Use the other panels.",
-            )
-        known = declared_conditions(self.study.model)
-        if condition and condition not in known:
-            raise InvalidInput(
-                "condition", value=condition, expected=f"one of {', '.join(known)}", remedy="Choose one."
-            )
+        words, known = "a model that offers its fields", declared_conditions(self.study.model)
+        require(isinstance(self.study.model, DrawsFields), "flow", type(self.study.model).__name__, words)
+        require(not condition or condition in known, "condition", condition, f"one of {', '.join(known)}")
         inputs = {**self.study.fixed, **self.study.space.as_mapping(self._inputs(given))}
         return _flow_on_grid(self.study.model, inputs, condition)
 
@@ -279,14 +264,6 @@ def _bands(now: Baseline) -> dict[str, dict[str, Any]]:
         return {}
     chosen = np.random.default_rng(0).choice(len(now.draws), BAND_DRAWS, p=np.exp(now.log_weights))
     return predictive_band(by_field(now.knowledge.surrogate), now.mean, now.draws[chosen])
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}
 
 
 def _predicted(
@@ -337,6 +314,5 @@ def _flow_on_grid(model: ForwardModel, inputs: Mapping[str, float], condition: s
 def _on_grid(
     points: Float[np.ndarray, "point 2"], triangles: Any, values: Float[np.ndarray, " point"], grid: Sequence[Any]
 ) -> list[list[float | None]]:
-    """Return nodal values interpolated at the grid's points, row by row."""
     found = LinearTriInterpolator(Triangulation(points[:, 0], points[:, 1], triangles), values)(*grid)
     return [rounded(row, DIGITS) for row in found.filled(np.nan)]

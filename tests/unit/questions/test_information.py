@@ -8,7 +8,7 @@ import strandline as sl
 from strandline.posterior import Weighted
 from strandline.questions import information as discrimination
 from strandline.questions.identifiability import directions_left, in_words, scale_of
-from strandline.questions.information import CLEAR, expected_discrimination, expected_gain, linear_gain, linear_sd
+from strandline.questions.information import CLEAR, expected_discrimination, expected_gain, linear_outlook
 from strandline.questions.observing import signals_of
 
 
@@ -38,8 +38,9 @@ def test_a_linear_experiment_with_correlated_inputs_has_the_closed_form():
     now, covariance = Weighted(now.draws @ root.T, now.weights), root @ root.T
     slopes = np.array([[2.0, 0.0, 1.0], [0.0, 1.0, -1.0]])
     found, information = gain(now, now.draws @ slopes, 2), [slopes @ slopes.T]
-    assert found.nats == pytest.approx(linear_gain(covariance, information), abs=0.03)
-    np.testing.assert_allclose(found.sd, linear_sd(covariance, information), rtol=0.03)
+    linear = linear_outlook(covariance, information, interest=[0, 1])
+    assert found.nats == pytest.approx(linear.gain, abs=0.03)
+    np.testing.assert_allclose(found.sd, linear.sd, rtol=0.03)
 
 
 def test_a_bent_signal_against_quadrature():

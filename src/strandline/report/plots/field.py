@@ -146,7 +146,6 @@ def plot_profile(
 
 
 def _norm(values: Float[np.ndarray, "x y"], kind: Kind) -> Normalize:
-    """Return the map from values to colours."""
     top = float(values.max())
     if kind == "likelihood":
         return Normalize(0.0, 1.0)

@@ -122,7 +122,6 @@ def _triangle(
 
 
 def _density(ax: Axes, posterior: Posterior, name: str, *, prior: bool, truth: Mapping[str, float] | None) -> None:
-    """Draw the density of one input."""
     parameter, values = posterior.space[name], posterior.columns([name])
     shown = axis_limits(posterior, name)
     grid = np.linspace(*shown, 301)

@@ -85,7 +85,6 @@ def plot_failed_runs(
 
 
 def _order(posterior: Posterior) -> tuple[str, ...]:
-    """Return the calibrated inputs, the density, the nuisance inputs."""
     nuisance = tuple(p.name for p in posterior.space if p.nuisance)
     return (*(name for name in posterior.space.names if name not in nuisance), DENSITY, *nuisance)
 

@@ -55,7 +55,6 @@ def off_smooth(edge: Edge) -> Float[np.ndarray, " point"]:
 
 
 def _whole(ax: Axes, picture: Picture, path: Float[np.ndarray, "click 2"], edge: Edge, grey: Any) -> None:
-    """Draw the picture around the edge."""
     ax.imshow(picture.values, **grey)
     ax.plot(*edge.points.T, color=style.GREEN, linewidth=0.7, label="edge")
     ax.plot(*path.T, color=style.RED, marker="+", markersize=4, linestyle="none", label="first path")
@@ -87,7 +86,6 @@ def _near(ax: Axes, whole: Axes, picture: Picture, edge: Edge, grey: Any) -> Non
 
 
 def _strip(ax: Axes, picture: Picture, edge: Edge, grey: Any) -> None:
-    """Draw the grey values along the normals of the smooth path."""
     unit = style.TO_MICROMETRES * min(picture.pixel)
     places, number = unit * edge.strip.places, len(edge.kept)
     ax.imshow(edge.strip.samples.T, extent=(0, number, places[-1], places[0]), aspect="auto", **grey)
@@ -99,7 +97,6 @@ def _strip(ax: Axes, picture: Picture, edge: Edge, grey: Any) -> None:
 
 
 def _residual(ax: Axes, edge: Edge) -> None:
-    """Draw the edge minus the smoothed edge."""
     band = 2 * style.TO_MICROMETRES * edge.errors.sd
     values = style.TO_MICROMETRES * off_smooth(edge)
     arc, gaps = edge.arc - edge.arc[0], np.flatnonzero(np.diff(np.flatnonzero(edge.kept)) > 1) + 1
