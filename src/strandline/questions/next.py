@@ -15,7 +15,7 @@ from strandline.errors import InvalidStudy
 from strandline.interface import UnknownErrors
 from strandline.numerics.threads import one_thread, use_double
 from strandline.questions.answer import TO_MICROMETRES, Answer, Part, Symbol, Table, digits, facts_of
-from strandline.questions.identifiability import in_words
+from strandline.questions.information import in_words
 from strandline.questions.knowledge import require, require_seed
 from strandline.questions.next_from_posterior import answers_from_posterior
 from strandline.questions.next_from_prior import answers_from_prior

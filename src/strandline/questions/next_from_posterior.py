@@ -17,22 +17,24 @@ from strandline.errors import NoCommonPoints
 from strandline.interface import Interface
 from strandline.models.protocol import declared_conditions, undeformed_interface
 from strandline.posterior import Weighted, systematic_indices
-from strandline.questions.forecast import (
+from strandline.questions.information import Direction, directions_of, expected_outlook, scale_of
+from strandline.questions.knowledge import field_knowledge, runs_to_learn_from
+from strandline.questions.next_runs import Answers, CandidateAnswer, PointRuns, Runs, problem_of, runs_at
+from strandline.questions.observing import (
     Fails,
     Fields,
+    Nodes,
+    Observing,
+    View,
     crossing_share,
     field_of,
+    focused,
     learn_failure_by_size,
     slopes_of_field,
     slopes_of_points,
     transfer,
     with_known,
 )
-from strandline.questions.identifiability import Direction, directions_of, scale_of
-from strandline.questions.information import expected_outlook
-from strandline.questions.knowledge import field_knowledge, runs_to_learn_from
-from strandline.questions.next_runs import Answers, CandidateAnswer, PointRuns, Runs, problem_of, runs_at
-from strandline.questions.observing import Nodes, Observing, View, focused
 from strandline.runs import Executor, RunRecord
 from strandline.studies.check import finished_posterior
 from strandline.studies.study import Study

@@ -17,8 +17,7 @@ from strandline.errors import InvalidInput, TooFewRuns
 from strandline.interface import Interface
 from strandline.models.protocol import undeformed_interface
 from strandline.posterior import Weighted
-from strandline.questions.identifiability import directions_left, scale_of
-from strandline.questions.information import linear_outlook
+from strandline.questions.information import directions_left, linear_outlook, scale_of
 from strandline.questions.next_runs import Answers, CandidateAnswer, PointRuns, problem_of, runs_at
 from strandline.questions.observing import Observing, View, focused
 from strandline.runs import Executor, RunRecord

@@ -15,8 +15,7 @@ from strandline.errors import InvalidInput
 from strandline.models.fidelities import WithCheaper
 from strandline.models.protocol import with_sensitivities
 from strandline.posterior import Weighted
-from strandline.questions.identifiability import Direction
-from strandline.questions.information import Outlook
+from strandline.questions.information import Direction, Outlook
 from strandline.runs import Executor, Ledger, RunRecord, run_campaign, run_key
 from strandline.studies.folder import NEXT_LEDGER
 from strandline.studies.study import Study

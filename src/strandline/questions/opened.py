@@ -15,12 +15,11 @@ from strandline.interface import Interface, Noise, Observation, PointErrors, Unk
 from strandline.numerics.threads import one_thread, use_double
 from strandline.parameters import ParameterSpace
 from strandline.questions.answer import LineFile
-from strandline.questions.certificate import Certified
 from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require, require_seed
 from strandline.questions.many import Task
 from strandline.questions.specimen import SpecimenPosterior, posterior_of
 from strandline.questions.specimen_files import SpecimenFiles, require_one_condition, specimen_files
-from strandline.questions.start import Start
+from strandline.questions.start import Certified, Start
 from strandline.runs import Ledger, RunRecord
 from strandline.studies.folder import SPECIMENS_LEDGER, SPECIMENS_LINES
 from strandline.studies.observed import require_plausible

@@ -35,8 +35,7 @@ from strandline.likelihood.local_likelihood import Nearby
 from strandline.likelihood.parabolas import log_gain
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted, systematic_indices
-from strandline.questions.certificate import Certified, certify
-from strandline.questions.start import Start
+from strandline.questions.start import Certified, Start, certify
 from strandline.surrogate.field import FieldPrediction
 from strandline.text import with_sd
 

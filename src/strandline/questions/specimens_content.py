@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.questions.answer import Answer, Part, Symbol, Table, digits, facts_of, label_and_unit
-from strandline.questions.certificate import TOLERATED_SHIFT
 from strandline.questions.many import RefusedSpecimen
 from strandline.questions.opened import Specimens
 from strandline.questions.population import FEWEST_SPECIMENS, Population, Shrunk
 from strandline.questions.specimen import SpecimenPosterior
+from strandline.questions.start import TOLERATED_SHIFT
 from strandline.studies.folder import whole_file
 from strandline.text import with_sd
 

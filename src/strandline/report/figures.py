@@ -19,7 +19,7 @@ from strandline.posterior.quadrature import QuadratureResult, mixture
 from strandline.report import plots
 from strandline.report.figure_files import Captioned
 from strandline.report.html import number
-from strandline.report.plots.surfaces import plot_surfaces
+from strandline.report.plots.picture import plot_surfaces
 from strandline.report.surrogate_figures import field_figures, likelihood_figures, surrogate_figures
 
 BEST = "best run"

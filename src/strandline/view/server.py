@@ -1,21 +1,39 @@
-"""The web server of the page: it answers on the loopback address, to whoever has the token."""
+"""The web server of the page: it answers on the loopback address, to whoever has the token.
+
+A server on the loopback address is within reach of every web page that the user opens, and of every user of the
+machine. A page whose domain points to this address (DNS rebinding) is recognised by its `Host`; other users do not know
+the token.
+"""
 
 import asyncio
 import atexit
+import hmac
 import html
+import ipaddress
+import json
 import os
+import secrets
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
-from strandline.errors import InvalidInput
+from strandline.errors import InvalidInput, StrandlineError
+from strandline.questions.knowledge import require
+from strandline.report import PANELS, template
+from strandline.studies.pictures.shown import picture_png
 from strandline.studies.study import Study
+from strandline.view.assumptions import asked_by, save_as
+from strandline.view.session import PATIENCE, Session
 from strandline.view.viewed import ViewedStudy
 
 try:
     from tornado.httpserver import HTTPServer
+    from tornado.iostream import StreamClosedError
+    from tornado.web import Application, RequestHandler, StaticFileHandler
 except ImportError as error:
     raise InvalidInput(
         "strandline view",
@@ -24,8 +42,233 @@ except ImportError as error:
         remedy="Install them: pip install 'strandline[view]'",
     ) from error
 
-from strandline.view.requests import Access, application  # after the check: it imports tornado too
-from strandline.view.session import PATIENCE, Session
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; "
+    "img-src 'self' data: blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self' "
+    "http://localhost:* http://127.0.0.1:*",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+"""Headers of every answer: nothing is loaded from elsewhere, or kept."""
+ERRORS = {
+    403: "there is no such page",
+    404: "there is no such page",
+    405: "such requests are not answered",
+    413: "the request is too long",
+}
+PAGE = Path(__file__).parent / "page"
+
+
+@dataclass(frozen=True)
+class Access:
+    """Lets requests in, or refuses them; each address must contain the token."""
+
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
+
+    def refusal(self, host: str, origin: str | None, token: str) -> str:
+        """Return why a request is refused, by its headers `Host` and `Origin` and the token in its address; empty if it
+        is not.
+        """
+        if not _is_loopback(host):
+            return "this page is called by localhost or 127.0.0.1 only"
+        if origin is not None and origin.partition("//")[2] != host:
+            return "other web pages may not ask"
+        if not hmac.compare_digest(token.encode(), self.token.encode()):
+            return "this page needs the whole address that strandline view printed"
+        return ""
+
+
+def _is_loopback(host: str) -> bool:
+    """Return whether the name in a header `Host`, which may have a port, is that of this machine."""
+    host = host.strip().lower()
+    name = host[1:].partition("]")[0] if host.startswith("[") else host.partition(":")[0]
+    try:
+        return ipaddress.ip_address(name).is_loopback
+    except ValueError:
+        return name.rstrip(".") == "localhost"
+
+
+class _Guarded(RequestHandler):
+    """A request that is answered only to whoever has the token."""
+
+    def initialize(self, session: Session, access: Access) -> None:
+        self.session, self.access = session, access
+
+    def set_default_headers(self) -> None:
+        for name, value in HEADERS.items():
+            self.set_header(name, value)
+        self.clear_header("Server")
+
+    def prepare(self) -> None:
+        """Refuse a request from another host or page, or without the page's token."""
+        request = self.request
+        token = request.path.split("/")[1]
+        why = self.access.refusal(request.host, request.headers.get("Origin"), token)
+        if why:
+            self.set_status(403)
+            self.finish({"error": why})
+
+    def write_error(self, status_code: int, **given: Any) -> None:
+        """Answer an error in words, without a traceback."""
+        self.finish({"error": ERRORS.get(status_code, "the page has a fault; see the terminal of `strandline view`")})
+
+    async def reply(self, task: Callable[[], Awaitable[Any]]) -> None:
+        """Send the result of a task, or why there is none."""
+        try:
+            found = await task()
+        except StrandlineError as error:
+            self.set_status(400)
+            found = {"error": str(error)}
+        if found is None:
+            self.set_status(404)
+            found = {"error": "there is no such run"}
+        self.set_header("Content-Type", "application/json")
+        self.finish(json.dumps(found, allow_nan=False, separators=(",", ":")))
+
+    def body(self) -> dict[str, Any]:
+        """Return what was sent; refuse what is no JSON object."""
+        try:
+            found = json.loads(self.request.body or b"{}")
+        except ValueError:
+            found = None
+        require(isinstance(found, dict), "request", "no JSON object", "one", "Use the page.")
+        return dict(found)
+
+
+class _Missing(_Guarded):
+    """Any other path."""
+
+    def prepare(self) -> None:
+        super().prepare()
+        if not self._finished:
+            self.send_error(404)
+
+
+class _Page(_Guarded):
+    """The page itself; what it asks for lies below its own address, so that all requests carry the token."""
+
+    def get(self) -> None:
+        self.set_header("Content-Type", "text/html; charset=utf-8")
+        self.finish(template("index.html.j2", package="strandline.view").render())
+
+
+class _WithoutSlash(_Guarded):
+    """The address of the page without its last slash."""
+
+    def get(self) -> None:
+        self.redirect(f"{self.request.path}/")
+
+
+class _Static(_Guarded, StaticFileHandler):
+    def initialize(self, path: str, **shared: Any) -> None:  # type: ignore[override]
+        _Guarded.initialize(self, **shared)
+        StaticFileHandler.initialize(self, path)
+
+
+class _Ask(_Guarded):
+    """Questions to the study, by name."""
+
+    async def get(self, name: str) -> None:
+        """Answer a question that only reads."""
+        session, viewed = self.session, self.session.viewed
+        tasks: dict[str, Callable[[], Awaitable[Any]]] = {
+            "study": lambda: session.answer(lambda: viewed.facts),
+            "state": lambda: session.answer(lambda: session.state),
+            "runs": lambda: session.runs_since(self._integer("since")),
+            "run": lambda: session.read(lambda: viewed.run(self._integer("row"))),
+            "posterior": lambda: session.answer(lambda: viewed.posterior),
+        }
+        if name not in tasks:
+            self.send_error(404)
+            return
+        await self.reply(tasks[name])
+
+    async def post(self, name: str) -> None:
+        """Answer a question that computes or saves; a solution of the flow does not hold up the others."""
+        viewed = self.session.viewed
+        tasks: dict[str, Callable[[dict[str, Any]], Any]] = {
+            "predict": lambda given: viewed.predict(_part(given, "inputs")),
+            "ask": lambda given: viewed.ask(_part(given, "assumptions"), again=bool(given.get("again"))),
+            "flow": lambda given: viewed.flow(_part(given, "inputs"), str(given.get("condition") or "")),
+            "save": lambda given: _saved(viewed.study, given),
+        }
+        if name not in tasks:
+            self.send_error(404)
+            return
+        work = self.session.solve if name == "flow" else self.session.answer
+        await self.reply(lambda: work(lambda: tasks[name](self.body())))
+
+    def _integer(self, name: str) -> int:
+        text = self.get_query_argument(name, "0")
+        require(text.isdecimal() and len(text) <= 15, name, text[:40], "a whole number", "Use the page.")
+        return int(text)
+
+
+class _Picture(_Guarded):
+    async def get(self) -> None:
+        condition = self.get_query_argument("condition", "")
+        found = await self.session.answer(lambda: picture_png(self.session.viewed.study, condition))
+        if found is None:
+            self.send_error(404)
+            return
+        self.set_header("Content-Type", "image/png")
+        self.set_header("Cache-Control", "private, max-age=3600")
+        self.finish(found)
+
+
+class _Events(_Guarded):
+    """A stream of server-sent events: the state, whenever something is new, until the page or the server closes."""
+
+    async def get(self) -> None:
+        self.set_header("Content-Type", "text/event-stream")
+        session, rings = self.session, -1
+        session.streams += 1
+        try:
+            while not session.closing:
+                new = session.rings if rings < 0 else await session.heard(rings)
+                state = json.dumps(session.state, allow_nan=False)
+                self.write(f"data: {state}\n\n" if new != rings else ": alive\n\n")
+                rings = new
+                await self.flush()
+        except (StreamClosedError, asyncio.CancelledError):
+            return  # cancelled when the server stops: Tornado would complain that it cannot send an error any more
+        finally:
+            session.streams -= 1
+
+
+def _part(given: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return a part of a request, a JSON object; empty if it is missing."""
+    found = given.get(name)
+    require(found is None or isinstance(found, dict), name, found, "a JSON object", "Use the page.")
+    return found or {}
+
+
+def _saved(study: Study, given: dict[str, Any]) -> dict[str, Any]:
+    """Write a new study with the assumptions that were sent."""
+    folder = save_as(study, str(given.get("name") or ""), asked_by(_part(given, "assumptions"), study))
+    return {"folder": str(folder), "command": f"strandline run {folder}"}
+
+
+def application(session: Session, access: Access) -> Application:
+    """Return the web application."""
+    shared = {"session": session, "access": access}
+    return Application(
+        [
+            (r"/[^/]+/", _Page, shared),
+            (r"/[^/]+", _WithoutSlash, shared),
+            (r"/[^/]+/api/picture", _Picture, shared),
+            (r"/[^/]+/api/([a-z]+)", _Ask, shared),
+            (r"/[^/]+/events", _Events, shared),
+            (r"/[^/]+/page/(.*)", _Static, {**shared, "path": str(PAGE)}),
+            (r"/[^/]+/panels/(.*)", _Static, {**shared, "path": str(PANELS)}),
+        ],
+        default_handler_class=_Missing,
+        default_handler_args=shared,
+        log_function=lambda handler: None,
+    )
+
 
 LARGEST_BODY = 1 << 20
 ADDRESS = "127.0.0.1"

@@ -7,8 +7,15 @@ from scipy.stats import multivariate_normal, norm, qmc
 import strandline as sl
 from strandline.posterior import Weighted
 from strandline.questions import information as discrimination
-from strandline.questions.identifiability import directions_left, in_words, scale_of
-from strandline.questions.information import CLEAR, expected_discrimination, expected_gain, linear_outlook
+from strandline.questions.information import (
+    CLEAR,
+    directions_left,
+    expected_discrimination,
+    expected_gain,
+    in_words,
+    linear_outlook,
+    scale_of,
+)
 from strandline.questions.observing import signals_of
 
 

@@ -10,8 +10,7 @@ from strandline.design import sobol
 from strandline.design.candidates import Look, candidates
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, PointErrors
-from strandline.questions.forecast import crossing_share, learn_failure_by_size, transfer
-from strandline.questions.observing import Observing, View, focused
+from strandline.questions.observing import Observing, View, crossing_share, focused, learn_failure_by_size, transfer
 from strandline.surrogate.field import FieldTraining, fit_field
 
 X = np.linspace(0.0, 2.0, 41)

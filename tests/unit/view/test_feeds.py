@@ -12,7 +12,7 @@ from strandline.report.explore import rounded
 from strandline.runs import Ledger, RunRecord, RunRequest
 from strandline.runs.overview import Overview
 from strandline.view.feeds import RunsFeed
-from strandline.view.requests import Access
+from strandline.view.server import Access
 
 LINE = Interface.polyline(np.arange(8.0).reshape(4, 2))
 ACCESS = Access("secret-of-sixteen-letters")

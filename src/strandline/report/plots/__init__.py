@@ -4,26 +4,23 @@ True values are by name; `names` are inputs, by default all.
 """
 
 from strandline.report.plots.answers import (
+    OffsetBand,
     plot_alternatives,
+    plot_averaged,
     plot_candidates,
     plot_caterpillar,
+    plot_check,
     plot_directions,
     plot_intervals,
+    plot_model_marginals,
+    plot_offsets,
     plot_population,
+    plot_predictions,
     plot_rank_band,
     plot_rank_bands,
 )
-from strandline.report.plots.comparison import (
-    OffsetBand,
-    plot_averaged,
-    plot_check,
-    plot_model_marginals,
-    plot_offsets,
-    plot_predictions,
-)
 from strandline.report.plots.field import FieldGrid, plot_field, plot_profile, three_measures
 from strandline.report.plots.flow import plot_flow
-from strandline.report.plots.history import plot_run_history, plot_tempering
 from strandline.report.plots.interfaces import (
     ResidualsAlong,
     plot_conditions,
@@ -31,12 +28,25 @@ from strandline.report.plots.interfaces import (
     plot_residuals,
     plot_run_offsets,
 )
-from strandline.report.plots.joint import plot_hexagons, plot_joint, plot_particles
-from strandline.report.plots.marginals import Curve, plot_marginal, plot_marginals
+from strandline.report.plots.joint import (
+    Curve,
+    plot_hexagons,
+    plot_joint,
+    plot_marginal,
+    plot_marginals,
+    plot_particles,
+)
 from strandline.report.plots.pairs import plot_corner, plot_pairs
 from strandline.report.plots.parallel import plot_failed_runs, plot_parallel
 from strandline.report.plots.style import mark_doubt
-from strandline.report.plots.surrogate import ErrorsAlong, plot_field_error, plot_leave_one_out, plot_sensitivity
+from strandline.report.plots.surrogate import (
+    ErrorsAlong,
+    plot_field_error,
+    plot_leave_one_out,
+    plot_run_history,
+    plot_sensitivity,
+    plot_tempering,
+)
 
 __all__ = [
     "Curve", "ErrorsAlong", "FieldGrid", "OffsetBand", "ResidualsAlong", "mark_doubt",

@@ -13,8 +13,15 @@ from matplotlib.ticker import MaxNLocator
 from strandline.errors import InvalidInput, NumericsError
 from strandline.posterior import KernelDensity, Posterior
 from strandline.report.plots import style
-from strandline.report.plots.joint import plot_hexagons, plot_particles, thinned
-from strandline.report.plots.marginals import axis_limits, draw_marginal, plot_marginal, plot_marginals
+from strandline.report.plots.joint import (
+    axis_limits,
+    draw_marginal,
+    plot_hexagons,
+    plot_marginal,
+    plot_marginals,
+    plot_particles,
+    thinned,
+)
 from strandline.report.plots.style import figure_or_new, labelled, legend_under, mark, styled
 
 MASSES = (0.68, 0.95)

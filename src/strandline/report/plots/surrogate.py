@@ -1,4 +1,4 @@
-"""How good a surrogate is: predictions of runs left out, errors along the interface; and what its inputs explain."""
+"""How good a surrogate is, what its inputs explain, and how a posterior took shape: with more runs, in the sampler."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,11 +8,22 @@ import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from strandline.posterior import SobolIndices
 from strandline.report.plots import style
-from strandline.report.plots.style import axes_or_new, below, figure_of, legend_under, styled
+from strandline.report.plots.style import (
+    axes_or_new,
+    below,
+    figure_of,
+    figure_or_new,
+    labelled,
+    legend_under,
+    panel_grid,
+    styled,
+)
 
 
 def plot_leave_one_out(
@@ -121,3 +132,72 @@ def plot_sensitivity(indices: SobolIndices, names: Sequence[str], *, ax: Axes | 
         ax.invert_yaxis()
         below(ax, columns=2, borderaxespad=1.4)
     return ax
+
+
+Series = Sequence[float] | Float[np.ndarray, " step"]
+
+
+def plot_run_history(
+    runs: Float[np.ndarray, " step"],
+    mean: Float[np.ndarray, "step dim"],
+    sd: Float[np.ndarray, "step dim"],
+    labels: Sequence[str],
+    *,
+    checked: Bool[np.ndarray, " step"],
+    truth: Sequence[float] | None = None,
+    figure: Figure | SubFigure | None = None,
+) -> Figure | SubFigure:
+    """Draw the mean and a band of one standard deviation of each input against the number of runs.
+
+    `labels` of the inputs have units; `checked` tells which posteriors were computed with the runs of a check as well.
+    """
+    with styled():
+        figure, panels = panel_grid(figure, len(labels), 2.0, columns=4, sharex=True)
+        for k, (ax, label) in enumerate(zip(panels, labels, strict=True)):
+            low, middle, high = mean[:, k] - sd[:, k], mean[:, k], mean[:, k] + sd[:, k]
+            ax.fill_between(runs, low, high, color=style.SKY, alpha=0.5, linewidth=0, label="± 1 sd")
+            ax.plot(runs, middle, "o-", color=style.BLUE, markersize=3, label="mean")
+            if checked.any():
+                ax.plot(runs[checked], middle[checked], "s", color=style.RED, markersize=5, label="after a check")
+            if truth is not None:
+                ax.axhline(truth[k], color=style.GREEN, linestyle="--", linewidth=1.2, label="truth")
+            ax.set(xlabel="runs", ylabel=label)
+            ax.xaxis.set_major_locator(MaxNLocator(5, integer=True))
+            ax.axhline(middle[-1], color=style.BLACK, linewidth=0.4)
+        legend_under(figure, labelled(panels[0]))
+    return figure
+
+
+def plot_tempering(
+    exponent: Series,
+    ess: Series,
+    acceptance: Series,
+    *,
+    particles: int | None = None,
+    figure: Figure | SubFigure | None = None,
+) -> Figure | SubFigure:
+    """Draw the sampler's tempering steps in three panels with a common x axis.
+
+    The exponent of the likelihood, the effective sample size and the share of accepted moves are those after each step.
+    A line marks half the number of particles, below which the sampler resamples.
+    """
+    with styled():
+        figure = figure_or_new(figure, (style.SINGLE, 3.8))
+        panels = figure.subplots(3, 1, sharex=True)
+        for ax, values, colour, label, limits in zip(
+            panels,
+            (exponent, ess, acceptance),
+            (style.BLUE, style.GREEN, style.RED),
+            ("tempering\nexponent", "effective\nsample size", "acceptance"),
+            ((0, 1.05), (0, None), (0, 1)),
+            strict=True,
+        ):
+            ax.plot(np.arange(1, len(values) + 1), values, ".-", color=colour, markersize=4)
+            ax.set(ylabel=label, ylim=limits)
+        if particles is not None:
+            panels[1].axhline(particles / 2, color=style.GREY, linestyle=":", label="resampling below")
+            panels[1].legend(loc="lower right")
+        panels[2].set_xlabel("tempering step")
+        panels[2].xaxis.set_major_locator(MaxNLocator(integer=True))
+        figure.align_ylabels(panels)
+    return figure

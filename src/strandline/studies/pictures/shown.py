@@ -17,9 +17,8 @@ from strandline.imaging import FrameErrors
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood.compared import adapted
 from strandline.report.click_page import write_click_page
-from strandline.report.plots.picture import plot_picture
+from strandline.report.plots.picture import plot_picture, plot_stack
 from strandline.report.plots.style import DOTS_PER_INCH
-from strandline.report.plots.surfaces import plot_stack
 from strandline.studies.folder import require_writable, told_if_unwritable, whole_file, write_json
 from strandline.studies.keys.observation import ImageFile
 from strandline.studies.parse import in_words, refused_at

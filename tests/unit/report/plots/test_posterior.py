@@ -12,7 +12,7 @@ from strandline.parameters import Parameter, ParameterSpace
 from strandline.posterior import GaussianApproximation, Posterior, histogram, laplace
 from strandline.priors import LogNormal, ScaledBeta, Uniform
 from strandline.report import plots
-from strandline.report.plots.marginals import axis_limits
+from strandline.report.plots.joint import axis_limits
 from strandline.report.plots.pairs import PosteriorPlots
 from strandline.report.plots.parallel import DENSITY, _order
 
