@@ -91,21 +91,19 @@ def _apart(one: Interface, other: Interface) -> float:
 
 
 def _require_same_measure(both: str, first: Study, other: Study) -> None:
-    one, two = (_measure(study) for study in (first, other))
+    seen = [study.observations(observations_of(study)) for study in (first, other)]
+    studies = zip((first, other), seen, strict=True)
+    one, two = (in_words(adapted(study.measure, some[0]) if some else study.measure) for study, some in studies)
     if one != two:
         _refuse(f"{both}: the measures differ", f"{one} and {two}", "the same measure first under discrepancy")
-
-
-def _measure(study: Study) -> str:
-    measure = study.measure
-    seen = study.observations(observations_of(study))
-    return str(in_words(adapted(measure, seen[0]) if seen else measure))
 
 
 def _require_same_noise(both: str, first: Study, other: Study) -> None:
     for name in observations_of(first):
         one, two = (_stated(study.noise_of(name)) for study in (first, other))
-        if one == two or one == _turned(two):
+        shares = two.get("shares")
+        turned = {**two, "shares": shares[::-1]} if isinstance(shares, tuple) else two
+        if one in (two, turned):
             continue
         of = f" of {_condition(name)}" if name else ""
         different = [key for key in one if one[key] != two.get(key)] or ["its kind"]
@@ -119,12 +117,6 @@ def _stated(noise: Noise | PointErrors | UnknownErrors) -> dict[str, object]:
     if isinstance(noise, PointErrors | UnknownErrors):
         return {"kind": "points", **{key: getattr(noise, key, DEFAULTS.get(key)) for key in OF_POINTS}}
     return {"kind": type(noise).__qualname__, **noise.facts}
-
-
-def _turned(stated: dict[str, object]) -> dict[str, object]:
-    """Return what is stated for the points in the other direction."""
-    shares = stated.get("shares")
-    return {**stated, "shares": shares[::-1]} if isinstance(shares, tuple) else stated
 
 
 def _require_known_range(name: str, study: Study) -> None:

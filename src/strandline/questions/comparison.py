@@ -107,12 +107,11 @@ def describe_comparison(
             }
             for seen in first.knowledge.likelihood.observations
         ],
-        "separate": [_separation(shown, one) for shown, one in sorted(separate, key=_worth)],
+        "separate": [
+            _separation(shown, one)
+            for shown, one in sorted(separate, key=lambda pair: math.inf if pair[1] is None else -pair[1].nats)
+        ],
     }
-
-
-def _worth(item: tuple[CandidateSignals, Discrimination | None]) -> float:
-    return math.inf if item[1] is None else -item[1].nats
 
 
 def _separation(shown: CandidateSignals, one: Discrimination | None) -> dict[str, Any]:

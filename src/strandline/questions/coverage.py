@@ -61,7 +61,8 @@ def _entry(one: Replicate, key: str) -> dict[str, Any]:
 
 def _replicate(entry: Mapping[str, Any]) -> Replicate:
     names = [field.name for field in fields(Replicate)]
-    return Replicate(**{name: np.array(entry[name], float) if name in ARRAYS else entry[name] for name in names})
+    values: dict[str, Any] = {name: np.array(entry[name], float) if name in ARRAYS else entry[name] for name in names}
+    return Replicate(**values)
 
 
 FEWEST_REPLICATES = 20
@@ -167,18 +168,17 @@ def _require_good(quality: FieldQuality, source: str) -> None:
     )
 
 
-def _stated(one: Noise | PointErrors | UnknownErrors) -> str:
-    """Return all that is stated about a noise."""
-    return repr(one) if isinstance(one, PointErrors | UnknownErrors) else f"{type(one).__qualname__}: {one.facts}"
-
-
 def _key(study: Study, measure: str, seed: int, posterior: Posterior | None) -> str:
     """Return a digest of everything that a replicate depends on, apart from its number."""
+    stated = [
+        repr(one) if isinstance(one, PointErrors | UnknownErrors) else f"{type(one).__qualname__}: {one.facts}"
+        for one in (study.noise, *study.noises.values())
+    ]
     return digest_of(
         study,
         measure,
         seed,
-        noise=[_stated(one) for one in (study.noise, *study.noises.values())],
+        noise=stated,
         conditions=list(study.noises),
         observed={name: points_digest(seen) for name, seen in observations_of(study).items()},
         posterior=None if posterior is None else posterior_digest(posterior),

@@ -32,13 +32,7 @@ MOST_PROCESSES = 8
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A specimen to analyse.
-
-    Args:
-        name: Its name.
-        observations: Its outline with its noise.
-        given: Its known inputs by name.
-    """
+    """A specimen to analyse: its outline with its noise, and its known inputs by name."""
 
     name: str
     observations: tuple[Observation, ...]
@@ -47,12 +41,7 @@ class Task:
 
 @dataclass(frozen=True)
 class RefusedSpecimen:
-    """A specimen that cannot be analysed.
-
-    Args:
-        name: Its name.
-        why: The reason, on one line.
-    """
+    """A specimen that cannot be analysed, and why, on one line."""
 
     name: str
     why: str
@@ -63,12 +52,7 @@ def posteriors_of(
 ) -> Iterator[SpecimenPosterior | RefusedSpecimen]:
     """Yield the posterior of each specimen as it is finished; no forward run is made.
 
-    Args:
-        begin: Surrogate of the interface.
-        measure: The measure d².
-        tasks: The specimens.
-        seed: Seed of all random numbers.
-        processes: Processes that share them; by default one per core, fewer for few specimens.
+    By default, one process per core shares them, fewer for few specimens.
     """
     wanted = processes or min(usable_cores(), len(tasks) // WORTH_HELP, MOST_PROCESSES)
     number = min(wanted, len(tasks))

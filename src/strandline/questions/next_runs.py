@@ -57,11 +57,11 @@ def runs_at(
     """Return the runs at points; a run that next.sqlite holds is not made again.
 
     Each point has the quantities that differ from the study's, and the inputs. If the sensitivities of its run are not
-    `usable`, further runs are made at a distance of `steps` in each input.
+    `usable`, further runs are made at a distance of `steps` in one input each, inside the box.
     """
     plain = study.model.model if isinstance(study.model, WithCheaper) else study.model
     model, identity, counts = _sensitive(plain), study.runs.identity, Counter[str]()
-    beside = [_beside(study, x, steps) for _, x in points]
+    beside = [np.asarray(x + np.diag(np.where(x + steps > study.space.high, -steps, steps))) for _, x in points]
     at_points = [_inputs(study, setting, x) for setting, x in points]
     around = [[_inputs(study, setting, row) for row in rows] for (setting, _), rows in zip(points, beside, strict=True)]
 
@@ -88,11 +88,6 @@ def runs_at(
 
 def _inputs(study: Study, setting: Mapping[str, float], x: Float[np.ndarray, " dim"]) -> dict[str, float]:
     return {**study.fixed, **study.space.as_mapping(x), **setting}
-
-
-def _beside(study: Study, x: Float[np.ndarray, " dim"], steps: Float[np.ndarray, " dim"]) -> np.ndarray:
-    """Return points beside x, one step away in one input each, inside the box."""
-    return np.asarray(x + np.diag(np.where(x + steps > study.space.high, -steps, steps)))
 
 
 def _sensitive(model: Any) -> Any:

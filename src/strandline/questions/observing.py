@@ -86,7 +86,7 @@ def focused(
         InvalidInput: Fewer than 3 points in the part, or a part or a number of points on a surface.
     """
     if sd is not None:
-        view = View(view.footprint, _with_sd(view.errors, sd))
+        view = replace(view, errors=replace(view.errors, sd=sd))
     if part == WHOLE and points is None:
         return view
     seen = view.seen(nodes) if along is None else along
@@ -100,10 +100,6 @@ def focused(
     if points is not None:
         return _resampled(view, seen, part, points)
     return _cut(view, seen, part)
-
-
-def _with_sd(errors: Errors, sd: float) -> Errors:
-    return CoordinateErrors(sd) if isinstance(errors, CoordinateErrors) else replace(errors, sd=sd)
 
 
 def _cut(view: View, seen: Interface, part: tuple[float, float]) -> View:

@@ -72,14 +72,9 @@ def _posterior(entry: Mapping[str, Any], space: ParameterSpace) -> SpecimenPoste
 
 @dataclass(frozen=True, eq=False)
 class Specimens:
-    """A study that is ready to analyse outlines, without a forward run.
-
-    Args:
-        study: The study.
-        measure: Name of the measure.
-        seed: Seed of all random numbers.
-        begin: Surrogate of the interface, with draws of the prior.
-        further: Further runs, made for specimens, that it was learnt from too.
+    """A study that is ready to analyse outlines, without a forward run: `begin` is the surrogate of the interface with
+    draws of the prior; it was learnt from `further` runs too, made for specimens. The seed is that of all random
+    numbers.
     """
 
     study: Study
@@ -113,13 +108,10 @@ class Specimens:
         noise: Noise | PointErrors | UnknownErrors | None = None,
         name: str = "specimen",
     ) -> SpecimenPosterior:
-        """Return the posterior of the inputs for one outline.
+        """Return the posterior of the inputs for one outline, mm, with the noise of the study unless another one is
+        given.
 
-        Args:
-            interface: The outline, mm.
-            given: Known inputs by name.
-            noise: Noise of the outline; by default the study's.
-            name: Name of the specimen; with the seed, it decides all random numbers.
+        `given` has known inputs by name. The name of the specimen, with the seed, decides all random numbers.
 
         Raises:
             InvalidInput: The outline cannot be compared, or a known input lies outside its box.
@@ -162,10 +154,7 @@ class Specimens:
 def open_specimens(study: Study, *, seed: int = 1, measure: str | None = None) -> Specimens:
     """Learn the interface from the runs of a finished study, to analyse many outlines with it.
 
-    Args:
-        study: A finished study, from `load_study`.
-        seed: Seed of all random numbers, 0 or above.
-        measure: Name of a measure of the study; its first by default.
+    The measure is the study's first by default; the seed, 0 or above, that of all random numbers.
 
     Raises:
         InvalidInput: An argument is out of its range.

@@ -162,13 +162,9 @@ Values = Float[np.ndarray, " draw"]
 
 @dataclass(frozen=True, eq=False)
 class Population:
-    """Posterior of the mean and the spread of each input in the population.
+    """Posterior of the mean and the spread of each input that is unknown for all specimens, in their population.
 
-    Args:
-        space: The inputs that are unknown for all specimens.
-        mixtures: The likelihood of each specimen.
-        centre: Draws of m, the means before truncation to the box, as shares of the box.
-        width: Draws of s, the standard deviations before truncation, as shares of the box.
+    Draws of both are shares of the box, and those of a normal distribution before it is truncated to the box.
     """
 
     space: ParameterSpace
@@ -196,25 +192,16 @@ class Population:
         return np.asarray(self._range * _cut_moments(self.centre, self.width)[1])
 
     def density(self, d: int, x: Float[np.ndarray, " place"]) -> Float[np.ndarray, "draw place"]:
-        """Return the population's density of an input for each draw, per its unit.
-
-        Args:
-            d: Column of the input.
-            x: Values of the input.
-        """
+        """Return the population's density of the input in column `d` at values of it, for each draw, per its unit."""
         m, s, u = self.centre[:, d, None], self.width[:, d, None], (x - self.space.low[d]) / self._range[d]
         inside = ndtr((1 - m) / s) - ndtr(-m / s)
         return np.asarray(np.exp(-0.5 * ((u - m) / s) ** 2) / (math.sqrt(2 * math.pi) * s * inside * self._range[d]))
 
 
 def population_of(specimens: Sequence[SpecimenPosterior], *, seed: int = 1) -> Population:
-    """Return the posterior of the population from the posteriors of its specimens.
+    """Return the posterior of the population from the posteriors of its specimens, with the same unknown inputs.
 
     It depends on the seed and on the specimens, but not on their order.
-
-    Args:
-        specimens: Posteriors with the same unknown inputs.
-        seed: Seed of all random numbers, 0 or above.
 
     Raises:
         InvalidInput: There are fewer than three specimens, or their unknown inputs differ.
@@ -306,15 +293,11 @@ LEVELS = (0.05, 0.5, 0.95)
 
 @dataclass(frozen=True, eq=False)
 class Shrunk:
-    """All specimens, each with what the others say about it.
+    """All specimens, each with what the others say about it: posterior means given all specimens, their standard
+    deviations, and quantiles of 5, 50 and 95 %.
 
-    Args:
-        names: Names of the specimens.
-        mean: Posterior means given all specimens, shape (specimen, dim).
-        sd: Their standard deviations, shape (specimen, dim).
-        quantiles: Quantiles of 5, 50 and 95 %, shape (specimen, 3, dim).
-        p_values: Probability that a specimen of the others' population lies as far out, shape (specimen,).
-        z: Distance of each specimen from the others' population in standard deviations, shape (specimen, dim).
+    `p_values` are the probabilities that a specimen of the others' population lies as far out; `z` is the distance from
+    that population in standard deviations.
     """
 
     names: tuple[str, ...]
@@ -342,10 +325,7 @@ class Shrunk:
 def shrunk(population: Population, names: tuple[str, ...], *, seed: int = 1) -> Shrunk:
     """Return the posterior of each specimen given all specimens, and how well it fits into the others' population.
 
-    Args:
-        population: Posterior of the population.
-        names: Names of its specimens, sorted.
-        seed: Seed of the draws behind the quantiles.
+    The names are those of the specimens, sorted; the seed is that of the draws behind the quantiles.
     """
     mixtures, random = population.mixtures, np.random.default_rng([seed, len(names), 1])
     number, dim = mixtures.means.shape

@@ -73,17 +73,9 @@ Values = Float[np.ndarray, " point"]
 class SpecimenPosterior:
     """What is known about one specimen, from its own outline alone.
 
-    Args:
-        name: Name of the specimen.
-        given: Its known inputs, by name.
-        space: Its unknown inputs.
-        mean: Posterior means, shape (dim,).
-        covariance: Posterior covariance, shape (dim, dim).
-        quantiles: Quantiles of 5, 50 and 95 %, shape (3, dim).
-        draws: Equally weighted draws with this mean and covariance, shape (draw, dim).
-        effective: Effective sample size.
-        by: How the posterior was sampled.
-        certified: Whether the surrogate is good enough for it.
+    `given` are its known inputs, `space` its unknown ones. Quantiles are those of 5, 50 and 95 %; draws are equally
+    weighted, with this mean and covariance. `effective` is the effective sample size, `by` how it was sampled;
+    `certified` says whether the surrogate is good enough for it.
     """
 
     name: str
@@ -116,14 +108,10 @@ def random_of(seed: int, name: str) -> np.random.Generator:
 def posterior_of(
     begin: Start, observations: tuple[Observation, ...], measure: Discrepancy, *, name: str = "", seed: int = 1
 ) -> SpecimenPosterior:
-    """Return the posterior of one specimen; no forward run is made.
+    """Return the posterior of one specimen from its outline with its noise, one for each condition; no forward run is
+    made.
 
-    Args:
-        begin: Surrogate of the interface, with the known inputs of the specimen.
-        observations: Its outline, with its noise; one for each condition.
-        measure: The measure d².
-        name: Name of the specimen; with the seed, it decides all random numbers.
-        seed: Seed of all random numbers, 0 or above.
+    The name of the specimen, with the seed, 0 or above, decides all random numbers.
     """
     random = random_of(seed, name)
     likelihood = FieldLikelihood(begin.knowledge.surrogate, observations, measure)

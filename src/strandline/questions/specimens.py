@@ -6,6 +6,7 @@ Further runs for specimens have their own ledger, specimens.sqlite: the study's 
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -195,11 +196,9 @@ PATIENCE = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Arrived:
-    """An outline that was analysed.
+    """An outline that was analysed, with its posterior or why it was set aside.
 
-    Args:
-        answer: Its posterior, or why it was set aside.
-        seconds: Time from the completion of its file to the answer, at most one pause between two looks too long.
+    The seconds since its file was complete are at most one pause between two looks too many.
     """
 
     answer: SpecimenPosterior | RefusedSpecimen
@@ -250,7 +249,8 @@ def watch_specimens(
     with lines_of(study).held("strandline specimens", "posteriors"):
         seen = {path: _Seen(_state(path), 0.0, done=True) for path in opened.files.paths}
         found = posteriors_of_files(opened, list(seen))
-        _warm(lambda: opened.posterior(template))
+        with suppress(ValueError):  # for what it compiles and remembers; it may fail
+            opened.posterior(template)
         ready(len(found.posteriors))
         while going_on():
             for path in opened.files.paths:
@@ -281,11 +281,3 @@ def _state(path: Path) -> tuple[int, int]:
     except OSError:  # it has just been removed
         return 0, 0
     return found.st_size, found.st_mtime_ns
-
-
-def _warm(task: Callable[[], object]) -> None:
-    """Do a task for what it compiles and remembers; it may fail."""
-    try:
-        task()
-    except ValueError:
-        return

@@ -12,7 +12,7 @@ from markupsafe import Markup
 
 from strandline.errors import InvalidInput
 from strandline.imaging.clicks import Clicks, as_json
-from strandline.report.html import embedded, script_hash, template, write_page
+from strandline.report.html import embedded, script_hash, template
 
 SCRIPTS = ("marks.js", "view.js", "editing.js", "panel.js")
 TOOLS = (
@@ -102,19 +102,6 @@ def click_page(
             script_hash=Markup(script_hash(script)),
         )
     )
-
-
-def write_click_page(
-    values: Float[np.ndarray, "row column"],
-    target: Path,
-    *,
-    name: str,
-    sha256: str,
-    clicks: Clicks | None = None,
-    pixel_mm: tuple[float, float] | None = None,
-) -> Path:
-    """Write the `click_page` of one picture to `target`, whole or not at all, and return its path."""
-    return write_page(target, click_page(values, name=name, sha256=sha256, clicks=clicks, pixel_mm=pixel_mm))
 
 
 def for_screen(values: Float[np.ndarray, "row column"], *, most_pixels: int = MOST_PIXELS) -> ScreenPicture:

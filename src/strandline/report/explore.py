@@ -4,7 +4,6 @@ import base64
 import gzip
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -140,52 +139,14 @@ def predictive_band(
     return out
 
 
-@dataclass(frozen=True, eq=False)
-class Explore:
-    """What the template of the section needs: data of the panels as JSON, and whether the model offers its fields.
+def explore(
+    calibration: Calibration, truth: Mapping[str, float] | None, pictures: Mapping[str, Mapping[str, Any]] | None = None
+) -> dict[str, Any]:
+    """Return what the template of the section needs: data of the panels, thinned to fit into a page, and scripts.
 
     The page has `runs` `of` all, `ok` of which succeeded; of `outlines` it has the interfaces, None if nothing observed
     is a polyline.
     """
-
-    data: Markup
-    runs: int
-    of: int
-    ok: int
-    outlines: int | None
-    flow: bool
-
-    @property
-    def plotly(self) -> str:
-        """The library that draws, compressed by gzip, as base64."""
-        return base64.b64encode(gzip.compress(PLOTLY.read_bytes(), mtime=0)).decode("ascii")
-
-    @property
-    def licence(self) -> str:
-        return PLOTLY.with_name("plotly.LICENSE.txt").read_text(encoding="utf-8")
-
-    @property
-    def script(self) -> Markup:
-        return Markup(bundled("explore"))
-
-    @property
-    def style(self) -> Markup:
-        return Markup((PANELS / "panels.css").read_text(encoding="utf-8"))
-
-    @property
-    def size(self) -> int:
-        return sum(map(len, (self.data, self.plotly, self.script, self.style)))
-
-    @property
-    def policy(self) -> Markup:
-        """The two scripts as the page's security policy has them."""
-        return Markup(" ".join(f"'{script_hash(one)}'" for one in (PLOTLY.read_text(encoding="utf-8"), self.script)))
-
-
-def explore(
-    calibration: Calibration, truth: Mapping[str, float] | None, pictures: Mapping[str, Mapping[str, Any]] | None = None
-) -> Explore:
-    """Return what the panels show, thinned so that it fits into a page."""
     every, problem = calibration.all_runs, calibration.problem
     observed = {seen.condition: seen.interface for seen in problem.observations if seen.interface.dim == 2}
     order = _best_first(calibration)
@@ -204,14 +165,24 @@ def explore(
         "interfaces": outlines,
         "posterior": _posterior(calibration, observed),
     }
-    return Explore(
-        data=embedded(data),
-        runs=len(rows),
-        of=len(every),
-        ok=sum(every[row].ok for row in rows),
-        outlines=len(outlines) if observed else None,
-        flow=isinstance(problem.model, DrawsFields),
-    )
+    plotly, script = PLOTLY.read_bytes(), bundled("explore")
+    large = {
+        "data": embedded(data),
+        "plotly": base64.b64encode(gzip.compress(plotly, mtime=0)).decode("ascii"),
+        "script": Markup(script),
+        "style": Markup((PANELS / "panels.css").read_text(encoding="utf-8")),
+    }
+    return {
+        **large,
+        "size": sum(map(len, large.values())),
+        "licence": PLOTLY.with_name("plotly.LICENSE.txt").read_text(encoding="utf-8"),
+        "policy": Markup(" ".join(f"'{script_hash(one)}'" for one in (plotly.decode(), script))),
+        "runs": len(rows),
+        "of": len(every),
+        "ok": sum(every[row].ok for row in rows),
+        "outlines": len(outlines) if observed else None,
+        "flow": isinstance(problem.model, DrawsFields),
+    }
 
 
 def _best_first(calibration: Calibration) -> list[int]:

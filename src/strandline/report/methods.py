@@ -70,7 +70,9 @@ def _sentences(s: Mapping[str, Any]) -> Iterator[str]:
         f"ζ = {s['sampler']['zeta']:g}, in {s['sampler']['tempering_steps']} tempering steps."
     )
     yield from _checks(s)
-    yield f"Posterior means and standard deviations are {listed([_result(s['inputs'][name]) for name in calibrated])}."
+    items = [s["inputs"][name] for name in calibrated]
+    found = [f"{item['label']} = {with_sd(item['mean'], item['sd'])}{_unit(item, ' ')}" for item in items]
+    yield f"Posterior means and standard deviations are {listed(found)}."
 
 
 def _prior(item: Mapping[str, Any]) -> str:
@@ -82,10 +84,6 @@ def _prior(item: Mapping[str, Any]) -> str:
 def _unit(item: Mapping[str, Any], before: str) -> str:
     text = unit_text(item["unit"])
     return f"{before}{text}" if text else ""
-
-
-def _result(item: Mapping[str, Any]) -> str:
-    return f"{item['label']} = {with_sd(item['mean'], item['sd'])}{_unit(item, ' ')}"
 
 
 def _likelihood(found: Mapping[str, Any]) -> str:

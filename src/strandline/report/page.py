@@ -10,7 +10,7 @@ import numpy as np
 from strandline.calibration import Calibration
 from strandline.posterior.rank_tests import Band
 from strandline.report import plots
-from strandline.report.explore import Explore, explore
+from strandline.report.explore import explore
 from strandline.report.figure_files import Captioned, fitted, marked, saved, whole_folder
 from strandline.report.figures import figure_groups
 from strandline.report.html import template, write_page
@@ -203,13 +203,13 @@ def write_report(
         failed.append(f"{name} could not be written: {type(error).__name__}: {error}")
         on_failure(name, error)
 
-    section: Explore | None = None
+    section: dict[str, Any] | None = None
     try:
         section = explore(calibration, truth, pictures)
     except Exception as error:
         note("the section Explore", error)
     shown = _all_saved(groups, folder / FIGURES, note, draft=calibration.settings.draft)
-    shown = fitted(shown, MOST_CHARACTERS - TEXT - (section.size if section else 0))
+    shown = fitted(shown, MOST_CHARACTERS - TEXT - (section["size"] if section else 0))
     picture = next((item for item in shown if item["name"] == "check"), None)
     page = template("report.html.j2").render(
         s=_without_bad_comparison({**summary, "warnings": [*failed, *summary["warnings"]]}),

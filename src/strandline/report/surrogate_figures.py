@@ -15,7 +15,6 @@ from strandline.likelihood import evaluated, predicted
 from strandline.posterior import interface_band, normal_offsets, observed_offsets, subset
 from strandline.report import plots
 from strandline.report.figure_files import Captioned
-from strandline.surrogate import LogLikelihoodSurrogate
 from strandline.text import listed
 
 DRAWS = 400
@@ -52,15 +51,11 @@ def likelihood_figures(calibration: Calibration, truth: Mapping[str, float] | No
     if calibration.field is not None:
         return
     deviations = {
-        name.replace("_", " "): _grid(calibration, partial(_deviation, one), truth)
+        name.replace("_", " "): _grid(calibration, lambda x, one=one: np.sqrt(one.process.variance(x)), truth)
         for name, one in calibration.surrogates.items()
     }
     caption = f"Standard deviation of the surrogate, {several}in units of log-likelihood.{crosses}"
     yield Captioned("log_likelihood_sd", "surrogate", caption, plots.three_measures(deviations, kind="sd"))
-
-
-def _deviation(surrogate: LogLikelihoodSurrogate, points: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, " point"]:
-    return np.asarray(np.sqrt(surrogate.process.variance(points)))
 
 
 def _with_detail(grid_on: Callable[[Part], plots.FieldGrid]) -> plots.FieldGrid:

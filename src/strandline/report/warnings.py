@@ -85,7 +85,9 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
     yield from _prior(calibration)
     yield from _sampler(calibration)
     yield from _cut(calibration)
-    yield from _bounds(calibration)
+    yield from _bounds_of(calibration.posterior, "posterior")
+    if (found := calibration.under_uncertainty) is not None:
+        yield from _bounds_of(found.cut.extended, "cut reading", found.cut.names)
     if not calibration.laplace.definite:
         yield (
             "The Hessian of the log-posterior at the MAP is not negative definite, so there is no Laplace "
@@ -317,13 +319,6 @@ def _cut(calibration: Calibration) -> Iterator[str]:
             f"standard deviations by up to {sd_error:.1%}{'' if exact.converged else ', the latter not converged'}. "
             "More particles will help."
         )
-
-
-def _bounds(calibration: Calibration) -> Iterator[str]:
-    yield from _bounds_of(calibration.posterior, "posterior")
-    found = calibration.under_uncertainty
-    if found is not None:
-        yield from _bounds_of(found.cut.extended, "cut reading", found.cut.names)
 
 
 def _bounds_of(posterior: Posterior, called: str, names: Sequence[str] | None = None) -> Iterator[str]:

@@ -153,13 +153,15 @@ class PosteriorFeed:
             except (InvalidStudy, InvalidInput, TooFewRuns, NumericsError) as error:
                 self.shown = replace(self.shown, why_none=f"no posterior yet: {error}")
                 return
-        before = self.shown
+        before, moved = self.shown, None
+        if before.now is not None:  # the largest shift of a mean, in earlier standard deviations
+            moved = float(np.abs((found.mean - before.now.mean) / before.now.sd).max())
         step = {
             "runs": succeeded if found.knowledge is None else found.knowledge.surrogate.runs,
             "source": source,
             "mean": by_name(self.study.space, found.mean),
             "sd": by_name(self.study.space, found.sd),
-            "moved": None if before.now is None else _moved(before.now, found),
+            "moved": moved,
         }
         self.shown = CurrentPosterior(found, _thinned(found), source, before.why_none, (*before.history, step))
 
@@ -189,8 +191,3 @@ def changed_at(path: Path) -> int:
         return path.stat().st_mtime_ns
     except OSError:
         return 0
-
-
-def _moved(before: Baseline, after: Baseline) -> float:
-    """Return the largest shift of a mean, in earlier standard deviations."""
-    return float(np.abs((after.mean - before.mean) / before.sd).max())

@@ -33,7 +33,7 @@ from strandline.view.viewed import ViewedStudy
 try:
     from tornado.httpserver import HTTPServer
     from tornado.iostream import StreamClosedError
-    from tornado.web import Application, RequestHandler, StaticFileHandler
+    from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandler, addslash
 except ImportError as error:
     raise InvalidInput(
         "strandline view",
@@ -104,8 +104,7 @@ class _Guarded(RequestHandler):
     def prepare(self) -> None:
         """Refuse a request from another host or page, or without the page's token."""
         request = self.request
-        token = request.path.split("/")[1]
-        why = self.access.refusal(request.host, request.headers.get("Origin"), token)
+        why = self.access.refusal(request.host, request.headers.get("Origin"), request.path.split("/")[1])
         if why:
             self.set_status(403)
             self.finish({"error": why})
@@ -143,22 +142,16 @@ class _Missing(_Guarded):
     def prepare(self) -> None:
         super().prepare()
         if not self._finished:
-            self.send_error(404)
+            raise HTTPError(404)
 
 
 class _Page(_Guarded):
     """The page itself; what it asks for lies below its own address, so that all requests carry the token."""
 
+    @addslash
     def get(self) -> None:
         self.set_header("Content-Type", "text/html; charset=utf-8")
         self.finish(template("index.html.j2", package="strandline.view").render())
-
-
-class _WithoutSlash(_Guarded):
-    """The address of the page without its last slash."""
-
-    def get(self) -> None:
-        self.redirect(f"{self.request.path}/")
 
 
 class _Static(_Guarded, StaticFileHandler):
@@ -181,8 +174,7 @@ class _Ask(_Guarded):
             "posterior": lambda: session.answer(lambda: viewed.posterior),
         }
         if name not in tasks:
-            self.send_error(404)
-            return
+            raise HTTPError(404)
         await self.reply(tasks[name])
 
     async def post(self, name: str) -> None:
@@ -195,8 +187,7 @@ class _Ask(_Guarded):
             "save": lambda given: _saved(viewed.study, given),
         }
         if name not in tasks:
-            self.send_error(404)
-            return
+            raise HTTPError(404)
         work = self.session.solve if name == "flow" else self.session.answer
         await self.reply(lambda: work(lambda: tasks[name](self.body())))
 
@@ -211,8 +202,7 @@ class _Picture(_Guarded):
         condition = self.get_query_argument("condition", "")
         found = await self.session.answer(lambda: picture_png(self.session.viewed.study, condition))
         if found is None:
-            self.send_error(404)
-            return
+            raise HTTPError(404)
         self.set_header("Content-Type", "image/png")
         self.set_header("Cache-Control", "private, max-age=3600")
         self.finish(found)
@@ -256,8 +246,7 @@ def application(session: Session, access: Access) -> Application:
     shared = {"session": session, "access": access}
     return Application(
         [
-            (r"/[^/]+/", _Page, shared),
-            (r"/[^/]+", _WithoutSlash, shared),
+            (r"/[^/]+/?", _Page, shared),
             (r"/[^/]+/api/picture", _Picture, shared),
             (r"/[^/]+/api/([a-z]+)", _Ask, shared),
             (r"/[^/]+/events", _Events, shared),

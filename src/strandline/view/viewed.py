@@ -2,14 +2,14 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 from urllib.parse import urlencode
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from matplotlib.tri import LinearTriInterpolator, Triangulation
 
 from strandline.calibration.alternative import Baseline
@@ -293,8 +293,12 @@ def _flow_on_grid(model: ForwardModel, inputs: Mapping[str, float], condition: s
     (left, low), (right, high) = fields.points.min(axis=0), fields.points.max(axis=0)
     rows = max(2, round(COLUMNS * (high - low) / (right - left)))
     x, y = np.linspace(left, right, COLUMNS), np.linspace(low, high, rows)
-    grid = np.meshgrid(x, y)
-    fluid, solid = fields.cell_part == 0, fields.cell_part > 0
+    grid, fluid, solid = np.meshgrid(x, y), fields.cell_part == 0, fields.cell_part > 0
+
+    def on_grid(values: Float[np.ndarray, " point"], cells: Bool[np.ndarray, " cell"]) -> list[list[float | None]]:
+        mesh = Triangulation(*fields.points.T, fields.triangles[cells])
+        return [rounded(row, DIGITS) for row in LinearTriInterpolator(mesh, values)(*grid).filled(np.nan)]
+
     values = {
         "speed": (np.linalg.norm(fields.velocity, axis=1), fluid, "mm/s"),
         "pressure": (fields.pressure, fluid, "Pa"),
@@ -304,15 +308,8 @@ def _flow_on_grid(model: ForwardModel, inputs: Mapping[str, float], condition: s
         "x": np.round(x, 5).tolist(),
         "y": np.round(y, 5).tolist(),
         "fields": {
-            name: {"unit": unit, "values": _on_grid(fields.points, fields.triangles[cells], one, grid)}
+            name: {"unit": unit, "values": on_grid(one, cells)}
             for name, (one, cells, unit) in values.items()
             if cells.any()
         },
     }
-
-
-def _on_grid(
-    points: Float[np.ndarray, "point 2"], triangles: Any, values: Float[np.ndarray, " point"], grid: Sequence[Any]
-) -> list[list[float | None]]:
-    found = LinearTriInterpolator(Triangulation(points[:, 0], points[:, 1], triangles), values)(*grid)
-    return [rounded(row, DIGITS) for row in found.filled(np.nan)]

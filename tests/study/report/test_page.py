@@ -289,9 +289,9 @@ def test_the_page_holds_the_runs_as_they_are_and_the_posterior(beam: Finished, t
 def test_of_many_long_runs_the_best_and_some_of_all_are_kept_and_the_data_stay_small(calibration: Calibration) -> None:
     other = many(calibration)
     found = explore(other, None)
-    data = json.loads(found.data)
+    data = json.loads(found["data"])
     rows = data["runs"]["row"]
-    assert (found.runs, found.of, found.outlines) == (1000, 1500, section.MOST_NUMBERS // 1200)
+    assert (found["runs"], found["of"], found["outlines"]) == (1000, 1500, section.MOST_NUMBERS // 1200)
     assert rows == sorted(set(rows))
     values, used = next(iter(other.log_likelihoods.values())), [k for k in range(1500) if k % 3]
     best = [used[i] for i in np.argsort(-values, kind="stable")]
@@ -299,9 +299,9 @@ def test_of_many_long_runs_the_best_and_some_of_all_are_kept_and_the_data_stay_s
     assert {str(row) for row in best[:50]} <= set(data["interfaces"]) <= {str(row) for row in rows}
     assert max(np.diff(rows)) < 40
     assert data["runs"]["state"].count("failed") > 20
-    assert "<" not in found.data
+    assert "<" not in found["data"]
     assert (rows[0], data["runs"]["state"][0], data["runs"]["kind"][0]) == (0, "failed", "</script><b>")
     assert data["details"]["0"]["message"] == "no </script> here"
     assert data["details"]["0"]["log"].splitlines() == [str(k) for k in range(42, 50)]
     assert all(len(one[""]["line"][0]) <= 100 for one in data["interfaces"].values())
-    assert found.size < 2_200_000
+    assert found["size"] < 2_200_000

@@ -16,7 +16,8 @@ from strandline.discrepancy import Discrepancy, KnowsPointErrors, NormalOffset, 
 from strandline.imaging import FrameErrors
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood.compared import adapted
-from strandline.report.click_page import write_click_page
+from strandline.report import html
+from strandline.report.click_page import click_page
 from strandline.report.plots.picture import plot_picture, plot_stack
 from strandline.report.plots.style import DOTS_PER_INCH
 from strandline.studies.folder import require_writable, told_if_unwritable, whole_file, write_json
@@ -174,14 +175,9 @@ def write_page(folder: Path, given: ImageFile) -> Path:
         clicks = clicked(folder, given) if named else None
         target = folder / f"{Path(picture.name).stem}.mark.html"
         with told_if_unwritable(target):
-            return write_click_page(
-                picture.values,
-                target,
-                name=picture.name,
-                sha256=picture.sha256,
-                clicks=clicks,
-                pixel_mm=picture.pixel if known else None,
-            )
+            pixel = picture.pixel if known else None
+            page = click_page(picture.values, name=picture.name, sha256=picture.sha256, clicks=clicks, pixel_mm=pixel)
+            return html.write_page(target, page)
 
 
 def described(one: Photographed, measures: Mapping[str, Discrepancy]) -> dict[str, Any]:
