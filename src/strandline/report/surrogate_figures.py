@@ -50,10 +50,8 @@ def likelihood_figures(calibration: Calibration, truth: Mapping[str, float] | No
     yield Captioned("log_likelihood", "surrogate", f"Log-likelihood, {of}", figure)
     if calibration.field is not None:
         return
-    deviations = {
-        name.replace("_", " "): _grid(calibration, lambda x, one=one: np.sqrt(one.process.variance(x)), truth)
-        for name, one in calibration.surrogates.items()
-    }
+    variances = {name: _grid(calibration, one.process.variance, truth) for name, one in calibration.surrogates.items()}
+    deviations = {name.replace("_", " "): replace(one, values=np.sqrt(one.values)) for name, one in variances.items()}
     caption = f"Standard deviation of the surrogate, {several}in units of log-likelihood.{crosses}"
     yield Captioned("log_likelihood_sd", "surrogate", caption, plots.three_measures(deviations, kind="sd"))
 

@@ -296,7 +296,7 @@ def _flow_on_grid(model: ForwardModel, inputs: Mapping[str, float], condition: s
     grid, fluid, solid = np.meshgrid(x, y), fields.cell_part == 0, fields.cell_part > 0
 
     def on_grid(values: Float[np.ndarray, " point"], cells: Bool[np.ndarray, " cell"]) -> list[list[float | None]]:
-        mesh = Triangulation(*fields.points.T, fields.triangles[cells])
+        mesh = Triangulation(fields.points[:, 0], fields.points[:, 1], fields.triangles[cells])
         return [rounded(row, DIGITS) for row in LinearTriInterpolator(mesh, values)(*grid).filled(np.nan)]
 
     values = {
