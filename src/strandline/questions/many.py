@@ -9,11 +9,9 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from queue import SimpleQueue
-from typing import IO, Any
+from typing import Any
 
 from strandline.discrepancy import Discrepancy
 from strandline.errors import InvalidInput, NumericsError
@@ -50,19 +48,18 @@ class RefusedSpecimen:
 def posteriors_of(
     begin: Start, measure: Discrepancy, tasks: Sequence[Task], *, seed: int = 1, processes: int | None = None
 ) -> Iterator[SpecimenPosterior | RefusedSpecimen]:
-    """Yield the posterior of each specimen as it is finished; no forward run is made.
+    """Yield the posterior of each specimen in turn; no forward run is made.
 
     By default, one process per core shares them, fewer for few specimens.
     """
-    wanted = processes or min(usable_cores(), len(tasks) // WORTH_HELP, MOST_PROCESSES)
-    number = min(wanted, len(tasks))
+    number = min(processes or min(usable_cores(), len(tasks) // WORTH_HELP, MOST_PROCESSES), len(tasks))
     packed = _packed(begin, measure, seed) if number > 1 else None
-    if packed is None:
-        use_double()
-        with one_thread():
-            yield from (_answered(begin, measure, task, seed) for task in tasks)
+    if packed is not None:
+        yield from _by_helpers(packed, tasks, number)
         return
-    yield from _by_helpers(packed, [list(tasks[k::number]) for k in range(number)])
+    use_double()
+    with one_thread():
+        yield from (_answered(begin, measure, task, seed) for task in tasks)
 
 
 def _answered(begin: Start, measure: Discrepancy, task: Task, seed: int) -> SpecimenPosterior | RefusedSpecimen:
@@ -81,58 +78,33 @@ def _packed(begin: Start, measure: Discrepancy, seed: int) -> bytes | None:
     return None if b"__main__" in packed else packed
 
 
-def _by_helpers(packed: bytes, shares: Sequence[Sequence[Task]]) -> Iterator[SpecimenPosterior | RefusedSpecimen]:
-    answers: SimpleQueue[Any] = SimpleQueue()
-    helpers = [_launched() for _ in shares]
-    with ThreadPoolExecutor(len(shares)) as pool:
-        try:
-            for helper, share in zip(helpers, shares, strict=True):
-                pool.submit(_asked, helper, packed, share, answers)
-            left = len(shares)
-            while left:
-                one = answers.get()
-                if isinstance(one, BaseException):
-                    raise one
-                left -= one is None
-                if one is not None:
-                    yield one
-        finally:
-            for helper in helpers:
-                helper.kill()
-                helper.wait()
-                for pipe in (helper.stdin, helper.stdout):
-                    _closed(pipe)
+def _by_helpers(packed: bytes, tasks: Sequence[Task], number: int) -> Iterator[SpecimenPosterior | RefusedSpecimen]:
+    """Yield the answers of so many processes, which take turns: none waits for another one, as pipes hold many."""
+    helpers = [_launched() for _ in range(number)]
+    try:
+        for k, helper in enumerate(helpers):
+            with helper.stdin as to:
+                pickle.dump((packed, tasks[k::number]), to)
+        for k in range(len(tasks)):
+            yield pickle.load(helpers[k % number].stdout)
+    except Exception as error:  # whatever it is, a process ended too early
+        message = "a process that analyses specimens ended early. Run the command again: what is finished is kept."
+        raise NumericsError(f"{message} ({type(error).__name__})") from error
+    finally:
+        for helper in helpers:
+            helper.kill()
+            helper.wait()
+            for pipe in (helper.stdin, helper.stdout):
+                with suppress(BrokenPipeError):  # what an ended process did not read is lost
+                    pipe.close()
 
 
-def _closed(pipe: IO[bytes] | None) -> None:
-    """Close a pipe to a process that has ended; what it did not read is lost."""
-    with suppress(BrokenPipeError):
-        if pipe is not None:
-            pipe.close()
-
-
-def _launched() -> "subprocess.Popen[bytes]":
+def _launched() -> Any:
+    """Return a process with pipes to its input and from its output."""
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     environment = {**os.environ, **threads, "JAX_NUM_CPU_DEVICES": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
     command = [sys.executable, "-c", "from strandline.questions.many import serve; serve()"]
     return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
-
-
-def _asked(
-    helper: "subprocess.Popen[bytes]", packed: bytes, share: Sequence[Task], answers: "SimpleQueue[Any]"
-) -> None:
-    """Send a helper its share and pass its answers on: None at the end, an exception if it ends too early."""
-    try:
-        assert helper.stdin is not None
-        assert helper.stdout is not None
-        with helper.stdin as to:
-            pickle.dump((packed, share), to)
-        for _ in share:
-            answers.put(pickle.load(helper.stdout))
-        answers.put(None)
-    except Exception as error:  # whatever it is: the caller waits for an answer
-        message = "a process that analyses specimens ended early. Run the command again: what is finished is kept."
-        answers.put(NumericsError(f"{message} ({type(error).__name__})"))
 
 
 def serve() -> None:
