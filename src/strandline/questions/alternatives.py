@@ -33,11 +33,8 @@ def require_asked(given: Mapping[str, Any]) -> WhatIf:
 
 
 def alternative_of(asked: WhatIf, study: Study, now: Baseline) -> Alternative:
-    """Return the alternative that is asked for, to be compared with the present posterior.
-
-    Raises:
-        InvalidStudy: It names an input, a measure or a condition that the study does not have, or states a noise or a
-            prior that cannot be used.
+    """Return the alternative that is asked for, to be compared with the present posterior; refuse what does not fit the
+    study.
     """
     priors = {name: build_prior(given, f"{PLACE}.prior.{name}") for name, given in asked.prior.items()}
     for name in (*priors, *asked.fix):

@@ -62,12 +62,7 @@ class Prospects:
 def prospects_of(
     study: Study, candidates: Sequence[Candidate], *, draws: int, seed: int, executor: Executor, observer: Observer
 ) -> Prospects:
-    """Return what candidates can be expected to show, given so many draws of the posterior of a finished study.
-
-    Raises:
-        InvalidStudy: The study has no posterior, or no surrogate of the interface can be learnt.
-        InvalidInput: No independent errors of the points have the stated σ_N², or a part has too few points.
-    """
+    """Return what candidates can be expected to show, given so many draws of the posterior of a finished study."""
     posterior = finished_posterior(study, purpose="plan from")
     observer.stage("surrogate")
     knowledge = field_knowledge(study, purpose="planning the next experiment")
@@ -271,11 +266,7 @@ INFORMATIONS = 16
 def answers_from_posterior(
     study: Study, candidates: Sequence[Candidate], *, draws: int, seed: int, executor: Executor, observer: Observer
 ) -> Answers:
-    """Return what each candidate can be expected to teach, given the posterior of a finished study.
-
-    Raises:
-        InvalidStudy, InvalidInput: As `prospects_of`.
-    """
+    """Return what each candidate can be expected to teach, given the posterior of a finished study."""
     found = prospects_of(study, candidates, draws=draws, seed=seed, executor=executor, observer=observer)
     observer.stage("gains")
     return Answers(

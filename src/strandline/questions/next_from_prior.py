@@ -39,10 +39,6 @@ def answers_from_prior(
     """Return what the planned experiment and each candidate can be expected to teach before any data.
 
     Each is run at so many draws of the prior.
-
-    Raises:
-        TooFewRuns: The planned experiment failed at every draw.
-        InvalidInput: No independent errors of the points have the stated σ_N².
     """
     space = study.space
     x = space.prior_quantiles(sobol(runs, space.dim, scramble=SCRAMBLE))

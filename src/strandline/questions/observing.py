@@ -80,10 +80,8 @@ def focused(
 
     The part begins and ends at shares of the observed arc length, for which the nodes of a simulated interface count,
     or the points of `along`, for views that must correspond. So many `points` lie at equal distances along it; by
-    default those of the view that lie in it. `sd` is the standard deviation of each point, mm.
-
-    Raises:
-        InvalidInput: Fewer than 3 points in the part, or a part or a number of points on a surface.
+    default those of the view that lie in it, at least 3. `sd` is the standard deviation of each point, mm. Surfaces
+    have no parts.
     """
     if sd is not None:
         view = replace(view, errors=replace(view.errors, sd=sd))
@@ -310,11 +308,7 @@ def with_known(x: Float[np.ndarray, "point dim"], known: Mapping[int, float]) ->
 
 
 def field_of(surrogate: FieldSurrogate, interfaces: Mapping[str, Interface]) -> Float[np.ndarray, " value"]:
-    """Return interfaces by condition as a field of the surrogate, mm.
-
-    Raises:
-        NoCommonPoints: They have no points in common with it.
-    """
+    """Return interfaces by condition as a field of the surrogate, mm; refuse those without common points."""
     return np.asarray(fields_of([interfaces], surrogate.layouts)[0][0])
 
 

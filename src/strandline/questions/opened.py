@@ -93,11 +93,7 @@ class Specimens:
 
     @cached_property
     def files(self) -> SpecimenFiles:
-        """The files that study.yaml names.
-
-        Raises:
-            InvalidStudy: It names none, or they cannot be used.
-        """
+        """The files that study.yaml names."""
         return specimen_files(self.study)
 
     def posterior(
@@ -124,11 +120,7 @@ class Specimens:
             return posterior_of(begin, task.observations, self.discrepancy, name=name, seed=self.seed)
 
     def task(self, path: Path) -> tuple[Task, str]:
-        """Return the specimen in a file, and the digest of all that its posterior depends on.
-
-        Raises:
-            InvalidInput: The file cannot be read, or the specimen's known inputs are missing.
-        """
+        """Return the specimen in a file, and the digest of all that its posterior depends on."""
         name = self.files.name(path)
         outline, given = self.files.read(path), self.files.given_of(name)
         seen = self._observation(outline.interface, outline.noise, name)

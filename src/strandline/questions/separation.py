@@ -60,11 +60,7 @@ def shown_by_models(
 
 
 def require_settable(studies: Mapping[str, Study], candidates: Sequence[Candidate]) -> None:
-    """Refuse candidates that one of the studies could not make: each model must know what they set and observe.
-
-    Raises:
-        InvalidStudy: A quantity or a condition is unknown to a study, is calibrated there, or lies outside its box.
-    """
+    """Refuse candidates that one of the studies could not make: each model must know what they set and observe."""
     for name, study in studies.items():
         for candidate in candidates:
             quantities = [pair for setting in candidate.settings for pair in setting.items()]

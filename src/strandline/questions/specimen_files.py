@@ -60,11 +60,7 @@ class SpecimenFiles:
 
     @property
     def paths(self) -> list[Path]:
-        """The files there are now, in the order of their names, without the tables beside them.
-
-        Raises:
-            InvalidStudy: The pattern cannot be used.
-        """
+        """The files there are now, in the order of their names, without the tables beside them."""
         given = self.content.specimens.given if self.content.specimens else None
         apart = {(self.study.folder / name).resolve() for name in (SPECIMENS_TABLE, given) if name is not None}
         pattern = Path(self.pattern)
@@ -89,11 +85,7 @@ class SpecimenFiles:
         return [tuple(some) for some in names.values() if len(some) > 1]
 
     def read(self, path: Path) -> SpecimenOutline:
-        """Return the outline in a file, with its noise.
-
-        Raises:
-            InvalidInput: The file cannot be read, or holds no simple outline.
-        """
+        """Return the outline in a file, with its noise; refuse a file that holds no simple outline."""
         try:
             digest = _digest(path)
         except OSError as error:
@@ -112,10 +104,8 @@ class SpecimenFiles:
         return SpecimenOutline(found.interface, noise, digest)
 
     def given_of(self, name: str) -> dict[str, float]:
-        """Return the known inputs of a specimen.
-
-        Raises:
-            InvalidInput: The table has no row for it, or a cell that is not a number.
+        """Return the known inputs of a specimen; refuse one without a row in the table, or with a cell that is no
+        number.
         """
         row = self.given.get(name, {})
         missing = [key for key in self.known if row.get(key) is None]
@@ -130,11 +120,7 @@ def _digest(path: Path) -> str:
 
 
 def specimen_files(study: Study) -> SpecimenFiles:
-    """Return the files of all specimens of a study.
-
-    Raises:
-        InvalidStudy: study.yaml names none, its model has several conditions, or the table of known inputs is wrong.
-    """
+    """Return the files of all specimens of a study; refuse a study that names none."""
     content = StudyFile.model_validate(load_yaml(study.text))
     said = content.specimens
     if said is None:

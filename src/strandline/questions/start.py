@@ -77,10 +77,8 @@ class Start:
         return np.asarray(self.unknown.log_prior(x) + self.knowledge.log_feasibility(self.whole(x)))
 
     def with_given(self, given: Mapping[str, float]) -> "Start":
-        """Return the start of a specimen with other known inputs.
-
-        Raises:
-            InvalidInput: A value lies outside its box, or no unknown input is left.
+        """Return the start of a specimen with other known inputs, inside their boxes; at least one must be left
+        unknown.
         """
         if dict(given) == dict(self.given):
             return self

@@ -66,11 +66,8 @@ def click_page(
     """Return the page for one picture of grey values, with a checksum of its file in hexadecimal, as HTML.
 
     The page saves a file that `strandline.imaging.clicks.read_clicks` reads, and nothing that it would refuse. `clicks`
-    are what was marked before. With width and height of a pixel, mm, the page shows the picture in its true shape; one
-    of more than `most_pixels` is reduced.
-
-    Raises:
-        InvalidInput: `clicks` belong to another picture, or the picture has no finite value.
+    are what was marked before in the same picture. With width and height of a pixel, mm, the page shows the picture in
+    its true shape; one of more than `most_pixels` is reduced.
     """
     height, width = values.shape
     if clicks is not None:
@@ -105,18 +102,14 @@ def click_page(
 
 
 def for_screen(values: Float[np.ndarray, "row column"], *, most_pixels: int = MOST_PIXELS) -> ScreenPicture:
-    """Return a picture for the screen, reduced if it has more pixels; values that are not finite are black.
-
-    Raises:
-        InvalidInput: There is no finite value.
-    """
+    """Return a picture for the screen, reduced if it has more pixels; values that are not finite are black."""
     from PIL import Image
 
     height, width = values.shape
     factor = _factor(height, width, most_pixels)
-    grey = np.round(255 * _reduced(_shaded(values), factor)).astype(np.uint8)
+    means = np.asarray(Image.fromarray(255 * _shaded(values)).reduce(factor))
     buffer = io.BytesIO()
-    Image.fromarray(np.asarray(grey, dtype=np.uint8)).save(buffer, format="png")
+    Image.fromarray(np.round(means).astype(np.uint8)).save(buffer, format="png")
     return ScreenPicture(buffer.getvalue(), factor)
 
 
@@ -147,13 +140,3 @@ def _shaded(values: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "row c
     if 0 < median < DARK:
         brightness **= max(BRIGHTEST_POWER, math.log(3 * DARK) / math.log(median))
     return np.asarray(np.nan_to_num(brightness, copy=False))
-
-
-def _reduced(brightness: Float[np.ndarray, "row column"], factor: int) -> Float[np.ndarray, "block_row block_column"]:
-    """Return means of blocks; the picture is continued to whole blocks by its last row and column."""
-    if factor == 1:
-        return brightness
-    height, width = brightness.shape
-    whole = np.pad(brightness, ((0, -height % factor), (0, -width % factor)), mode="edge")
-    blocks = whole.reshape(whole.shape[0] // factor, factor, whole.shape[1] // factor, factor)
-    return np.asarray(blocks.mean(axis=(1, 3)))

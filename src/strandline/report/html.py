@@ -108,10 +108,7 @@ def embedded(data: Mapping[str, Any]) -> Markup:
 def bundled(entry: str, folder: Path = PANELS) -> str:
     """Return modules as one script: each in a function of its own that returns what it exports.
 
-    They import from their folder alone, and not in a circle.
-
-    Raises:
-        ValueError: An import or export of another form, or a script that would end its element.
+    They import from their folder alone, and not in a circle; imports and exports of another form are refused.
     """
     order: dict[str, str] = {}
     for name in _in_order(entry, folder, ()):

@@ -95,9 +95,6 @@ def answer_to(asked: Asked, study: Study, now: Baseline, *, again: bool) -> Answ
     """Return the posterior under other assumptions, without a forward run.
 
     `again` allows to sample it again; otherwise the present draws get other weights.
-
-    Raises:
-        InvalidInput: Assumptions that cannot be used.
     """
     alternative = _alternative(asked, study, now)
     if again or alternative.fixed:
@@ -160,10 +157,6 @@ def save_as(study: Study, name: str, asked: Asked) -> Path:
     """Write a study with other assumptions in a folder of that name beside the present one; return the folder.
 
     The files that the study needs are copied, its results are not; `reuse` takes over its runs.
-
-    Raises:
-        InvalidInput: The name cannot be used, there is such a folder, or the assumptions cannot be written.
-        InvalidStudy: The folder cannot be written to.
     """
     good = NAME.fullmatch(name) is not None
     require(good, "name of the new study", name, "letters, digits, -, _ and . (at most 63)")
@@ -196,11 +189,7 @@ def _changes(study: Study, name: str, asked: Asked, present: Path, target: Path)
 
 
 def _noise(study: Study, asked: Asked) -> dict[str, Any]:
-    """Return the key `noise` with another standard deviation.
-
-    Raises:
-        InvalidInput: The points or the conditions have noise of their own.
-    """
+    """Return the key `noise` with another standard deviation, unless points or conditions have noise of their own."""
     noise = study.noise
     if not study.noises and isinstance(noise, GaussianNoise):
         return {"variance": float(f"{asked.noise**2 * noise.variance:.6g}")}

@@ -51,11 +51,7 @@ class RunsFeed:
     _last: int = 0
 
     def update(self) -> bool:
-        """Read what is new in the ledger; return whether there is anything.
-
-        Raises:
-            LedgerError: The ledger is damaged or of a newer version.
-        """
+        """Read what is new in the ledger; return whether there is anything."""
         if not self.path.is_file():
             return False
         with Overview(self.path) as ledger:

@@ -187,11 +187,7 @@ class ViewedStudy:
         }
 
     def predict(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the interface that the surrogate predicts at some inputs.
-
-        Raises:
-            InvalidInput: An input is missing or outside its box, or there is no surrogate yet.
-        """
+        """Return the interface that the surrogate predicts at some inputs."""
         shown = self.newest.shown
         knowledge = None if shown.now is None else shown.now.knowledge
         if knowledge is None:
@@ -203,11 +199,7 @@ class ViewedStudy:
         return {"conditions": _predicted(knowledge, x, observations_of(self.study)), "success": chance}
 
     def ask(self, given: Mapping[str, Any], *, again: bool) -> dict[str, Any]:
-        """Return the posterior under other assumptions, see `asked_by`; `again` allows to sample it again.
-
-        Raises:
-            InvalidInput: The assumptions cannot be used, or there is no posterior yet.
-        """
+        """Return the posterior under other assumptions, see `asked_by`; `again` allows to sample it again."""
         asked = asked_by(given, self.study)
         shown = self.newest.shown
         now = shown.now if again else shown.few
@@ -241,12 +233,7 @@ class ViewedStudy:
         }
 
     def flow(self, given: Mapping[str, Any], condition: str) -> dict[str, Any]:
-        """Return velocity, pressure and displacement at some inputs, by a run of the model.
-
-        Raises:
-            InvalidInput: An input is missing or outside its box, or the model has no fields.
-            ForwardModelError: The run failed.
-        """
+        """Return velocity, pressure and displacement at some inputs, by a run of the model."""
         words, known = "a model that offers its fields", declared_conditions(self.study.model)
         require(isinstance(self.study.model, DrawsFields), "flow", type(self.study.model).__name__, words)
         require(not condition or condition in known, "condition", condition, f"one of {', '.join(known)}")

@@ -16,7 +16,7 @@ const HINTS = {
 const radios = [...document.querySelectorAll("input[name=tool]")];
 let saved = JSON.stringify(nothing()), press = null, spaceHeld = false;
 
-const say = (text) => { element("status").textContent = text; };
+const say = (text) => { element("status").textContent = text; return null; };
 const warn = (list) => {
   element("alert").replaceChildren(...list.map((text) => Object.assign(document.createElement("p"), { textContent: text })));
 };
@@ -29,19 +29,15 @@ function change(make) {
   refresh();
 }
 
-function undo() {
-  if (!step(history.done, history.undone)) return say("There is nothing to undo.");
+function back(from, to, none, done) {
+  if (!step(history[from], history[to])) return say(none);
   selected = null;
   refresh();
-  say("Undone.");
+  return say(done);
 }
 
-function redo() {
-  if (!step(history.undone, history.done)) return say("There is nothing to redo.");
-  selected = null;
-  refresh();
-  say("Done again.");
-}
+const undo = () => back("done", "undone", "There is nothing to undo.", "Undone.");
+const redo = () => back("undone", "done", "There is nothing to redo.", "Done again.");
 
 function remove() {
   if (selected === null) return say("Select a point first: click it.");
@@ -101,9 +97,9 @@ function add(at) {
     marks.origin = point;
     return { layer: tool, index: 0 };
   }
-  if (tool === "scale" && marks.scale.length === 2) return refuseTo("The scale bar has its two ends: drag one, or delete it.");
+  if (tool === "scale" && marks.scale.length === 2) return say("The scale bar has its two ends: drag one, or delete it.");
   if (tool === "path" && marks.closed) {
-    return refuseTo("The path is closed. Drag a small dot between two points to insert one, or untick “closed”.");
+    return say("The path is closed. Drag a small dot between two points to insert one, or untick “closed”.");
   }
   let region;
   if (tool in REGIONS) {
@@ -116,11 +112,6 @@ function add(at) {
   const points = pointsOf(tool, region);
   points.push(point);
   return { layer: tool, region, index: points.length - 1 };
-}
-
-function refuseTo(text) {
-  say(text);
-  return null;
 }
 
 // A mouse reports the corner of the screen pixel that it points at; the centre is meant.

@@ -80,9 +80,7 @@ function meeting(a, b, p, q) {
 }
 
 // Why the marks cannot be saved: one sentence each. strandline refuses the same when it reads the file.
-function problems() {
-  return [...problemsOfPath(), ...problemsOfScale(), ...problemsOfRegions()];
-}
+const problems = () => [...problemsOfPath(), ...problemsOfScale(), ...problemsOfRegions()];
 
 function problemsOfPath() {
   const { path, closed } = marks;
