@@ -17,11 +17,19 @@ from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior, Weighted
 from strandline.priors import Uniform
 from strandline.questions.answer import Answer, Part, Table, digits, label_and_unit
-from strandline.questions.comparable import labels_of, may_err, require_comparable, require_several
+from strandline.questions.comparable import (
+    CandidateSignals,
+    candidates_of,
+    labels_of,
+    may_err,
+    require_comparable,
+    require_settable,
+    require_several,
+    shown_by_models,
+)
 from strandline.questions.comparison import ComparedStudy, describe_comparison, not_flat
 from strandline.questions.information import Discrimination, expected_discrimination
 from strandline.questions.knowledge import field_knowledge, require, require_seed
-from strandline.questions.separation import CandidateSignals, candidates_of, require_settable, shown_by_models
 from strandline.runs import Executor
 from strandline.studies.check import finished_posterior
 from strandline.studies.first_run import observations_of

@@ -14,9 +14,8 @@ from strandline.design.active import Knowledge
 from strandline.interface import Interface
 from strandline.posterior import FLAT, Posterior, Weighted, interface_band, prior_conflicts
 from strandline.questions.answer import moments
-from strandline.questions.comparable import may_err
+from strandline.questions.comparable import CandidateSignals, may_err
 from strandline.questions.information import CLEAR, Discrimination
-from strandline.questions.separation import CandidateSignals
 from strandline.studies.check import offset_band, posterior_digest
 from strandline.studies.parse import in_words
 from strandline.studies.provenance import versions

@@ -18,10 +18,9 @@ from strandline.numerics.threads import one_thread
 from strandline.questions.answer import Answer
 from strandline.questions.knowledge import require
 from strandline.questions.many import RefusedSpecimen, Task, posteriors_of
-from strandline.questions.opened import Specimens, entry_of, known_posteriors, lines_of, open_specimens
+from strandline.questions.opened import Specimens, entry_of, known_posteriors, lines_of, open_specimens, specimen_files
 from strandline.questions.population import FEWEST_SPECIMENS, population_of, shrunk
 from strandline.questions.specimen import SpecimenPosterior, runs_for
-from strandline.questions.specimen_files import specimen_files
 from strandline.questions.specimens_content import SpecimensFound, answer_of, describe_specimens, write_table
 from strandline.runs import Executor, Ledger, Progress, run_campaign
 from strandline.studies.check import plain_model

@@ -14,11 +14,10 @@ from strandline.calibration.evidence import Evidence, ModelComparison
 from strandline.design.candidates import Candidate, Look
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.questions.answer import LineFile
-from strandline.questions.comparable import labels_of, may_err, require_comparable, require_several
+from strandline.questions.comparable import labels_of, may_err, require_comparable, require_settable, require_several
 from strandline.questions.comparison import _factor, _verdict
 from strandline.questions.knowledge import _thinned
-from strandline.questions.separation import require_settable
-from strandline.questions.specimen_files import specimen_files
+from strandline.questions.opened import specimen_files
 from strandline.runs import RunRecord
 from strandline.testing.studies import BEAM_STUDY, TWO_LOADS_STUDY, undeclared_beam, write_study
 

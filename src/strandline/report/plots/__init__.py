@@ -20,10 +20,10 @@ from strandline.report.plots.answers import (
     plot_rank_bands,
 )
 from strandline.report.plots.field import FieldGrid, plot_field, plot_profile, three_measures
-from strandline.report.plots.flow import plot_flow
 from strandline.report.plots.interfaces import (
     ResidualsAlong,
     plot_conditions,
+    plot_flow,
     plot_interfaces,
     plot_residuals,
     plot_run_offsets,
@@ -36,8 +36,7 @@ from strandline.report.plots.joint import (
     plot_marginals,
     plot_particles,
 )
-from strandline.report.plots.pairs import plot_corner, plot_pairs
-from strandline.report.plots.parallel import plot_failed_runs, plot_parallel
+from strandline.report.plots.pairs import plot_corner, plot_failed_runs, plot_pairs, plot_parallel
 from strandline.report.plots.style import mark_doubt
 from strandline.report.plots.surrogate import (
     ErrorsAlong,

@@ -13,8 +13,7 @@ from strandline.posterior import GaussianApproximation, Posterior, histogram, la
 from strandline.priors import LogNormal, ScaledBeta, Uniform
 from strandline.report import plots
 from strandline.report.plots.joint import axis_limits
-from strandline.report.plots.pairs import PosteriorPlots
-from strandline.report.plots.parallel import DENSITY, _order
+from strandline.report.plots.pairs import DENSITY, PosteriorPlots, _order
 
 INPUTS = (
     Parameter("E", LogNormal(5.86, 0.4), "Pa", (100.0, 800.0)),
