@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from strandline.calibration import Observer
-from strandline.calibration.alternative import Alternative, Baseline
+from strandline.calibration.alternative import Alternative, Baseline, baseline
 from strandline.calibration.progress import observer_or_default
 from strandline.calibration.usual_alternatives import usual_alternatives
 from strandline.calibration.what_if import LEAST_RATIO, LEAST_SHIFT, reweight_or_resample
