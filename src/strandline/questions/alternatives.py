@@ -33,9 +33,7 @@ def require_asked(given: Mapping[str, Any]) -> WhatIf:
 
 
 def alternative_of(asked: WhatIf, study: Study, now: Baseline) -> Alternative:
-    """Return the alternative that is asked for, to be compared with the present posterior; refuse what does not fit the
-    study.
-    """
+    """Return the alternative that is asked for, to be compared with the present posterior; it must fit the study."""
     priors = {name: build_prior(given, f"{PLACE}.prior.{name}") for name, given in asked.prior.items()}
     for name in (*priors, *asked.fix):
         entry(dict.fromkeys(study.space.names), name, f"{PLACE}: name of an input")

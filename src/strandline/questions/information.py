@@ -301,9 +301,7 @@ QUANTILES = 1000
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """How inputs are scaled: which enter by their logarithm, and the prior standard deviations of these or of the
-    inputs.
-    """
+    """How inputs are scaled: which enter by their logarithm, and the prior sd of each as it enters."""
 
     logarithmic: Bool[np.ndarray, " dim"]
     sd: Float[np.ndarray, " dim"]

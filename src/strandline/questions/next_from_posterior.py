@@ -46,9 +46,7 @@ STEP = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Prospects:
-    """What all candidates of a study can be expected to show: predicted interfaces by the key of a setting, and the
-    numbers of runs made now and known.
-    """
+    """What all candidates of a study can be expected to show, by the key of a setting, and the numbers of runs."""
 
     present: "AfterExperiment"
     by_setting: Mapping[str, "Prospect"]

@@ -61,9 +61,7 @@ class View:
     def rows(
         self, reference: Float[np.ndarray, "node xyz"], moves: Float[np.ndarray, "move node xyz"]
     ) -> Float[np.ndarray, "move row"]:
-        """Return displacements of the nodes from `reference`, mm, whose normals count, or slopes, as rows in the same
-        way.
-        """
+        """Return displacements of the nodes from `reference`, mm, whose normals count, or slopes, as such rows."""
         return self.along(self.seen(reference), self.points(moves))
 
 
@@ -179,9 +177,7 @@ Nodes = Mapping[str, Float[np.ndarray, "_ _ _"]]
 
 @dataclass(frozen=True, eq=False)
 class Observing:
-    """The views of an experiment by condition, and interfaces (their nodes, mm) about which the displacements are
-    small.
-    """
+    """The views of an experiment by condition, and nodes of interfaces, mm, about which displacements are small."""
 
     views: Mapping[str, View]
     reference: Mapping[str, Float[np.ndarray, "_ _"]]
@@ -192,9 +188,7 @@ class Observing:
         return signals_of(np.hstack(rows), self.information)
 
     def fisher(self, slopes: Mapping[str, Float[np.ndarray, "_ xyz dim"]]) -> Float[np.ndarray, "dim dim"]:
-        """Return the Fisher information of the inputs from the slopes of the nodes by condition, mm per unit of the
-        input.
-        """
+        """Return the Fisher information of the inputs from the slopes of the nodes by condition, mm per unit of it."""
         rows = [view.rows(self.reference[n], np.moveaxis(slopes[n], -1, 0)) for n, view in self.views.items()]
         return self.information(np.hstack(rows).T)
 

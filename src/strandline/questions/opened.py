@@ -122,9 +122,7 @@ class SpecimenFiles:
         return SpecimenOutline(found.interface, noise, digest)
 
     def given_of(self, name: str) -> dict[str, float]:
-        """Return the known inputs of a specimen; refuse one without a row in the table, or with a cell that is no
-        number.
-        """
+        """Return the known inputs of a specimen; refuse one without a row in the table, or a cell that is no number."""
         row = self.given.get(name, {})
         missing = [key for key in self.known if row.get(key) is None]
         value = f"no number for {', '.join(missing)}" if row else "no row in the table"

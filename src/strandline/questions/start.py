@@ -77,9 +77,7 @@ class Start:
         return np.asarray(self.unknown.log_prior(x) + self.knowledge.log_feasibility(self.whole(x)))
 
     def with_given(self, given: Mapping[str, float]) -> "Start":
-        """Return the start of a specimen with other known inputs, inside their boxes; at least one must be left
-        unknown.
-        """
+        """Return the start of a specimen with other known inputs, inside their boxes; at least one is unknown."""
         if dict(given) == dict(self.given):
             return self
         for name, value in given.items():

@@ -251,11 +251,5 @@ def _reading(name: str, reading: Reading, truth: Mapping[str, float] | None) -> 
 
 
 def _quadrature_curves(names: Sequence[str], exact: QuadratureResult | None) -> dict[str, plots.Curve]:
-    return (
-        {}
-        if exact is None
-        else {
-            name: plots.Curve(0.5 * (marginal.edges[1:] + marginal.edges[:-1]), marginal.density)
-            for name, marginal in zip(names, exact.marginals, strict=True)
-        }
-    )
+    marginals = () if exact is None else zip(names, exact.marginals, strict=True)
+    return {name: plots.Curve(0.5 * (one.edges[1:] + one.edges[:-1]), one.density) for name, one in marginals}

@@ -39,9 +39,7 @@ class _Row:
 
 @dataclass
 class RunsFeed:
-    """All runs in a ledger, which need not exist yet, in the order in which they were first started; `inputs` are
-    shown.
-    """
+    """All runs in a ledger, which need not exist yet, in the order of their first starts; `inputs` are shown."""
 
     path: Path
     inputs: Sequence[str]
@@ -138,9 +136,7 @@ class PosteriorFeed:
         return succeeded - self._tried >= max(FEWEST_NEW, math.ceil(GROWTH * self._tried))
 
     def refresh(self, succeeded: int) -> None:
-        """Read the stored posterior if the study is finished, else compute that of the runs so far, so many of them
-        good.
-        """
+        """Read the stored posterior if the study is finished, else compute that of so many good runs."""
         use_double()
         self._tried, self._stored = succeeded, changed_at(self.study.folder / SUMMARY)
         with one_thread():

@@ -68,9 +68,7 @@ class Access:
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
 
     def refusal(self, host: str, origin: str | None, token: str) -> str:
-        """Return why a request is refused, by its headers `Host` and `Origin` and the token in its address; empty if it
-        is not.
-        """
+        """Return why a request is refused, by its headers and the token in its address; empty if it is let in."""
         if not _is_loopback(host):
             return "this page is called by localhost or 127.0.0.1 only"
         if origin is not None and origin.partition("//")[2] != host:

@@ -110,9 +110,7 @@ def _draw(
 
 
 def plot_run_offsets(observed: Offsets, runs: Mapping[str, Offsets], *, ax: Axes | None = None) -> Axes:
-    """Draw the normal offsets, mm, of the observed interface and of some runs from the best run, which is the zero
-    line.
-    """
+    """Draw the normal offsets, mm, of the observed interface and of some runs from the best run, the zero line."""
     with styled():
         ax = axes_or_new(ax, (style.DOUBLE, 3.2))
         for k, (label, found) in enumerate(runs.items()):

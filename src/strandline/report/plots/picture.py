@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure, SubFigure
@@ -78,8 +78,7 @@ def _near(ax: Axes, whole: Axes, picture: Picture, edge: Edge, grey: Any) -> Non
     half = max(NEAR * edge.unit, SDS * edge.errors.sd) / pixel
     ax.imshow(picture.values, **grey)
     far = 2 * edge.errors.sd * edge.normals / pixel
-    pieces = np.flatnonzero(np.diff(np.flatnonzero(edge.kept)) > 1) + 1  # a region left out has no band
-    for k, part in enumerate(np.split(np.arange(len(edge.points)), pieces)):
+    for k, part in enumerate(_pieces(edge)):
         band = np.concatenate([(edge.points + far)[part], (edge.points - far)[part][::-1]])
         ax.fill(*band.T, color=style.ORANGE, alpha=0.5, linewidth=0, label="± 2 sd of a point" if k == 0 else None)
     ax.plot(*edge.points.T, color=style.GREEN, linewidth=0.7, marker=".", markersize=3.0)
@@ -87,6 +86,11 @@ def _near(ax: Axes, whole: Axes, picture: Picture, edge: Edge, grey: Any) -> Non
     ax.set(xlim=(left, right), ylim=(bottom, top), aspect=pixel[1] / pixel[0])
     ax.set(xlabel="x [pixels]", ylabel="y [pixels]", title="the frame on the left, enlarged")
     whole.add_patch(Rectangle((left, top), right - left, bottom - top, fill=False, edgecolor=style.SKY, linewidth=1.0))
+
+
+def _pieces(edge: Edge) -> list[Int[np.ndarray, " _"]]:
+    """Return the numbers of the points in each piece of an edge, between regions left out."""
+    return np.split(np.arange(len(edge.points)), np.flatnonzero(np.diff(np.flatnonzero(edge.kept)) > 1) + 1)
 
 
 def _strip(ax: Axes, picture: Picture, edge: Edge, grey: Any) -> None:
@@ -102,11 +106,10 @@ def _strip(ax: Axes, picture: Picture, edge: Edge, grey: Any) -> None:
 
 def _residual(ax: Axes, edge: Edge) -> None:
     band = 2 * style.TO_MICROMETRES * edge.errors.sd
-    values = style.TO_MICROMETRES * off_smooth(edge)
-    arc, gaps = edge.arc - edge.arc[0], np.flatnonzero(np.diff(np.flatnonzero(edge.kept)) > 1) + 1
+    values, arc = style.TO_MICROMETRES * off_smooth(edge), edge.arc - edge.arc[0]
     ax.axhspan(-band, band, color=style.ORANGE, alpha=0.3, linewidth=0)
     ax.axhline(0.0, color=style.BLACK, linewidth=0.8)
-    for part in np.split(np.arange(len(arc)), gaps):
+    for part in _pieces(edge):
         ax.plot(arc[part], values[part], color=style.GREEN, linewidth=0.6)
     low, high = ax.get_ylim()
     ax.set_ylim(min(low, -1.5 * band), max(high, 1.5 * band))
@@ -119,9 +122,7 @@ AXES = "xyz"
 def plot_surfaces(
     observed: Interface, simulated: Mapping[str, Interface], *, figure: Figure | SubFigure | None = None
 ) -> Figure | SubFigure:
-    """Draw where planes at right angles to the axes, through the middle of an observed surface, cut it and simulated
-    ones, mm.
-    """
+    """Draw an observed surface and simulated ones, mm, cut through its middle at right angles to the axes."""
     middle = 0.5 * (observed.points.min(axis=0) + observed.points.max(axis=0))
     shown = {"observed": (observed, style.BLACK, 1.6)}
     shown |= {label: (one, style.CYCLE[k % len(style.CYCLE)], 0.9) for k, (label, one) in enumerate(simulated.items())}
