@@ -23,21 +23,7 @@ from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import systematic_indices
 from strandline.posterior.importance import reliability_threshold
 from strandline.questions.knowledge import require
-from strandline.report.explore import (
-    BAND_DRAWS,
-    DRAWS,
-    SDS,
-    band,
-    by_name,
-    columns,
-    conditions_as_json,
-    inputs_as_json,
-    offsets_um,
-    outline,
-    point_normals,
-    predictive_band,
-    rounded,
-)
+from strandline.report import explore
 from strandline.runs import Ledger
 from strandline.runs.overview import Overview
 from strandline.studies.first_run import observations_of
@@ -76,11 +62,11 @@ class ViewedStudy:
         return {
             "name": study.name,
             "folder": str(study.folder),
-            "inputs": inputs_as_json(study.space),
+            "inputs": explore.inputs_as_json(study.space),
             "fixed": dict(study.fixed),
             "truth": study.truth,
             "flow": isinstance(study.model, DrawsFields),
-            "conditions": conditions_as_json(study.model, observed, pictures),
+            "conditions": explore.conditions_as_json(study.model, observed, pictures),
         }
 
     def require_ledger(self) -> None:
@@ -158,7 +144,10 @@ class ViewedStudy:
         with Ledger.open(self.study.ledger_path, model=None, read_only=True) as ledger:
             record = ledger.latest([key]).get(key)
         return {
-            name: {"line": outline(one), "offsets": None if name not in observed else offsets_um(observed[name], one)}
+            name: {
+                "line": explore.outline(one),
+                "offsets": None if name not in observed else explore.offsets_um(observed[name], one),
+            }
             for name, one in ({} if record is None else record.interfaces).items()
         }
 
@@ -179,9 +168,9 @@ class ViewedStudy:
         known = None if quality is None else {"error_um": 1e3 * quality.median, "hidden_um": 1e3 * quality.hidden}
         return {
             **out,
-            "mean": by_name(self.study.space, now.mean),
-            "sd": by_name(self.study.space, now.sd),
-            "draws": columns(self.study.space, few.draws),
+            "mean": explore.by_name(self.study.space, now.mean),
+            "sd": explore.by_name(self.study.space, now.sd),
+            "draws": explore.columns(self.study.space, few.draws),
             "bands": _bands(now),
             "surrogate": known,
         }
@@ -222,14 +211,14 @@ class ViewedStudy:
             return out
         weights, draws = answer.draws.weights, answer.draws.draws
         if again or answer.by != "reweighting":
-            draws = draws[systematic_indices(weights, DRAWS, np.random.default_rng(SEED))]
-            out["draws"] = columns(space, draws)
+            draws = draws[systematic_indices(weights, explore.DRAWS, np.random.default_rng(SEED))]
+            out["draws"] = explore.columns(space, draws)
         return {
             **out,
-            "mean": by_name(space, answer.draws.mean),
-            "sd": by_name(space, answer.draws.sd),
+            "mean": explore.by_name(space, answer.draws.mean),
+            "sd": explore.by_name(space, answer.draws.sd),
             "weights": None if "draws" in out else np.round(weights * len(weights), 5).tolist(),
-            "shift": by_name(space, answer.shift),
+            "shift": explore.by_name(space, answer.shift),
         }
 
     def flow(self, given: Mapping[str, Any], condition: str) -> dict[str, Any]:
@@ -249,8 +238,8 @@ def _bands(now: Baseline) -> dict[str, dict[str, Any]]:
     """Return the posterior's predictive bands by condition; nothing without a surrogate of the interface."""
     if now.knowledge is None:
         return {}
-    chosen = np.random.default_rng(0).choice(len(now.draws), BAND_DRAWS, p=np.exp(now.log_weights))
-    return predictive_band(by_field(now.knowledge.surrogate), now.mean, now.draws[chosen])
+    chosen = np.random.default_rng(0).choice(len(now.draws), explore.BAND_DRAWS, p=np.exp(now.log_weights))
+    return explore.predictive_band(by_field(now.knowledge.surrogate), now.mean, now.draws[chosen])
 
 
 def _predicted(
@@ -262,13 +251,13 @@ def _predicted(
     fields = surrogate.modes.basis / surrogate.modes.roots
     parts = surrogate.by_condition(fields)
     for name, interface in interfaces.items():
-        along = np.einsum("mpx,px->mp", parts[name], point_normals(interface))
+        along = np.einsum("mpx,px->mp", parts[name], explore.point_normals(interface))
         sd = np.sqrt(variances @ along**2 + surrogate.modes.remainder**2)
         out[name] = {
-            "line": outline(interface),
-            "band": band(interface, SDS * sd),
+            "line": explore.outline(interface),
+            "band": explore.band(interface, explore.SDS * sd),
             "sd_um": float(f"{1e3 * float(np.sqrt(np.mean(sd**2))):.3g}"),
-            "offsets": None if name not in observed else offsets_um(observed[name], interface),
+            "offsets": None if name not in observed else explore.offsets_um(observed[name], interface),
         }
     return out
 
@@ -284,7 +273,7 @@ def _flow_on_grid(model: ForwardModel, inputs: Mapping[str, float], condition: s
 
     def on_grid(values: Float[np.ndarray, " point"], cells: Bool[np.ndarray, " cell"]) -> list[list[float | None]]:
         mesh = Triangulation(fields.points[:, 0], fields.points[:, 1], fields.triangles[cells])
-        return [rounded(row, DIGITS) for row in LinearTriInterpolator(mesh, values)(*grid).filled(np.nan)]
+        return [explore.rounded(row, DIGITS) for row in LinearTriInterpolator(mesh, values)(*grid).filled(np.nan)]
 
     values = {
         "speed": (np.linalg.norm(fields.velocity, axis=1), fluid, "mm/s"),

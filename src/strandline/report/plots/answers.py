@@ -12,7 +12,6 @@ from matplotlib.ticker import MaxNLocator
 
 from strandline.posterior.rank_tests import Band
 from strandline.report.plots import style
-from strandline.report.plots.style import axes_or_new, below, figure_or_new, labelled, legend_under, panel_grid, styled
 from strandline.typeset import figure_text, unit_text
 
 CANDIDATES_APART, LEVELS_APART = 0.16, 0.12
@@ -45,8 +44,8 @@ def plot_candidates(
     `ratios` are the expected standard deviations over the present ones, by input.
     """
     place = np.arange(len(labels))
-    with styled():
-        figure = figure_or_new(figure, (style.DOUBLE, 1.3 + 0.24 * len(labels)))
+    with style.styled():
+        figure = style.figure_or_new(figure, (style.DOUBLE, 1.3 + 0.24 * len(labels)))
         left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.2, 1))
         bars = {"ecolor": style.BLACK, "elinewidth": 0.9, "capsize": 2.0}
         left.barh(place, gains, 0.6, color=style.SKY, alpha=0.45, label="lost where it fails")
@@ -60,7 +59,7 @@ def plot_candidates(
         right.axvline(1.0, color=style.GREY, linewidth=0.8, linestyle=":")
         right.set(xlabel="expected sd / present sd", xlim=(0.0, 1.08))
         left.invert_yaxis()
-        legend_under(figure, labelled(left, right))
+        style.legend_under(figure, style.labelled(left, right))
     return figure
 
 
@@ -76,8 +75,8 @@ def plot_directions(
     `weights` are unit vectors in prior standard deviations, one combination a row.
     """
     number = len(names)
-    with styled():
-        ax = axes_or_new(ax, (1.6 + 0.5 * number, 1.2 + 0.36 * number))
+    with style.styled():
+        ax = style.axes_or_new(ax, (1.6 + 0.5 * number, 1.2 + 0.36 * number))
         picture = ax.imshow(weights.T, cmap="RdBu_r", vmin=-1, vmax=1, aspect="auto")
         for (row, column), value in np.ndenumerate(weights.T):
             text, colour = f"{value:+.2f}".replace("-", "−"), "white" if abs(value) > 0.6 else style.BLACK
@@ -91,18 +90,18 @@ def plot_directions(
 
 def plot_rank_bands(bands: Mapping[str, Band], *, figure: Figure | SubFigure | None = None) -> Figure | SubFigure:
     """Draw `plot_rank_band` for each input, three in a row."""
-    with styled():
-        figure, panels = panel_grid(figure, len(bands), 2.2)
+    with style.styled():
+        figure, panels = style.panel_grid(figure, len(bands), 2.2)
         for ax, (name, band) in zip(panels, bands.items(), strict=True):
             plot_rank_band(band, legend=False, ax=ax).set_title(figure_text(name))
-        legend_under(figure, labelled(*panels))
+        style.legend_under(figure, style.labelled(*panels))
     return figure
 
 
 def plot_rank_band(band: Band, *, legend: bool = True, ax: Axes | None = None) -> Axes:
     """Draw how far the distribution of the ranks is from uniform, and the band that it must stay inside."""
-    with styled():
-        ax, places = axes_or_new(ax, (style.SINGLE, 2.7)), band.places
+    with style.styled():
+        ax, places = style.axes_or_new(ax, (style.SINGLE, 2.7)), band.places
         low, high = band.low - places, band.high - places
         ax.fill_between(places, low, high, color=style.SKY, alpha=0.6, linewidth=0, label="95 % band")
         ax.axhline(0.0, color=style.GREY, linewidth=0.8)
@@ -110,14 +109,14 @@ def plot_rank_band(band: Band, *, legend: bool = True, ax: Axes | None = None) -
         ax.plot(places, band.found - places, color=colour, label=label)
         ax.set(xlabel="rank of the truth", ylabel="share below minus rank", xlim=(0, 1))
         if legend:
-            below(ax)
+            style.below(ax)
     return ax
 
 
 def plot_intervals(found: Mapping[str, Sequence[Mapping[str, float]]], *, ax: Axes | None = None) -> Axes:
     """Draw the share of intervals that contain the truth, for each input and probability, as coverage.json has them."""
-    with styled():
-        ax = axes_or_new(ax, (style.SINGLE, 2.7))
+    with style.styled():
+        ax = style.axes_or_new(ax, (style.SINGLE, 2.7))
         levels = [one["level"] for one in next(iter(found.values()))]
         for k, (level, colour) in enumerate(zip(levels, style.CYCLE, strict=False)):
             share, low, high = (np.array([each[k][key] for each in found.values()]) for key in ("found", "low", "high"))
@@ -128,7 +127,7 @@ def plot_intervals(found: Mapping[str, Sequence[Mapping[str, float]]], *, ax: Ax
             ax.errorbar(places, share, reach, fmt="o", color=colour, markersize=4, label=label)
         ax.set_xticks(range(len(found)), [figure_text(name) for name in found])
         ax.set(ylabel="share that contain the truth", xlim=(-0.5, len(found) - 0.5), ylim=(0, 1.02))
-        below(ax)
+        style.below(ax)
     return ax
 
 
@@ -143,15 +142,17 @@ def plot_alternatives(
     `present` has the `mean`, and the ends of the 90 % interval, `low` and `high`, by the label of the input;
     alternatives have the same of each input and whether it `moves` by more than what counts, or None if it is fixed.
     """
-    with styled():
+    with style.styled():
         height, sharing = ROW * (len(alternatives) + 1) + AROUND, {"sharey": True}
-        figure, panels = panel_grid(figure, len(present), height, margin=0.3, single=style.SINGLE + LABELLED, **sharing)
+        figure, panels = style.panel_grid(
+            figure, len(present), height, margin=0.3, single=style.SINGLE + LABELLED, **sharing
+        )
         for i, (ax, (label, band)) in enumerate(zip(panels, present.items(), strict=True)):
             _whiskers(ax, band, [some[i] for _, some in alternatives])
             ax.set_xlabel(label)
         panels[0].set_yticks(range(len(alternatives)), [name for name, _ in alternatives])
         panels[0].set_ylim(len(alternatives) - 0.4, -0.6)
-        legend_under(figure, labelled(*panels))
+        style.legend_under(figure, style.labelled(*panels))
     return figure
 
 
@@ -182,8 +183,8 @@ def plot_caterpillar(specimens: Sequence[Mapping[str, Any]], name: str, label: s
     odd = np.array([bool(one.get("outlier")) for one in specimens])[order]
     places, many = np.arange(len(order)), len(order) > MOST_NAMED
     apart, width, size = (0.0, 0.6, 2) if many else (0.15, 1.2, 4)
-    with styled():
-        ax = axes_or_new(ax, (style.DOUBLE, 2.9))
+    with style.styled():
+        ax = style.axes_or_new(ax, (style.DOUBLE, 2.9))
         for values, shift, colour, words in (
             (own, -apart, style.GREY, "own outline alone"),
             (given_all, apart, style.BLUE, "given all specimens"),
@@ -217,15 +218,15 @@ def plot_population(
     density there, per unit of the input; `label` is its symbol with its unit, for Matplotlib.
     """
     x, high = density["x"], density["high"]
-    with styled():
-        ax = axes_or_new(ax, (style.SINGLE, 2.7))
+    with style.styled():
+        ax = style.axes_or_new(ax, (style.SINGLE, 2.7))
         ax.fill_between(x, density["low"], high, color=style.SKY, alpha=0.6, linewidth=0, label="90 % band")
         ax.plot(x, density["median"], color=style.BLUE, label="population")
         top = float(high.max())
         ax.vlines(specimens, -2 * STROKE * top, -STROKE * top, color=style.GREY, linewidth=0.6, label="specimens")
         ends = np.concatenate([x[high > 1e-3 * top], specimens])
         ax.set(xlabel=label, ylabel="density", xlim=(ends.min(), ends.max()))
-        below(ax)
+        style.below(ax)
     return ax
 
 
@@ -258,8 +259,8 @@ def plot_check(
 
     True ones are not finite if the run failed; a band is None if there is none to draw.
     """
-    with styled():
-        figure = figure_or_new(figure, (style.DOUBLE, 3.6 if len(bands) < 2 else 3.0))
+    with style.styled():
+        figure = style.figure_or_new(figure, (style.DOUBLE, 3.6 if len(bands) < 2 else 3.0))
         first, *others = figure.subplots(1, 1 + len(bands), squeeze=False)[0]
         _likelihoods(first, true, surrogate)
         for ax, (condition, band) in zip(others, bands.items(), strict=True):
@@ -282,13 +283,13 @@ def _likelihoods(ax: Axes, true: Float[np.ndarray, " draw"], surrogate: Float[np
         ax.plot(surrogate[~ok], floor, "x", color=style.GREY, markersize=6, clip_on=False, label=label)
     ax.set(xlim=limits, ylim=limits, box_aspect=1.0)
     ax.set(xlabel="log-likelihood, surrogate", ylabel="log-likelihood, true model")
-    below(ax, columns=2)
+    style.below(ax, columns=2)
 
 
 def plot_offsets(band: OffsetBand | None, *, legend: bool = True, ax: Axes | None = None) -> Axes:
     """Draw the band of the interfaces and the observation over the arc length; a note if there is no band."""
-    with styled():
-        ax = axes_or_new(ax, (style.SINGLE, 3.6))
+    with style.styled():
+        ax = style.axes_or_new(ax, (style.SINGLE, 3.6))
         if band is None:
             ax.set_axis_off()
             ax.text(0.5, 0.5, "no band: see the note\nin check.json", ha="center", va="center", color=style.GREY)
@@ -302,7 +303,7 @@ def plot_offsets(band: OffsetBand | None, *, legend: bool = True, ax: Axes | Non
         ax.plot(band.observed_arc_length, observed, color=style.GREEN, linewidth=2.0, label="observed")
         ax.set(xlabel="arc length [mm]", ylabel="normal offset from the median [µm]", box_aspect=1.0)
         if legend:
-            below(ax, columns=2)
+            style.below(ax, columns=2)
     return ax
 
 
@@ -310,11 +311,11 @@ def plot_averaged(
     inputs: Mapping[str, Mapping[str, Any]], *, figure: Figure | SubFigure | None = None
 ) -> Figure | SubFigure:
     """Draw `plot_model_marginals` for each input, three in a row."""
-    with styled():
-        figure, panels = panel_grid(figure, len(inputs), 2.3)
+    with style.styled():
+        figure, panels = style.panel_grid(figure, len(inputs), 2.3)
         for ax, one in zip(panels, inputs.values(), strict=True):
             plot_model_marginals(one, ax=ax)
-        legend_under(figure, labelled(panels[0]))
+        style.legend_under(figure, style.labelled(panels[0]))
     return figure
 
 
@@ -322,8 +323,8 @@ def plot_model_marginals(one: Mapping[str, Any], *, ax: Axes | None = None) -> A
     """Draw the histograms of an input under each model, as compare.json has it, and their average on top."""
     histogram, models = one["histogram"], one["histogram"]["models"]
     edges = np.array(histogram["edges"], float)
-    with styled():
-        ax = axes_or_new(ax, (style.SINGLE, 2.6))
+    with style.styled():
+        ax = style.axes_or_new(ax, (style.SINGLE, 2.6))
         for (name, density), colour in zip(models.items(), np.resize(style.CYCLE, len(models)), strict=True):
             ax.stairs(density, edges, color=colour, linewidth=1.4, label=name.replace("$", r"\$"))
         ax.stairs(histogram["averaged"], edges, color=style.BLACK, linewidth=1.6, linestyle="--", label="averaged")
@@ -343,8 +344,8 @@ def plot_predictions(
 ) -> Figure | SubFigure:
     """Draw the predicted interfaces with the observed one: a row for each condition, a column for each model."""
     conditions, models = (list(dict.fromkeys(key[k] for key in bands)) for k in (0, 1))
-    with styled():
-        figure = figure_or_new(figure, (style.DOUBLE, 3.0 * len(conditions) + 0.3))
+    with style.styled():
+        figure = style.figure_or_new(figure, (style.DOUBLE, 3.0 * len(conditions) + 0.3))
         panels = figure.subplots(len(conditions), len(models), squeeze=False, sharey="row")
         for row, condition in zip(panels, conditions, strict=True):
             for ax, model in zip(row, models, strict=True):
@@ -352,5 +353,5 @@ def plot_predictions(
                 ax.set_title((f"{model}, {condition}" if condition else model).replace("$", r"\$"))
                 ax.set_box_aspect(None)
                 ax.set_ylabel("" if ax is not row[0] else "offset from the median [µm]")
-        legend_under(figure, labelled(panels[0][0]))
+        style.legend_under(figure, style.labelled(panels[0][0]))
     return figure

@@ -13,16 +13,6 @@ from matplotlib.figure import Figure, SubFigure
 
 from strandline.parameters import Parameter
 from strandline.report.plots import style
-from strandline.report.plots.style import (
-    axes_or_new,
-    below,
-    figure_of,
-    figure_or_new,
-    labelled,
-    legend_under,
-    mark,
-    styled,
-)
 
 Kind = Literal["likelihood", "log_likelihood", "sd"]
 _LABELS = {
@@ -71,8 +61,8 @@ def plot_field(
     top = max(float(g.values.max()) for g in (grid, detail) if g is not None)
     values = np.exp(grid.values - top) if kind == "likelihood" else grid.values
     norm = _norm(values, kind)
-    with styled():
-        ax = axes_or_new(ax, (style.SINGLE, 2.8))
+    with style.styled():
+        ax = style.axes_or_new(ax, (style.SINGLE, 2.8))
         colours: Any = {"cmap": _COLOURS[kind], "norm": norm, "shading": "gouraud", "rasterized": True}
         drawn = ax.pcolormesh(grid.x_values, grid.y_values, values.T, **colours)
         steps = np.unique(norm.inverse(np.linspace(0.0, 1.0, STEPS + 1)[1:-1]))
@@ -86,15 +76,15 @@ def plot_field(
             ax.set(xlim=grid.x.interval, ylim=grid.y.interval)
             _draw_detail(ax, detail, np.exp(detail.values - top), lines)
         elif grid.truth is not None:
-            mark(ax, grid.truth, style.RED, "ground truth", marker="o")
+            style.mark(ax, grid.truth, style.RED, "ground truth", marker="o")
         ax.set(xlabel=grid.x.figure_label(), ylabel=grid.y.figure_label(), xlim=grid.x.interval, ylim=grid.y.interval)
         if colour_bar:
-            bar = figure_of(ax).colorbar(drawn, ax=ax, label=_LABELS[kind])
+            bar = style.figure_of(ax).colorbar(drawn, ax=ax, label=_LABELS[kind])
             if isinstance(norm, FuncNorm):
                 places, labels = style.root_ticks(norm.inverse(0.0), norm.inverse(1.0))
                 bar.set_ticks(places, labels=labels)
         if legend:
-            below(ax)
+            style.below(ax)
     return ax
 
 
@@ -106,9 +96,9 @@ def three_measures(
     Normalised likelihoods share one colour bar; other fields have one each, since discrepancies differ in scale.
     """
     shared = kind == "likelihood"
-    with styled():
+    with style.styled():
         width, height = style.SINGLE if len(fields) == 1 else style.DOUBLE, 2.9 if len(fields) < 3 else 2.4
-        figure = figure_or_new(figure, (width, height))
+        figure = style.figure_or_new(figure, (width, height))
         panels = figure.subplots(1, len(fields), sharey=True, squeeze=False)[0]
         for letter, ax, (title, grid) in zip("abcdefgh", panels, fields.items(), strict=False):
             plot_field(grid, kind=kind, colour_bar=not shared, legend=False, ax=ax)
@@ -118,7 +108,7 @@ def three_measures(
             bar.set_ylabel("")  # that of the rightmost one is enough
         if shared:
             figure.colorbar(panels[0].collections[0], ax=list(panels), label=_LABELS[kind], pad=0.01)
-        legend_under(figure, labelled(panels[0]))
+        style.legend_under(figure, style.labelled(panels[0]))
     return figure
 
 
@@ -132,8 +122,8 @@ def plot_profile(
     ax: Axes | None = None,
 ) -> Axes:
     """Draw a log-likelihood over a single input, with a band of two standard deviations."""
-    with styled():
-        ax = axes_or_new(ax)
+    with style.styled():
+        ax = style.axes_or_new(ax)
         ax.plot(x_values, values, color=style.BLACK)
         if sd is not None:
             ax.fill_between(x_values, values - 2 * sd, values + 2 * sd, color=style.GREY, alpha=0.4, label="± 2 sd")
@@ -161,8 +151,8 @@ def _draw_detail(ax: Axes, detail: FieldGrid, values: Float[np.ndarray, "x y"], 
     inset.pcolormesh(detail.x_values, detail.y_values, values.T, rasterized=True, **colours)
     inset.contour(detail.x_values, detail.y_values, values.T, **lines)
     if detail.truth is not None:
-        mark(inset, detail.truth, style.RED, "ground truth", marker="o", size=6.0)
-        mark(ax, [np.nan, np.nan], style.RED, "ground truth", marker="o")  # for the legend
+        style.mark(inset, detail.truth, style.RED, "ground truth", marker="o", size=6.0)
+        style.mark(ax, [np.nan, np.nan], style.RED, "ground truth", marker="o")  # for the legend
     inset.tick_params(colors="white", labelsize=6.5, length=2.5)
     inset.locator_params(nbins=4, prune="both")  # labels at the ends would cross the frame
     for spine in inset.spines.values():

@@ -16,7 +16,6 @@ from strandline.errors import InvalidInput
 from strandline.interface import Interface
 from strandline.posterior import Offsets
 from strandline.report.plots import style
-from strandline.report.plots.style import axes_or_new, below, figure_of, figure_or_new, labelled, legend_under, styled
 
 _HALF_LINE = 38
 """Characters of a label that leave room for a second one next to it."""
@@ -39,8 +38,8 @@ def plot_interfaces(
     labels = {label: _wrapped(label) for label in simulated or {}}
     long = any(len(label) > _HALF_LINE for label in labels)
     lines = sum(label.count("\n") + 1 for label in labels.values()) if long else 0
-    with styled():
-        ax = axes_or_new(ax, (style.DOUBLE, 3.9 + 0.14 * lines))
+    with style.styled():
+        ax = style.axes_or_new(ax, (style.DOUBLE, 3.9 + 0.14 * lines))
         if reference is not None:
             _draw(ax, reference, style.GREY, "undeformed", width=1.2, dashes=(0, (4, 2)))
         if observed is not None:
@@ -53,7 +52,7 @@ def plot_interfaces(
         if 0 < height < _FLAT * width:
             stretch = max(round(_FLAT * width / height), 2)
             ax.set(aspect=stretch, ylabel=f"y [mm], {stretch} × stretched")
-        below(ax, columns=1 if long else 2, handlelength=3.2)
+        style.below(ax, columns=1 if long else 2, handlelength=3.2)
     return ax
 
 
@@ -68,8 +67,8 @@ def plot_conditions(
 
     Each condition has simulated interfaces with the same labels, since one legend under the last panel explains all.
     """
-    with styled():
-        figure = figure_or_new(figure, (style.DOUBLE, 1.2 + 2.6 * len(observed)))
+    with style.styled():
+        figure = style.figure_or_new(figure, (style.DOUBLE, 1.2 + 2.6 * len(observed)))
         panels = figure.subplots(len(observed), 1, sharex=True, squeeze=False)[:, 0]
         for ax, (condition, interface) in zip(panels, observed.items(), strict=True):
             plot_interfaces(interface, reference=reference, simulated=(simulated or {}).get(condition), ax=ax)
@@ -111,8 +110,8 @@ def _draw(
 
 def plot_run_offsets(observed: Offsets, runs: Mapping[str, Offsets], *, ax: Axes | None = None) -> Axes:
     """Draw the normal offsets, mm, of the observed interface and of some runs from the best run, the zero line."""
-    with styled():
-        ax = axes_or_new(ax, (style.DOUBLE, 3.2))
+    with style.styled():
+        ax = style.axes_or_new(ax, (style.DOUBLE, 3.2))
         for k, (label, found) in enumerate(runs.items()):
             colour, dashes = style.CYCLE[k % len(style.CYCLE)], style.DASHES[(k + 1) % len(style.DASHES)]
             offset = style.TO_MICROMETRES * found.offset
@@ -121,7 +120,7 @@ def plot_run_offsets(observed: Offsets, runs: Mapping[str, Offsets], *, ax: Axes
         offset = style.TO_MICROMETRES * observed.offset
         ax.plot(observed.arc_length, offset, color=style.GREEN, linewidth=1.8, label="observed")
         ax.set(xlabel="arc length [mm]", ylabel="normal offset from the best run [µm]")
-        below(ax, columns=2)
+        style.below(ax, columns=2)
     return ax
 
 
@@ -142,8 +141,8 @@ def plot_residuals(
     residuals: Mapping[str, ResidualsAlong], *, figure: Figure | SubFigure | None = None
 ) -> Figure | SubFigure:
     """Draw the residuals in µm over the arc length with a band of ± 2 standard deviations, one panel a condition."""
-    with styled():
-        figure = figure_or_new(figure, (style.DOUBLE, 0.9 + 1.9 * len(residuals)))
+    with style.styled():
+        figure = style.figure_or_new(figure, (style.DOUBLE, 0.9 + 1.9 * len(residuals)))
         panels = figure.subplots(len(residuals), 1, squeeze=False)[:, 0]
         for ax, (condition, along) in zip(panels, residuals.items(), strict=True):
             order, band = np.argsort(along.arc_length, kind="stable"), 2 * style.TO_MICROMETRES * along.sd
@@ -156,7 +155,7 @@ def plot_residuals(
             ax.plot(along.arc_length[order], values, color=style.GREEN, marker=".", markersize=3.0, label="observed")
             ax.set(ylabel="residual [µm]", title=condition)
         panels[-1].set_xlabel("arc length of the observed interface [mm]")
-        legend_under(figure, labelled(*panels))
+        style.legend_under(figure, style.labelled(*panels))
     return figure
 
 
@@ -169,8 +168,8 @@ def plot_flow(fields: Any, *, title: str = "", figure: Figure | SubFigure | None
     speed = np.linalg.norm(fields.velocity, axis=1)
     length = np.linalg.norm(fields.displacement, axis=1)
     fluid, solid = fields.cell_part == 0, fields.cell_part > 0
-    with styled():
-        figure = figure_or_new(figure, (style.SINGLE, 5.4))
+    with style.styled():
+        figure = style.figure_or_new(figure, (style.SINGLE, 5.4))
         panels = figure.subplots(3, 1, sharex=True, sharey=True)
         _panel(panels[0], fields, speed, fluid, "velocity magnitude [mm/s]", "viridis")
         _panel(panels[1], fields, fields.pressure, fluid, "pressure [Pa]", "cividis")
@@ -210,7 +209,7 @@ def _panel(
         low, high = float(used.min()), float(used.max())
         high = high if high > low else low + 1.0  # nothing moves: the lowest colour, not the middle one
         drawn = ax.tripcolor(mesh, values, shading="gouraud", cmap=colours, vmin=low, vmax=high)
-        figure_of(ax).colorbar(drawn, ax=ax, label=label, shrink=0.95, pad=0.02)
+        style.figure_of(ax).colorbar(drawn, ax=ax, label=label, shrink=0.95, pad=0.02)
     interface = _edges_above(fields, 0)
     inner = set[tuple[int, int]]().union(*(_edges_above(fields, k) for k in range(1, int(fields.cell_part.max()) + 1)))
     rest = fields.points - fields.displacement

@@ -23,17 +23,6 @@ from strandline.posterior import (
     systematic_indices,
 )
 from strandline.report.plots import style
-from strandline.report.plots.style import (
-    axes_or_new,
-    figure_of,
-    figure_or_new,
-    labelled,
-    legend_under,
-    mark,
-    panel_grid,
-    percent,
-    styled,
-)
 from strandline.typeset import unit_text
 
 PERCENTILES = (0.1, 0.5, 0.9)
@@ -63,8 +52,8 @@ def plot_joint(
     """
     x, y = (posterior.space[name] for name in names)
     values = posterior.columns(names)
-    with styled():
-        figure = figure_or_new(figure, (style.DOUBLE, 6.2))
+    with style.styled():
+        figure = style.figure_or_new(figure, (style.DOUBLE, 6.2))
         main, top, right = _layout(figure)
         plot_hexagons(posterior, names, percentiles=percentiles, bins=bins, colour_bar=False, ax=main)
         _draw_gaussian(main, posterior, names, percentiles)
@@ -97,8 +86,8 @@ def plot_hexagons(
     x, y = (posterior.space[name] for name in names)
     across, up = (axis_limits(posterior, name) for name in names)
     values = posterior.columns(names)
-    with styled():
-        ax = axes_or_new(ax, (style.SINGLE, 2.8))
+    with style.styled():
+        ax = style.axes_or_new(ax, (style.SINGLE, 2.8))
         sums: Any = {"C": posterior.weights, "reduce_C_function": np.sum, "extent": (*across, *up)}
         drawn = ax.hexbin(*values.T, gridsize=bins, cmap="Blues", linewidths=0.1, **sums)
         mass: Any = drawn.get_array()
@@ -110,7 +99,7 @@ def plot_hexagons(
         _draw_kde(ax, *few, bounds=bounds, shown=(across, up), percentiles=percentiles, loo_points=judged)
         ax.set(xlabel=x.figure_label(), ylabel=y.figure_label(), xlim=across, ylim=up)
         if colour_bar:
-            figure_of(ax).colorbar(drawn, ax=ax, label="probability of a hexagon")
+            style.figure_of(ax).colorbar(drawn, ax=ax, label="probability of a hexagon")
     return ax
 
 
@@ -162,7 +151,7 @@ def _draw_gaussian(ax: Axes, posterior: Posterior, names: tuple[str, str], perce
     indices = _indices(posterior, names)
     approximation = GaussianApproximation(posterior.mean, posterior.covariance).marginal(indices)
     _ellipses(ax, approximation, percentiles, style.ORANGE, "Gaussian")
-    mark(ax, approximation.mean, style.ORANGE, "mean")
+    style.mark(ax, approximation.mean, style.ORANGE, "mean")
 
 
 def _draw_laplace(
@@ -203,9 +192,9 @@ def _draw_points(
         label = "MAP (fullest bin)"
         bounds = [posterior.space[name].interval for name in names]
         mode = histogram_mode(posterior.columns(names), posterior.weights, bounds=bounds)
-    mark(ax, mode, style.GREEN, label)
+    style.mark(ax, mode, style.GREEN, label)
     if truth is not None and all(name in truth for name in names):
-        mark(ax, [truth[name] for name in names], style.BLUE, "ground truth", marker="o", size=11.0)
+        style.mark(ax, [truth[name] for name in names], style.BLUE, "ground truth", marker="o", size=11.0)
 
 
 def _indices(posterior: Posterior, names: Sequence[str]) -> list[int]:
@@ -214,13 +203,13 @@ def _indices(posterior: Posterior, names: Sequence[str]) -> list[int]:
 
 def _legend(figure: Figure | SubFigure, main: Axes, top: Axes, percentiles: Sequence[float], note: str) -> None:
     """Put one entry for each kind of artist below the figure."""
-    entries: dict[str, Any] = {f"KDE {percent(percentiles)}": Line2D([], [], color=style.BLACK)}
-    for label, handle in labelled(main).items():
-        entries[f"{label} {percent(percentiles)}" if label in ("Gaussian", "Laplace") else label] = handle
-    entries["prior"] = labelled(top)["prior"]
+    entries: dict[str, Any] = {f"KDE {style.percent(percentiles)}": Line2D([], [], color=style.BLACK)}
+    for label, handle in style.labelled(main).items():
+        entries[f"{label} {style.percent(percentiles)}" if label in ("Gaussian", "Laplace") else label] = handle
+    entries["prior"] = style.labelled(top)["prior"]
     if note:
         entries[note] = Line2D([], [], color="none")
-    legend_under(figure, entries)
+    style.legend_under(figure, entries)
 
 
 def plot_particles(
@@ -234,13 +223,13 @@ def plot_particles(
     weights, points = posterior.weights[order], posterior.columns(names)[order]
     x, y = posterior.space[names[0]], posterior.space[names[1]]
     across, up = (axis_limits(posterior, name) for name in names)
-    with styled():
-        ax = axes_or_new(ax, (style.SINGLE, 2.8))
+    with style.styled():
+        ax = style.axes_or_new(ax, (style.SINGLE, 2.8))
         area = largest * weights / weights.max()
         drawn = ax.scatter(points[:, 0], points[:, 1], s=area, c=weights, cmap="viridis_r", vmin=0.0, rasterized=True)
         drawn.set(edgecolors="white", linewidths=0.15)
         ax.set(xlabel=x.figure_label(), ylabel=y.figure_label(), xlim=across, ylim=up)
-        figure_of(ax).colorbar(drawn, ax=ax, label="weight of the particle")
+        style.figure_of(ax).colorbar(drawn, ax=ax, label="weight of the particle")
     return ax
 
 
@@ -272,8 +261,8 @@ def plot_marginal(
 ) -> Axes:
     """Draw the marginal posterior of one input with its prior; `whole_box` shows all of the prior (Fig. 10)."""
     parameter = posterior.space[name]
-    with styled():
-        ax = axes_or_new(ax, (style.SINGLE, 2.6))
+    with style.styled():
+        ax = style.axes_or_new(ax, (style.SINGLE, 2.6))
         shown = parameter.interval if whole_box else axis_limits(posterior, name)
         draw_marginal(ax, parameter, posterior.columns([name])[:, 0], posterior.weights, shown=shown, bins=bins)
         if overlay is not None:
@@ -299,12 +288,12 @@ def plot_marginals(
     """Draw the marginals of several inputs (by default of all of them), three or four in a row."""
     chosen = posterior.space.names if names is None else tuple(names)
     height, columns = 2.2 if len(chosen) < 3 else 1.8, 3 if len(chosen) <= 6 else 4
-    with styled():
-        figure, panels = panel_grid(figure, len(chosen), height, columns=columns)
+    with style.styled():
+        figure, panels = style.panel_grid(figure, len(chosen), height, columns=columns)
         for ax, name in zip(panels, chosen, strict=True):
             own: Any = {"overlay": (overlays or {}).get(name), "truth": (truth or {}).get(name)}
             plot_marginal(posterior, name, bins=bins, **own, legend=False, whole_box=whole_box, ax=ax)
-        legend_under(figure, labelled(*panels))
+        style.legend_under(figure, style.labelled(*panels))
     return figure
 
 

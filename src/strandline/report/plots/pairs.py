@@ -28,16 +28,6 @@ from strandline.report.plots.joint import (
     plot_particles,
     thinned,
 )
-from strandline.report.plots.style import (
-    axes_or_new,
-    below,
-    figure_of,
-    figure_or_new,
-    labelled,
-    legend_under,
-    mark,
-    styled,
-)
 
 MASSES = (0.68, 0.95)
 """Probabilities of the two regions."""
@@ -79,12 +69,12 @@ def plot_corner(
         else:
             _regions(ax, posterior, (across, up), levels, truth)
 
-    with styled():
+    with style.styled():
         figure, panels = _triangle(figure, posterior, chosen, (width, width + 0.2), panel, few_ticks=True)
-        entries = labelled(panels[0, 0])
+        entries = style.labelled(panels[0, 0])
         if len(chosen) > 1:
             entries |= {f"{100 * mass:.3g} %": _patch(k, len(levels)) for k, mass in enumerate(levels)}
-        legend_under(figure, entries)
+        style.legend_under(figure, entries)
     return figure
 
 
@@ -109,11 +99,11 @@ def plot_pairs(
         else:
             plot_hexagons(posterior, (across, up), bins=bins, colour_bar=False, particles=1500, ax=ax)
             if truth is not None and across in truth and up in truth:
-                mark(ax, [truth[across], truth[up]], style.BLUE, "ground truth", marker="o", size=11.0)
+                style.mark(ax, [truth[across], truth[up]], style.BLUE, "ground truth", marker="o", size=11.0)
 
-    with styled():
+    with style.styled():
         figure, panels = _triangle(figure, posterior, chosen, size, panel, few_ticks=count > MANY)
-        legend_under(figure, labelled(*panels[:2, 0]))
+        style.legend_under(figure, style.labelled(*panels[:2, 0]))
     return figure
 
 
@@ -127,7 +117,7 @@ def _triangle(
     few_ticks: bool,
 ) -> tuple[Figure | SubFigure, Any]:
     """Return a figure and its panels, on the diagonal and below it, drawn by `panel` and labelled at the outside."""
-    figure = figure_or_new(figure, size)
+    figure = style.figure_or_new(figure, size)
     panels: Any = figure.subplots(len(names), len(names), squeeze=False)
     for row, column in np.ndindex(panels.shape):
         ax, left, last = panels[row, column], column == 0 and row > 0, row == len(names) - 1
@@ -274,8 +264,8 @@ def plot_parallel(posterior: Posterior, *, truth: Mapping[str, float] | None = N
     kept = np.flatnonzero(posterior.weights > 0)
     ranked = kept[np.argsort(density[kept], kind="stable")]
     norm = Normalize(*limits)
-    with styled():
-        ax = axes_or_new(ax, (style.DOUBLE, 3.5))
+    with style.styled():
+        ax = style.axes_or_new(ax, (style.DOUBLE, 3.5))
         look = {"cmap": "turbo", "norm": norm, "linewidths": 0.35, "alpha": 0.55, "rasterized": True}
         _add_lines(ax, np.stack(heights, axis=1)[ranked], **look).set_array(density[ranked])
         labels = [DENSITY.replace(" ", "\n", 1) if name == DENSITY else space[name].figure_label() for name in order]
@@ -288,7 +278,9 @@ def plot_parallel(posterior: Posterior, *, truth: Mapping[str, float] | None = N
                     [order.index(name)], [(value - a) / (b - a)], "o", color="white", markeredgecolor=style.BLUE,
                     markeredgewidth=2.0, markersize=7, zorder=6, label=label, clip_on=False,
                 )  # fmt: skip
-        figure_of(ax).colorbar(ScalarMappable(norm, "turbo"), ax=ax, label=DENSITY, extend="min", pad=0.02, aspect=30)
+        style.figure_of(ax).colorbar(
+            ScalarMappable(norm, "turbo"), ax=ax, label=DENSITY, extend="min", pad=0.02, aspect=30
+        )
         if ax.get_legend_handles_labels()[0]:
             ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0))
     return ax
@@ -305,15 +297,15 @@ def plot_failed_runs(
 
     Each axis spans the box; the commonest kind comes first.
     """
-    with styled():
-        ax = axes_or_new(ax, (style.DOUBLE, 3.2))
+    with style.styled():
+        ax = style.axes_or_new(ax, (style.DOUBLE, 3.2))
         _add_lines(ax, space.to_unit(ok), colors=style.GREY, linewidths=0.4, alpha=0.35, label=f"ok: {len(ok)}")
         for k, (kind, points) in enumerate(failed.items()):
             colour, dashes = style.CYCLE[(k + 1) % len(style.CYCLE)], style.DASHES[k % len(style.DASHES)]
             look = {"colors": colour, "linestyles": [dashes], "linewidths": 0.9, "alpha": 0.9}
             _add_lines(ax, space.to_unit(points), label=f"{kind}: {len(points)}", **look)
         _draw_axes(ax, [one.figure_label() for one in space], [one.interval for one in space])
-        below(ax)
+        style.below(ax)
     return ax
 
 

@@ -15,7 +15,6 @@ from strandline.imaging import Edge, Picture, Stack
 from strandline.imaging.surfaces.mesh import Mesh, cut
 from strandline.interface import Interface
 from strandline.report.plots import style
-from strandline.report.plots.style import figure_or_new, labelled, legend_under, styled
 
 MARGIN = 0.1
 """Part of the picture around the edge that is shown, as a share of the edge's extent."""
@@ -36,8 +35,8 @@ def plot_picture(
     The bands are ± 2 standard deviations of a point. They are too narrow to be seen in the whole picture, so a part of
     it is enlarged, around the middle of the edge. The first path is in pixels; lengths of the edge are in mm.
     """
-    with styled():
-        figure = figure_or_new(figure, (style.DOUBLE, 5.8))
+    with style.styled():
+        figure = style.figure_or_new(figure, (style.DOUBLE, 5.8))
         (whole, near), (strip, residual) = figure.subplots(2, 2, height_ratios=(1.25, 1.0))
         black, white = np.percentile(picture.values, DARKEST)
         grey = {"cmap": "gray", "vmin": black, "vmax": white, "interpolation": "nearest"}
@@ -45,7 +44,7 @@ def plot_picture(
         _near(near, whole, picture, edge, grey)
         _strip(strip, picture, edge, grey)
         _residual(residual, edge)
-        legend_under(figure, labelled(whole, near, strip, residual))
+        style.legend_under(figure, style.labelled(whole, near, strip, residual))
     return figure
 
 
@@ -126,8 +125,8 @@ def plot_surfaces(
     middle = 0.5 * (observed.points.min(axis=0) + observed.points.max(axis=0))
     shown = {"observed": (observed, style.BLACK, 1.6)}
     shown |= {label: (one, style.CYCLE[k % len(style.CYCLE)], 0.9) for k, (label, one) in enumerate(simulated.items())}
-    with styled():
-        figure = figure_or_new(figure, (style.DOUBLE, 2.9))
+    with style.styled():
+        figure = style.figure_or_new(figure, (style.DOUBLE, 2.9))
         lines = {}
         for ax, (normal, across, up) in zip(figure.subplots(1, 3), ((2, 0, 1), (1, 0, 2), (0, 1, 2)), strict=True):
             for label, (surface, colour, width) in shown.items():
@@ -137,15 +136,15 @@ def plot_surfaces(
             ax.autoscale()
             ax.set(xlabel=f"{AXES[across]} [mm]", ylabel=f"{AXES[up]} [mm]", aspect="equal")
             ax.set_title(f"{AXES[normal]} = {middle[normal]:.3g} mm")
-        legend_under(figure, lines)
+        style.legend_under(figure, lines)
     return figure
 
 
 def plot_stack(stack: Stack, mesh: Mesh, *, figure: Figure | SubFigure | None = None) -> Figure | SubFigure:
     """Draw three slices of a stack through the middle of a surface, in voxels, at right angles to each axis."""
     middle = np.rint(0.5 * (mesh.points.min(axis=0) + mesh.points.max(axis=0))).astype(int)
-    with styled():
-        figure = figure_or_new(figure, (style.DOUBLE, 2.6))
+    with style.styled():
+        figure = style.figure_or_new(figure, (style.DOUBLE, 2.6))
         for ax, (normal, across, down) in zip(figure.subplots(1, 3), ((2, 0, 1), (1, 0, 2), (0, 2, 1)), strict=True):
             place = int(np.clip(middle[normal], 0, stack.values.shape[2 - normal] - 1))
             grey = stack.values.take(place, axis=2 - normal)

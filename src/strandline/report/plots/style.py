@@ -74,17 +74,12 @@ def styled() -> AbstractContextManager[None]:
 
 def axes_or_new(ax: Axes | None, size: tuple[float, float] = (SINGLE, 2.7)) -> Axes:
     """Return `ax`, or the axes of a new figure of `size` inches."""
-    return new_figure(size).add_subplot(axes_class=ShownAxes) if ax is None else ax
+    return figure_or_new(None, size).add_subplot(axes_class=ShownAxes) if ax is None else ax
 
 
 def figure_or_new(figure: Figure | SubFigure | None, size: tuple[float, float]) -> Figure | SubFigure:
-    """Return `figure`, or a new one of `size` inches."""
-    return new_figure(size) if figure is None else figure
-
-
-def new_figure(size: tuple[float, float]) -> Figure:
-    """Return an empty figure whose parts are laid out so that nothing overlaps."""
-    return ShownFigure(figsize=size, layout="constrained")
+    """Return `figure`, or a new one of `size` inches whose parts are laid out so that nothing overlaps."""
+    return ShownFigure(figsize=size, layout="constrained") if figure is None else figure
 
 
 def figure_of(ax: Axes) -> Figure | SubFigure:

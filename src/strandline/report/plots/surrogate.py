@@ -14,16 +14,6 @@ from matplotlib.ticker import MaxNLocator
 
 from strandline.posterior import SobolIndices
 from strandline.report.plots import style
-from strandline.report.plots.style import (
-    axes_or_new,
-    below,
-    figure_of,
-    figure_or_new,
-    labelled,
-    legend_under,
-    panel_grid,
-    styled,
-)
 
 
 def plot_leave_one_out(
@@ -41,8 +31,8 @@ def plot_leave_one_out(
     highlighted. `left_out` says how the predictions were made: ``leave-one-out`` or ``leave-a-tenth-out``.
     """
     near = np.zeros(len(value), bool) if near_mode is None else near_mode
-    with styled():
-        ax = axes_or_new(ax, (style.SINGLE, 3.4))
+    with style.styled():
+        ax = style.axes_or_new(ax, (style.SINGLE, 3.4))
         both = np.concatenate([value, prediction])
         margin = 0.04 * (np.ptp(both) or 1.0)
         limits = (both.min() - margin, both.max() + margin)
@@ -59,7 +49,7 @@ def plot_leave_one_out(
                 ax.errorbar(value[chosen], prediction[chosen], error, label=text, **look)
         ax.set(aspect="equal", xlim=limits, ylim=limits)
         ax.set(xlabel="log-likelihood", ylabel=f"{left_out} prediction of\nlog-likelihood")
-        below(ax)
+        style.below(ax)
     return ax
 
 
@@ -85,8 +75,8 @@ def plot_field_error(errors: Mapping[str, ErrorsAlong], *, ax: Axes | None = Non
 
     More conditions than the palette has colours are taken as times, whose colours go from dark to bright.
     """
-    with styled():
-        ax = axes_or_new(ax, (style.SINGLE, 3.1))
+    with style.styled():
+        ax = style.axes_or_new(ax, (style.SINGLE, 3.1))
         kinds: dict[str, Any] = {}
         conditions: dict[str, Any] = {}
         for (condition, along), colour in zip(errors.items(), _colours(len(errors)), strict=True):
@@ -100,7 +90,7 @@ def plot_field_error(errors: Mapping[str, ErrorsAlong], *, ax: Axes | None = Non
         if highest > 0:
             ax.set_ylim(bottom=max(ax.get_ylim()[0], DECADES * highest))
         ax.set(xlabel="arc length [mm]", ylabel="error of the interface [µm]")
-        legend_under(figure_of(ax), kinds if len(errors) == 1 else kinds | conditions, columns=4)
+        style.legend_under(style.figure_of(ax), kinds if len(errors) == 1 else kinds | conditions, columns=4)
     return ax
 
 
@@ -120,8 +110,8 @@ def plot_sensitivity(indices: SobolIndices, names: Sequence[str], *, ax: Axes | 
         ("alone (first order)", style.BLUE, -0.5 * HEIGHT, indices.first, indices.first_low, indices.first_high),
         ("with others too (total)", style.ORANGE, 0.5 * HEIGHT, indices.total, indices.total_low, indices.total_high),
     )
-    with styled():
-        ax = axes_or_new(ax, (style.SINGLE, 1.3 + 0.36 * len(names)))
+    with style.styled():
+        ax = style.axes_or_new(ax, (style.SINGLE, 1.3 + 0.36 * len(names)))
         for label, colour, shift, value, low, high in kinds:
             reach = np.maximum([value - low, high - value], 0.0)
             bars = {"ecolor": style.BLACK, "elinewidth": 0.9, "capsize": 2.0}
@@ -130,7 +120,7 @@ def plot_sensitivity(indices: SobolIndices, names: Sequence[str], *, ax: Axes | 
         ax.set(yticks=place, yticklabels=list(names), xlabel="share of the variance under the prior")
         ax.set_xlim(min(0.0, float(np.min(indices.first_low))), max(1.0, float(np.max(indices.total_high))))
         ax.invert_yaxis()
-        below(ax, columns=2, borderaxespad=1.4)
+        style.below(ax, columns=2, borderaxespad=1.4)
     return ax
 
 
@@ -151,8 +141,8 @@ def plot_run_history(
 
     `labels` of the inputs have units; `checked` tells which posteriors were computed with the runs of a check as well.
     """
-    with styled():
-        figure, panels = panel_grid(figure, len(labels), 2.0, columns=4, sharex=True)
+    with style.styled():
+        figure, panels = style.panel_grid(figure, len(labels), 2.0, columns=4, sharex=True)
         for k, (ax, label) in enumerate(zip(panels, labels, strict=True)):
             low, middle, high = mean[:, k] - sd[:, k], mean[:, k], mean[:, k] + sd[:, k]
             ax.fill_between(runs, low, high, color=style.SKY, alpha=0.5, linewidth=0, label="± 1 sd")
@@ -164,7 +154,7 @@ def plot_run_history(
             ax.set(xlabel="runs", ylabel=label)
             ax.xaxis.set_major_locator(MaxNLocator(5, integer=True))
             ax.axhline(middle[-1], color=style.BLACK, linewidth=0.4)
-        legend_under(figure, labelled(panels[0]))
+        style.legend_under(figure, style.labelled(panels[0]))
     return figure
 
 
@@ -181,8 +171,8 @@ def plot_tempering(
     The exponent of the likelihood, the effective sample size and the share of accepted moves are those after each step.
     A line marks half the number of particles, below which the sampler resamples.
     """
-    with styled():
-        figure = figure_or_new(figure, (style.SINGLE, 3.8))
+    with style.styled():
+        figure = style.figure_or_new(figure, (style.SINGLE, 3.8))
         panels = figure.subplots(3, 1, sharex=True)
         for ax, values, colour, label, limits in zip(
             panels,
