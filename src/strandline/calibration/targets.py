@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -120,57 +120,24 @@ class Checks:
     field: FieldOutcome | None = None
 
 
-@runtime_checkable
-class Target(Protocol):
-    """A log-likelihood to sample from."""
-
-    @property
-    def compiled(self) -> BatchedLogDensity:
-        """For the sampler: a JAX function, or one that asks for NumPy arrays."""
-        ...
-
-    @property
-    def warm_up_densities(self) -> tuple[BatchedLogDensity, ...]:
-        """Log-likelihoods that lead near it, one after the other, in a fraction of the time."""
-        ...
-
-    def values(self, x: Points) -> Values:
-        """Return the log-likelihood of NumPy arrays."""
-        ...
-
-    def hessian(self, x: Point, scales: Point) -> Float[np.ndarray, "dim dim"]:
-        """Return the second derivatives at a point, given the scales of the inputs there."""
-        ...
-
-    def threads(self) -> AbstractContextManager[Any]:
-        """Return a context in which the log-likelihood is evaluated fastest."""
-        ...
-
-    def posterior(self, sampling: SMCResult) -> Posterior:
-        """Return the posterior that the sampled particles represent."""
-        ...
-
-    def checks(self, sampling: SMCResult, posterior: Posterior, cut: Cut | None, *, seed: int) -> Checks:
-        """Return the checks that this target allows."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class LogLikelihoodTarget:
-    """Mean of a surrogate of the log-likelihood."""
+    """Mean of a surrogate of the log-likelihood.
+
+    `warm_up_densities` are log-likelihoods that lead near it, one after the other, in a fraction of the time.
+    """
 
     process: Predictor
     space: ParameterSpace
+    warm_up_densities: tuple[BatchedLogDensity, ...] = ()
 
     @cached_property
     def compiled(self) -> BatchedLogDensity:
+        """For the sampler: a JAX function, or one that asks for NumPy arrays."""
         return predicted(self.process)
 
-    @property
-    def warm_up_densities(self) -> tuple[BatchedLogDensity, ...]:
-        return ()
-
     def values(self, x: Points) -> Values:
+        """Return the log-likelihood of NumPy arrays."""
         return np.asarray(self.process.mean(x))
 
     def hessian(self, x: Point, scales: Point) -> Float[np.ndarray, "dim dim"]:
@@ -180,6 +147,7 @@ class LogLikelihoodTarget:
         return central_hessian(self.values, x, _STEP * scales, self.space.low, self.space.high)
 
     def threads(self) -> AbstractContextManager[Any]:
+        """Return a context in which the log-likelihood is evaluated fastest."""
         return nullcontext()
 
     def posterior(self, sampling: SMCResult) -> Posterior:
@@ -256,9 +224,12 @@ class FieldTarget:
 
     def _by(self, likelihood: Mixture, x: Points) -> Values:
         surrogate = self.knowledge.surrogate
-        templates = {name: layout.template for name, layout in surrogate.layouts.items()}
-        values = likelihood.many(surrogate.points(surrogate.mean(x)), templates)
+        values = likelihood.many(surrogate.points(surrogate.mean(x)), surrogate.templates)
         return np.asarray(values + self.knowledge.log_feasibility(x))
+
+
+Target = LogLikelihoodTarget | FieldTarget
+"""A log-likelihood to sample from."""
 
 
 def _posterior(

@@ -16,9 +16,9 @@ from strandline.errors import InvalidInput
 from strandline.interface import Interface, Noise, Observation, PointErrors
 from strandline.likelihood.compared import compared
 from strandline.likelihood.inferred_noise import InferredNoise, infer_noise
-from strandline.likelihood.joint_errors import SharedErrors, shared_errors
+from strandline.likelihood.joint_errors import JointErrors, shared_errors
 from strandline.likelihood.local_likelihood import Nearby, OfMixture, nearby
-from strandline.likelihood.parabolas import Around, FittedParabola, log_gain, mean_of_draws, numbers, share_gained
+from strandline.likelihood.parabolas import FittedParabola, NearParabola, log_gain, mean_of_draws, numbers, share_gained
 from strandline.smc import BatchedLogDensity, OnHost, is_on_host
 from strandline.surrogate import GaussianProcess, Predictor, batched_mean
 from strandline.surrogate.field import FieldPrediction, FieldSurrogate
@@ -88,7 +88,7 @@ class FieldLikelihood:
         return log_gain(self.parabola.parabolas(found.mean), found.variance, plug_in)
 
     @cached_property
-    def parabola(self) -> Around:
+    def parabola(self) -> NearParabola | FittedParabola:
         """A parabola of log L around any field: of the likelihood nearby, or else fitted around the best inputs."""
         if self.nearby is not None:
             return self.nearby.parabola
@@ -148,8 +148,7 @@ class FieldLikelihood:
     def _of(
         self, coefficients: Float[np.ndarray, "draw mode"], tail: Float[np.ndarray, "draw rest"] | None
     ) -> Float[np.ndarray, " draw"]:
-        points = self.surrogate.points(coefficients, tail)
-        templates = {name: layout.template for name, layout in self.surrogate.layouts.items()}
+        points, templates = self.surrogate.points(coefficients, tail), self.surrogate.templates
         if self.inferred is not None:
             return self.inferred.likelihood.many(points, templates)
         if self._shared is not None:
@@ -184,7 +183,7 @@ class FieldLikelihood:
         return tuple(self.observations) if self.inferred is None else self.inferred.at_median(self.observations)
 
     @cached_property
-    def _shared(self) -> SharedErrors | None:
+    def _shared(self) -> JointErrors | None:
         return shared_errors(self.observations, self.discrepancy)
 
     @property

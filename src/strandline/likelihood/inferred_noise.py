@@ -32,7 +32,7 @@ from strandline.interface import (
     steady_lengths,
     summed_length,
 )
-from strandline.likelihood.joint_errors import JointErrors, error_model
+from strandline.likelihood.joint_errors import JointErrors
 from strandline.likelihood.linearised_residuals import Linearised, NearField, linearise
 from strandline.likelihood.local_likelihood import Mixture
 from strandline.surrogate.field import FieldSurrogate
@@ -271,7 +271,7 @@ def posterior_of_noise(
     """
     interfaces = [o.interface for o in observations]
     sds, lengths = _grid(lin, interfaces, unknown[0], near)
-    shared = _shared(observations, unknown)
+    shared = _unit_errors(observations, unknown).model.shared
     log_density = np.empty((len(causes.compared), len(sds), len(lengths)))
     for k, scales in enumerate(causes.scales):
         F = np.hstack([shared, lin.scaled, (causes.columns * scales)[:, scales > 0]])
@@ -315,8 +315,8 @@ def _log_share(given: tuple[float, float] | float | None, values: Float[np.ndarr
     return float(np.log(np.log(values[-1] / values[0]) / np.log(given[1] / given[0])))
 
 
-def _shared(observations: Sequence[Observation], unknown: Sequence[UnknownErrors]) -> Float[np.ndarray, "seen error"]:
-    return error_model(observations, [one.known(1.0, 0.0) for one in unknown]).shared
+def _unit_errors(observations: Sequence[Observation], unknown: Sequence[UnknownErrors]) -> JointErrors:
+    return JointErrors(tuple(observations), tuple(one.known(1.0, 0.0) for one in unknown))
 
 
 def _log_evidences(
@@ -361,14 +361,14 @@ def _mixture(
     interfaces = [o.interface for o in observations]
     spacing = float(np.mean([spacings(one).mean() for one in interfaces]))
     local = np.concatenate([spacing / spacings(one) for one in interfaces])
-    shared = np.hstack([_shared(observations, unknown), causes.columns])
+    joint = _unit_errors(observations, unknown)
+    shared = np.hstack([joint.model.shared, causes.columns])
     ones = np.ones(shared.shape[1] - causes.columns.shape[1])
     entries = [
         (level, scales, found.log_evidence + np.log(weight) + _normaliser(lin, level * local, shared * scales))
         for weight, level, cause in _levels(found, spacing)
         for scales in [np.concatenate([ones, causes.scales[cause]])]
     ]
-    joint = JointErrors(observations, tuple(one.known(1.0, 0.0) for one in unknown))
     return Mixture(joint, local, shared, *(np.array(part) for part in zip(*entries, strict=True)))
 
 

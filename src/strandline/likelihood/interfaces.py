@@ -14,7 +14,7 @@ from strandline.discrepancy import Discrepancy, independent_terms, unit_of
 from strandline.errors import InvalidInput, NumericsError, StrandlineError
 from strandline.interface import Interface, Observation
 from strandline.likelihood.compared import Compared, Registered, WhitenedNoise, adapted, compared
-from strandline.likelihood.joint_errors import SharedErrors, shared_errors
+from strandline.likelihood.joint_errors import JointErrors, shared_errors
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class InterfaceLikelihood:
         return sum(noise.constant(n or 0) for noise, n in zip(noises, counts, strict=True))
 
     @cached_property
-    def _shared(self) -> SharedErrors | None:
+    def _shared(self) -> JointErrors | None:
         return shared_errors(self.observations, self.discrepancy)
 
     def _compared(self, observation: Observation, simulated: Interface) -> Compared:

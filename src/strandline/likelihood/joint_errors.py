@@ -68,6 +68,21 @@ class JointErrors:
             found = [mine | more for mine, more in zip(found, ours, strict=True)]
         return tuple(found)
 
+    def square(self, interfaces: Mapping[str, Interface]) -> float:
+        """Return d² = rᵀ C⁻¹ r of the residuals of simulated interfaces by condition.
+
+        Raises:
+            InvalidInterface: One runs against its observation.
+        """
+        for seen in self.observations:
+            require_same_direction(interfaces[seen.condition], seen.interface)
+        points = {seen.condition: interfaces[seen.condition].points[None] for seen in self.observations}
+        return float(self.many(points, interfaces)[0])
+
+    def many(self, points: Points, templates: Mapping[str, Interface]) -> Float[np.ndarray, " run"]:
+        """Return d² of each run, given its points by condition."""
+        return self.model.square_of(*sums_of(self, points, templates))
+
     @property
     def conditions(self) -> frozenset[str]:
         return frozenset(one.condition for one in self.observations)
@@ -98,11 +113,6 @@ class JointErrors:
             number = one.global_errors(seen.interface.dim)
             yield slice(first, first + number)
             first += number
-
-
-def error_model(observations: Sequence[Observation], errors: Sequence[PointErrors]) -> ErrorModel:
-    """Return the covariance of all residuals, each observation with its own errors."""
-    return JointErrors(tuple(observations), tuple(errors)).model
 
 
 def residuals_of(
@@ -163,38 +173,11 @@ def _distances(joint: JointErrors, points: Points, templates: Mapping[str, Inter
     return np.concatenate(found, axis=1)
 
 
-@dataclass(frozen=True, eq=False)
-class SharedErrors:
-    """d² = rᵀ C⁻¹ r of the signed distances r of all observed points together."""
-
-    joint: JointErrors
-
-    @property
-    def model(self) -> ErrorModel:
-        """Covariance C of the residuals, in the order of the observations."""
-        return self.joint.model
-
-    def square(self, interfaces: Mapping[str, Interface]) -> float:
-        """Return d² of simulated interfaces by condition.
-
-        Raises:
-            InvalidInterface: One runs against its observation.
-        """
-        for seen in self.joint.observations:
-            require_same_direction(interfaces[seen.condition], seen.interface)
-        points = {seen.condition: interfaces[seen.condition].points[None] for seen in self.joint.observations}
-        return float(self.many(points, interfaces)[0])
-
-    def many(self, points: Points, templates: Mapping[str, Interface]) -> Float[np.ndarray, " run"]:
-        """Return d² of each run, given its points by condition."""
-        return self.model.square_of(*sums_of(self.joint, points, templates))
-
-
-def shared_errors(observations: Sequence[Observation], measure: Discrepancy) -> SharedErrors | None:
-    """Return the joint measure of several observations with shared errors; None if they are compared one by one."""
+def shared_errors(observations: Sequence[Observation], measure: Discrepancy) -> JointErrors | None:
+    """Return the errors of several observations that are compared together; None if they are compared one by one."""
     if len(observations) < 2 or not isinstance(measure, NormalOffset):
         return None
     known = [one.known for one in observations if one.known and one.known.shared]
     if len(known) < len(observations) or len({(one.shift, one.rotation, one.scale) for one in known}) > 1:
         return None
-    return SharedErrors(JointErrors(tuple(observations), tuple(known), common=True))
+    return JointErrors(tuple(observations), tuple(known), common=True)

@@ -285,7 +285,6 @@ def linearise(surrogate: FieldSurrogate, joint: JointErrors) -> Linearised:
     """Return the residuals around the inputs that fit best, by Gauss–Newton steps inside the box of the inputs."""
     low, high = surrogate.warping.low, surrogate.warping.high
     widths, model = high - low, joint.model
-    templates = {name: layout.template for name, layout in surrogate.layouts.items()}
 
     def around(x: Float[np.ndarray, " dim"]) -> tuple[NearField, Float[np.ndarray, "seen dim"]]:
         step = _DIFFERENCE * widths * np.where(x + _DIFFERENCE * widths > high, -1.0, 1.0)
@@ -294,7 +293,7 @@ def linearise(surrogate: FieldSurrogate, joint: JointErrors) -> Linearised:
         return field, field.slopes @ ((coefficients[1:] - coefficients[0]) / step[:, None]).T
 
     tried = low + widths * qmc.Sobol(len(low), seed=np.random.default_rng(0)).random(TRIED)
-    squares = model.square_of(*sums_of(joint, surrogate.points(surrogate.mean(tried)), templates))
+    squares = model.square_of(*sums_of(joint, surrogate.points(surrogate.mean(tried)), surrogate.templates))
     x = tried[int(np.argmin(squares))]
     field, J = around(x)
     for _ in range(GAUSS_NEWTON_STEPS):

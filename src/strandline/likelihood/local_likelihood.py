@@ -7,7 +7,6 @@ weighed off against the measure itself.
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -16,7 +15,7 @@ from scipy.special import logsumexp, softmax
 from strandline.discrepancy import Discrepancy, FollowsOffsets, NormalOffset
 from strandline.interface import ErrorModel, Interface, Observation, PointErrors
 from strandline.likelihood.compared import Compared, compared
-from strandline.likelihood.joint_errors import JointErrors, Points, SharedErrors, sums_of
+from strandline.likelihood.joint_errors import JointErrors, Points, sums_of
 from strandline.likelihood.linearised_residuals import NearField, linearise
 from strandline.likelihood.parabolas import NearParabola
 from strandline.surrogate.field import FieldSurrogate
@@ -98,20 +97,6 @@ class Mixture:
         return np.asarray(S[:, :, None] * np.linalg.inv(inner) * S[:, None, :])
 
 
-@runtime_checkable
-class Nearby(Protocol):
-    """A log-likelihood of fields near the one that fits best."""
-
-    def log_likelihood(self, coefficients: Modes, tail: Tail | None = None) -> Values:
-        """Return log L of the interfaces with these coefficients of the modes, mm, and of what they leave over."""
-        ...
-
-    @property
-    def parabola(self) -> NearParabola:
-        """A parabola of the residuals that is like log L near the best fit."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class OfStatedErrors:
     """log L = -½ rᵀC⁻¹r of signed distances r with stated errors."""
@@ -120,6 +105,7 @@ class OfStatedErrors:
     model: ErrorModel
 
     def log_likelihood(self, coefficients: Modes, tail: Tail | None = None) -> Values:
+        """Return log L of the interfaces with these coefficients of the modes, mm, and of what they leave over."""
         return np.asarray(-0.5 * self.model.square_of(*self.field.sums(coefficients, tail)))
 
     @cached_property
@@ -216,15 +202,19 @@ def _rows(size: Float[np.ndarray, " seen"], first: int) -> Float[np.ndarray, "ro
     return rows
 
 
+Nearby = OfStatedErrors | OfMixture | OfOffsets
+"""A log-likelihood of fields near the one that fits best, and a parabola of the residuals that is like it there."""
+
+
 def nearby(
-    surrogate: FieldSurrogate, observations: tuple[Observation, ...], measure: Discrepancy, shared: SharedErrors | None
+    surrogate: FieldSurrogate, observations: tuple[Observation, ...], measure: Discrepancy, shared: JointErrors | None
 ) -> Nearby | None:
     """Return the log-likelihood near the best fit; None for surfaces, and for measures that do not follow offsets."""
     if any(seen.interface.dim != 2 for seen in observations):
         return None
     errors = tuple(seen.known for seen in observations if seen.known)
     if shared is not None or (isinstance(measure, NormalOffset) and len(errors) == len(observations)):
-        joint = JointErrors(observations, errors) if shared is None else shared.joint
+        joint = shared or JointErrors(observations, errors)
         field = linearise(surrogate, joint).field
         return OfStatedErrors(field, joint.model) if field.finite else None
     nodes = tuple(len(surrogate.layouts[seen.condition].template.points) for seen in observations)

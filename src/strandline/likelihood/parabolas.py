@@ -14,7 +14,6 @@ control (Hesterberg 1995).
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -50,15 +49,6 @@ class Parabolas:
     information: Float[np.ndarray, "point mode mode"]
     top: float = 0.0
     rest: float = 0.0
-
-
-@runtime_checkable
-class Around(Protocol):
-    """A log-likelihood that is a parabola around any field."""
-
-    def parabolas(self, coefficients: Modes) -> Parabolas:
-        """Return the parabolas around fields with these coefficients of the modes, mm."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -157,8 +157,7 @@ class AfterExperiment:
             failing = 1 - np.exp(self.source.knowledge.log_feasibility(with_known(self.now.draws, known)))
         elif self.by_size is not None:
             failing = self.by_size(fields)
-        templates = {name: layout.template for name, layout in surrogate.layouts.items()}
-        crossing = crossing_share(surrogate.by_condition(fields), templates)
+        crossing = crossing_share(surrogate.by_condition(fields), surrogate.templates)
         if failing is None:
             return Prospect(forecast, fields, crossing if crossing > 0 else None)
         return Prospect(forecast, fields, 1 - (1 - float(self.now.weights @ failing)) * (1 - crossing))

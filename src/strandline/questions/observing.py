@@ -29,7 +29,7 @@ from strandline.design.candidates import FEWEST_POINTS, WHOLE
 from strandline.discrepancy import NormalOffset
 from strandline.errors import InvalidInput, InvalidInterface
 from strandline.interface import ErrorModel, Interface, Observation, PointErrors, steady_normals
-from strandline.likelihood.joint_errors import error_model, shared_errors
+from strandline.likelihood.joint_errors import JointErrors, shared_errors
 from strandline.surrogate.field import FieldSurrogate
 from strandline.surrogate.field.correspondence import fields_of
 
@@ -218,8 +218,7 @@ class Observing:
                 return None
             seen.append(Observation(view.seen(self.reference[name]), view.errors, name))
             known.append(view.errors)
-        joint = shared_errors(seen, NormalOffset())
-        return error_model(seen, known) if joint is None else joint.model
+        return (shared_errors(seen, NormalOffset()) or JointErrors(tuple(seen), tuple(known))).model
 
     def displacement(self, undeformed: Mapping[str, Float[np.ndarray, "_ _"]]) -> float:
         """Return the root mean square displacement of the reference from undeformed nodes, mm, in their errors."""

@@ -11,6 +11,7 @@ from strandline.models.fidelities import run_identity
 from strandline.models.fingerprint import fingerprint
 from strandline.models.protocol import ForwardModel, asks_sensitivities, prepare_runs
 from strandline.runs.executors import Executor
+from strandline.runs.executors.shared import require_count
 from strandline.runs.failures import FailurePolicy, Outages, aborted
 from strandline.runs.ledger import Ledger
 from strandline.runs.ledger_schema import EXCLUDED, INTERRUPTED
@@ -101,9 +102,10 @@ class Campaign:
     ) -> None:
         self.policy = policy
         self.model, self.ledger, self.executor, self.on_record = model, ledger, executor, on_record
-        self.maximum_attempts, self.began = _at_least_one(maximum_attempts), time.monotonic()
+        require_count("maximum_attempts", maximum_attempts, remedy="Allow at least one attempt.")
+        self.maximum_attempts, self.began = maximum_attempts, time.monotonic()
         self.identity = fingerprint(model)
-        _require_same_model(ledger, self.identity)
+        ledger.require_model(self.identity)
         self.order: list[str] = []
         self.requests: dict[str, RunRequest] = {}
         self.before: dict[str, tuple[int, int]] = {}
@@ -333,21 +335,3 @@ class Starts:
 
 Further = Callable[[Starts], Sequence[RunRequest] | None]
 """Returns what to start next when nothing is waiting: an empty sequence for nothing now, None for the end."""
-
-
-def _at_least_one(maximum_attempts: int) -> int:
-    if maximum_attempts < 1:
-        raise InvalidInput(
-            "maximum_attempts", value=maximum_attempts, expected="at least 1", remedy="Allow at least one attempt."
-        )
-    return maximum_attempts
-
-
-def _require_same_model(ledger: Ledger, identity: str) -> None:
-    if ledger.model != identity:
-        raise LedgerError(
-            f"{ledger.path} keeps the runs of another model",
-            value=f"{ledger.model} in the ledger, {identity} now",
-            expected="one and the same model",
-            remedy=f"Move {ledger.path.name} away or use a new study folder for the changed model.",
-        )

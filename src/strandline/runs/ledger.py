@@ -67,11 +67,8 @@ class Counts:
 class Ledger:
     """All runs of one model; open it with `Ledger.open`, as a context manager."""
 
-    def __init__(self, path: Path, connection: sqlite3.Connection, lock: BaseFileLock | None) -> None:
-        self.path = path
-        self._connection = connection
-        self._lock = lock
-        self._hold: Hold | None = None
+    def __init__(self, path: Path, connection: sqlite3.Connection, hold: Hold | None) -> None:
+        self.path, self._connection, self._hold = path, connection, hold
         self._session: int | None = None
 
     @classmethod
@@ -121,8 +118,7 @@ class Ledger:
             if not path.exists():
                 ledger_schema.create(path, model=model, description=description)
             connection = ledger_schema.connect(path)
-        ledger = cls(path, connection, lock)
-        ledger._hold = Hold(path, lock)
+        ledger = cls(path, connection, Hold(path, lock))
         ledger._checked(model)
         with ledger._closed_on_error(), translated(path):
             ledger_schema.require_sound(path, connection)
@@ -138,7 +134,16 @@ class Ledger:
         with self._closed_on_error(), translated(self.path):
             ledger_schema.require_version(self.path, self._connection)
             if model is not None:
-                ledger_schema.require_model(self.path, self._connection, model)
+                self.require_model(model)
+
+    def require_model(self, model: str) -> None:
+        """Refuse runs of any model but the one with this fingerprint.
+
+        Raises:
+            LedgerError: The ledger keeps the runs of another model.
+        """
+        with translated(self.path):
+            ledger_schema.require_model(self.path, self._connection, model)
 
     @contextlib.contextmanager
     def _closed_on_error(self) -> Iterator[None]:
@@ -153,8 +158,6 @@ class Ledger:
         self._connection.close()
         if self._hold is not None:
             self._hold.release()
-        if self._lock is not None:
-            self._lock.release()
 
     def __enter__(self) -> "Ledger":
         return self

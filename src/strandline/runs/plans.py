@@ -6,7 +6,8 @@ A study's driver records its plan, to show progress without loading the study. S
 import json
 import sqlite3
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import takewhile
 
 from strandline.errors import LedgerError
 
@@ -57,24 +58,12 @@ def read_plan(connection: sqlite3.Connection, study_sha256: str) -> Plan | None:
 def rows_to_write(plan: Plan, known: Plan | None) -> list[tuple[object, ...]]:
     """Return the rows, values of `COLUMNS`, that turn the `known` plan into `plan`; none if it is part of `known`."""
     first = 0
-    if known is not None and _facts(known) == _facts(plan):
-        first = _equal_parts(plan, known)
+    if known is not None and replace(known, planned=plan.planned, parts=plan.parts) == plan:
+        first = len([*takewhile(lambda pair: pair[0] == pair[1], zip(plan.parts, known.parts, strict=False))])
         if known.parts == plan.parts and known.planned != plan.planned:  # an active design has ended
             first = len(plan.parts) - 1
     facts = (plan.name, plan.model, json.dumps(plan.inputs), int(plan.sensitivities), plan.planned)
     return [(plan.study_sha256, part, *facts, json.dumps(plan.parts[part])) for part in range(first, len(plan.parts))]
-
-
-def _equal_parts(plan: Plan, known: Plan) -> int:
-    """Return how many parts, from the first on, both plans have in common."""
-    for number, (one, other) in enumerate(zip(plan.parts, known.parts, strict=False)):
-        if one != other:
-            return number
-    return min(len(plan.parts), len(known.parts))
-
-
-def _facts(plan: Plan) -> tuple[object, ...]:
-    return plan.name, plan.model, plan.inputs, plan.sensitivities
 
 
 @dataclass(frozen=True)

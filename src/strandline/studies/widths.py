@@ -13,7 +13,7 @@ from strandline.discrepancy import Discrepancy, NormalOffset, signed_distances, 
 from strandline.errors import InvalidInput, NumericsError
 from strandline.interface import Interface, Observation, UnknownErrors
 from strandline.likelihood import compared, noise_length
-from strandline.likelihood.joint_errors import error_model, shared_errors
+from strandline.likelihood.joint_errors import JointErrors, shared_errors
 from strandline.likelihood.noise_rule import differences, second_differences
 from strandline.models.fidelities import WithCheaper, is_cheaper
 from strandline.parameters import ParameterSpace
@@ -97,8 +97,7 @@ def _information(
     steps = {one.condition: _steps(one, measure, slopes[one.condition]) for one in seen}
     errors = [found for one in seen if (found := one.errors) is not None]
     if isinstance(measure, NormalOffset) and len(errors) == len(seen):
-        joint = shared_errors(seen, measure)
-        model = error_model(seen, errors) if joint is None else joint.model
+        model = (shared_errors(seen, measure) or JointErrors(tuple(seen), tuple(errors))).model
         of_distances = [
             _slopes_of_distances(one.interface, interfaces[one.condition], slopes[one.condition], steps[one.condition])
             for one in seen

@@ -1,4 +1,4 @@
-"""A conditioned Gaussian process: prediction and exact derivatives in physical coordinates."""
+"""A conditioned Gaussian process: prediction and exact second derivatives in physical coordinates."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -67,13 +67,6 @@ class GaussianProcess:
             half = solve_triangular(self.cholesky, k.T, lower=True, check_finite=False)
             out[rows] = self.signal_variance - np.einsum("ij,ij->j", half, half)
         return np.maximum(out, 0.0)
-
-    def gradient(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "point dim"]:
-        """Return the gradient of the mean with respect to the physical inputs."""
-        out = np.empty(x.shape)
-        for rows, offset in self._blocks(x):
-            out[rows] = self.kernel.weighted_gradient(offset, self.alpha)
-        return self.signal_variance * out / (self.length_scale * self.scale)
 
     def hessian(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "point dim dim"]:
         """Return the Hessian of the mean with respect to the physical inputs; exact at training points too."""
@@ -170,7 +163,7 @@ def batched_mean(
 ) -> Callable[[Float[jax.Array, "particle dim"]], Float[jax.Array, " particle"]]:
     """Return the posterior mean as a jittable JAX function of physical points (particle, dim).
 
-    For derivatives use `GaussianProcess.gradient`: JAX's own are NaN at a training point (√r² at 0).
+    JAX's derivatives of it are NaN at a training point (√r² at 0); `GaussianProcess.hessian` is exact there too.
 
     Args:
         gp: The conditioned process.

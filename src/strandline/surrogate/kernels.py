@@ -87,9 +87,6 @@ class Kernel(Protocol):
     def value(self, offset: Float[np.ndarray, "*shape dim"]) -> Float[np.ndarray, "*shape"]:
         """Return c."""
 
-    def weighted_gradient(self, offset: Offsets, weight: Values) -> Float[np.ndarray, "point dim"]:
-        """Return Σ_run weight ∇c, the gradient with respect to the offset."""
-
     def weighted_hessian(self, offset: Offsets, weight: Values) -> Float[np.ndarray, "point dim dim"]:
         """Return Σ_run weight ∇∇c, the Hessian with respect to the offset; exact at training points too."""
 
@@ -183,10 +180,6 @@ class Isotropic(_Named):
         """Return c."""
         return np.asarray(self.correlation(_norm(offset)))
 
-    def weighted_gradient(self, offset: Offsets, weight: Values) -> Float[np.ndarray, "point dim"]:
-        """Return Σ_run weight ∇c."""
-        return np.asarray(np.einsum("bn,bnd->bd", self.slope(_norm(offset)) * weight, offset))
-
     def weighted_hessian(self, offset: Offsets, weight: Values) -> Float[np.ndarray, "point dim dim"]:
         """Return Σ_run weight ∇∇c."""
         s = _norm(offset)
@@ -243,10 +236,6 @@ class Product(_Named):
     def value(self, offset: Float[np.ndarray, "*shape dim"]) -> Float[np.ndarray, "*shape"]:
         """Return c."""
         return self._correlation(self.rate * np.abs(offset), axis=-1)
-
-    def weighted_gradient(self, offset: Offsets, weight: Values) -> Float[np.ndarray, "point dim"]:
-        """Return Σ_run weight ∇c."""
-        return np.asarray(np.einsum("bn,bnd->bd", self.value(offset) * weight, self._relative_slope(offset)))
 
     def weighted_hessian(self, offset: Offsets, weight: Values) -> Float[np.ndarray, "point dim dim"]:
         """Return Σ_run weight ∇∇c."""

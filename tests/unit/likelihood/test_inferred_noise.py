@@ -24,7 +24,7 @@ from strandline.likelihood.inferred_noise import (
     offset_waves,
     require_inferable,
 )
-from strandline.likelihood.joint_errors import JointErrors, error_model
+from strandline.likelihood.joint_errors import JointErrors
 from strandline.likelihood.linearised_residuals import linearise
 from strandline.likelihood.local_likelihood import Mixture
 from strandline.surrogate import fit_log_likelihood
@@ -123,7 +123,7 @@ def test_what_is_known_of_the_observations_afterwards():
 def grid(seen: Observation, number: int = 21) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and sd of the inputs by quadrature over a grid around the truth."""
     lin = linearise(surrogate(), JointErrors((seen,), (ERRORS,)))
-    sd = np.sqrt(np.diag(lin.covariance(error_model([seen], [ERRORS]))))
+    sd = np.sqrt(np.diag(lin.covariance(JointErrors((seen,), (ERRORS,)).model)))
     axes = [np.linspace(-7, 7, number) * sd[k] + lin.at[k] for k in (0, 1)]
     x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     values = FieldLikelihood(surrogate(), (seen,), NormalOffset()).plug_in(x)

@@ -168,7 +168,7 @@ WRONG = [
     (priors.CHECKS, (wrong(Normal, 0.0, 1.0, quantile=lambda prior, p: Normal.quantile(prior, p) + 1.0),), "is not p"),
     (discrepancies.CHECKS, (meddling,), "second call|changes the simulated"),
     (discrepancies.CHECKS, (Halved(),), "from signed distances is another"),
-    (kernels.CHECKS, (ROUGH,), "gradient is not that of the value"),
+    (kernels.CHECKS, (ROUGH,), "Hessian is not the value"),
     (criteria.CHECKS, (the_first,), "none of the points .*picked twice"),
     (edges.CHECKS, (OffBy(far=0.5, passes=1),), "^(?!.*standard deviation).*0.5 pixels off, with a bias of 0.1"),
     (edges.CHECKS, (OffBy(sure=4.0),), "^the stated standard deviation is 0."),

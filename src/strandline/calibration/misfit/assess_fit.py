@@ -49,6 +49,7 @@ FEW_DRAWS = 32
 SYMMETRIC = (Currents, TrackedPoints)
 """Measures in which both interfaces can change places: many drawn observations are compared at once."""
 FULL = Effort()
+FAILURES = StrandlineError, ArithmeticError, ValueError
 STREAM = 5
 """Keeps these random numbers apart from all others of the same seed."""
 NOTICED = 0.1
@@ -179,46 +180,31 @@ def misfit_of(
         seed: Seed of the random numbers.
     """
     unseen = invisible(observations, posterior.space.names, fixed)
+    random = np.random.default_rng([seed, STREAM])
     try:
-        return _judged(prediction, observations, measure, posterior, explained, unseen, fitted, effort, seed)
-    except (StrandlineError, ArithmeticError, ValueError) as error:
+        residuals = Residuals.of(observations, measure, prediction.templates, explained)
+        fit, parts = best_fit(residuals, prediction, posterior), parts_of(observations)
+        parts = replace(parts, waves=beyond(parts.waves, fit.by_inputs, fit.with_modes(residuals.model)))
+        seen = observed_statistics(residuals, fit, parts)
+        drawn = drawn_statistics(residuals, fit, parts, random, effort)
+        predictive, failed = PredictiveShares(1.0, (1.0,) * len(observations)), []
+        try:
+            predictive = predictive_shares(residuals, fit, prediction, posterior, random, effort.predictive)
+        except FAILURES as error:
+            failed = [f"d² of drawn observations could not be computed: {' '.join(str(error).split())}"]
+        conditions = _conditions(residuals, fit, parts, seen, drawn, predictive)
+        p_value, smooth_p = float(tail(drawn.whole, seen.whole)), waves_p(drawn.waves, seen.waves)
+        shares = p_value, predictive.whole, 1.0 if smooth_p is None else smooth_p
+        verdict = verdict_on(*shares, conditions, run_alone=prediction.run_alone)
+        if fitted:
+            verdict = with_fitted_noise(verdict, observations)
+        notes, text = (*_notes(residuals, prediction, conditions), *failed, unseen), verdict.text
+        if _model_errs(residuals, explained):
+            text = f"With an error of the model allowed for, {text[0].lower()}{text[1:]}"
+        return Misfit(text, verdict.flagged, p_value, predictive.whole, smooth_p, conditions, notes)
+    except FAILURES as error:
         why = " ".join(str(error).split())
         return Misfit(f"Whether the model explains the observation was not computed: {why}", False, notes=(unseen,))
-
-
-def _judged(
-    prediction: Prediction,
-    observations: Sequence[Observation],
-    measure: Discrepancy,
-    posterior: Posterior,
-    explained: Float[np.ndarray, "seen cause"] | None,
-    unseen: str,
-    fitted: bool,
-    effort: Effort,
-    seed: int,
-) -> Misfit:
-    random = np.random.default_rng([seed, STREAM])
-    residuals = Residuals.of(observations, measure, prediction.templates, explained)
-    fit, parts = best_fit(residuals, prediction, posterior), parts_of(observations)
-    parts = replace(parts, waves=beyond(parts.waves, fit.by_inputs, fit.with_modes(residuals.model)))
-    seen, drawn = observed_statistics(residuals, fit, parts), drawn_statistics(residuals, fit, parts, random, effort)
-    predictive, failed = PredictiveShares(1.0, (1.0,) * len(observations)), []
-    try:
-        predictive = predictive_shares(residuals, fit, prediction, posterior, random, effort.predictive)
-    except (StrandlineError, ArithmeticError, ValueError) as error:
-        failed = [f"d² of drawn observations could not be computed: {' '.join(str(error).split())}"]
-    conditions = _conditions(residuals, fit, parts, seen, drawn, predictive)
-    p_value = float(tail(drawn.whole, seen.whole))
-    smooth_p = waves_p(drawn.waves, seen.waves)
-    shares = p_value, predictive.whole, 1.0 if smooth_p is None else smooth_p
-    verdict = verdict_on(*shares, conditions, run_alone=prediction.run_alone)
-    if fitted:
-        verdict = with_fitted_noise(verdict, observations)
-    notes = (*_notes(residuals, prediction, conditions), *failed, unseen)
-    text = verdict.text
-    if _model_errs(residuals, explained):
-        text = f"With an error of the model allowed for, {text[0].lower()}{text[1:]}"
-    return Misfit(text, verdict.flagged, p_value, predictive.whole, smooth_p, conditions, notes)
 
 
 def _conditions(

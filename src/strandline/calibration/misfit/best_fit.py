@@ -60,8 +60,7 @@ def by_field(surrogate: FieldSurrogate, source: str = "the surrogate of the inte
         sd = np.sqrt(found.variance[0])
         return surrogate.points(found.mean + np.diag(sd)[sd > least])
 
-    templates = {name: layout.template for name, layout in surrogate.layouts.items()}
-    return Prediction(templates, points, uncertain, source)
+    return Prediction(surrogate.templates, points, uncertain, source)
 
 
 def by_runs(
@@ -127,11 +126,9 @@ class Residuals:
         """
         stated = [stated_errors(seen, measure, len(templates[seen.condition].points)) for seen in observations]
         shared = shared_errors(observations, measure)
-        if shared is not None:
-            return cls(tuple(observations), measure, tuple(stated), shared.joint, shared.model)
-        joint = JointErrors(tuple(observations), tuple(one.errors for one in stated))
+        joint = shared or JointErrors(tuple(observations), tuple(one.errors for one in stated))
         model = joint.model
-        if explained is not None:
+        if shared is None and explained is not None:
             model = ErrorModel(model.local, np.hstack([model.shared, explained]))
         return cls(tuple(observations), measure, tuple(stated), joint, model)
 

@@ -17,7 +17,7 @@ from strandline.design.active.choice import Losses, choose, price_of_a_hang
 from strandline.design.active.coverage_runs import Surprise, points_around, points_elsewhere
 from strandline.design.active.posterior_check import PosteriorCheck
 from strandline.design.active.settings import LARGEST_BATCH, Active
-from strandline.design.active.state import PosteriorMove, Remembered, State
+from strandline.design.active.state import PosteriorMove, State
 from strandline.design.space_filling import sobol
 from strandline.parameters import ParameterSpace
 from strandline.posterior import subset
@@ -134,10 +134,10 @@ class ActiveDesign:
         self.converged = False
         self.reasons: tuple[str, ...] = ()
         self.besides = 0
-        self._remembered: list[Remembered] = []
+        self._remembered: list[State] = []
         self._odd: tuple[Surprise, ...] = ()
         self._looked_around: set[bytes] = set()
-        self._passed: tuple[Remembered, BatchCheck] | None = None
+        self._passed: tuple[State, BatchCheck] | None = None
         self._around_odd = False
         self._price = 1.0
         self.scattered = False
@@ -196,12 +196,12 @@ class ActiveDesign:
             chosen = {row.tobytes() for batch in self.batches if batch.kind == "posterior" for row in batch.points}
             self._odd = self.check.left_out(self.state, self._looked_around, chosen)
             if self._odd:
-                self._passed = Remembered.of(self.state), check
+                self._passed = self.state, check
                 check = replace(check, passed=False, reasons=(self._odd[0].words(self.space),))
         if kind == "given":
             check = self.check.without_runs(self.state, records)
         if check is not None and check.passed and (why := self.doubts(self.state)):
-            self._passed = Remembered.of(self.state), check
+            self._passed = self.state, check
             return replace(check, passed=False, reasons=why), True
         return check, False
 
@@ -212,7 +212,7 @@ class ActiveDesign:
             return "not now"
         unseen = self._not_looked_at(now.x, now.left) if now.left > 0 and now.kind != "given" else now.x[:0]
         if len(unseen):
-            self._passed, self._around_odd = (Remembered.of(self.state), now.check), False
+            self._passed, self._around_odd = (self.state, now.check), False
             return self._noted(unseen, "elsewhere")
         self.converged, self.reasons = True, ()
         return None
@@ -351,18 +351,19 @@ class ActiveDesign:
         weights, errors = np.exp(state.log_weights), state.knowledge.surrogate.predicted_error(state.positions)
         order = np.argsort(errors)
         half = int(np.searchsorted(np.cumsum(weights[order]), 0.5))
-        kind, runs = self.batches[-1].kind, len(state.knowledge.x)
-        before = [one for one in self._remembered if one.runs <= runs - self._apart(state)]
-        self._remembered = [*([] if kind == "check" else self._remembered), Remembered.of(state)]
+        kind, far = self.batches[-1].kind, state.runs - self._apart(state)
+        before = [one for one in self._remembered if one.runs <= far][-1:]
+        later = [one for one in self._remembered if one.runs > far]
+        self._remembered = [state] if kind == "check" else [*before, *later, state]
         return Step(
-            runs=runs,
+            runs=state.runs,
             ok=int(state.knowledge.ok.sum()),
             kind=kind,
             mean=state.mean,
             sd=state.sd,
             error=float(errors[order[min(half, len(order) - 1)]]),
-            moved=before[-1].moved(state.knowledge) if before else None,
-            since=before[-1].runs if before else None,
+            moved=before[0].moved(state.knowledge) if before else None,
+            since=before[0].runs if before else None,
             check=check,
         )
 

@@ -14,6 +14,7 @@ from strandline.interface import Observation
 from strandline.likelihood import FieldLikelihood, noise_length
 from strandline.likelihood.set_aside import says_whether_runs_succeed
 from strandline.parameters import ParameterSpace
+from strandline.posterior import Weighted
 from strandline.runs import RunRecord
 from strandline.surrogate.feasibility import Feasibility, learn_feasibility
 from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
@@ -141,6 +142,21 @@ def learn(
     return Knowledge(x, ok, likelihood, feasibility, highest)
 
 
+@dataclass(frozen=True)
+class PosteriorMove:
+    """How far a posterior is from an earlier one.
+
+    Args:
+        shift: largest shift of a mean, in standard deviations.
+        width: largest change of the logarithm of a standard deviation.
+        effective: effective sample size of the weights between the two, as a share.
+    """
+
+    shift: float
+    width: float
+    effective: float
+
+
 @dataclass(frozen=True, eq=False)
 class State:
     """The posterior after some runs, as particles of π_γ with three sets of weights.
@@ -164,50 +180,19 @@ class State:
     log_evidence_tempered: float = math.nan
 
     @property
+    def runs(self) -> int:
+        """Number of runs that it was computed from."""
+        return len(self.knowledge.x)
+
+    @property
     def mean(self) -> Float[np.ndarray, " dim"]:
         """Posterior mean, shape (dim,)."""
-        return np.asarray(np.exp(self.log_weights) @ self.positions)
+        return Weighted(self.positions, np.exp(self.log_weights)).mean
 
     @property
     def sd(self) -> Float[np.ndarray, " dim"]:
         """Posterior standard deviation, shape (dim,)."""
-        return np.asarray(np.sqrt(np.exp(self.log_weights) @ (self.positions - self.mean) ** 2))
-
-
-@dataclass(frozen=True)
-class PosteriorMove:
-    """How far a posterior is from an earlier one.
-
-    Args:
-        shift: largest shift of a mean, in standard deviations.
-        width: largest change of the logarithm of a standard deviation.
-        effective: effective sample size of the weights between the two, as a share.
-    """
-
-    shift: float
-    width: float
-    effective: float
-
-
-@dataclass(frozen=True, eq=False)
-class Remembered:
-    """Part of a posterior that is kept to measure later how far it has moved.
-
-    Args:
-        runs: Number of runs that the posterior was computed from.
-        log_weights: Normalised log weights of the posterior, shape (particle,).
-        log_plug_in: log L of the predicted interfaces at the particles, shape (particle,).
-    """
-
-    runs: int
-    positions: Float[np.ndarray, "particle dim"]
-    log_weights: Float[np.ndarray, " particle"]
-    log_plug_in: Float[np.ndarray, " particle"]
-
-    @classmethod
-    def of(cls, state: State) -> "Remembered":
-        """Return the part of `state` that is kept."""
-        return cls(len(state.knowledge.x), state.positions, state.log_weights, state.log_plug_in)
+        return Weighted(self.positions, np.exp(self.log_weights)).sd
 
     def moved(self, knowledge: Knowledge) -> PosteriorMove:
         """Return how far the posterior that `knowledge` leads to is from this one.
@@ -216,14 +201,13 @@ class Remembered:
         their noise, which in seven dimensions is larger than the shift to be measured.
         """
         log_weights = log_softmax(self.log_weights + knowledge.plug_in(self.positions) - self.log_plug_in)
-        before, after = np.exp(self.log_weights), np.exp(log_weights)
-        means = before @ self.positions, after @ self.positions
-        sds = [np.sqrt(w @ (self.positions - m) ** 2) for w, m in zip((before, after), means, strict=True)]
+        after = Weighted(self.positions, np.exp(log_weights))
         tiny = np.finfo(float).tiny
+        sd = np.maximum(self.sd, tiny)
         return PosteriorMove(
-            shift=float(np.abs((means[1] - means[0]) / np.maximum(sds[0], tiny)).max()),
-            width=float(np.abs(np.log(np.maximum(sds[1], tiny) / np.maximum(sds[0], tiny))).max()),
-            effective=float(1.0 / (after @ np.exp(log_weights - self.log_weights))),
+            shift=float(np.abs((after.mean - self.mean) / sd).max()),
+            width=float(np.abs(np.log(np.maximum(after.sd, tiny) / sd)).max()),
+            effective=float(1.0 / (after.weights @ np.exp(log_weights - self.log_weights))),
         )
 
 

@@ -1,13 +1,13 @@
 """Runs on this machine: in this process, or in worker processes."""
 
-import contextlib
 import os
 import shutil
 from collections.abc import Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor
+from concurrent.futures import wait as futures_wait
 from dataclasses import dataclass
 from operator import length_hint
-from queue import Empty, SimpleQueue
-from threading import Event, Thread
+from threading import Event
 from typing import ClassVar
 
 from strandline.models.protocol import ForwardModel
@@ -81,78 +81,53 @@ class LocalProcesses:
             crew.close()
 
 
-class _Crew(Dispatcher["_SlotThread"]):
-    """The worker slots of one call, each with a thread that waits for its runs."""
+class _Crew(Dispatcher[WorkerSlot]):
+    """The worker slots of one call; a pool of threads waits for what they do."""
 
     def __init__(self, setup: bytes, requests: Iterator[RunRequest], timeout: float | None, number: int) -> None:
         super().__init__(requests)
-        self.news: SimpleQueue[tuple[_SlotThread, object]] = SimpleQueue()
-        self.stopped = Event()
-        self.idle: list[_SlotThread] = []
-        self.out = 0
-        self.places = [_SlotThread(setup, timeout, self.news, self.stopped) for _ in range(number)]
-        for place in self.places:
-            place.start()
+        self.timeout, self.stopped, self.pool = timeout, Event(), ThreadPoolExecutor(number)
+        self.slots = [WorkerSlot(setup) for _ in range(number)]
+        self.idle: list[WorkerSlot] = []
+        self.starting = {self.pool.submit(slot.start, wanted=self.wanted): slot for slot in self.slots}
+        self.running: dict[Future[RunRecord | None], WorkerSlot] = {}
 
-    def free(self) -> "_SlotThread | None":
+    def free(self) -> WorkerSlot | None:
         taken = [place for place, _ in self.done]
         return next((place for place in self.idle if place not in taken), None)
 
-    def submit(self, request: RunRequest, place: "_SlotThread") -> None:
+    def submit(self, request: RunRequest, place: WorkerSlot) -> None:
         self.idle.remove(place)
-        self.out += 1
-        place.inbox.put(request)
+        self.running[self.pool.submit(place.run, request, self.timeout, wanted=self.wanted)] = place
 
     def hear(self, *, wait: bool) -> None:
-        with contextlib.suppress(Empty):
-            self._take(*(self.news.get(timeout=LONGEST_WAIT_SECONDS) if wait else self.news.get_nowait()))
-            while True:
-                self._take(*self.news.get_nowait())
+        """Note which slots have loaded the model or made a run, or raise the error that keeps one from doing so."""
+        under_way = [*self.starting, *self.running]
+        if wait and not under_way:
+            self.stopped.wait(LONGEST_WAIT_SECONDS)
+        ended = futures_wait(under_way, LONGEST_WAIT_SECONDS if wait else 0.0, FIRST_COMPLETED).done
+        for started in ended & self.starting.keys():
+            started.result()
+            self.idle.append(self.starting.pop(started))
+        for run in [one for one in self.running if one in ended]:
+            place, record = self.running.pop(run), run.result()
+            self.idle.append(place)
+            if record is not None:
+                self.done.append((place, record))
 
     def busy(self) -> bool:
-        return self.out > 0
-
-    def close(self) -> None:
-        """Stop the workers: the idle ones by hanging up, the others at once."""
-        self.stopped.set()
-        for place in self.places:
-            place.inbox.put(None)
-        for place in self.places:
-            place.join()
-
-    def _take(self, place: "_SlotThread", found: object) -> None:
-        """Note that a place has loaded the model or made a run, or raise the error that keeps it from doing so."""
-        if isinstance(found, BaseException):
-            raise found
-        self.idle.append(place)
-        if isinstance(found, RunRecord):
-            self.out -= 1
-            self.done.append((place, found))
-
-
-class _SlotThread(Thread):
-    """A worker slot in its own thread, which makes the runs in `inbox`; `None` in it is the end."""
-
-    def __init__(
-        self, setup: bytes, timeout: float | None, news: "SimpleQueue[tuple[_SlotThread, object]]", stopped: Event
-    ) -> None:
-        super().__init__(daemon=True)
-        self.setup, self.timeout, self.news, self.stopped = setup, timeout, news, stopped
-        self.inbox: SimpleQueue[RunRequest | None] = SimpleQueue()
-
-    def run(self) -> None:
-        """Load the model, then make one run after the other, and report each to `news`."""
-        try:
-            with contextlib.closing(WorkerSlot(self.setup)) as slot:
-                self.news.put((self, slot.start(wanted=self.wanted)))
-                for request in iter(self.inbox.get, None):
-                    self.news.put((self, slot.run(request, self.timeout, wanted=self.wanted)))
-        except BaseException as error:
-            self.news.put((self, error))
+        return bool(self.running)
 
     def wanted(self) -> bool:
         """Return whether the runs of this call are still wanted."""
         return not self.stopped.is_set()
+
+    def close(self) -> None:
+        """Stop the workers: the idle ones by hanging up, the others at once."""
+        self.stopped.set()
+        futures_wait([*self.starting, *self.running])
+        list(self.pool.map(WorkerSlot.close, self.slots))
+        self.pool.shutdown()
 
 
 def usable_cores() -> int:

@@ -71,6 +71,11 @@ class FieldSurrogate:
         return tuple(sorted({layout.way for layout in self.layouts.values()}))
 
     @property
+    def templates(self) -> dict[str, Interface]:
+        """An interface of each condition with the points that are predicted, for its cells."""
+        return {name: layout.template for name, layout in self.layouts.items()}
+
+    @property
     def runs(self) -> int:
         """Number of runs that it was trained with."""
         return len(self.processes[0].observed.z)

@@ -15,7 +15,7 @@ from strandline.design.active.campaign import Certificate
 from strandline.design.active.checking import Tolerances, number_of_probes, objections
 from strandline.design.active.coverage_runs import Surprise
 from strandline.design.active.posterior_check import PosteriorCheck
-from strandline.design.active.state import Remembered, State
+from strandline.design.active.state import State
 from strandline.posterior import reweight
 
 FIRST = even(12)
@@ -285,14 +285,14 @@ def test_weights_between_posteriors_count_and_the_noise_of_particles_does_not():
     knowledge = known(FIRST)
     one, other = (state_of(knowledge, seed=seed, number=60) for seed in (1, 2))
     assert np.abs((one.mean - other.mean) / one.sd).max() > 0.1
-    moved = Remembered.of(one).moved(other.knowledge)
+    moved = one.moved(other.knowledge)
     assert (moved.shift, moved.width, moved.effective) == pytest.approx((0.0, 0.0, 1.0), abs=1e-12)
-    moved = Remembered.of(one).moved(state_of(knowledge, mean=(0.3, 0.1)).knowledge)
+    moved = one.moved(state_of(knowledge, mean=(0.3, 0.1)).knowledge)
     assert moved.shift > 0.3
     assert moved.effective < 0.9
     state = state_of(knowledge)
     one_input = replace(state.knowledge, sd=np.array([0.2, 0.2 * 0.8]))
-    assert Remembered.of(state).moved(one_input).width == pytest.approx(-np.log(0.8), rel=0.15)
+    assert state.moved(one_input).width == pytest.approx(-np.log(0.8), rel=0.15)
     strict = design(Active(60, effective=0.999, change=10.0), FakeLearner([0.2, 0.22] * 50))
     assert kinds(played(strict))[1:4] == ["posterior"] * 3
 
