@@ -19,13 +19,9 @@ WHOLE = (0.0, 1.0)
 
 @dataclass(frozen=True)
 class Look:
-    """What of the interface is observed.
-
-    Args:
-        conditions: Conditions that are observed; all if empty.
-        part: Where the observed part begins and ends, as shares of the present observation's arc length.
-        points: Number of observed points; those of the present observation in this part if None.
-        sd: Standard deviation of each observed point, mm; that of the present observation if None.
+    """What of the interface is observed: the conditions, all if empty; where the observed part begins and ends, as
+    shares of the present observation's arc length; number and standard deviation, mm, of the observed points, None for
+    those of the present observation.
     """
 
     conditions: tuple[str, ...] = ()
@@ -46,22 +42,13 @@ class Look:
 
 @dataclass(frozen=True)
 class Candidate:
-    """One or several experiments that are made together.
-
-    Args:
-        settings: Setting of each of them.
-        look: What is observed of each of them.
-    """
+    """One or several experiments that are made together: the setting of each, and what is observed of all."""
 
     settings: tuple[Setting, ...]
     look: Look
 
     def label(self, present: str = "the same again") -> str:
-        """Return the candidate in words, e.g. ``V_in 50 and V_in 125, 20 points``.
-
-        Args:
-            present: Words for an experiment that sets no quantity.
-        """
+        """Return the candidate in words, e.g. ``V_in 50 and V_in 125, 20 points``; `present` if no quantity is set."""
         conditions = " and ".join(self.look.conditions)
         kind = f"condition{'s' * (len(self.look.conditions) > 1)} {conditions}" if conditions else ""
         settings = [_label(one) or kind or present for one in self.settings]
@@ -87,13 +74,10 @@ def candidates(
     together: int = 1,
     present: Mapping[str, float] | None = None,
 ) -> tuple[Candidate, ...]:
-    """Return all candidates: every combination of the values with every look, alone and several together.
+    """Return all candidates: every combination of the values with every look, alone and up to so many `together`.
 
-    Args:
-        values: Values of each quantity that can be set; empty for the same experiment again.
-        looks: What can be observed.
-        together: Largest number of experiments that are made together, with the same look.
-        present: Values that the present experiment has; setting them again is the same experiment.
+    `values` are those of each quantity that can be set; none is the same experiment again, as setting the values that
+    the `present` one has. Experiments that are made together have the same look.
     """
     rows = [zip(values, row, strict=True) for row in product(*values.values())]
     changes = [{name: value for name, value in row if (present or {}).get(name) != value} for row in rows]

@@ -64,13 +64,9 @@ class Refinement:
 class Learnt:
     """The runs so far and the surrogates that they trained, by measure; the first measure defines the posterior.
 
-    Args:
-        design: Physical inputs of all runs, shape (run, dim).
-        records: Outcomes of all runs, in the same order.
-        training: Inputs of the successful runs, in the same order, shape (ok, dim).
-        log_likelihoods: Log-likelihoods of the successful runs by measure, each of shape (ok,).
-        surrogates: Surrogates trained with them, by measure.
-        made: All runs as they were made, if `records` hold corrected ones of a cheaper model; else empty.
+    `design` has the physical inputs of all runs, in the order of their records, `training` those of the successful
+    ones, in the same order, with their log-likelihoods. `made` are all runs as they were made, if `records` hold
+    corrected ones of a cheaper model; else it is empty.
     """
 
     design: Float[np.ndarray, "run dim"]
@@ -93,13 +89,10 @@ class Learnt:
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """Result of one round: how good the surrogate was that it began with.
+    """Result of one round: how good the surrogate was that it began with, which `n_train` runs had trained.
 
-    Args:
-        n_train: Number of runs that trained this surrogate.
-        error_rms: Root mean square of predicted minus true log-likelihood over the successful runs; None if there
-            are none.
-        error_rms_posterior: The same over the runs drawn from the posterior itself, not from the tempered one.
+    `error_rms` is the root mean square of predicted minus true log-likelihood over the successful runs,
+    `error_rms_posterior` over those drawn from the posterior itself, not from the tempered one; None if there are none.
     """
 
     n_train: int
@@ -133,16 +126,9 @@ def refine(
 ) -> tuple[Learnt, tuple[Round, ...]]:
     """Return what is learnt after all rounds, and a report on each.
 
-    The same arguments give the same inputs to the bit, so runs kept in a ledger are found again.
-
-    Args:
-        learnt: Runs and surrogates of the first design.
-        extend: Function that makes runs at further inputs and trains the surrogate with all of them, the new ones last.
-        space: The unknown inputs.
-        refinement: Number of rounds, and of runs in each.
-        particles: Number of particles of the samplings between rounds.
-        seed: Seed of the random numbers of the rounds.
-        stage: Function that returns a context for each of these samplings.
+    The same arguments give the same inputs to the bit, so runs kept in a ledger are found again. `extend` makes runs at
+    further inputs and trains the surrogate with all of them, the new ones last; `stage` returns a context for each of
+    the samplings between rounds, which have this number of particles.
     """
     rounds = []
     for number in range(refinement.rounds):
@@ -159,10 +145,7 @@ def shifts(
 ) -> tuple[Float[np.ndarray, " dim"], ...]:
     """Return how far each round has moved the posterior means (dim,), in standard deviations after it.
 
-    Args:
-        rounds: Rounds in the order in which they were made.
-        final: Means of the posterior after the last round, shape (dim,).
-        sd: Standard deviations of the posterior after the last round, shape (dim,).
+    `final` and `sd` are means and standard deviations of the posterior after the last round.
     """
     means, deviations = [r.mean for r in rounds] + [final], [r.sd for r in rounds] + [sd]
     return tuple((means[k + 1] - means[k]) / deviations[k + 1] for k in range(len(rounds)))

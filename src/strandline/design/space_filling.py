@@ -17,13 +17,8 @@ MOST_INPUTS = qmc.Sobol.MAXDIM
 def sobol(number: int, dim: int, *, scramble: int | None = None) -> Float[np.ndarray, "run dim"]:
     """Return the first `number` points of one Sobol sequence in the unit cube.
 
-    Designs are nested: a larger one begins with the smaller one and reuses its runs.
-
-    Args:
-        number: number of points.
-        dim: dimension of the cube.
-        scramble: seed of an Owen scrambling; None (the default) is the plain sequence, whose first point is the
-            origin.
+    Designs are nested: a larger one begins with the smaller one and reuses its runs. `scramble` is the seed of an Owen
+    scrambling; None (the default) is the plain sequence, whose first point is the origin.
 
     Raises:
         InvalidInput: `number` or `dim` below 1, or more than the sequence has.

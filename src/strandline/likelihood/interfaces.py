@@ -21,9 +21,7 @@ from strandline.likelihood.joint_errors import JointErrors, shared_errors
 class InterfaceLikelihood:
     """log L = Σ over conditions of the log density of d² under their noise; for Gaussian noise, Eq. (4) of the study.
 
-    Args:
-        observations: one for each condition or time that was observed; further simulated ones are ignored.
-        discrepancy: the measure d².
+    There is an observation for each condition or time that was observed; further simulated ones are ignored.
 
     Raises:
         InvalidInput: no observation, or two of one condition.

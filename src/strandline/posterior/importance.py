@@ -139,10 +139,8 @@ def verdict_on(weights: SmoothedWeights) -> Verdict:
 def largest_usual_k_hat(log_ratios: Float[np.ndarray, " draw"]) -> float:
     """Return the k̂ that 99 % of sets of as many normal log ratios with the same interquartile range do not exceed.
 
-    A few dozen draws leave k̂ so uncertain that it is often above 1/2 for weights without a heavy tail.
-
-    Args:
-        log_ratios: Logarithms of the weights, up to a constant; -inf marks a draw without weight.
+    A few dozen draws leave k̂ so uncertain that it is often above 1/2 for weights without a heavy tail. The logarithms
+    of the weights are known up to a constant; -inf marks a draw without weight.
     """
     finite = log_ratios[np.isfinite(log_ratios)]
     spread = float(np.diff(np.quantile(finite, [0.25, 0.75]))[0]) / INTERQUARTILE_RANGE
@@ -189,12 +187,11 @@ class Reweighting:
 
 
 def reweight(draws: Float[np.ndarray, "draw dim"], log_ratios: Float[np.ndarray, " draw"]) -> Reweighting:
-    """Return the effect of Pareto-smoothed importance weights on draws of equal weight.
+    """Return the effect of Pareto-smoothed importance weights on draws of equal weight, e.g. of a surrogate's
+    posterior.
 
-    Args:
-        draws: Draws (draw, dim) of the proposal, e.g. a surrogate's posterior.
-        log_ratios: Logarithm of target/proposal at each draw, up to a constant; -inf marks a draw that the target
-            excludes.
+    `log_ratios` are logarithms of target/proposal at each draw, up to a constant; -inf marks a draw that the target
+    excludes.
 
     Raises:
         InvalidInput: Draws that are all the same in one input; or as for `pareto_smoothed`.

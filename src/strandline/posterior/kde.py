@@ -81,12 +81,9 @@ def _moment(z: Float[np.ndarray, " point"]) -> Float[np.ndarray, " point"]:
 class KernelDensity:
     """Mixture of Gaussian kernels, one about each distinct draw, mirrored at the bounds.
 
-    Args:
-        centres: distinct draws (centre, dim); copies are merged and their weights added.
-        weights: normalised weights (centre,).
-        factor: lower Cholesky factor of the kernel's covariance (dim, dim), bandwidth included.
-        bandwidth: kernel width relative to the draws' standard deviation, included in `factor`.
-        bounds: lower and upper bound (dim, 2); infinite if there is none.
+    Copies of a draw are merged and their weights added. `factor` is the lower Cholesky factor of the kernel's
+    covariance, which includes the bandwidth, relative to the draws' standard deviation. Bounds are infinite if there
+    are none.
 
     A plain kernel estimate leaks across the bounds and declines towards them although the posterior does not. Mirroring
     at every bound folds the leaking mass back, which is exact as long as the kernels are narrow compared with the box.
@@ -109,16 +106,12 @@ class KernelDensity:
         bandwidth: float | None = None,
         loo_points: int = 1000,
     ) -> "KernelDensity":
-        """Return the estimate of weighted draws.
+        """Return the estimate of weighted draws, physical; kernels are mirrored at the bounds (low, high) of each
+        input.
 
-        Args:
-            draws: Particles (particle, dim), physical.
-            weights: Normalised weights (particle,).
-            bounds: (low, high) of each input, at which the kernels are mirrored.
-            bandwidth: Kernel width relative to the standard deviation of the draws; by default the one with the
-                highest leave-one-out likelihood.
-            loo_points: Largest number of draws in the leave-one-out likelihood; a larger set is thinned by
-                systematic resampling, and the bandwidth is then scaled by n^(-1/(dim+4)) to the full set.
+        The bandwidth, relative to the standard deviation of the draws, is by default the one with the highest
+        leave-one-out likelihood. More than `loo_points` draws are thinned for it by systematic resampling, and the
+        bandwidth is then scaled by n^(-1/(dim+4)) to the full set.
 
         Raises:
             NumericsError: the draws have no spread in some direction.

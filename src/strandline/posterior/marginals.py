@@ -14,12 +14,7 @@ LEVELS = (0.05, 0.5, 0.95)
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
-    """Marginal of one input: probability by bin.
-
-    Args:
-        edges: bin edges (bins + 1,), in the unit of the input.
-        mass: probability of each bin (bins,).
-    """
+    """Marginal of one input: the probability of each bin between edges in the unit of the input."""
 
     edges: Float[np.ndarray, " edge"]
     mass: Float[np.ndarray, " bin"]

@@ -196,14 +196,11 @@ class Posterior:
         return np.asarray(self.draws[:, [self.space.names.index(name) for name in names]])
 
     def equally_weighted(self, seed: Any, number: int | None = None) -> Float[np.ndarray, "draw dim"]:
-        """Return draws of equal weight by systematic resampling, in the order of the particles.
+        """Return draws of equal weight by systematic resampling, in the order of the particles; by default as many as
+        these.
 
         Copies of one particle are adjacent, so that an autocorrelation-based effective sample size (such as ArviZ's)
-        takes them into account.
-
-        Args:
-            seed: Integer, NumPy generator or JAX key.
-            number: Number of draws; by default as many as there are particles.
+        takes them into account. The seed is an integer, a NumPy generator or a JAX key.
         """
         size = self.number if number is None else number
         if size < 1:

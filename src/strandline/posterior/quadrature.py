@@ -33,20 +33,11 @@ class Marginal:
 
 @dataclass(frozen=True, eq=False)
 class QuadratureResult:
-    """Evidence and moments over a box.
+    """Evidence log ∫ exp(log density) dx and moments over a box, physical, with a histogram for each direction.
 
-    Args:
-        log_evidence: log ∫ exp(log density) dx over the box.
-        mean: posterior mean, physical.
-        covariance: posterior covariance, physical.
-        sd: posterior standard deviations, physical.
-        evaluations: number of points evaluated, without the padding of the last batch.
-        converged: whether the estimated errors are below their tolerances.
-        levels: number of refinements made.
-        error_log_evidence: estimated error of the log evidence.
-        error_mean: largest estimated error of a mean, in standard deviations.
-        error_sd: largest estimated relative error of a standard deviation.
-        marginals: one histogram for each direction.
+    `evaluations` counts points without the padding of the last batch, `levels` the refinements made. It `converged` if
+    the estimated errors are below their tolerances: those of the log evidence, the largest of a mean, in standard
+    deviations, and the largest relative one of a standard deviation.
     """
 
     log_evidence: float
@@ -165,19 +156,12 @@ def integrate(
 ) -> QuadratureResult:
     """Integrate an unnormalised density over a box, refining until evidence and moments have converged.
 
-    A ridge is found if its width (four standard deviations) is 1/50 of the box or more. If it does not
-    converge within the evaluations allowed, this is reported, not raised.
+    A ridge is found if its width (four standard deviations) is 1/50 of the box or more. If it does not converge within
+    the evaluations allowed, this is reported, not raised.
 
-    Args:
-        log_density: log density of physical points; -inf allowed. Called with exactly `batch` points each time, so
-            a jitted function is compiled once.
-        low: lower corner, physical.
-        high: upper corner, physical.
-        rtol: relative tolerance of the evidence.
-        mean_tolerance: tolerance of the means, in standard deviations.
-        sd_tolerance: relative tolerance of the standard deviations.
-        maximum_evaluations: largest number of points that refinement may reach.
-        batch: points per call of `log_density`.
+    The log density takes physical points; -inf is allowed. It gets exactly `batch` points each time, so a jitted
+    function is compiled once. The tolerances of the evidence and of standard deviations are relative, that of the means
+    is in standard deviations. Corners of the box are physical.
 
     Raises:
         InvalidInput: more than three dimensions or a box without extent.

@@ -42,13 +42,8 @@ def sobol_indices(
     indices of the likelihood itself, a narrow peak, would be near 0 and 1, since only interactions are left. To see
     what the data say about an input, look at its marginal, not at these indices.
 
-    Args:
-        function: Function of physical points (point, dim).
-        space: Inputs with their independent priors.
-        number: Points in each of the two Sobol' samples, a power of 2; the function gets (dim + 2) times as many.
-        seed: Seed of the scrambling and of the bootstrap.
-        level: Probability of the bootstrap intervals.
-        resamples: Number of resamples of the bootstrap.
+    The function of physical points gets (dim + 2) times `number` of them, a power of 2: two Sobol' samples and their
+    mixtures. `level` is the probability of the bootstrap intervals, from so many resamples.
 
     Raises:
         NumericsError: the function does not vary under the prior, or is not finite.

@@ -31,15 +31,11 @@ def main(arguments: list[str]) -> None:
 
 
 def run_task(folder: Path, index: int, load: Callable[[], ForwardModel]) -> None:
-    """Make one run of the batch in `folder` and write its record; do nothing if it has one already.
+    """Make one run of the batch in `folder`, of the model that `load` returns, and write its record; do nothing if it
+    has one.
 
     The run is made in its own process: a crash, a hang and the end of the walltime, which SLURM announces with SIGUSR1,
     become records.
-
-    Args:
-        folder: Folder of the batch.
-        index: Number of the run in the batch.
-        load: Function that returns the model.
     """
     walltime_over = threading.Event()
     signal.signal(signal.SIGUSR1, lambda number, frame: walltime_over.set())

@@ -22,14 +22,9 @@ from strandline.runs.record import NOT_NOW, RunRecord, RunRequest, run_key
 class Progress:
     """How far a campaign has come; counts are of distinct runs.
 
-    Args:
-        total: Runs that the design asks for.
-        finished: Settled runs: ok, or failed for good.
-        ok: Runs settled with an interface.
-        failed: Runs settled without an interface.
-        reused: Runs settled before this campaign began.
-        elapsed: Seconds since the campaign began.
-        waiting: Whether the campaign now waits for the model's server, which runs in a row did not reach.
+    Of the `total` that the design asks for, `finished` are settled: ok, or failed for good; `reused` were settled
+    before this campaign began, `elapsed` seconds ago. It is `waiting` if it waits for the model's server, which runs in
+    a row did not reach.
     """
 
     total: int
@@ -143,9 +138,8 @@ class Campaign:
     def run_pending(self, further: "Further | None" = None) -> None:
         """Run what is pending once, then plan what must be tried again.
 
-        Args:
-            further: Function that returns more runs when none is waiting; with it, runs that deserve another attempt
-                are tried again at once.
+        `further` returns more runs when none is waiting; with it, runs that deserve another attempt are tried again at
+        once.
         """
         self.outages.require_server(self.ledger.latest(request.key for request in self.pending).values())
         starts = Starts(self.ledger, self.pending, self.outstanding, further, getattr(self.model, "at_once", None))

@@ -75,14 +75,12 @@ class Ledger:
     def open(
         cls, path: Path | str, *, model: ForwardModel | str | None, description: str = "", read_only: bool = False
     ) -> "Ledger":
-        """Return the ledger at `path`; create it if it does not exist yet.
+        """Return the ledger at `path`, a SQLite file with its lock beside it; create it if it does not exist yet.
 
-        Args:
-            path: SQLite file; its lock lies next to it, with the suffix ``.lock``.
-            model: Fingerprint of the model whose runs it keeps; None accepts any, only with `read_only`. If no run of
-                another model ended ok or is open, the ledger becomes that of this one.
-            description: One line about the model, kept when the ledger is created.
-            read_only: Whether to take no lock and write nothing; this works while a driver is writing.
+        It keeps the runs of one model, given as such or by its fingerprint; `description` is a line about it, kept when
+        the ledger is created. If no run of another model ended ok or is open, the ledger becomes that of this one. With
+        `read_only`, no lock is taken and nothing written, which works while a driver is writing; None then accepts any
+        model.
 
         Raises:
             LedgerError: the ledger is locked, of another model, of another version, damaged, missing (read-only), or in

@@ -50,11 +50,7 @@ class Hold:
         self._file, self._lock_file = _identity(path), _identity(self._lock_path)
 
     def require(self, connection: sqlite3.Connection, session: int) -> None:
-        """Refuse to write if the ledger no longer belongs to this driver.
-
-        Args:
-            connection: Connection to the ledger.
-            session: Number of this driver's session.
+        """Refuse to write if the ledger no longer belongs to this driver, whose session has this number.
 
         Raises:
             LedgerError: the ledger was deleted, moved or replaced, or another driver uses it.

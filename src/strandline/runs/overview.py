@@ -29,17 +29,9 @@ STATES = ("ok", "failed", "timeout", "killed", "invalid", OPEN)
 class Attempt(NamedTuple):
     """One start of a run and how it ended; `seconds` and `finished_at` are None if it has not ended.
 
-    Args:
-        number: Number of this start among all starts of the ledger.
-        session: Session of the driver that started it.
-        inputs: Inputs by name, as JSON.
-        started_at: Seconds since 1970.
-        state: One of `STATES`.
-        kind: Short reason if it did not end ``ok``.
-        seconds: Wall-clock time of the run.
-        origin: The ledger that it was copied from.
-        finished_at: Seconds since 1970.
-        sensitivities: Whether it yielded sensitivities.
+    The number is that among all starts of the ledger, the session that of the driver that started it. Inputs are JSON,
+    times seconds since 1970. `state` is one of `STATES`, `kind` a short reason if it did not end ``ok``, `origin` the
+    ledger that it was copied from; `sensitivities` tells whether it yielded them.
     """
 
     number: int
@@ -168,11 +160,8 @@ class Overview:
         return sorted(runs, key=lambda run: run.last.number)
 
     def changes(self, after: int, among: Collection[int]) -> list[tuple[str, Attempt]]:
-        """Return keys and starts that are new or may have ended since an earlier look.
-
-        Args:
-            after: Number of the last start seen.
-            among: Numbers of earlier starts that had not ended.
+        """Return keys and starts that are new, with a number above `after`, or that may have ended since an earlier
+        look: those `among` numbers that had not.
         """
         some = sorted(among)
         with translated(self.path):

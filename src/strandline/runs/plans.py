@@ -16,16 +16,11 @@ COLUMNS = "study_sha256, part, name, model, inputs, sensitivities, planned, keys
 
 @dataclass(frozen=True)
 class Plan:
-    """The runs that a study asks for, as far as they are known.
+    """The runs that a study, known by the SHA-256 of the text of study.yaml, asks for, as far as they are known.
 
-    Args:
-        study_sha256: SHA-256 of the text of study.yaml.
-        name: Name of the study.
-        model: Fingerprint of its model.
-        inputs: Names of the unknown inputs.
-        sensitivities: Whether the runs are to yield sensitivities.
-        planned: Number of runs of the design and of all rounds of refinement, including those to come.
-        parts: Keys of the runs of the design, then of each round of refinement that has begun.
+    `model` is the fingerprint of its model, `inputs` are the names of the unknown ones. `planned` is the number of runs
+    of the design and of all rounds of refinement, including those to come; `parts` are keys of the runs of the design,
+    then of each round that has begun.
     """
 
     study_sha256: str
@@ -68,12 +63,7 @@ def rows_to_write(plan: Plan, known: Plan | None) -> list[tuple[object, ...]]:
 
 @dataclass(frozen=True)
 class Exclusion:
-    """Why a run is excluded, and since when.
-
-    Args:
-        why: Reason in words.
-        decided_at: Seconds since 1970.
-    """
+    """Why a run is excluded, in words, and since when, seconds since 1970."""
 
     why: str
     decided_at: float

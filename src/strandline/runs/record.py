@@ -260,13 +260,9 @@ class InvalidResult(Exception):
 
 
 def checked(result: object, *, conditions: Collection[str], inputs: Collection[str], sensitivities: bool) -> Simulation:
-    """Check `result` and return a copy that shares no memory with the model.
+    """Check what a model returned and return a copy that shares no memory with the model.
 
-    Args:
-        result: what the model returned.
-        conditions: conditions that the model declares.
-        inputs: names of the run's inputs.
-        sensitivities: whether sensitivities were requested.
+    It must have the declared conditions and, if these were requested, sensitivities in the run's inputs.
 
     Raises:
         InvalidResult: there is no interface, the conditions differ from those declared, a number is not finite, or

@@ -50,11 +50,8 @@ class _Worker:
 class WorkerSlot:
     """One worker process on this machine, replaced if a run takes it down; `close` it at the end.
 
-    The process is a fresh interpreter that computes on one thread and starts with the first run, or with `start`. Only
-    one thread at a time may use a slot.
-
-    Args:
-        setup: Model, from `packed_model`.
+    The process is a fresh interpreter that computes on one thread and starts with the first run, or with `start`. It
+    loads the model from `packed_model`. Only one thread at a time may use a slot.
     """
 
     def __init__(self, setup: bytes) -> None:
@@ -75,12 +72,8 @@ class WorkerSlot:
     def run(self, request: RunRequest, timeout: float | None, *, wanted: Callable[[], bool]) -> RunRecord | None:
         """Return the outcome of a run; None if it is no longer `wanted` before it begins.
 
-        If it is no longer wanted after it has begun, it is stopped within half a second, as out of time.
-
-        Args:
-            request: Run to make.
-            timeout: Seconds after which it is killed; None: never.
-            wanted: Function that is called now and then.
+        If it is no longer wanted after it has begun, it is stopped within half a second, as out of time; after
+        `timeout` seconds, it is killed.
 
         Raises:
             InvalidInput: the worker process cannot load the model.

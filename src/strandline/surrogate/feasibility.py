@@ -27,14 +27,9 @@ _LARGEST = 1500  # the last runs, which are learnt from
 class Feasibility:
     """The classifier; without failures it returns 1 everywhere. Inputs of its methods are standardised.
 
-    Args:
-        z: inputs of the runs learnt from.
-        length: length scale.
-        spread: standard deviation of the latent function.
-        offset: its mean, the logit of the base rate.
-        slope: derivative of the log-likelihood at the mode of the latent function.
-        roots: √W at the mode.
-        factor: lower Cholesky factor of I + √W K √W.
+    It has the inputs of the runs learnt from, the length scale, the standard deviation of the latent function and its
+    mean, the logit of the base rate. At the mode of that function, `slope` is the derivative of the log-likelihood,
+    `roots` √W, and `factor` the lower Cholesky factor of I + √W K √W.
     """
 
     z: Float[np.ndarray, "run dim"]

@@ -21,19 +21,10 @@ _UNROLL = 8
 class GaussianProcess:
     """A zero-mean Gaussian process on centred targets and inputs standardised column by column.
 
-    Inputs of all methods are physical; so are the coordinates of the derivatives.
-
-    Args:
-        x_train: Standardised training inputs (run, dim), (x - shift) / scale.
-        shift: Mean of each input column, physical.
-        scale: Standard deviation of each input column, physical.
-        target_mean: Mean of the targets, added to every prediction.
-        alpha: (K + σ_n² I)⁻¹ (y - target_mean).
-        cholesky: Lower Cholesky factor of K + σ_n² I.
-        length_scale: Length scale l, in standard deviations of the inputs; one for each input if the kernel has
-            several.
-        signal_variance: Signal variance σ0², in squared units of the target.
-        nugget: Noise variance σ_n², in squared units of the target.
+    Inputs of all methods are physical; so are the coordinates of the derivatives. With mean `shift` and standard
+    deviation `scale` of each input, `x_train` is (x - shift) / scale; `alpha` is (K + σ_n² I)⁻¹ (y - target_mean),
+    `cholesky` the lower factor of K + σ_n² I. The length scale l is in standard deviations of the inputs, one for each
+    input if the kernel has several; the signal variance σ0² and the nugget σ_n² are in squared units of the target.
     """
 
     x_train: Float[np.ndarray, "run dim"]
@@ -122,16 +113,8 @@ def condition(
     signal_variance: float,
     nugget: float,
 ) -> GaussianProcess:
-    """Return the Gaussian process with given hyperparameters, conditioned on physical inputs x and targets y.
-
-    Args:
-        x: Training inputs, physical.
-        y: Training targets.
-        kernel: The correlation function.
-        length_scale: Length scale l, in standard deviations of the inputs; one for each input if the kernel has
-            several.
-        signal_variance: Signal variance σ0², in squared units of the target.
-        nugget: Noise variance σ_n², in squared units of the target.
+    """Return the Gaussian process conditioned on physical inputs x and targets y; hyperparameters are those of
+    `GaussianProcess`.
 
     Raises:
         InvalidInput: an input column that does not vary, or a length scale that is not positive.
@@ -163,12 +146,9 @@ def batched_mean(
 ) -> Callable[[Float[jax.Array, "particle dim"]], Float[jax.Array, " particle"]]:
     """Return the posterior mean as a jittable JAX function of physical points (particle, dim).
 
-    JAX's derivatives of it are NaN at a training point (√r² at 0); `GaussianProcess.hessian` is exact there too.
-
-    Args:
-        gp: The conditioned process.
-        fused: Whether to reduce over a (particle, run) array in one kernel, which suits an accelerator; False scans
-            over the training points, which suits a CPU. None (the default) chooses by JAX's default back end.
+    JAX's derivatives of it are NaN at a training point (√r² at 0); `GaussianProcess.hessian` is exact there too. If
+    `fused`, one kernel reduces over a (particle, run) array, which suits an accelerator; False scans over the training
+    points, which suits a CPU. None (the default) chooses by JAX's default back end.
     """
     unit, weight = gp.scale * gp.length_scale, gp.signal_variance * gp.alpha
     train, correlation = gp.x_train / gp.length_scale, gp.kernel.of_columns

@@ -38,14 +38,10 @@ class LogEvidence:
 
 @dataclass(frozen=True)
 class EvidenceSearch:
-    """One start of the optimiser and how it ended.
+    """One start of the optimiser, at the same length scale for every input, and how it ended.
 
-    Args:
-        start: length scale at the start, the same for every input.
-        evaluations: evaluations of the evidence by the optimiser.
-        message: the optimiser's own message on its last stop.
-        verdict: ``converged``, or what the check of another stop found.
-        accepted: whether the end is a maximum within tolerance.
+    `evaluations` are those of the evidence, `message` is the optimiser's own on its last stop, `verdict` is
+    ``converged``, or what the check of another stop found. It is `accepted` if the end is a maximum within tolerance.
     """
 
     start: float
@@ -62,13 +58,9 @@ class EvidenceSearch:
 class FittedHyperparameters:
     """The best accepted attempt, and all attempts.
 
-    Args:
-        length_scale: l, in standard deviations of the inputs; one for each input if the kernel has several.
-        nugget: σ_n², as given.
-        log_evidence: log p(y | l, σ0², σ_n²).
-        at_bound: whether a length lies at its upper bound: the usual end on a log-likelihood.
-        message: the optimiser's own message on the best attempt.
-        verdict: what the check of the best attempt found.
+    The length scale l is in standard deviations of the inputs, one for each input if the kernel has several; the nugget
+    σ_n² is as given, the log evidence log p(y | l, σ0², σ_n²). `at_bound` tells whether a length lies at its upper
+    bound: the usual end on a log-likelihood. Message and verdict are those of the best attempt.
     """
 
     length_scale: LengthScale
@@ -174,15 +166,10 @@ def fit_hyperparameters(
     length_scale_bound: float = 10.0,
     starting_lengths: tuple[float, ...] = STARTING_LENGTHS,
 ) -> FittedHyperparameters:
-    """Maximise the evidence by L-BFGS-B from several length scales.
+    """Maximise the evidence by L-BFGS-B from several length scales, with standardised inputs and centred targets.
 
-    Args:
-        x_std: standardised inputs.
-        y_centred: centred targets.
-        kernel: the correlation function.
-        nugget: σ_n², kept fixed.
-        length_scale_bound: upper bound of l, in standard deviations of the inputs.
-        starting_lengths: values of l to start from, for every input; those above the bound start at it.
+    The nugget σ_n² is kept fixed. Lengths, in standard deviations of the inputs, have an upper bound; starting ones,
+    the same for every input, that are above it start at it.
 
     Raises:
         TooFewRuns: fewer than dim + 2 runs.

@@ -162,12 +162,8 @@ class _Named:
 class Isotropic(_Named):
     """A twice differentiable correlation of the distance; functions of s on NumPy and JAX arrays of any shape.
 
-    Args:
-        name: the key in `KERNELS`.
-        correlation: c(s).
-        slope: g(s) = c'(s) / s.
-        slope_rate: g'(s).
-        per_input: whether each input has its own length (ARD); the correlation depends on the distance all the same.
+    These are c(s), the slope g(s) = c'(s) / s and its rate g'(s); `name` is the key in `KERNELS`. If each input has its
+    own length (ARD), the correlation depends on the distance all the same.
     """
 
     name: str
@@ -218,12 +214,8 @@ def _norm(offset: Float[np.ndarray, "*shape dim"]) -> Float[np.ndarray, "*shape"
 class Product(_Named):
     """A product of one-dimensional correlations; functions of t ≥ 0 on NumPy and JAX arrays of any shape.
 
-    Args:
-        name: the key in `KERNELS`.
-        rate: κ.
-        polynomial: p(t), p(0) = 1.
-        decline: (p - p') / (t p).
-        curvature: (p - 2p' + p'') / p.
+    These are the polynomial p(t) with p(0) = 1, the decline (p - p') / (t p) and the curvature (p - 2p' + p'') / p.
+    `name` is the key in `KERNELS`, `rate` is κ.
     """
 
     name: str

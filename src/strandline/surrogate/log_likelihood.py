@@ -72,19 +72,10 @@ class Validation:
     """How well each training run is predicted from others that do not include it.
 
     For a Gaussian process these are all others, with hyperparameters and centring fixed; else nine tenths of the runs.
-
-    Runs near the mode are those whose target lies within `NEAR_MODE_WINDOW` of the largest one, and always the
-    `NEAR_MODE_COUNT` best.
-
-    Args:
-        residuals: target minus its leave-one-out prediction.
-        standardised_residuals: residuals over their predictive standard deviation (with the nugget).
-        near_mode: which runs lie near the mode.
-        loo_rms: root mean square of the residuals.
-        loo_rms_near_mode: the same near the mode: the error that affects a posterior.
-        near_mode_count: number of runs near the mode.
-        standardised_rms: root mean square of the standardised residuals; near 1 if the variance is realistic.
-        standardised_rms_near_mode: the same near the mode.
+    Residuals are targets minus predictions, standardised ones are over their predictive standard deviation (with the
+    nugget); their root mean square is near 1 if the variance is realistic. Runs near the mode are those whose target
+    lies within `NEAR_MODE_WINDOW` of the largest one, and always the `NEAR_MODE_COUNT` best: errors there affect a
+    posterior.
     """
 
     residuals: Values
@@ -141,12 +132,8 @@ def _rms(values: Float[np.ndarray, " value"]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class LogLikelihoodSurrogate:
-    """A surrogate of the log-likelihood and how well it predicts runs that it has not seen.
-
-    Args:
-        process: The surrogate.
-        validation: Errors of runs that were left out.
-        fit: How the hyperparameters of the Gaussian process were found; None for the user's own surrogate.
+    """A surrogate of the log-likelihood, the errors of runs that were left out, and how the hyperparameters of the
+    Gaussian process were found: None for the user's own surrogate.
     """
 
     process: Predictor
@@ -164,11 +151,8 @@ def fit_log_likelihood(
 ) -> LogLikelihoodSurrogate:
     """Fit the surrogate of Willmann et al. (2022): nugget σ_n² = 1e-5 (max 𝓛 - min 𝓛).
 
-    Args:
-        x: physical inputs of the successful runs.
-        log_likelihood: their log-likelihoods.
-        kernel: Name in `KERNELS`, or ``module:name``; the publication uses ``matern32`` for its homogeneous specimen,
-            ``matern32_product`` for the one with three parts.
+    Inputs are physical, and those of the successful runs. The kernel is a name in `KERNELS`, or ``module:name``; the
+    publication uses ``matern32`` for its homogeneous specimen, ``matern32_product`` for the one with three parts.
 
     Raises:
         TooFewRuns: fewer than dim + 2 runs.

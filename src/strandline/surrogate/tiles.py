@@ -22,10 +22,8 @@ T = TypeVar("T")
 class TiledPairs:
     """Pairs of training inputs whose matrices are filled and summed tile by tile, see `kernels.Pairs`.
 
-    Args:
-        offsets: Function that returns what the correlation depends on for the pairs of a tile, given inverse lengths.
-        correlation: The correlation c as a function of that.
-        slopes: Function that returns a factor a and terms b_d of the same, for ∂c/∂log l_d = a b_d; None: b is 1.
+    `offsets` returns what the correlation c depends on for the pairs of a tile, given inverse lengths, `slopes` a
+    factor a and terms b_d of the same, for ∂c/∂log l_d = a b_d; None: b is 1.
     """
 
     offsets: Callable[[Tile, Float[np.ndarray, " length"]], Float[np.ndarray, "..."]]

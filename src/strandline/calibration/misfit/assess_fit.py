@@ -168,16 +168,9 @@ def misfit_of(
 ) -> Misfit:
     """Return whether the model explains the observations; if that cannot be computed, the verdict says why.
 
-    Args:
-        prediction: Prediction of the model.
-        observations: The observed interfaces.
-        measure: The measure d² behind the posterior.
-        posterior: Posterior of the inputs.
-        fixed: Names of the known inputs.
-        explained: What errors of the model that were allowed for do to the residuals, mm; None if there are none.
-        fitted: Whether sd and length of the observations' errors were inferred from these residuals.
-        effort: Numbers of draws.
-        seed: Seed of the random numbers.
+    `measure` is the d² behind the posterior, `fixed` are names of the known inputs. `explained` is what errors of the
+    model that were allowed for do to the residuals, mm; None if there are none. `fitted` tells whether sd and length of
+    the observations' errors were inferred from these residuals.
     """
     unseen = invisible(observations, posterior.space.names, fixed)
     random = np.random.default_rng([seed, STREAM])

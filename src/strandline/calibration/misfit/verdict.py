@@ -40,19 +40,14 @@ LEAST = 0.001
 
 @dataclass(frozen=True)
 class Region:
-    """A part of the arc of an observed interface, or a patch of a surface.
+    """A part of the arc of an observed interface from `begin` to `end`, mm, or a patch of a surface with a mean point
+    `centre`, mm.
 
-    Args:
-        begin: Arc length of the observed interface at which it begins, mm; 0 for a patch.
-        end: Arc length at which it ends, mm; 0 for a patch.
-        mean: Mean residual, mm, positive on the side of the normals.
-        rms: Root mean square of the residuals, mm.
-        side: Where the observed interface lies if the mean has one sign: ``above``, ``to the left of`` and the like;
-            on a surface ``outside`` or ``inside``, outside being the side of the normals.
-        excess: Mean over the standard deviation of such a mean of the noise; if the root mean square is more than twice
-            the mean, its ratio to that of the noise instead.
-        p_value: Probability of such residuals of a right model in any part, corrected for the number of parts.
-        centre: Mean point of a patch, mm; None for a part of an arc.
+    Its residuals have this mean and root mean square, mm, positive on the side of the normals. `side` is where the
+    observed interface lies if the mean has one sign: ``above``, ``to the left of`` and the like; on a surface
+    ``outside``, the side of the normals, or ``inside``. `excess` is the mean over the standard deviation of such a mean
+    of the noise; if the root mean square is more than twice the mean, its ratio to that of the noise instead. `p_value`
+    is the probability of such residuals of a right model in any part, corrected for the number of parts.
     """
 
     begin: float
@@ -67,21 +62,14 @@ class Region:
 
 @dataclass(frozen=True, eq=False)
 class ConditionMisfit:
-    """The residuals of one observed interface: its distance from the best prediction, without global errors.
+    """The residuals of one observed interface: its signed distance from the best prediction, mm, without global errors.
 
-    Args:
-        condition: The observed condition.
-        arc_length: Arc length at each observed point, mm; its number on a surface.
-        residual: Signed distance of each point, mm.
-        stated: Errors of the points that the observation states.
-        expected: Standard deviation and correlation length of residuals with these errors, mm.
-        found: Those of the residuals, mm; on a surface the correlation length is that over distances in space.
-        p_value: Probability that a right model leaves residuals as large.
-        predictive_p: Posterior-predictive p-value of d².
-        regions: Parts of the arc, or patches of the surface.
-        removed: Most probable global errors of the observation, which the residuals do not contain: shift and offset,
-            mm, rotation, degrees, and scale, a share; none if none are stated.
-        surface: Whether a surface was observed.
+    `arc_length` is that of each observed point, mm; its number on a `surface`. `stated` are the errors of the points
+    that the observation states; `expected` are standard deviation and correlation length of residuals with these
+    errors, `found` those of the residuals, mm, on a surface over distances in space. `p_value` is the probability that
+    a right model leaves residuals as large, `predictive_p` the posterior-predictive p-value of d²; `regions` are parts
+    of the arc, or patches. `removed` are the most probable global errors of the observation, which the residuals do not
+    contain: shift and offset, mm, rotation, degrees, and scale, a share; none if none are stated.
     """
 
     condition: str
@@ -120,17 +108,13 @@ class ConditionMisfit:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Misfit:
-    """Whether the model explains the observations within the noise.
+    """Whether the model explains the observations within the noise: the answer in one sentence, `flagged` if it does
+    not.
 
-    Args:
-        verdict: The answer in one sentence.
-        flagged: Whether it does not.
-        p_value: Probability that a right model leaves residuals as large as those of the best fit; None if it could
-            not be computed. Under a right model all its values are equally likely.
-        predictive_p: Posterior-predictive p-value of d², conservative; None likewise.
-        smooth_p: Probability that a right model leaves slow waves along the arc as large; None on surfaces.
-        conditions: Residuals of each observation.
-        notes: How it was computed, in sentences.
+    `p_value` is the probability that a right model leaves residuals as large as those of the best fit; under a right
+    model all its values are equally likely. `predictive_p` is the posterior-predictive p-value of d², conservative,
+    `smooth_p` the probability that a right model leaves slow waves along the arc as large. They are None if they could
+    not be computed, the last one also on surfaces. `notes` say how it was computed, in sentences.
     """
 
     verdict: str

@@ -47,16 +47,12 @@ class Batch:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """The posterior after a batch.
+    """The posterior after a batch, from `runs` runs of which `ok` succeeded.
 
-    Args:
-        runs: Number of runs made so far.
-        ok: Number of these runs that succeeded.
-        error: Error of the predicted interface, mm: root mean square along it, median over the posterior.
-        moved: Distance from the last step that had fewer runs by at least the number of inputs, or half of it if runs
-            yield derivatives; None if there is none since the last check.
-        since: Number of runs at that step.
-        check: Result of the batch if it was a check; it concerns the posterior before the batch.
+    `error` is that of the predicted interface, mm, root mean square along it, median over the posterior. `moved` is the
+    distance from the last step, of `since` runs, that had fewer by at least the number of inputs, or half of it if runs
+    yield derivatives; None if there is none since the last check. `check` is the result of the batch if it was one; it
+    concerns the posterior before the batch.
     """
 
     runs: int
@@ -72,12 +68,8 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """Where a design stands after a batch.
-
-    Args:
-        check: Verdict on the posterior, if there is one.
-        doubted: Whether only doubts speak against the posterior.
-        stable: Whether it stands still.
+    """Where a design stands after a batch: the verdict on the posterior, if there is one, whether only doubts speak
+    against it, whether it stands still, and the number of runs left.
     """
 
     x: Float[np.ndarray, "run dim"]
@@ -99,16 +91,12 @@ Decision = Batch | None | Literal["not now"]
 
 
 class ActiveDesign:
-    """Decides what to run next, given the runs so far.
+    """Decides what to run next, `batch` runs at a time, given the runs so far.
 
-    Args:
-        batch: Number of runs chosen together.
-        learn: Function that returns the posterior, given inputs and their records.
-        log_likelihood: Function that returns the log-likelihood of a successful record, by the true model.
-        afresh: Function that samples a posterior again, from the prior, before it is checked.
-        scramble: Seed that scrambles the Sobol sequence of the first runs, None for the plain sequence.
-        doubts: Function that returns what else speaks against a posterior that its check has passed, in words.
-        another_trial: Function that tells whether runs at further draws of this posterior could remove these doubts.
+    `learn` returns the posterior, given inputs and their records, `log_likelihood` that of a successful record by the
+    true model. `afresh` samples a posterior again, from the prior, before it is checked. `doubts` returns what else
+    speaks against a posterior that its check has passed, in words; `another_trial` whether runs at further draws of it
+    could remove these doubts. `scramble` is the seed of the Sobol sequence of the first runs, None for the plain one.
     """
 
     def __init__(

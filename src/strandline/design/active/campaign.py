@@ -47,10 +47,8 @@ AFRESH = 1
 class VarianceEffect:
     """Effect of the field's uncertainty on the posterior: expected likelihood compared with the plug-in one.
 
-    Args:
-        shift: Shift of the posterior means, in standard deviations, shape (dim,).
-        sd_ratio: Ratio of the posterior standard deviations, shape (dim,).
-        effective: Effective sample size of the weights between the two, as a share.
+    It has the shift of the means, in standard deviations, the ratio of the standard deviations, and the effective
+    sample size of the weights between the two, as a share.
     """
 
     shift: Float[np.ndarray, " dim"]
@@ -62,16 +60,11 @@ class VarianceEffect:
 class Certificate:
     """Grounds for trusting the posterior of an active design.
 
-    Args:
-        converged: whether it stopped because its tolerances were met.
-        reasons: why it did not converge, in words.
-        steps: the posterior after each batch; the result is computed from the last one.
-        batches: inputs of each batch.
-        checked: the step with the last check, or None.
-        found: smallest share of the prior's mass such that 95 % of all compact regions with this share hold a run.
-        fidelities: What a cheaper model was used for; None if there was none.
-        scattered: whether the simulator's own scatter keeps it from converging.
-        overlooks: whether the runs were too few to find a region as small as `Active.unseen`.
+    It `converged` if it stopped because its tolerances were met; else `reasons` say why not, in words. `steps` are the
+    posterior after each of the `batches`; the result is computed from the last one, and `checked` is the one with the
+    last check. `found` is the smallest share of the prior's mass such that 95 % of all compact regions with this share
+    hold a run. `fidelities` tells what a cheaper model was used for, `scattered` whether the simulator's own scatter
+    keeps it from converging, `overlooks` whether the runs were too few to find a region as small as `Active.unseen`.
     """
 
     converged: bool
@@ -110,14 +103,11 @@ class Certificate:
 class FieldOutcome:
     """Results of a calibration by a surrogate of the field besides the posterior.
 
-    Args:
-        knowledge: Surrogate, likelihood and feasibility.
-        effect: Effect of the surrogate's variance on the posterior.
-        feasible: Posterior mean of the probability that a run succeeds, relative to the safest one.
-        certificate: Certificate of an active design; None for a fixed design.
-        compared: Means and standard deviations of the posterior from the log-likelihood surrogate of the same runs.
-        without_error: The same of the posterior of a model that does not err, if an error was allowed for.
-        scatter: The simulator's own scatter, and what it does to the log-likelihood.
+    `effect` is that of the surrogate's variance on the posterior, `feasible` the posterior mean of the probability that
+    a run succeeds, relative to the safest one. A fixed design has no `certificate`. `compared` are means and standard
+    deviations of the posterior from the log-likelihood surrogate of the same runs, `without_error` those for a model
+    that does not err, if an error was allowed for. `scatter` is the simulator's own, and what it does to the
+    log-likelihood.
     """
 
     knowledge: Knowledge
@@ -131,15 +121,12 @@ class FieldOutcome:
 
 @dataclass(frozen=True)
 class BatchReport:
-    """The posterior after a batch, and what comes next.
+    """The posterior after a batch, the first design being number 1, and what comes next.
 
-    Args:
-        number: number of the batch; the first design is 1.
-        posterior: mean and standard deviation of each calibrated input by its symbol, as text.
-        moved: how far the posterior has moved, in standard deviations: infinite if it is too far to say; None if there
-            is none to compare with.
-        objection: what a check objected to, in words; empty if there was none.
-        dropped: why a cheaper model is not used any more, in words; empty if it is, or if this was told before.
+    `posterior` has mean and standard deviation of each calibrated input by its symbol, as text. `moved` is how far it
+    has moved, in standard deviations: infinite if it is too far to say; None if there is none to compare with.
+    `objection` is that of a check, `dropped` why a cheaper model is not used any more, both in words; empty if there is
+    none, or if it was told before.
     """
 
     number: int
@@ -181,16 +168,11 @@ def report_batch(design: ActiveDesign, space: ParameterSpace) -> BatchReport:
 class ActiveRuns:
     """Choose the batches of a campaign for `run_batches`, and keep a record of them.
 
-    Args:
-        batch: Number of runs chosen together.
-        scramble: Seed that scrambles the Sobol sequence of the first runs, None for the plain sequence.
-        judge: Decides which runs can be used.
-        aside: Function that returns a context in which each batch is chosen.
-        inputs: Function that returns all inputs by name, given the unknown ones.
-        fidelities: What a cheaper model is used for; None if there is none.
-        on_step: Called after each tempering step of the sampling that begins each choice.
-        told: Called with a report of each batch once the posterior is updated.
-        particles: Particles of the posterior after each batch; by default as many as the number of inputs needs.
+    `batch` is the number of runs chosen together, `scramble` the seed of the Sobol sequence of the first runs, None for
+    the plain one. `judge` decides which runs can be used; `aside` returns a context in which each batch is chosen,
+    `inputs` all inputs by name, given the unknown ones. `on_step` is called after each tempering step of the sampling
+    that begins each choice, `told` with a report of each batch once the posterior is updated. By default, there are as
+    many `particles` as the number of inputs needs.
     """
 
     active: Active

@@ -43,14 +43,9 @@ MOST_FAILED, MOST_EARLY = 0.1, 3
 
 @dataclass(frozen=True)
 class Tolerances:
-    """What a check tolerates.
-
-    Args:
-        shift: Shift of a mean, in standard deviations.
-        width: Change of the logarithm of a standard deviation.
-        k_hat: Pareto shape of the weights, unless nearly all draws are effective or as few normal weights often have a
-            larger one.
-        effective: Share of draws that must be effective.
+    """What a check tolerates: the shift of a mean, in standard deviations; the change of the logarithm of a standard
+    deviation; the Pareto shape of the weights, unless nearly all draws are effective or as few normal weights often
+    have a larger one; the share of draws that must be effective.
     """
 
     shift: float
@@ -61,17 +56,12 @@ class Tolerances:
 
 @dataclass(frozen=True, eq=False)
 class BatchCheck:
-    """The true model at draws of the posterior.
+    """The true model at draws of the posterior, of which some failed: they are left out of the weights.
 
-    Args:
-        draws: Number of draws.
-        failed: Number of draws whose run failed; they are left out of the weights.
-        reweighting: Reweighting by the draws whose run succeeded, and by the earlier runs if these settled it.
-        passed: Whether all figures are within the tolerances.
-        reasons: Figures outside the tolerances, in words.
-        early: Whether it was settled before the last draws.
-        left_out: Number of earlier runs that helped to settle it, each predicted from all others.
-        given_up: Whether it ended early because all its draws would hardly have settled it.
+    `reweighting` is by the draws whose run succeeded, and by the earlier runs if these settled it. It `passed` if all
+    figures are within the tolerances; else `reasons` name those outside. `early` tells whether it was settled before
+    the last draws, `left_out` how many earlier runs helped to settle it, each predicted from all others, `given_up`
+    whether it ended early because all its draws would hardly have settled it.
     """
 
     draws: int
@@ -153,20 +143,13 @@ def verdict(
     Draws count by their expected variances for the bounds that confirm a posterior, but equally for those that object:
     the surrogate may expect errors in a tail that it has missed.
 
-    Args:
-        draws: The probes, then draws of equal weight.
-        posterior: Many draws of equal weight.
-        tolerances: What is tolerated.
-        probing: Number of probes.
-        level: Probability that this verdict is wrong if it is not the last one, see `error_probability`.
-        last: Whether no more draws will come.
-        left_out: Earlier runs near the posterior, each predicted from all others. They can confirm it, but not object:
-            they are predicted with fewer runs than the posterior has.
-        typical: Mean variance of the log ratios that the surrogate expects over the posterior.
-        scatter: Variance of the log ratios by the simulator's own scatter, which the bounds allow for. The importance
-            weights of all draws do not: they are certain of shifts only if they are nearly equal.
-        most: Number of draws after which the check would end: it is given up if so many would hardly settle it; None:
-            it never is.
+    The first `probing` draws are probes, the others have equal weight, as the many draws `posterior` have. Unless it is
+    the `last` one, the verdict is wrong with the probability `level`, see `error_probability`. `left_out` are earlier
+    runs near the posterior, each predicted from all others: they can confirm it, but not object, since they are
+    predicted with fewer runs than the posterior has. `typical` is the mean variance of the log ratios that the
+    surrogate expects over the posterior, `scatter` that by the simulator's own scatter, which the bounds allow for. The
+    importance weights of all draws do not: they are certain of shifts only if they are nearly equal. A check is given
+    up if `most` draws would hardly settle it; None: it never is.
     """
     good, number, dim = ~np.isnan(draws.values), len(draws), draws.x.shape[1]
     kept, failed = draws[good], int((~good).sum())

@@ -42,12 +42,10 @@ Criterion = Callable[
 
 @dataclass(frozen=True, eq=False)
 class Losses:
-    """Runs lost where runs are known to fail, and how many more may be.
+    """Runs lost where runs are known to fail, and how many more may be, of the `runs` that were allowed.
 
-    Args:
-        runs: Number of runs that were allowed.
-        first: Inputs of the first runs, as bytes; these were placed before anything was known.
-        price: Time that a lost run takes, in those of a good one, at least 1: a hang costs as much as many runs.
+    `first` are inputs of the first runs, as bytes: these were placed before anything was known. `price` is the time
+    that a lost run takes, in those of a good one, at least 1: a hang costs as much as many runs.
     """
 
     knowledge: Knowledge

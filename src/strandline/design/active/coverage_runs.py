@@ -116,9 +116,8 @@ def _balls(dim: int) -> tuple[Float[np.ndarray, "ball dim"], Float[np.ndarray, "
 class Surprise:
     """A run away from the posterior that the surrogate did not expect.
 
-    Args:
-        fits: Whether it fits the observation so well that its region may hold a share of the posterior.
-        errors: Distance of the predicted interface, in predicted standard deviations.
+    It `fits` if it fits the observation so well that its region may hold a share of the posterior; `errors` is the
+    distance of the predicted interface, in predicted standard deviations.
     """
 
     x: Float[np.ndarray, " dim"]
@@ -145,16 +144,11 @@ def surprises(
     *,
     limits: tuple[float, float] = (STANDARD_DEVIATIONS, NOISE_LENGTHS),
 ) -> tuple[Surprise, ...]:
-    """Return which runs the surrogate did not expect.
+    """Return which runs the surrogate did not expect, given the posterior before them.
 
-    Args:
-        state: The posterior before these runs.
-        x: Inputs of the runs.
-        records: Their records, all of which succeeded.
-        log_likelihoods: Their log-likelihoods by the true model.
-        share: Share of the prior's mass that each may stand for.
-        noise: Shift of the interface that the noise hides, mm.
-        limits: Errors beyond which an interface is not expected, in predicted standard deviations and in `noise`.
+    All of them succeeded; each has a log-likelihood by the true model, and may stand for this `share` of the prior's
+    mass. An interface is not expected beyond the `limits`, in predicted standard deviations and in `noise`, the shift
+    of the interface that the noise hides, mm.
     """
     if not len(x):
         return ()
@@ -176,11 +170,8 @@ def left_out_surprise(
 ) -> Surprise | None:
     """Return the run that the others predict worst, if that is much worse than they should; None if there is none.
 
-    Args:
-        state: The posterior.
-        noise: Shift of the interface that the noise hides, mm.
-        before: Inputs of runs around which others were made already, as bytes.
-        known: Inputs of runs at draws of the posterior, as bytes: these are checked otherwise.
+    Runs do not count around which others were made `before`, nor those `known` to be draws of the posterior, which are
+    checked otherwise: inputs as bytes. `noise` is the shift of the interface that the noise hides, mm.
     """
     surrogate, x = state.knowledge.surrogate, state.knowledge.x[state.knowledge.ok]
     found = [process.left_out() for process in surrogate.processes]

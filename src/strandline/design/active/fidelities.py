@@ -34,17 +34,12 @@ At = bytes
 
 @dataclass(frozen=True)
 class FidelityReport:
-    """What two models were used for.
+    """What two models were used for; a run of the cheaper one costs this share of one of the model.
 
-    Args:
-        cost: Cost of a run of the cheaper one, as a share of one of the model.
-        cheaper: Number of runs by the cheaper one.
-        model: Number of runs by the model itself.
-        pairs: Number of inputs at which both succeeded.
-        error: Largest error of the corrected interface at the draws that confirmed it, root mean square along the
-            interface, mm; None if it has not been confirmed.
-        hidden: Shift of the interface that the noise hides, mm.
-        dropped: Why the cheaper model was dropped; None if it is in use.
+    `pairs` is the number of inputs at which both succeeded. `error` is the largest error of the corrected interface at
+    the draws that confirmed it, root mean square along the interface, mm; None if it has not been confirmed. `hidden`
+    is the shift of the interface that the noise hides, mm. `dropped` says why the cheaper model was dropped; None if it
+    is in use.
     """
 
     cost: float
@@ -79,12 +74,8 @@ class FidelityReport:
 
 
 class Fidelities:
-    """Decides which runs both models make, and what the runs of the cheaper one are worth.
-
-    Args:
-        names: Names of the unknown inputs.
-        conditions: The observed conditions.
-        cost: Cost of a run of the cheaper model, as a share of one of the model.
+    """Decides which runs both models make, and what the runs of the cheaper one, at this share of the cost, are
+    worth.
     """
 
     def __init__(self, names: Sequence[str], conditions: Sequence[str], cost: float) -> None:

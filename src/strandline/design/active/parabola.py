@@ -27,12 +27,9 @@ _SEED = 5
 
 @dataclass(frozen=True, eq=False)
 class LogRatios:
-    """Logarithms δ of true over expected likelihood at some inputs.
+    """Logarithms δ of true over expected likelihood at some inputs, up to a constant; NaN if a run failed.
 
-    Args:
-        x: The inputs.
-        values: Values of δ, up to a constant; NaN if a run failed.
-        variances: Variances of δ that the surrogate expects; a common factor hardly matters.
+    `variances` of δ are those that the surrogate expects; a common factor hardly matters.
     """
 
     x: Float[np.ndarray, "run dim"]
@@ -53,14 +50,10 @@ class LogRatios:
 
 @dataclass(frozen=True, eq=False)
 class Effect:
-    """How far the posterior would move, and bounds that hold with a given probability each.
+    """How far the posterior would move, with lower and upper bounds that hold with a given probability each.
 
-    Args:
-        shift: Largest shift of a mean, in standard deviations.
-        shift_bounds: Its lower and upper bound.
-        width: Largest change of the logarithm of a standard deviation.
-        width_bounds: Its lower and upper bound.
-        effective_bounds: Lower and upper bound of the effective share of draws.
+    `shift` is the largest shift of a mean, in standard deviations, `width` the largest change of the logarithm of a
+    standard deviation; of the effective share of draws, there are the bounds alone.
     """
 
     shift: float
@@ -83,15 +76,12 @@ def smooth_effect(
     scatter: float = 0.0,
     typical: float = 0.0,
 ) -> Effect:
-    """Return the effect of a smooth error.
+    """Return the effect of a smooth error, from at least `fewest` finite draws, not necessarily of equal weight.
 
-    Args:
-        draws: Draws, at least `fewest` of them, not necessarily of equal weight; all values are finite.
-        posterior: Many draws of equal weight.
-        level: Probability that each bound is exceeded.
-        scatter: Variance of δ by the simulator's own scatter, which is no error of the posterior. It widens the bounds
-            of shifts and widths, as all scatter does, but is taken out of those of the effective share.
-        typical: Mean variance of δ that the surrogate expects over the posterior.
+    `posterior` has many draws of equal weight; each bound is exceeded with the probability `level`. `scatter` is the
+    variance of δ by the simulator's own scatter, which is no error of the posterior: it widens the bounds of shifts and
+    widths, as all scatter does, but is taken out of those of the effective share. `typical` is the mean variance of δ
+    that the surrogate expects over the posterior.
 
     Errors about the parabola have the expected variances times a scale. This is that of all draws, or of those that
     count most if it is larger: many of the expected variances may be far too large.
@@ -142,13 +132,8 @@ def _terms(y: Float[np.ndarray, "some dim"]) -> Float[np.ndarray, "some term"]:
 
 @dataclass(frozen=True, eq=False)
 class _ParabolaFit:
-    """Weighted least squares.
-
-    Args:
-        best: The coefficients.
-        factor: R of the weighted A = QR.
-        squares: Weighted sum of squares of the errors.
-        freedom: Its degrees of freedom.
+    """Weighted least squares: the coefficients, R of the weighted A = QR, the weighted sum of squares of the errors and
+    its degrees of freedom.
     """
 
     best: Float[np.ndarray, " term"]

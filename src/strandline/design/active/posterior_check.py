@@ -67,12 +67,11 @@ New = Float[np.ndarray, "new dim"]
 
 @dataclass(frozen=True)
 class SimulatorNoise:
-    """The simulator's own scatter and what it does to the log-likelihood of a run.
+    """The simulator's own scatter, root mean square along the interface, mm, and its effect on the log-likelihood of a
+    run.
 
-    Args:
-        rms: Root mean square along the interface, mm.
-        hidden: Shift of the interface that the noise hides, mm.
-        variance: Variance of the log-likelihood of repeated runs, mean over some draws of the posterior.
+    `hidden` is the shift of the interface that the noise hides, mm; `variance` that of the log-likelihood of repeated
+    runs, mean over some draws of the posterior.
     """
 
     rms: float
@@ -181,16 +180,12 @@ def left_out_ratios(
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """What a check runs.
+    """What a check runs: draws of the posterior, the first `probing` of which are probes, with their expected
+    log-likelihood.
 
-    Args:
-        draws: Its draws, in the order in which they are run; the first ones are probes.
-        log_expected: Their expected log-likelihood.
-        probing: Number of probes.
-        ends: Numbers of draws at which the verdict is sought, from the next one on.
-        elsewhere: Inputs of runs where nobody has looked yet.
-        looks: Number of times that the verdict is sought in all.
-        patient: Whether more draws are run even if they would hardly settle it.
+    The verdict is sought after these numbers of draws, `ends`, from the next one on; in all, `looks` times. `elsewhere`
+    are inputs of runs where nobody has looked yet. A `patient` check runs more draws even if they would hardly settle
+    it.
     """
 
     state: State
@@ -205,12 +200,9 @@ class Checked:
 
 
 class PosteriorCheck:
-    """Asks for runs that check a posterior, and judges it by them.
+    """Asks for runs that check a posterior, `batch` at a time, and judges it by them.
 
-    Args:
-        batch: Number of runs made at a time.
-        log_likelihood: Function that returns the log-likelihood of a successful record, by the true model.
-        whole: Largest number of inputs whose parabola settles whether more draws would help.
+    `log_likelihood` returns that of a successful record, by the true model.
     """
 
     def __init__(

@@ -29,10 +29,8 @@ TOLERATED_REMAINDER = 0.08
 class Knowledge:
     """Surrogate and classifier learnt from some runs.
 
-    Args:
-        likelihood: Log-likelihood through the surrogate of the field.
-        feasibility: Classifier of the probability that a run succeeds.
-        highest: Largest log probability of success at any of the runs; the classifier is taken relative to it.
+    These are the log-likelihood through the surrogate of the field, and the probability that a run succeeds, which is
+    taken relative to that of the safest run; `highest` is the logarithm of the latter.
     """
 
     x: Float[np.ndarray, "run dim"]
@@ -144,12 +142,9 @@ def learn(
 
 @dataclass(frozen=True)
 class PosteriorMove:
-    """How far a posterior is from an earlier one.
-
-    Args:
-        shift: largest shift of a mean, in standard deviations.
-        width: largest change of the logarithm of a standard deviation.
-        effective: effective sample size of the weights between the two, as a share.
+    """How far a posterior is from an earlier one: the largest shift of a mean, in standard deviations, the largest
+    change of the logarithm of a standard deviation, and the effective sample size of the weights between the two, as a
+    share.
     """
 
     shift: float
@@ -159,15 +154,11 @@ class PosteriorMove:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """The posterior after some runs, as particles of π_γ with three sets of weights.
+    """The posterior after some runs, as particles of π_γ with three sets of normalised log weights.
 
-    Args:
-        log_weights: Normalised log weights of the posterior with the expected likelihood, shape (particle,).
-        log_weights_tempered: Normalised log weights of π_γ, shape (particle,).
-        log_weights_plug_in: Log weights of the posterior as if the predicted interfaces were exact, shape (particle,).
-        log_expected: log E[L] at the particles, shape (particle,).
-        log_plug_in: log L of the predicted interfaces at the particles, shape (particle,).
-        log_evidence_tempered: log ∫ L^γ p dx of the predicted interfaces; NaN if it is not known.
+    These are the weights of the posterior with the expected likelihood, of π_γ, and of the posterior as if the
+    predicted interfaces were exact. log E[L] and log L of the predicted interfaces are those at the particles;
+    `log_evidence_tempered` is log ∫ L^γ p dx of the latter, NaN if it is not known.
     """
 
     knowledge: Knowledge

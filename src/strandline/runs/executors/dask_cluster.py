@@ -90,15 +90,11 @@ def opened(
     reach_seconds: float = REACH_SECONDS,
     lost_process_seconds: int = LOST_PROCESS_SECONDS,
 ) -> Iterator[Cluster]:
-    """Yield a cluster with `workers` workers, or jobs; a cluster that was started here is ended afterwards.
+    """Yield a cluster with `workers` workers, or jobs with these options; a cluster that was started here is ended
+    afterwards.
 
-    Args:
-        kind: Kind of cluster.
-        address: Address of an existing scheduler; None: start a cluster.
-        workers: Number of workers or jobs.
-        jobs: Options of the jobs.
-        reach_seconds: Seconds to wait for the scheduler to answer.
-        lost_process_seconds: Seconds to wait for a worker on this machine to come back.
+    With the address of an existing scheduler, none is started. The scheduler must answer within `reach_seconds`, and a
+    worker on this machine come back within `lost_process_seconds`.
 
     Raises:
         InvalidInput: the cluster does not start, or does not answer.

@@ -31,11 +31,8 @@ SESSIONS_REMEMBERED = 1000
 class DaskJob:
     """A task as Dask sees it, which a Dask worker hands to a worker process of strandline: a crash harms only that.
 
-    Args:
-        session: Call of the executor that it belongs to.
-        setup: Model, from `packed_model`.
-        request: Run to make; None: start a worker process and keep it for a run.
-        timeout: Seconds after which the run is killed.
+    The session is the call of the executor that it belongs to, `setup` the model, from `packed_model`. Without a
+    request it starts a worker process and keeps it for a run. A run is killed after `timeout` seconds.
     """
 
     session: str
@@ -123,17 +120,10 @@ class _DaskTask:
 class DaskDispatcher(Dispatcher[str]):
     """One call: the runs that are out, the records not handed over yet, and the workers present.
 
-    A thread gets runs only when it has a worker process that has loaded the model, so no run waits for that.
-
-    Args:
-        cluster: Cluster that makes the runs.
-        setup: Model, from `packed_model`.
-        requests: Runs to make.
-        timeout: Seconds after which a run is killed; None: never.
-        life: Seconds that a worker lives; None: no limit.
-        least: Number of jobs to keep when fewer runs than jobs are left.
-        most: Maximum number of threads to use.
-        silence_borne_seconds: How long the scheduler may be unreachable.
+    A thread gets runs only when it has a worker process that has loaded the model, so no run waits for that. A run is
+    killed after `timeout` seconds, a worker lives `life` seconds; None: no limit. At least so many jobs are kept when
+    fewer runs than jobs are left, at most so many threads are used; the scheduler may be unreachable for
+    `silence_borne_seconds`.
     """
 
     def __init__(

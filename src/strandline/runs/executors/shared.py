@@ -75,9 +75,6 @@ class Dispatcher(ABC, Generic[Place]):
 
     A place whose record is not handed over yet is not free. After `NOT_NOW`, requests are pulled again once all records
     that have come meanwhile are handed over.
-
-    Args:
-        requests: Runs to make.
     """
 
     def __init__(self, requests: Iterator[RunRequest]) -> None:

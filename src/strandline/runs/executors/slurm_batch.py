@@ -106,15 +106,10 @@ def _damaged(path: Path, how: str) -> InvalidInput:
 
 @dataclass(frozen=True)
 class ArrayBatch:
-    """One submitted array.
+    """One submitted array of runs, by their number in it; the name of the folder of its files is that of the job.
 
-    Args:
-        folder: Folder of its files; its name is that of the job.
-        created: Time of its creation, seconds since 1970.
-        fingerprint: Fingerprint of the model.
-        sensitivities: Whether the model is asked for sensitivities.
-        timeout: Seconds after which a run is killed.
-        requests: The runs, by their number in the array.
+    It was created so many seconds after 1970, for the model with this fingerprint, perhaps asked for sensitivities; a
+    run is killed after `timeout` seconds.
     """
 
     folder: Path

@@ -38,18 +38,12 @@ Interfaces = Mapping[str, Interface]
 class Correction:
     """Difference between the interfaces of a model and a cheaper one, as a function of the latter.
 
-    Args:
-        layouts: Layouts of the points by condition, common to both models.
-        middle: Mean of the cheaper interfaces, all coordinates, mm.
-        scale: Root mean square distance of the cheaper interfaces from it, mm.
-        runs: Cheaper interfaces less their mean, in units of `scale`, with weights (pair, value).
-        constant: Constant part of the correction, mm.
-        factors: Factors of the kernel's rows (pair, value), mm.
-        weights: Roots of each value's share of the interface's length (area).
-        left_out: Error of the correction at each pair, learnt from the others, root mean square along the interface,
-            mm (pair,).
-        spread: Root mean square distance of the model's own interfaces at the pairs from their mean, mm.
-        node_by_node: Whether the points are the nodes of both models in all runs.
+    The layouts of the points by condition are common to both models. The cheaper interfaces have the mean `middle`, all
+    coordinates, and the root mean square distance `scale` from it, mm; `runs` are these less their mean, in units of
+    `scale`, with weights: the roots of each value's share of the interface's length (area). The correction has a
+    constant part, mm, and factors of the kernel's rows, mm. `left_out` is its error at each pair, learnt from the
+    others, `spread` the root mean square distance of the model's own interfaces at the pairs from their mean, mm.
+    `node_by_node` tells whether the points are the nodes of both models in all runs.
     """
 
     layouts: Mapping[str, PointLayout]

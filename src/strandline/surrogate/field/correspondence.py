@@ -90,14 +90,12 @@ def _share(points: Ring, mean: Ring) -> float:
 
 @dataclass(frozen=True, eq=False)
 class PointLayout:
-    """The meaning of the points of one condition's interface in all runs.
+    """The meaning of the points of one condition's interface in all runs; `template` is an interface that has these
+    points.
 
-    Args:
-        template: An interface that has these points, for its cells and the weights of its points.
-        way: Points used: the nodes if they correspond; the nodes of a closed polyline from another first one, perhaps
-            in the other direction; points at equal shares of the arclength of a polyline; the template's nodes
-            projected onto a surface.
-        reference: The template, to project onto surfaces; None for the other ways.
+    They are the nodes if these correspond; the nodes of a closed polyline from another first one, perhaps in the other
+    direction; points at equal shares of the arclength of a polyline; or the template's nodes projected onto a surface,
+    by `reference`.
     """
 
     template: Interface
@@ -129,9 +127,7 @@ class PointLayout:
 def common_layout(interfaces: Sequence[Interface], x: Float[np.ndarray, "run dim"] | None = None) -> PointLayout:
     """Return the layout that all of these interfaces can be brought to.
 
-    Args:
-        interfaces: Interfaces of the runs.
-        x: Inputs of the runs in [0, 1], to see whether equal numbers of nodes correspond; None: they do.
+    `x` are the inputs of the runs in [0, 1], to see whether equal numbers of nodes correspond; None: they do.
 
     Raises:
         NoCommonPoints: they have no common parametrisation: polylines and surfaces, or open and closed ones,

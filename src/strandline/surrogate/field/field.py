@@ -23,15 +23,10 @@ TOLERANCE = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class FieldTraining:
-    """Successful runs.
+    """Successful runs: physical inputs, and the interfaces of each run by condition.
 
-    Args:
-        x: Physical inputs (run, dim).
-        interfaces: Interfaces of each run by condition.
-        gradients: Derivatives d(points)/d(inputs) of each run by condition (point, xyz, dim), mm per unit of the input;
-            None: there are none.
-        low: Lower corner of the box of the inputs.
-        high: Upper corner of the box of the inputs.
+    `gradients` are derivatives d(points)/d(inputs) of each run by condition (point, xyz, dim), mm per unit of the
+    input; None: there are none. `low` and `high` are corners of the box of the inputs.
     """
 
     x: Float[np.ndarray, "run dim"]
@@ -53,9 +48,8 @@ class FieldPrediction:
 class FieldSurrogate:
     """The interface of every condition as a function of the inputs.
 
-    Args:
-        registration_error: Largest root mean square error of fitting a run's interface to the layout, mm.
-        gradients: Whether it was trained with sensitivities too.
+    `registration_error` is the largest root mean square error of fitting a run's interface to the layout, mm;
+    `gradients` tells whether it was trained with sensitivities too.
     """
 
     layouts: Mapping[str, PointLayout]
@@ -93,11 +87,9 @@ class FieldSurrogate:
     def points(
         self, coefficients: Float[np.ndarray, "draw mode"], tail: Float[np.ndarray, "draw rest"] | None = None
     ) -> dict[str, Float[np.ndarray, "draw point xyz"]]:
-        """Return the points of the interfaces by condition, mm.
+        """Return the points of the interfaces by condition, mm, given coefficients of the modes, mm.
 
-        Args:
-            coefficients: Coefficients of the modes (draw, mode), mm.
-            tail: Standard normal numbers that multiply the remainder that the modes leave; None leaves it out.
+        `tail` are standard normal numbers that multiply the remainder that the modes leave; None leaves it out.
         """
         fields = self.modes.fields(coefficients)
         if tail is not None:
@@ -143,11 +135,7 @@ def fit_field(training: FieldTraining, *, tolerance: float = TOLERANCE) -> Field
     """Return the surrogate of the field from these runs; the result depends on nothing else.
 
     Inputs that are positive over a wide box may enter by their logarithm or reciprocal, whichever predicts the runs
-    better.
-
-    Args:
-        training: The runs.
-        tolerance: Largest root mean square along the interface that the modes may leave, mm.
+    better. The modes may leave a root mean square along the interface of at most `tolerance`, mm.
 
     Raises:
         TooFewRuns: fewer than `fewest_runs`.

@@ -85,13 +85,8 @@ def trend(z: Inputs, lengths: Lengths, *, linear: bool, derivatives: bool) -> Fl
 
 @dataclass(frozen=True, eq=False)
 class ModeData:
-    """Data on one function: values, and gradients if available.
-
-    Args:
-        z: Inputs, standardised (run, dim).
-        values: Values of the function (run,).
-        gradients: Derivatives with respect to the standardised inputs (run, dim), or None.
-        linear: Whether the mean is linear in the inputs or constant.
+    """Data on one function of standardised inputs: values, and derivatives with respect to these inputs if available;
+    its mean is linear in the inputs, or constant.
     """
 
     z: Inputs
@@ -110,15 +105,9 @@ class ModeData:
 class Conditioned:
     """Factors of a process with given hyperparameters; N observations, p terms of the mean.
 
-    Args:
-        cholesky: Lower factor of K + τ I.
-        trend: Terms F of the mean at the observations.
-        solved_trend: Solution (K + τ I)⁻¹ F.
-        normal: Normal matrix Fᵀ (K + τ I)⁻¹ F.
-        coefficients: Coefficients b of the mean.
-        residual: Residual y - F b.
-        alpha: Solution (K + τ I)⁻¹ residual.
-        variance: Variance s² of the process.
+    These are the lower factor of K + τ I, the terms F of the mean at the observations, (K + τ I)⁻¹ F, the normal matrix
+    Fᵀ (K + τ I)⁻¹ F, the coefficients b of the mean, the residual y - F b, alpha = (K + τ I)⁻¹ residual, and the
+    variance s² of the process.
     """
 
     cholesky: Float[np.ndarray, "row row"]
@@ -217,10 +206,9 @@ class LeftOutErrors:
 class ModeProcess:
     """The process of one coefficient; inputs of all methods are standardised.
 
-    Args:
-        lengths: Length scales, in standard deviations of the inputs.
-        nugget: Noise variance relative to that of the process.
-        widening: Factor of all variances, at least 1, by which the errors of left-out runs exceed what they should be.
+    Length scales are in standard deviations of the inputs, the nugget is relative to the variance of the process.
+    `widening` is a factor of all variances, at least 1, by which the errors of left-out runs exceed what they should
+    be.
     """
 
     observed: ModeData

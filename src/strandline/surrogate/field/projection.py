@@ -52,12 +52,10 @@ class Topology(NamedTuple):
 
 
 class Projection(NamedTuple):
-    """The reference's nodes on a surface, mm.
+    """The reference's nodes on a surface, mm, in the reference's order.
 
-    Args:
-        points: Points (point, xyz) in the reference's order.
-        error: Root mean square distance of the surface's nodes from the triangles between the points, or of the nodes
-            of its rim from the sides between the points of the rim, whichever is larger, mm.
+    The error is the root mean square distance of the surface's nodes from the triangles between the points, or of the
+    nodes of its rim from the sides between the points of the rim, whichever is larger, mm.
     """
 
     points: Points

@@ -36,11 +36,9 @@ _kept: OrderedDict[Hashable, tuple[str, ...]] = OrderedDict()  # the last choice
 class Modes:
     """An orthonormal basis of the fields seen; the squared norm of a field is its mean square along the interface.
 
-    Args:
-        mean: Mean field (value,), mm.
-        roots: Square roots of the weights of the values, whose squares sum to the number of conditions.
-        basis: Orthonormal weighted fields of the modes (mode, value).
-        tail: Weighted fields of the modes cut off, times their standard deviations over the runs (rest, value), mm.
+    `roots` are square roots of the weights of the values, whose squares sum to the number of conditions. `basis` has
+    orthonormal weighted fields of the modes, `tail` those of the modes cut off, times their standard deviations over
+    the runs, mm.
     """
 
     mean: Float[np.ndarray, " value"]
@@ -113,10 +111,7 @@ WARPS = {
 class Warping:
     """Physical inputs → standardised ones: warped, centred and scaled by their standard deviation over the box.
 
-    Args:
-        names: a warp of `WARPS` for each input.
-        low: lower corner of the box of the inputs.
-        high: upper corner of the box of the inputs.
+    There is a warp of `WARPS` for each input; `low` and `high` are corners of the box.
     """
 
     names: tuple[str, ...]
@@ -161,13 +156,8 @@ def fewest_runs(dim: int, *, gradients: bool) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """What the modes are fitted to.
-
-    Args:
-        fields: Values of the field (run, value), mm.
-        weights: Weights of the values in the mean square, shape (value,).
-        gradients: Derivatives of the fields with respect to the physical inputs (run, value, dim), mm per unit of the
-            input; None if there are none.
+    """What the modes are fitted to: values of the field, mm, their weights in the mean square, and derivatives with
+    respect to the physical inputs, mm per unit of the input; None if there are none.
     """
 
     x: Float[np.ndarray, "run dim"]
