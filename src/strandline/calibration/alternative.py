@@ -110,12 +110,10 @@ class Baseline:
 
     @cached_property
     def mean(self) -> Float[np.ndarray, " dim"]:
-        """Posterior mean, shape (dim,)."""
         return self.weighted.mean
 
     @cached_property
     def sd(self) -> Float[np.ndarray, " dim"]:
-        """Posterior standard deviation, shape (dim,)."""
         return self.weighted.sd
 
 

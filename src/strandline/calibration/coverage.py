@@ -150,7 +150,6 @@ class CoverageFound:
 
     @cached_property
     def fit_band(self) -> Band:
-        """Distribution of the ranks of the log-likelihood."""
         return uniformity(self.fit_ranks, level=self._level)
 
     @property
@@ -169,12 +168,10 @@ class CoverageFound:
 
     @cached_property
     def z(self) -> Float[np.ndarray, "replicate dim"]:
-        """Truth minus posterior mean, in posterior standard deviations."""
         return np.array([(one.truth - one.mean) / one.sd for one in self.replicates])
 
     @cached_property
     def sd(self) -> Float[np.ndarray, " dim"]:
-        """Mean of the posterior standard deviations."""
         return np.asarray(np.mean([one.sd for one in self.replicates], axis=0))
 
     @cached_property
@@ -184,7 +181,6 @@ class CoverageFound:
 
     @property
     def calibrated(self) -> bool:
-        """Whether all ranks stay inside their bands."""
         return self.fit_band.inside and all(band.inside for band in self.bands)
 
     @property

@@ -156,7 +156,6 @@ class BayesFactor:
 
     @property
     def words(self) -> str:
-        """Strength of the evidence on the scale, or ``cannot tell``."""
         return in_words(self.ln, self.error)
 
     @property
@@ -204,7 +203,6 @@ class ModelComparison:
 
     @cached_property
     def probabilities(self) -> dict[str, float]:
-        """Posterior probabilities of the models, if one of them is right."""
         logs = np.array([self.evidences[name].log + math.log(share) for name, share in self.prior.items()])
         weights = np.exp(logs - logs.max())
         return dict(zip(self.prior, (weights / weights.sum()).tolist(), strict=True))

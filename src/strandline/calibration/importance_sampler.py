@@ -138,7 +138,6 @@ class Pool:
 
     @property
     def log_weights(self) -> Values:
-        """Normalised log weights of the target."""
         ratios = self.log_ratios
         return np.asarray(ratios - _log_sum(ratios))
 

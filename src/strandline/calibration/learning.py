@@ -53,7 +53,6 @@ class TrainedSurrogate:
     set_aside: tuple[SetAside, ...] = ()
 
     def target(self, space: ParameterSpace) -> Target:
-        """Return the log-likelihood to sample from."""
         surrogates = [one.process for one in self.learnt.surrogates.values()]
         if self.knowledge is None:
             return LogLikelihoodTarget(surrogates[0], space)

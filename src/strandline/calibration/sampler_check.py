@@ -72,7 +72,6 @@ class SamplerCheck:
 
     @property
     def split(self) -> Split:
-        """The split at which the shares of the mass differ most."""
         return max(self.splits, key=lambda one: one.difference)
 
     @property
@@ -83,12 +82,10 @@ class SamplerCheck:
 
     @property
     def agree(self) -> bool:
-        """Whether no difference that matters is beyond chance."""
         return not self.differences
 
     @cached_property
     def differences(self) -> tuple[str, ...]:
-        """The differences that matter and are beyond chance, in words."""
         return tuple(self._differences())
 
     @property

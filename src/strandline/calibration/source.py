@@ -143,7 +143,6 @@ class FieldQuality:
 
     @property
     def good(self) -> bool:
-        """Whether few enough of the draws have too large an error."""
         return self.beyond <= TOLERATED_SHARE
 
 

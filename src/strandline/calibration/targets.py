@@ -91,7 +91,6 @@ class _GivenOnHost:
         return self.log_likelihood(np.ascontiguousarray(np.concatenate([x, theta], axis=1)[:, self.order]))
 
     def of_one_value(self, x: Float[np.ndarray, "point x"], theta: Float[np.ndarray, " nuisance"]) -> Values:
-        """Return log L with the same nuisance inputs at all points."""
         return self(x, np.tile(theta, (len(x), 1)))
 
 
@@ -151,7 +150,6 @@ class LogLikelihoodTarget:
         return nullcontext()
 
     def posterior(self, sampling: SMCResult) -> Posterior:
-        """Return the particles as they are."""
         given = sampling.log_weights, sampling.log_likelihood, sampling.log_evidence
         return _posterior(self.space, sampling, *given)
 
@@ -176,7 +174,6 @@ class FieldTarget:
 
     @cached_property
     def compiled(self) -> BatchedLogDensity:
-        """Log E[L] in closed form, for NumPy arrays."""
         return OnHost(self.knowledge.nearly_expected)
 
     @cached_property

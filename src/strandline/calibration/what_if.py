@@ -83,7 +83,6 @@ class Answer:
 
     @property
     def moved(self) -> tuple[str, ...]:
-        """Names of the inputs that move."""
         far = (np.abs(self.shift) > LEAST_SHIFT) | (np.abs(np.log(self.sd_ratio)) > math.log(LEAST_RATIO))
         return tuple(name for name, one in zip(self.present.space.names, far, strict=True) if one)
 

@@ -100,11 +100,9 @@ class WhitenedNoise:
         return {"noise_variance": 1.0}
 
     def log_density(self, squared: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-        """Return -½ d²."""
         return np.asarray(-0.5 * squared)
 
     def constant(self, terms: int) -> float:
-        """Return -½ (n log 2π + log det C)."""
         return -0.5 * (terms * math.log(2 * math.pi) + self.log_det)
 
 

@@ -108,7 +108,6 @@ class NearField:
 
     @cached_property
     def factors(self) -> Float[np.ndarray, "seen term"]:
-        """Residuals, slopes, bends and tail side by side."""
         return np.column_stack([self.residuals, self.slopes, self.bends, self.tail])
 
     @cached_property
@@ -171,7 +170,6 @@ class _Motions(NamedTuple):
     curvature: Float[np.ndarray, " seen"]
 
     def by(self, steps: Float[np.ndarray, " other"]) -> "_Motions":
-        """Return the motions for steps of one unit."""
         return self._replace(across=self.across / steps, along=self.along / steps, turn=self.turn / steps)
 
     def registered(self, model: ErrorModel, moves: Bool[np.ndarray, " error"], fields: int) -> "_Motions":

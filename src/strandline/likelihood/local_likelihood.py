@@ -47,7 +47,6 @@ class Mixture:
     log_weights: Float[np.ndarray, " level"]
 
     def one(self, interfaces: Mapping[str, Interface]) -> float:
-        """Return log L of simulated interfaces by condition."""
         points = {seen.condition: interfaces[seen.condition].points[None] for seen in self.joint.observations}
         return float(self.many(points, interfaces)[0])
 
@@ -110,7 +109,6 @@ class OfStatedErrors:
 
     @cached_property
     def parabola(self) -> NearParabola:
-        """log L itself."""
         across = self.model.shared_errors(self.field.products) @ self.field.products.T
         return NearParabola(self.field, self.field.gram - across)
 

@@ -160,7 +160,6 @@ class _Tilted:
 
     @property
     def log_root(self) -> Values:
-        """½ log det(I + H)."""
         return np.asarray(np.log(np.diagonal(self.factor, axis1=1, axis2=2)).sum(axis=1))
 
     def moved(self, normal: Float[np.ndarray, "draw mode"]) -> Float[np.ndarray, "point draw mode"]:
@@ -169,7 +168,6 @@ class _Tilted:
         return np.asarray(np.linalg.solve(self.factor.transpose(0, 2, 1), right).transpose(0, 2, 1))
 
     def back(self, u: Float[np.ndarray, "draw mode"]) -> Float[np.ndarray, "point draw mode"]:
-        """Return ξ."""
         return np.asarray(u @ self.factor - self.pulled[:, None])
 
 

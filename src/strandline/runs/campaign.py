@@ -154,7 +154,6 @@ class Campaign:
         self.pending = self._plan(self.requests.values())
 
     def results(self) -> tuple[RunRecord, ...]:
-        """Return the settled records in the order of the design."""
         return tuple(self.settled[key] for key in self.order if key in self.settled)
 
     def _consume(self, starts: "Starts") -> None:

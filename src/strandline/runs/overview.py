@@ -55,19 +55,16 @@ class Run(NamedTuple):
 
     @property
     def last(self) -> Attempt:
-        """The last start."""
         return self.attempts[-1]
 
     @property
     def outcome(self) -> Attempt | None:
-        """The last start that has ended."""
         if self.last.state != OPEN:
             return self.last
         return next((attempt for attempt in reversed(self.attempts) if attempt.state != OPEN), None)
 
     @property
     def inputs(self) -> Mapping[str, float]:
-        """Inputs by name."""
         inputs: dict[str, float] = json.loads(self.last.inputs)
         return inputs
 
@@ -129,7 +126,6 @@ class Overview:
             raise
 
     def close(self) -> None:
-        """Close the file."""
         self._connection.close()
 
     def __enter__(self) -> "Overview":
@@ -144,7 +140,6 @@ class Overview:
             return read_plan(self._connection, study_sha256)
 
     def model(self) -> str | None:
-        """Return the fingerprint of the model whose runs these are."""
         with translated(self.path):
             row = self._connection.execute("SELECT value FROM meta WHERE key = 'model'").fetchone()
         return None if row is None else str(row[0])

@@ -33,7 +33,6 @@ class Plan:
 
     @property
     def keys(self) -> list[str]:
-        """Keys of all its runs, each once."""
         return list(dict.fromkeys(key for part in self.parts for key in part))
 
 

@@ -184,7 +184,6 @@ class WorkerSlot:
             worker.process.stdin.close()
 
     def _log_tail(self) -> str:
-        """Return the end of the current run's output."""
         with self._log.open("rb") as stream:
             size = stream.seek(0, os.SEEK_END)
             stream.seek(max(0, size - LOG_TAIL_BYTES))

@@ -86,7 +86,6 @@ class Objective:
         self.worst = math.inf
 
     def evidence(self, log_ratio: float, log_lengths: Sequence[float]) -> LogEvidence:
-        """Return the evidence at (log σ0²/l³, log l)."""
         inverse, variance = self._covariance(log_ratio, log_lengths)
         alpha = solve(self.K, self.y)
         value = -0.5 * self.y @ alpha - np.log(np.diagonal(self.K)).sum() - 0.5 * len(alpha) * math.log(2 * math.pi)

@@ -173,11 +173,9 @@ class Isotropic(_Named):
     per_input: bool = field(default=False, kw_only=True)
 
     def value(self, offset: Float[np.ndarray, "*shape dim"]) -> Float[np.ndarray, "*shape"]:
-        """Return c."""
         return np.asarray(self.correlation(_norm(offset)))
 
     def weighted_hessian(self, offset: Offsets, weight: Values) -> Float[np.ndarray, "point dim dim"]:
-        """Return Σ_run weight ∇∇c."""
         s = _norm(offset)
         direction = offset / np.where(s > 0, s, 1.0)[..., None]
         bend = self.slope_rate(s) * s * weight
@@ -186,7 +184,6 @@ class Isotropic(_Named):
         return np.asarray(out)
 
     def of_columns(self, offset: Sequence[Array]) -> Array:
-        """Return c of offsets given as one JAX array per input."""
         return self.correlation(jnp.sqrt(sum(column**2 for column in offset)))
 
     def pairs(self, x: Float[np.ndarray, "run dim"], *, unit: Lengths) -> TiledPairs:
@@ -226,11 +223,9 @@ class Product(_Named):
     per_input: bool = field(default=True, init=False)
 
     def value(self, offset: Float[np.ndarray, "*shape dim"]) -> Float[np.ndarray, "*shape"]:
-        """Return c."""
         return self._correlation(self.rate * np.abs(offset), axis=-1)
 
     def weighted_hessian(self, offset: Offsets, weight: Values) -> Float[np.ndarray, "point dim dim"]:
-        """Return Σ_run weight ∇∇c."""
         c, slope = self.value(offset) * weight, self._relative_slope(offset)
         bend = self.rate**2 * self.curvature(self.rate * np.abs(offset))
         out = np.einsum("bn,bnd,bne->bde", c, slope, slope, optimize=True)
@@ -238,7 +233,6 @@ class Product(_Named):
         return np.asarray(out)
 
     def of_columns(self, offset: Sequence[Array]) -> Array:
-        """Return c of offsets given as one JAX array per input."""
         distance = [jnp.abs(column) for column in offset]
         return math.prod(self.polynomial(self.rate * u) for u in distance) * jnp.exp(-self.rate * sum(distance))
 
@@ -263,7 +257,6 @@ class Product(_Named):
         return self._correlation(t), growth
 
     def _relative_slope(self, offset: Float[np.ndarray, "*shape dim"]) -> Float[np.ndarray, "*shape dim"]:
-        """Return ∇c / c."""
         return np.asarray(-(self.rate**2) * self.decline(self.rate * np.abs(offset)) * offset)
 
 

@@ -56,7 +56,6 @@ class TiledPairs:
         """Return Σ_i>j (α_i α_j - P_ij) ∂c_ij / ∂log l for each length, the same bits for any number of threads."""
 
         def part(tile: Tile) -> Float[np.ndarray, " length"]:
-            """Return what one tile adds to the slope."""
             rows, columns = tile
             factor, terms = self.slopes(self.offsets(tile, inverse_lengths))
             weight = alpha[columns, None] * alpha[rows]

@@ -168,7 +168,6 @@ class BestFit:
 
     @property
     def causes(self) -> Float[np.ndarray, "seen cause"]:
-        """J and F side by side."""
         return np.hstack([self.by_inputs, self.by_modes])
 
     def with_modes(self, model: ErrorModel) -> ErrorModel:

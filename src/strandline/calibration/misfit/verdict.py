@@ -96,7 +96,6 @@ class ConditionMisfit:
 
     @property
     def rms(self) -> float:
-        """Root mean square of the residuals, mm."""
         return float(np.sqrt(np.mean(self.residual**2)))
 
     @property

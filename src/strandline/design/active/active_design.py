@@ -206,7 +206,6 @@ class ActiveDesign:
         return None
 
     def _give_up(self, now: Situation) -> Decision:
-        """Stop once all runs are made."""
         if now.left > 0:
             return "not now"
         self.reasons = self._why_not()
@@ -242,7 +241,6 @@ class ActiveDesign:
         return self._noted(self.check.begin(self.state, now.x, now.records, now.left, self._losses()), "check")
 
     def _learn_more(self, now: Situation) -> Batch:
-        """Run the model where the posterior lies."""
         room = self._room(now)
         return self._noted(self._chosen(min(self._together, room if room > 0 else now.left), len(now.x)), "posterior")
 
@@ -305,7 +303,6 @@ class ActiveDesign:
 
     @property
     def _left(self) -> int:
-        """Number of runs that are left of those allowed."""
         asked = sum(len(batch.points) for batch in self.batches if batch.kind != "given")
         return self.active.runs - asked - self.besides
 

@@ -236,7 +236,6 @@ class ActiveRuns:
         )
 
     def points(self, records: Sequence[RunRecord]) -> Points:
-        """Return the unknown inputs of runs."""
         return np.array([[record.inputs[name] for name in self.space.names] for record in records], float)
 
     def __call__(self, records: Sequence[RunRecord]) -> list[dict[str, float]]:
@@ -306,12 +305,10 @@ class ActiveRuns:
 
     @property
     def asked(self) -> Points:
-        """Inputs of all batches so far, in their order."""
         return np.concatenate([batch.points for batch in self.design.batches])
 
     @property
     def certificate(self) -> Certificate:
-        """Grounds for trusting the posterior."""
         design = self.design
         checks = [step for step in design.steps if step.check is not None]
         return Certificate(

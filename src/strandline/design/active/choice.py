@@ -61,7 +61,6 @@ class Losses:
 
     @property
     def left(self) -> float:
-        """Number of further runs that may be lost."""
         return MOST * self.runs / self.price - self.lost
 
     def chance(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:

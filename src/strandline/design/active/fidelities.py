@@ -57,7 +57,6 @@ class FidelityReport:
 
     @property
     def statement(self) -> str:
-        """What was found, in words."""
         cost = (
             f"{self.cheaper} runs by the cheaper model and {self.model} by the model itself cost as much as "
             f"{self.equivalents:.3g} runs of the model."
@@ -160,7 +159,6 @@ class Fidelities:
 
     @property
     def by_both(self) -> int:
-        """Number of inputs at which both models have run."""
         return sum(len(runs) == 2 for runs in self._runs.values())
 
     @property
@@ -217,7 +215,6 @@ class Fidelities:
         return ()
 
     def report(self, hidden: float) -> FidelityReport:
-        """Return what the two models were used for."""
         pairs = sum(_both_ok(runs) for runs in self._runs.values())
         confirmed = None if self.dropped is not None else self.confirmed
         return FidelityReport(

@@ -43,7 +43,6 @@ class LogRatios:
         return len(self.x)
 
     def joined(self, other: "LogRatios") -> "LogRatios":
-        """Return these and others."""
         parts = ((self.x, other.x), (self.values, other.values), (self.variances, other.variances))
         return LogRatios(*(np.concatenate(part) for part in parts))
 

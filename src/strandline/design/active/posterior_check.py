@@ -80,17 +80,14 @@ class SimulatorNoise:
 
     @property
     def share(self) -> float:
-        """Size as a share of the shift that the noise hides."""
         return self.rms / self.hidden
 
     @property
     def sd(self) -> float:
-        """Standard deviation of the log-likelihood of repeated runs."""
         return math.sqrt(self.variance)
 
     @property
     def words(self) -> str:
-        """The size in words."""
         return (
             f"the simulator's own scatter: {1e3 * self.rms:.2g} µm, {self.share:.2g} times the shift that the local "
             "noise hides"

@@ -93,5 +93,4 @@ class Active:
 
     @property
     def tolerances(self) -> Tolerances:
-        """What a check tolerates."""
         return Tolerances(self.shift, self.width, self.k_hat, self.effective)

@@ -41,7 +41,6 @@ class Knowledge:
 
     @property
     def surrogate(self) -> FieldSurrogate:
-        """The surrogate of the field."""
         return self.likelihood.surrogate
 
     @property
@@ -172,17 +171,14 @@ class State:
 
     @property
     def runs(self) -> int:
-        """Number of runs that it was computed from."""
         return len(self.knowledge.x)
 
     @property
     def mean(self) -> Float[np.ndarray, " dim"]:
-        """Posterior mean, shape (dim,)."""
         return Weighted(self.positions, np.exp(self.log_weights)).mean
 
     @property
     def sd(self) -> Float[np.ndarray, " dim"]:
-        """Posterior standard deviation, shape (dim,)."""
         return Weighted(self.positions, np.exp(self.log_weights)).sd
 
     def moved(self, knowledge: Knowledge) -> PosteriorMove:

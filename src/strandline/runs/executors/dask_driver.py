@@ -152,7 +152,6 @@ class DaskDispatcher(Dispatcher[str]):
         self.looked = self.reached = time.monotonic()
 
     def close(self) -> None:
-        """Stop the runs that are still out."""
         if self.looked > self.reached:
             return  # the scheduler is gone, or was a moment ago
         client: Any = self.cluster.client
@@ -185,7 +184,6 @@ class DaskDispatcher(Dispatcher[str]):
         future.add_done_callback(lambda done: self.news.put(done.key))
 
     def hear(self, *, wait: bool) -> None:
-        """Deal with all news, and look after the workers now and then."""
         longest = SECONDS_BETWEEN_QUESTIONS if self.told_to_wait else SECONDS_BETWEEN_LOOKS
         with contextlib.suppress(Empty):
             self._take(self.news.get(timeout=longest if self.threads else 0.1) if wait else self.news.get_nowait())
@@ -196,7 +194,6 @@ class DaskDispatcher(Dispatcher[str]):
         self.changed()
 
     def busy(self) -> bool:
-        """Return whether a run is out."""
         return any(task.request is not None for task in self.out.values())
 
     def changed(self) -> bool:

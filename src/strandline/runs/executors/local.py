@@ -29,7 +29,6 @@ class InProcess:
     """
 
     def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:
-        """Yield a record for each request, in order."""
         for request in requests:
             folder = scratch_folder()
             try:
@@ -119,7 +118,6 @@ class _Crew(Dispatcher[WorkerSlot]):
         return bool(self.running)
 
     def wanted(self) -> bool:
-        """Return whether the runs of this call are still wanted."""
         return not self.stopped.is_set()
 
     def close(self) -> None:

@@ -107,7 +107,6 @@ class Dispatcher(ABC, Generic[Place]):
         """Note that there are no more requests."""
 
     def records(self) -> Iterator[RunRecord]:
-        """Yield records until every request that was pulled is answered."""
         while True:
             while self.done:
                 _, record = self.done.popleft()

@@ -179,7 +179,6 @@ class _ArrayRuns:
         self.ended: dict[str, int] = {}
 
     def records(self) -> Iterator[RunRecord]:
-        """Yield records until every request that was pulled is answered."""
         known = self.options._known(self.model)
         while True:
             self._pull(known)
@@ -248,7 +247,6 @@ class _ArrayRuns:
         return batch
 
     def _news(self) -> Iterator[tuple[str, RunRecord]]:
-        """Yield the records of the runs that have ended."""
         batches = {batch.name: batch for batch, _, _ in self.out.values()}
         there = {name: batch.present()[0] for name, batch in batches.items()}
         for key, (batch, index, request) in list(self.out.items()):

@@ -154,7 +154,6 @@ class ArrayBatch:
 
     @property
     def name(self) -> str:
-        """Name of the job and of the folder."""
         return self.folder.name
 
     @property
@@ -166,7 +165,6 @@ class ArrayBatch:
             return None
 
     def submitted(self, job: str) -> None:
-        """Note the number of the job."""
         put_durably(self.folder / "job", job.encode())
 
     def put(self, index: int, record: RunRecord) -> None:
@@ -189,7 +187,6 @@ class ArrayBatch:
             self._taken(index).touch()
 
     def log_tail(self, index: int, size: int = 8192) -> str:
-        """Return the end of a job's output."""
         try:
             return (self.folder / "logs" / f"{index}.txt").read_bytes()[-size:].decode("utf-8", "replace")
         except OSError:

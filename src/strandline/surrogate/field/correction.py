@@ -59,12 +59,10 @@ class Correction:
 
     @property
     def pairs(self) -> int:
-        """Number of runs of both models."""
         return len(self.runs)
 
     @property
     def error(self) -> float:
-        """Root mean square of the errors at left-out pairs, mm."""
         return float(np.sqrt(np.mean(self.left_out**2)))
 
     def corrected(self, cheaper: Interfaces) -> dict[str, Interface]:

@@ -120,7 +120,6 @@ class PointLayout:
         return np.asarray(size / size.sum())
 
     def with_points(self, points: Float[np.ndarray, "point xyz"]) -> Interface:
-        """Return the interface with other points in the same order."""
         return Interface(points, self.template.cells)
 
 

@@ -71,7 +71,6 @@ class FieldSurrogate:
 
     @property
     def runs(self) -> int:
-        """Number of runs that it was trained with."""
         return len(self.processes[0].observed.z)
 
     def mean(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "point mode"]:
@@ -80,7 +79,6 @@ class FieldSurrogate:
         return np.stack([process.mean(z) for process in self.processes], axis=1)
 
     def predict(self, x: Float[np.ndarray, "point dim"]) -> FieldPrediction:
-        """Return the predicted coefficients with their variances."""
         z = self.warping.standardise(x)
         return FieldPrediction(self.mean(x), np.stack([process.variance(z) for process in self.processes], axis=1))
 
@@ -97,11 +95,9 @@ class FieldSurrogate:
         return self.by_condition(fields)
 
     def by_condition(self, fields: Float[np.ndarray, "draw value"]) -> dict[str, Float[np.ndarray, "draw point xyz"]]:
-        """Return fields as the points of the interfaces by condition, mm."""
         return by_condition(fields, self.layouts)
 
     def interfaces(self, x: Float[np.ndarray, " dim"]) -> dict[str, Interface]:
-        """Return the predicted interface of each condition at one point."""
         points = self.points(self.mean(x[None]))
         return {name: layout.with_points(points[name][0]) for name, layout in self.layouts.items()}
 

@@ -71,12 +71,10 @@ class Reference:
 
     @cached_property
     def sides(self) -> Int[np.ndarray, "side 2"]:
-        """Sides of its rim."""
         return _rim(self.surface)
 
     @cached_property
     def topology(self) -> Topology:
-        """Topology of its triangles."""
         return _topology(self.surface)
 
     @cached_property

@@ -52,7 +52,6 @@ class Modes:
         return float(np.sqrt(np.sum(self.tail**2)))
 
     def coefficients(self, fields: Float[np.ndarray, "run value"]) -> Float[np.ndarray, "run mode"]:
-        """Return the coefficients of fields, mm."""
         return np.asarray(((fields - self.mean) * self.roots) @ self.basis.T)
 
     def by_input(self, derivatives: Float[np.ndarray, "run value dim"]) -> Float[np.ndarray, "run mode dim"]:
@@ -60,7 +59,6 @@ class Modes:
         return np.asarray(np.einsum("rvd,mv->rmd", derivatives * self.roots[:, None], self.basis, optimize=True))
 
     def fields(self, coefficients: Float[np.ndarray, "run mode"]) -> Float[np.ndarray, "run value"]:
-        """Return the fields with these coefficients."""
         return np.asarray(self.mean + (coefficients @ self.basis) / self.roots)
 
 
@@ -119,7 +117,6 @@ class Warping:
     high: Float[np.ndarray, " dim"]
 
     def standardise(self, x: Float[np.ndarray, "run dim"]) -> Float[np.ndarray, "run dim"]:
-        """Return the standardised inputs."""
         middle, spread = self._scale()
         columns = [WARPS[name].apply(x[:, j]) for j, name in enumerate(self.names)]
         return np.asarray((np.stack(columns, axis=1) - middle) / spread)
@@ -166,12 +163,10 @@ class Data:
     gradients: Float[np.ndarray, "run value dim"] | None
 
     def first(self, number: int) -> "Data":
-        """Return the first runs alone."""
         gradients = None if self.gradients is None else self.gradients[:number]
         return Data(self.x[:number], self.fields[:number], self.weights, gradients)
 
     def fingerprint(self) -> str:
-        """Return a hash of all numbers."""
         some = [self.x, self.fields, self.weights, *([] if self.gradients is None else [self.gradients])]
         return sha256(b"".join(np.ascontiguousarray(one).tobytes() for one in some)).hexdigest()
 
