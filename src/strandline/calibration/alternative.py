@@ -145,7 +145,11 @@ def baseline(posterior: Posterior, knowledge: Knowledge | None, *, why_not: str 
     log_weights = np.asarray(log_softmax(log_ratios))
     quality = quality_at(knowledge.likelihood, stored.draws, np.exp(log_weights))
     if not quality.good:
-        return replace(stored, quality=quality, why_not=_too_coarse(quality))
+        why = (
+            f"the surrogate of the interface is too coarse at {100 * quality.beyond:.0f} % of the posterior's draws: "
+            f"it errs by {1e3 * quality.median:.2g} µm, and the local noise hides {1e3 * quality.hidden:.2g} µm"
+        )
+        return replace(stored, quality=quality, why_not=why)
     found = replace(
         stored,
         log_weights=log_weights,
@@ -155,14 +159,6 @@ def baseline(posterior: Posterior, knowledge: Knowledge | None, *, why_not: str 
         quality=quality,
     )
     return replace(found, shift=float(np.abs((found.mean - stored.mean) / stored.sd).max()))
-
-
-def _too_coarse(quality: FieldQuality) -> str:
-    error, hidden = 1e3 * quality.median, 1e3 * quality.hidden
-    return (
-        f"the surrogate of the interface is too coarse at {100 * quality.beyond:.0f} % of the posterior's draws: it "
-        f"errs by {error:.2g} µm, and the local noise hides {hidden:.2g} µm"
-    )
 
 
 def interim_posterior(knowledge: Knowledge, space: ParameterSpace, *, seed: int) -> Baseline:

@@ -101,17 +101,12 @@ def surrogate_error(
     expected = knowledge.nearly_expected(x) - knowledge.log_feasibility(x)
     z, drawn = knowledge.surrogate.warping.standardise(x), []
     for process in knowledge.surrogate.processes:
-        root = _root(process.covariance(z, z))
+        values, vectors = np.linalg.eigh(process.covariance(z, z))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))  # rounding may have left tiny negative ones
         drawn.append(process.mean(z) + random.standard_normal((FIELDS, len(x))) @ root.T)
     fields = np.stack(drawn, axis=2)
     values = knowledge.likelihood.at(fields.reshape(-1, fields.shape[2])).reshape(FIELDS, len(x))
     return float(np.std(logsumexp(values - expected + np.log(shares), axis=1), ddof=1))
-
-
-def _root(covariance: Float[np.ndarray, "draw draw"]) -> Float[np.ndarray, "draw draw"]:
-    """Return R with R Rᵀ = covariance, which rounding may have left with tiny negative eigenvalues."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def integrated(knowledge: Knowledge, space: ParameterSpace, posterior: Weighted, random: np.random.Generator) -> Pool:

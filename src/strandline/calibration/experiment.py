@@ -44,15 +44,11 @@ class Footprint:
 def footprint(observed: Interface, simulated: Interface) -> Footprint:
     """Return where the points of `observed` lie on `simulated`, an interface near it that runs the same way."""
     same = observed.points.shape == simulated.points.shape and np.array_equal(observed.cells, simulated.cells)
-    if same and (observed.dim == 3 or _covers(observed, simulated)):
+    begin, end = _part(observed, simulated) if same and observed.dim == 2 else (0.0, math.inf)
+    if same and end - begin >= WHOLE * float(simulated.sizes.sum()):
         numbers = np.arange(len(observed.points))[:, None]
         return Footprint(numbers, np.ones(numbers.shape), observed.cells)
     return _on_surface(observed, simulated) if observed.dim == 3 else _on_polyline(observed, simulated)
-
-
-def _covers(observed: Interface, simulated: Interface) -> bool:
-    begin, end = _part(observed, simulated)
-    return end - begin >= WHOLE * float(simulated.lengths.sum())
 
 
 def _on_polyline(observed: Interface, simulated: Interface) -> Footprint:

@@ -132,11 +132,6 @@ class Pool:
         return np.asarray(self.log_counts + self.log_target - together)
 
     @property
-    def log_integral(self) -> float:
-        """Logarithm of the integral of the target, with the constant that its log density has."""
-        return float(_log_sum(self.log_ratios))
-
-    @property
     def log_weights(self) -> Values:
         ratios = self.log_ratios
         return np.asarray(ratios - _log_sum(ratios))
@@ -194,7 +189,9 @@ def importance_or_smc(
     """
     found = followed(pool, log_densities, random, enough=enough)
     if found is not None:
-        return Sampled(found.x, found.log_weights, found.log_likelihood, found.log_integral, "importance")
+        return Sampled(
+            found.x, found.log_weights, found.log_likelihood, float(_log_sum(found.log_ratios)), "importance"
+        )
     drawn = tempered(
         log_likelihood, space.log_prior, space.prior_quantiles(random.random((PARTICLES, space.dim))), random
     )

@@ -159,7 +159,10 @@ def compare_halves(sampling: SMCResult, posterior: Posterior) -> SamplerCheck | 
     per_draw = RELATED * sum(1 / size for size in sizes)
     sd = np.maximum(posterior.sd, SMALLEST)
     kurtosis = posterior.weights @ ((draws - posterior.mean) / sd) ** 4
-    variance = sum(_evidence_variance(half, size) for half, size in zip(sampling.halves, sizes, strict=True))
+    variance = sum(  # that of independent particles, from the weights of each step
+        sum(1 / step.ess - 1 / len(half.positions) for step in half.steps) + 1 / size
+        for half, size in zip(sampling.halves, sizes, strict=True)
+    )
     columns = [*draws.T, posterior.log_likelihood]
     return SamplerCheck(
         names=tuple(names),
@@ -186,12 +189,6 @@ def _reweighted(
     log_weights[alive] = half.log_weights[alive] + log_likelihood[alive] - half.log_likelihood[alive]
     increment = float(logsumexp(log_weights))
     return np.exp(log_weights - increment), half.log_evidence + increment
-
-
-def _evidence_variance(half: SMCResult, effective: float) -> float:
-    """Return the variance of the log-evidence of independent particles, from the weights of each step."""
-    number = len(half.positions)
-    return sum(1 / step.ess - 1 / number for step in half.steps) + 1 / effective
 
 
 def _split(

@@ -43,6 +43,13 @@ SHARES = (1.0, 0.5, 0.25, 0.1)
 """Shares of a Gauss–Newton step that are tried until one fits better."""
 _DIFFERENCE = 1e-3
 """Step of the finite differences, in widths of the box."""
+Residuals = Float[np.ndarray, " seen"]
+Modes = Float[np.ndarray, "draw mode"]
+Tail = Float[np.ndarray, "draw rest"]
+Rows = Float[np.ndarray, "row node 2"]
+Others = Float[np.ndarray, "other node 2"]
+Point = Float[np.ndarray, " dim"]
+Slopes = Float[np.ndarray, "seen dim"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +62,7 @@ class NearField:
     """
 
     at: Float[np.ndarray, " mode"]
-    residuals: Float[np.ndarray, " seen"]
+    residuals: Residuals
     slopes: Float[np.ndarray, "seen mode"]
     bends: Float[np.ndarray, "seen pair"]
     tail: Float[np.ndarray, "seen rest"]
@@ -65,9 +72,7 @@ class NearField:
     def finite(self) -> bool:
         return bool(np.isfinite(self.gram).all())
 
-    def sums(
-        self, coefficients: Float[np.ndarray, "draw mode"], tail: Float[np.ndarray, "draw rest"] | None = None
-    ) -> Sums:
+    def sums(self, coefficients: Modes, tail: Tail | None = None) -> Sums:
         """Return rᵀ D⁻¹ r and Bᵀ D⁻¹ r of fields; far away, to first order only."""
         squares, products = [], []
         for first in range(0, len(coefficients), BLOCK):
@@ -78,25 +83,19 @@ class NearField:
             products.append(terms @ self.products[:number])
         return np.concatenate(squares), np.concatenate(products)
 
-    def offsets(
-        self, coefficients: Float[np.ndarray, "draw mode"], tail: Float[np.ndarray, "draw rest"] | None = None
-    ) -> Float[np.ndarray, "draw seen"]:
+    def offsets(self, coefficients: Modes, tail: Tail | None = None) -> Float[np.ndarray, "draw seen"]:
         """Return the residuals r of fields, mm; far away, to first order only."""
         terms = self._terms(coefficients, tail)
         return np.asarray(terms @ self.factors[:, : terms.shape[1]].T)
 
-    def _terms(
-        self, coefficients: Float[np.ndarray, "draw mode"], tail: Float[np.ndarray, "draw rest"] | None
-    ) -> Float[np.ndarray, "draw term"]:
+    def _terms(self, coefficients: Modes, tail: Tail | None) -> Float[np.ndarray, "draw term"]:
         """Return what the columns of `factors` are multiplied by."""
         z = coefficients - self.at
         products, share = self.bending(z)
         columns = [np.ones((len(z), 1)), z, share[:, None] * products]
         return np.hstack(columns if tail is None else [*columns, tail])
 
-    def bending(
-        self, z: Float[np.ndarray, "draw mode"]
-    ) -> tuple[Float[np.ndarray, "draw pair"], Float[np.ndarray, " draw"]]:
+    def bending(self, z: Modes) -> tuple[Float[np.ndarray, "draw pair"], Float[np.ndarray, " draw"]]:
         """Return the products z_k z_l, and the share with which they count: less and less far away."""
         modes, pairs = len(self.at), self.bends.shape[1]
         first, second = np.triu_indices(min(modes, BENT))
@@ -163,11 +162,11 @@ class _Motions(NamedTuple):
     Motions are along the normal, along the tangent, and the derivative of the former along the interface.
     """
 
-    residuals: Float[np.ndarray, " seen"]
+    residuals: Residuals
     across: Float[np.ndarray, "seen other"]
     along: Float[np.ndarray, "seen other"]
     turn: Float[np.ndarray, "seen other"]
-    curvature: Float[np.ndarray, " seen"]
+    curvature: Residuals
 
     def by(self, steps: Float[np.ndarray, " other"]) -> "_Motions":
         return self._replace(across=self.across / steps, along=self.along / steps, turn=self.turn / steps)
@@ -195,17 +194,13 @@ class _Motions(NamedTuple):
         return np.asarray(found * np.where(one == other, 0.5, 1.0))
 
 
-def _distances(
-    joint: JointErrors, points: Mapping[str, Float[np.ndarray, "row node 2"]], templates: Mapping[str, Interface]
-) -> _Motions:
+def _distances(joint: JointErrors, points: Mapping[str, Rows], templates: Mapping[str, Interface]) -> _Motions:
     """Return the distances of all observed points from the first of some interfaces, and how the others move."""
     found = [_of_one(o.interface.points, points[o.condition], templates[o.condition]) for o in joint.observations]
     return _Motions(*(np.concatenate(part) for part in zip(*found, strict=True)))
 
 
-def _of_one(
-    seen: Float[np.ndarray, "seen 2"], points: Float[np.ndarray, "row node 2"], template: Interface
-) -> _Motions:
+def _of_one(seen: Float[np.ndarray, "seen 2"], points: Rows, template: Interface) -> _Motions:
     interface = Interface(points[0], template.cells)
     found = closest_points(seen, interface, once=True)
     cells, normals = template.cells[found.cells], interface.normals[found.cells]
@@ -239,9 +234,7 @@ def _of_one(
     )
 
 
-def _along(
-    template: Interface, points: Float[np.ndarray, "node 2"], values: Float[np.ndarray, "other node 2"]
-) -> Float[np.ndarray, "other node 2"]:
+def _along(template: Interface, points: Float[np.ndarray, "node 2"], values: Others) -> Others:
     """Return the derivatives of values of the nodes along a polyline: the mean over the segments at each node."""
     first, second = template.cells.T
     segments = np.arange(len(first))
@@ -259,18 +252,18 @@ class Linearised:
     are those of the box, `field` are the residuals as a function of the field there.
     """
 
-    at: Float[np.ndarray, " dim"]
-    slopes: Float[np.ndarray, "seen dim"]
-    widths: Float[np.ndarray, " dim"]
+    at: Point
+    slopes: Slopes
+    widths: Point
     field: NearField
 
     @property
-    def residuals(self) -> Float[np.ndarray, " seen"]:
+    def residuals(self) -> Residuals:
         """Signed distances of all observed points at `at`, one observation after the other, mm."""
         return self.field.residuals
 
     @property
-    def scaled(self) -> Float[np.ndarray, "seen dim"]:
+    def scaled(self) -> Slopes:
         """What a standard deviation of a uniform prior over the box does to the residuals, mm."""
         return np.asarray(self.slopes * self.widths / np.sqrt(12.0))
 
@@ -284,7 +277,7 @@ def linearise(surrogate: FieldSurrogate, joint: JointErrors) -> Linearised:
     low, high = surrogate.warping.low, surrogate.warping.high
     widths, model = high - low, joint.model
 
-    def around(x: Float[np.ndarray, " dim"]) -> tuple[NearField, Float[np.ndarray, "seen dim"]]:
+    def around(x: Point) -> tuple[NearField, Slopes]:
         step = _DIFFERENCE * widths * np.where(x + _DIFFERENCE * widths > high, -1.0, 1.0)
         coefficients = surrogate.mean(x + np.vstack([np.zeros(len(x)), np.diag(step)]))
         field = near_field(surrogate, joint, coefficients[0], linear=True)
@@ -309,14 +302,7 @@ def linearise(surrogate: FieldSurrogate, joint: JointErrors) -> Linearised:
     return Linearised(x, J, widths, near_field(surrogate, joint, field.at))
 
 
-def _step(
-    x: Float[np.ndarray, " dim"],
-    r: Float[np.ndarray, " seen"],
-    J: Float[np.ndarray, "seen dim"],
-    model: ErrorModel,
-    low: Float[np.ndarray, " dim"],
-    high: Float[np.ndarray, " dim"],
-) -> Float[np.ndarray, " dim"]:
+def _step(x: Point, r: Residuals, J: Slopes, model: ErrorModel, low: Point, high: Point) -> Point:
     """Return the next inputs; a weak prior over the box keeps inputs in place that the data do not tell."""
     weak = np.diag(1e-6 * 12 / (high - low) ** 2)
     return np.asarray(np.clip(x - np.linalg.solve(model.information(J) + weak, J.T @ model.solved(r)), low, high))

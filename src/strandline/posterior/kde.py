@@ -18,6 +18,14 @@ from strandline.numerics.threads import side_by_side
 from strandline.posterior.gaussian import require_fraction
 from strandline.posterior.posterior import Weighted, systematic_indices
 
+PerCentre = Float[np.ndarray, " centre"]
+Matrix = Float[np.ndarray, "dim dim"]
+Bounds = Float[np.ndarray, "dim 2"]
+Draws = Float[np.ndarray, "particle dim"]
+Weights = Float[np.ndarray, " particle"]
+Values = Float[np.ndarray, " point"]
+Points = Float[np.ndarray, "point dim"]
+Centres = Float[np.ndarray, "centre dim"]
 _BLOCK = 256
 """Points processed at once."""
 _INTEGRAL_POINTS = 1025
@@ -27,12 +35,8 @@ Squares = list[tuple[Bool[np.ndarray, " centre"], Float[np.ndarray, "_ centre"]]
 
 
 def slope_correction(
-    points: Float[np.ndarray, " point"],
-    centres: Float[np.ndarray, " centre"],
-    weights: Float[np.ndarray, " centre"],
-    width: float,
-    bounds: tuple[float, float],
-) -> Float[np.ndarray, " point"]:
+    points: Values, centres: PerCentre, weights: PerCentre, width: float, bounds: tuple[float, float]
+) -> Values:
     """Return what to add to a mirrored Gaussian kernel estimate of one input so that it follows the slope at a bound.
 
     Mirrored kernels have no slope at a bound: if the true density falls towards it, the estimate is too high; if it
@@ -46,12 +50,8 @@ def slope_correction(
 
 
 def _slope_block(
-    points: Float[np.ndarray, " point"],
-    centres: Float[np.ndarray, " centre"],
-    weights: Float[np.ndarray, " centre"],
-    width: float,
-    bounds: tuple[float, float],
-) -> Float[np.ndarray, " point"]:
+    points: Values, centres: PerCentre, weights: PerCentre, width: float, bounds: tuple[float, float]
+) -> Values:
     below, above = ((bound - points) / width for bound in bounds)
     mass = ndtr(above) - ndtr(below)
     first = _normal(below) - _normal(above)
@@ -71,7 +71,7 @@ def _normal(z: Float[np.ndarray, "*point"]) -> Float[np.ndarray, "*point"]:
     return np.asarray(np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi))
 
 
-def _moment(z: Float[np.ndarray, " point"]) -> Float[np.ndarray, " point"]:
+def _moment(z: Values) -> Values:
     """Return z φ(z), zero at infinity."""
     finite = np.where(np.isfinite(z), z, 0.0)
     return np.asarray(finite * _normal(finite))
@@ -90,17 +90,17 @@ class KernelDensity:
     The estimate of a single input also follows the slope of the density at its bounds (`slope_correction`).
     """
 
-    centres: Float[np.ndarray, "centre dim"]
-    weights: Float[np.ndarray, " centre"]
-    factor: Float[np.ndarray, "dim dim"]
+    centres: Centres
+    weights: PerCentre
+    factor: Matrix
     bandwidth: float
-    bounds: Float[np.ndarray, "dim 2"]
+    bounds: Bounds
 
     @classmethod
     def fit(
         cls,
-        draws: Float[np.ndarray, "particle dim"],
-        weights: Float[np.ndarray, " particle"],
+        draws: Draws,
+        weights: Weights,
         *,
         bounds: Sequence[tuple[float, float]] | None = None,
         bandwidth: float | None = None,
@@ -127,7 +127,7 @@ class KernelDensity:
     def dim(self) -> int:
         return int(self.centres.shape[1])
 
-    def density(self, points: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+    def density(self, points: Points) -> Values:
         """Return the density at points (point, dim); zero outside the bounds."""
         inside = ((points >= self.bounds[:, 0]) & (points <= self.bounds[:, 1])).all(axis=1)
         total = np.zeros(len(points))
@@ -153,7 +153,7 @@ class KernelDensity:
             require_fraction(p)
         return np.asarray(np.quantile(self._sampled_density, 1.0 - np.asarray(percentiles, float)))
 
-    def _raw(self, points: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+    def _raw(self, points: Points) -> Values:
         """Return the density at points inside the bounds before it is normalised."""
         total = np.zeros(len(points))
         for near, image in _images(points, self.bounds, _reach(self.factor)):
@@ -174,7 +174,7 @@ class KernelDensity:
         return float(np.trapezoid(values, grid))
 
     @cached_property
-    def _table(self) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
+    def _table(self) -> tuple[Values, Values]:
         """A grid across all kernels of a single input, and `_raw` on it."""
         reach = float(_reach(self.factor)[0])
         low = max(float(self.bounds[0, 0]), float(self.centres.min()) - reach)
@@ -186,7 +186,7 @@ class KernelDensity:
     def _sampled_density(self) -> Float[np.ndarray, " draw"]:
         return self.density(self.sample(2048))
 
-    def _unbounded(self, points: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+    def _unbounded(self, points: Points) -> Values:
         """Return the density of the kernels without mirroring, in blocks of points."""
         white, white_centres = _whiten(points, self.factor), _whiten(self.centres, self.factor)
         norm = np.prod(np.diag(self.factor)) * (2 * np.pi) ** (self.dim / 2)
@@ -198,18 +198,14 @@ class KernelDensity:
         return np.asarray(np.concatenate([*side_by_side(summed, blocks)]) / norm)
 
 
-def _distinct(
-    draws: Float[np.ndarray, "particle dim"], weights: Float[np.ndarray, " particle"]
-) -> tuple[Float[np.ndarray, "centre dim"], Float[np.ndarray, " centre"]]:
+def _distinct(draws: Draws, weights: Weights) -> tuple[Centres, PerCentre]:
     """Merge copies of a draw: resampling makes them, and each would have a neighbour at distance zero."""
     centres, member = np.unique(draws[weights > 0], axis=0, return_inverse=True)
     mass = np.bincount(member.ravel(), weights=weights[weights > 0], minlength=len(centres))
     return centres, mass / mass.sum()
 
 
-def _factor(
-    centres: Float[np.ndarray, "centre dim"], weights: Float[np.ndarray, " centre"]
-) -> Float[np.ndarray, "dim dim"]:
+def _factor(centres: Centres, weights: PerCentre) -> Matrix:
     covariance = Weighted(centres, weights).covariance
     try:
         return np.linalg.cholesky(covariance)
@@ -220,13 +216,7 @@ def _factor(
         ) from error
 
 
-def _optimal_bandwidth(
-    centres: Float[np.ndarray, "centre dim"],
-    weights: Float[np.ndarray, " centre"],
-    unit: Float[np.ndarray, "dim dim"],
-    bounds: Float[np.ndarray, "dim 2"],
-    loo_points: int,
-) -> float:
+def _optimal_bandwidth(centres: Centres, weights: PerCentre, unit: Matrix, bounds: Bounds, loo_points: int) -> float:
     """Return the bandwidth with the highest leave-one-out likelihood, within a factor of 10 of the normal rule."""
     power = -1.0 / (unit.shape[0] + 4)
     points, mass = centres, weights
@@ -245,12 +235,7 @@ def _optimal_bandwidth(
     return float(np.exp(found.x) * (_size(weights) / _size(mass)) ** power)
 
 
-def _pair_squares(
-    points: Float[np.ndarray, "centre dim"],
-    unit: Float[np.ndarray, "dim dim"],
-    bounds: Float[np.ndarray, "dim 2"],
-    upper: float,
-) -> Squares:
+def _pair_squares(points: Centres, unit: Matrix, bounds: Bounds, upper: float) -> Squares:
     """Return, image by image, squared distances to all other points in standard deviations; a point's own are inf."""
     white = _whiten(points, unit)
     found = []
@@ -261,7 +246,7 @@ def _pair_squares(
     return found
 
 
-def _leave_one_out(squares: Squares, weights: Float[np.ndarray, " centre"], h: float, dim: int) -> float:
+def _leave_one_out(squares: Squares, weights: PerCentre, h: float, dim: int) -> float:
     """Return Σ_i w_i log f_{-i}(x_i): the density at each draw from all others, never from its own mirror image."""
     nearest = np.full(len(weights), np.inf)
     for near, square in squares:
@@ -274,7 +259,7 @@ def _leave_one_out(squares: Squares, weights: Float[np.ndarray, " centre"], h: f
 
 
 def _images(
-    points: Float[np.ndarray, "point dim"], bounds: Float[np.ndarray, "dim 2"], reach: Float[np.ndarray, " dim"]
+    points: Points, bounds: Bounds, reach: Float[np.ndarray, " dim"]
 ) -> Iterator[tuple[Bool[np.ndarray, " point"], Float[np.ndarray, "near dim"]]]:
     """Yield (which points, their image) for the points themselves and every mirror image within reach of a bound."""
     for sides in itertools.product((None, 0, 1), repeat=points.shape[1]):
@@ -287,23 +272,21 @@ def _images(
             yield near, image[near]
 
 
-def _reach(factor: Float[np.ndarray, "dim dim"]) -> Float[np.ndarray, " dim"]:
+def _reach(factor: Matrix) -> Float[np.ndarray, " dim"]:
     """Return the distance along each input at which a kernel counts as zero."""
     return np.asarray(_REACH * np.linalg.norm(factor, axis=1))
 
 
-def _fold(points: Float[np.ndarray, "point dim"], bounds: Float[np.ndarray, "dim 2"]) -> Float[np.ndarray, "point dim"]:
+def _fold(points: Points, bounds: Bounds) -> Points:
     """Mirror points outside the bounds back inside, once on each side."""
     low, high = bounds[:, 0], bounds[:, 1]
     points = np.where(points < low, 2 * low - points, points)
     return np.clip(np.where(points > high, 2 * high - points, points), low, high)
 
 
-def _whiten(
-    points: Float[np.ndarray, "point dim"], factor: Float[np.ndarray, "dim dim"]
-) -> Float[np.ndarray, "point dim"]:
+def _whiten(points: Points, factor: Matrix) -> Points:
     return np.asarray(solve_triangular(factor, points.T, lower=True).T)
 
 
-def _size(weights: Float[np.ndarray, " centre"]) -> float:
+def _size(weights: PerCentre) -> float:
     return float(1.0 / np.sum(weights**2))

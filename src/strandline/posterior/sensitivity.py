@@ -50,7 +50,8 @@ def sobol_indices(
     """
 
     rng = np.random.default_rng(seed)
-    values = _evaluated(function, space, _two_samples(space.dim, number, rng))
+    both = stats.qmc.Sobol(2 * space.dim, rng=rng).random(number)
+    values = _evaluated(function, space, np.stack(np.split(both, 2, axis=1)))
     if not np.isfinite(values).all() or np.ptp(values[:2]) == 0.0:
         raise NumericsError(
             "the sensitivity indices of a function that is constant or not finite under the prior are undefined. "
@@ -60,12 +61,6 @@ def sobol_indices(
     drawn = np.array([_estimated(values[:, rng.integers(number, size=number)]) for _ in range(resamples)])
     low, high = np.quantile(drawn, [0.5 * (1 - level), 0.5 * (1 + level)], axis=0)
     return SobolIndices(first, low[0], high[0], total, low[1], high[1], evaluations=values.size)
-
-
-def _two_samples(dim: int, number: int, rng: np.random.Generator) -> Float[np.ndarray, "sample point dim"]:
-    """Return two independent samples of the unit cube, from one scrambled Sobol' sequence of twice its dimension."""
-    both = stats.qmc.Sobol(2 * dim, rng=rng).random(number)
-    return np.stack([both[:, :dim], both[:, dim:]])
 
 
 def _evaluated(

@@ -168,10 +168,12 @@ class Campaign:
                 self._require_answer(record, starts)
                 self.ledger.finished(record)
                 starts.running.pop(record.key, None)
-                self._settle(record)
                 self.outages.note(record)
-                if record.key not in self.settled:
+                if self._deserves_another(record):
                     starts.put_back(self.requests[record.key])
+                else:
+                    self.settled[record.key] = record
+                    self.made.append(record)
                 if self.on_record is not None:
                     self.on_record(record, self._progress())
                 self._heed(record)
@@ -186,11 +188,6 @@ class Campaign:
     def _misused(self, value: str, expected: str) -> InvalidInput:
         what = f"what the executor {type(self.executor).__name__} yields"
         return InvalidInput(what, value=value, expected=expected, remedy="Check it with strandline.testing.executors.")
-
-    def _settle(self, record: RunRecord) -> None:
-        if not self._deserves_another(record):
-            self.settled[record.key] = record
-            self.made.append(record)
 
     def _heed(self, record: RunRecord) -> None:
         """Stop the campaign if the policy says so."""

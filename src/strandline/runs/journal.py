@@ -97,7 +97,12 @@ def settle(connection: sqlite3.Connection, path: Path, *, busy_seconds: float = 
         connection.execute("PRAGMA journal_mode = DELETE")
     except sqlite3.OperationalError as error:
         if "locked" in str(error):
-            raise _is_read(path) from None
+            raise LedgerError(
+                f"ledger {path} cannot be given a rollback journal, which it needs on this disk",
+                value="a ledger that another program is reading",
+                expected="no other program using it for a moment",
+                remedy="Wait until it ends, and run again.",
+            ) from None
         raise
     connection.execute("PRAGMA locking_mode = NORMAL")
     connection.execute("PRAGMA synchronous = EXTRA")
@@ -110,12 +115,3 @@ def has_rollback_journal(path: Path) -> bool:
         file.seek(FORMAT_BYTE)
         return file.read(1) == bytes([ROLLBACK])
     return False
-
-
-def _is_read(path: Path) -> LedgerError:
-    return LedgerError(
-        f"ledger {path} cannot be given a rollback journal, which it needs on this disk",
-        value="a ledger that another program is reading",
-        expected="no other program using it for a moment",
-        remedy="Wait until it ends, and run again.",
-    )

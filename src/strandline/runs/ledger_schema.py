@@ -102,7 +102,9 @@ def create(path: Path, *, model: str, description: str) -> None:
         for stale in (draft, *(draft.with_name(draft.name + end) for end in ("-journal", "-wal", "-shm"))):
             stale.unlink(missing_ok=True)
         with contextlib.closing(sqlite3.connect(draft, isolation_level=None)) as connection:
-            _fill(connection, model, description)
+            connection.executescript(f"BEGIN;\n{TABLES}{GUARDS}COMMIT;")
+            facts = {"schema_version": VERSION, "model": model, "description": description, "created_at": time.time()}
+            connection.executemany("INSERT INTO meta VALUES (?, ?)", [(key, str(one)) for key, one in facts.items()])
             journal.settle(connection, path)
         draft.replace(path)
         synchronise(path.parent)
@@ -262,13 +264,6 @@ def _damaged(path: Path, how: str) -> LedgerError:
         expected="a SQLite file written by strandline",
         remedy="Restore it from a backup, or move it away and run again.",
     )
-
-
-def _fill(connection: sqlite3.Connection, model: str, description: str) -> None:
-    """Create tables and guards in one transaction."""
-    connection.executescript(f"BEGIN;\n{TABLES}{GUARDS}COMMIT;")
-    facts = {"schema_version": VERSION, "model": model, "description": description, "created_at": time.time()}
-    connection.executemany("INSERT INTO meta VALUES (?, ?)", [(key, str(value)) for key, value in facts.items()])
 
 
 def synchronise(folder: Path) -> None:

@@ -29,7 +29,10 @@ def clear_stale(parent: Path) -> int:
     cleared = 0
     for name in _entries(parent):
         found = NAME.match(name)
-        if found is None or found["machine"] != _machine() or _lives(int(found["pid"]), int(found["begun"])):
+        if found is None or found["machine"] != _machine():
+            continue
+        pid, begun = int(found["pid"]), int(found["begun"])
+        if exists(pid) and _begun(pid) in (None, begun):  # a later process of this number does not count
             continue
         folder = parent / name
         try:
@@ -48,11 +51,6 @@ def _entries(parent: Path) -> list[str]:
         return os.listdir(parent)  # noqa: PTH208
     except OSError:
         return []
-
-
-def _lives(pid: int, begun: int) -> bool:
-    """Return whether the process `pid` that was started at `begun` still runs; a later one does not count."""
-    return exists(pid) and _begun(pid) in (None, begun)
 
 
 def exists(pid: int) -> bool:

@@ -147,7 +147,12 @@ class WorkerSlot:
             self._drop()
             killed += 1
             if killed > KILLED_STARTS_BORNE:
-                raise _killed_while_starting(killed)
+                raise InvalidInput(
+                    "worker processes are killed before they have loaded the model",
+                    value=f"{killed} times",
+                    expected="workers that run until they are asked to stop",
+                    remedy="Look for what kills them (memory?), or use fewer workers.",
+                )
         return None
 
     def _launch(self) -> _Worker:
@@ -228,12 +233,3 @@ def _unusable(text: str) -> InvalidInput:
     )
     error.add_note(f"Output of the worker:\n{text.strip()[-4000:]}")
     return error
-
-
-def _killed_while_starting(times: int) -> InvalidInput:
-    return InvalidInput(
-        "worker processes are killed before they have loaded the model",
-        value=f"{times} times",
-        expected="workers that run until they are asked to stop",
-        remedy="Look for what kills them (memory?), or use fewer workers.",
-    )

@@ -16,6 +16,9 @@ _WIDTH, _HEIGHT = 32, 256
 _ENOUGH_FOR_THREADS = 500
 
 T = TypeVar("T")
+Lengths = Float[np.ndarray, " length"]
+Matrix = Float[np.ndarray, "run run"]
+Tiled = Float[np.ndarray, "column row"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,18 +29,11 @@ class TiledPairs:
     factor a and terms b_d of the same, for ∂c/∂log l_d = a b_d; None: b is 1.
     """
 
-    offsets: Callable[[Tile, Float[np.ndarray, " length"]], Float[np.ndarray, "..."]]
-    correlation: Callable[[Any], Float[np.ndarray, "column row"]]
-    slopes: Callable[[Any], tuple[Float[np.ndarray, "column row"], Float[np.ndarray, "dim column row"] | None]]
+    offsets: Callable[[Tile, Lengths], Float[np.ndarray, "..."]]
+    correlation: Callable[[Any], Tiled]
+    slopes: Callable[[Any], tuple[Tiled, Float[np.ndarray, "dim column row"] | None]]
 
-    def fill(
-        self,
-        out: Float[np.ndarray, "run run"],
-        *,
-        inverse_lengths: Float[np.ndarray, " length"],
-        variance: float,
-        diagonal: float,
-    ) -> None:
+    def fill(self, out: Matrix, *, inverse_lengths: Lengths, variance: float, diagonal: float) -> None:
         """Write variance · c + diagonal · I into the lower triangle of `out`."""
 
         def write(tile: Tile) -> None:
@@ -47,15 +43,11 @@ class TiledPairs:
         np.einsum("ii->i", out)[:] += diagonal
 
     def by_log_lengths(
-        self,
-        alpha: Float[np.ndarray, " run"],
-        precision: Float[np.ndarray, "run run"],
-        *,
-        inverse_lengths: Float[np.ndarray, " length"],
-    ) -> Float[np.ndarray, " length"]:
+        self, alpha: Float[np.ndarray, " run"], precision: Matrix, *, inverse_lengths: Lengths
+    ) -> Lengths:
         """Return Σ_i>j (α_i α_j - P_ij) ∂c_ij / ∂log l for each length, the same bits for any number of threads."""
 
-        def part(tile: Tile) -> Float[np.ndarray, " length"]:
+        def part(tile: Tile) -> Lengths:
             rows, columns = tile
             factor, terms = self.slopes(self.offsets(tile, inverse_lengths))
             weight = alpha[columns, None] * alpha[rows]

@@ -33,10 +33,12 @@ CANDIDATES, TARGETS = 300, 200
 EXPLORATION = 64
 """Points of the Sobol sequence considered for an exploring run."""
 _LEADING = 6  # modes whose variances count
-Criterion = Callable[
-    [State, Float[np.ndarray, "candidate dim"], Float[np.ndarray, "other dim"], Float[np.ndarray, "target dim"]],
-    Callable[[bool], Float[np.ndarray, " dim"]],
-]
+Candidates = Float[np.ndarray, "candidate dim"]
+Others = Float[np.ndarray, "other dim"]
+Targets = Float[np.ndarray, "target dim"]
+Point = Float[np.ndarray, " dim"]
+Points = Float[np.ndarray, "point dim"]
+Criterion = Callable[[State, Candidates, Others, Targets], Callable[[bool], Point]]
 """(state, candidates, points to explore, targets) → a function that picks a point, given whether to explore."""
 
 
@@ -63,11 +65,11 @@ class Losses:
     def left(self) -> float:
         return MOST * self.runs / self.price - self.lost
 
-    def chance(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+    def chance(self, x: Points) -> Float[np.ndarray, " point"]:
         """Return the probability that a run succeeds, relative to the safest run."""
         return np.asarray(np.exp(self.knowledge.log_feasibility(x)))
 
-    def likely(self, x: Float[np.ndarray, "point dim"]) -> Bool[np.ndarray, " point"]:
+    def likely(self, x: Points) -> Bool[np.ndarray, " point"]:
         """Return which points do not lie where runs are known to fail."""
         return np.asarray(self.chance(x) >= UNLIKELY)
 
@@ -76,7 +78,7 @@ class Losses:
         chance = self.chance(x)
         return bool((1 - chance[chance < SAFE]).sum() <= max(self.left, 0.0))
 
-    def safest(self, x: Float[np.ndarray, "point dim"], fewest: int) -> Float[np.ndarray, "safe dim"]:
+    def safest(self, x: Points, fewest: int) -> Float[np.ndarray, "safe dim"]:
         """Return the safe ones of these points, at least the `fewest` safest."""
         chance = self.chance(x)
         return x[chance >= min(SAFE, float(np.sort(chance)[-min(fewest, len(x))]))]
@@ -113,7 +115,7 @@ def price_of_a_hang(records: Sequence[RunRecord]) -> float:
 
 def safe_candidates(
     losses: Losses, state: State, particles: Float[np.ndarray, "particle dim"], space: ParameterSpace, seed: int
-) -> Float[np.ndarray, "candidate dim"]:
+) -> Candidates:
     """Return the safe particles; if these are few, points of the box that are safe too, the likeliest by π_γ."""
     safe = particles[losses.chance(particles) >= SAFE]
     if len(safe) >= FEWEST:
@@ -154,19 +156,14 @@ def choose(
     targets = np.unique(state.positions[np.concatenate(half)], axis=0)
     pools = {False: _new(candidates, state), True: _new(unknown, state)}
     picking = criterion_named(criterion)(state, pools[False], pools[True], targets)
-    picked: list[Float[np.ndarray, " dim"]] = []
+    picked: list[Point] = []
     for k in range(number):
         exploring = int((first + k + 1) * explore) > int((first + k) * explore)
         picked.append(_accepted(picking(exploring), pools, picked, criterion))
     return np.array(picked)
 
 
-def _accepted(
-    found: object,
-    pools: Mapping[bool, Float[np.ndarray, "point dim"]],
-    before: Sequence[Float[np.ndarray, " dim"]],
-    criterion: str,
-) -> Float[np.ndarray, " dim"]:
+def _accepted(found: object, pools: Mapping[bool, Points], before: Sequence[Point], criterion: str) -> Point:
     """Return the point that a criterion picked; it must be a given one, and not one of `before` if others are left."""
     point = np.asarray(found)
     given = any(point.shape == pool.shape[1:] and (pool == point).all(axis=1).any() for pool in pools.values())
@@ -181,18 +178,15 @@ def _accepted(
     )
 
 
-def _new(points: Float[np.ndarray, "point dim"], state: State) -> Float[np.ndarray, "new dim"]:
+def _new(points: Points, state: State) -> Float[np.ndarray, "new dim"]:
     """Return the points that have not been run."""
     known = {row.tobytes() for row in state.knowledge.x}
     return points[[row.tobytes() not in known for row in points]]
 
 
 def expected_variance(
-    state: State,
-    candidates: Float[np.ndarray, "candidate dim"],
-    unknown: Float[np.ndarray, "other dim"],
-    targets: Float[np.ndarray, "target dim"],
-) -> Callable[[bool], Float[np.ndarray, " dim"]]:
+    state: State, candidates: Candidates, unknown: Others, targets: Targets
+) -> Callable[[bool], Point]:
     """Pick the run with the largest variance reduction at the targets, times its probability of success.
 
     The posterior variance of a Gaussian process does not depend on what the runs will return, so several can be chosen
@@ -218,7 +212,7 @@ def expected_variance(
     for point in range(end, end + len(failed)):
         run(point)
 
-    def pick(exploring: bool) -> Float[np.ndarray, " dim"]:
+    def pick(exploring: bool) -> Point:
         """Return the inputs of the best run left, shape (dim,), and count it as made."""
         if exploring:
             gain = sum(np.diagonal(C)[:b] for C in covariances) * chance
@@ -235,19 +229,14 @@ def expected_variance(
     return pick
 
 
-def repulsion(
-    state: State,
-    candidates: Float[np.ndarray, "candidate dim"],
-    unknown: Float[np.ndarray, "other dim"],
-    targets: Float[np.ndarray, "target dim"],
-) -> Callable[[bool], Float[np.ndarray, " dim"]]:
+def repulsion(state: State, candidates: Candidates, unknown: Others, targets: Targets) -> Callable[[bool], Point]:
     """Pick the draw of the tempered posterior that is farthest from all runs, in standard deviations of the targets."""
     standardise = state.knowledge.surrogate.warping.standardise
     spread = np.maximum(standardise(targets).std(axis=0), 1e-6)
     known = [standardise(state.knowledge.x) / spread]
     pools = {False: candidates, True: unknown}
 
-    def pick(exploring: bool) -> Float[np.ndarray, " dim"]:
+    def pick(exploring: bool) -> Point:
         """Return the point farthest from all runs, shape (dim,), and count it as a run."""
         pool = pools[exploring]
         z = standardise(pool) / spread

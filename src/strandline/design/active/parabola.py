@@ -23,6 +23,9 @@ WHOLE = 3
 ROUGH = 0.1
 """Standard deviation added to every expected one, so that no draw counts far more than all others."""
 _SEED = 5
+Particles = Float[np.ndarray, "particle dim"]
+Values = Float[np.ndarray, " draw"]
+Point = Float[np.ndarray, " dim"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +71,7 @@ def fewest(dim: int) -> int:
 
 
 def smooth_effect(
-    draws: LogRatios,
-    posterior: Float[np.ndarray, "particle dim"],
-    level: float,
-    *,
-    scatter: float = 0.0,
-    typical: float = 0.0,
+    draws: LogRatios, posterior: Particles, level: float, *, scatter: float = 0.0, typical: float = 0.0
 ) -> Effect:
     """Return the effect of a smooth error, from at least `fewest` finite draws, not necessarily of equal weight.
 
@@ -141,9 +139,7 @@ class _ParabolaFit:
     freedom: float
 
 
-def _fitted(
-    A: Float[np.ndarray, "draw term"], log_ratios: Float[np.ndarray, " draw"], roots: Float[np.ndarray, " draw"]
-) -> _ParabolaFit:
+def _fitted(A: Float[np.ndarray, "draw term"], log_ratios: Values, roots: Values) -> _ParabolaFit:
     """Return the fit; its errors are those of the draws that count most, with half of the freedom, if they are larger.
 
     `roots` are the square roots of the draws' weights.
@@ -176,9 +172,7 @@ def _largest_variance(squares: float, freedom: float | int, level: float) -> flo
 
 
 def _moved(
-    posterior: Float[np.ndarray, "particle dim"],
-    moments: tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]],
-    log_ratios: Float[np.ndarray, "sample particle"],
+    posterior: Particles, moments: tuple[Point, Point], log_ratios: Float[np.ndarray, "sample particle"]
 ) -> tuple[Float[np.ndarray, "sample dim"], Float[np.ndarray, "sample dim"], Float[np.ndarray, " sample"]]:
     """Return the shifts of the means, in sds, the changes of the log sds, and minus the log of the effective share."""
     mean, sd = moments

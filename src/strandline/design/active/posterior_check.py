@@ -210,9 +210,8 @@ class PosteriorCheck:
         batch: int,
         log_likelihood: Callable[[RunRecord], float],
         seed: int,
-        whole: int = WHOLE,
     ) -> None:
-        self.active, self.space, self.batch, self.seed, self.whole = active, space, batch, seed, whole
+        self.active, self.space, self.batch, self.seed = active, space, batch, seed
         self.log_likelihood = log_likelihood
         self.scatter: SimulatorNoise = NONE
         self._checked: Checked | None = None
@@ -235,7 +234,7 @@ class PosteriorCheck:
             elsewhere = points_elsewhere(x, self.space, self.active.unseen, room, losses.likely)
         ends = looks(probing, len(chosen), self.batch)
         draws, log_expected = state.positions[chosen], state.log_expected[chosen]
-        few = self.space.dim <= self.whole  # above, products are lacking: all draws may settle what it does not
+        few = self.space.dim <= WHOLE  # above, products are lacking: all draws may settle what it does not
         patient = not few or self._given_up >= MOST_GIVEN_UP or left < 2 * len(chosen)
         self._checked = Checked(state, draws, log_expected, probing, ends, elsewhere, earlier, len(ends), patient)
         return np.concatenate([draws[: ends[0]], elsewhere])

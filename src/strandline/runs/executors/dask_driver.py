@@ -263,7 +263,12 @@ class DaskDispatcher(Dispatcher[str]):
         except (KilledWorker, FutureCancelledError, TimeoutError, OSError) as error:
             return error
         except Exception as error:
-            raise _unusable(error) from error
+            raise InvalidInput(
+                "runs cannot be made on the Dask workers",
+                value=f"{type(error).__name__}: {error}",
+                expected="the same strandline, and the model, where the scheduler and its workers are",
+                remedy="Install both there, in the same versions as here.",
+            ) from error
         finally:
             future.release()
 
@@ -275,7 +280,12 @@ class DaskDispatcher(Dispatcher[str]):
         except (OSError, TimeoutError, RuntimeError) as error:
             self.threads, self.ready = {}, {}
             if time.monotonic() > self.reached + self.silence_borne_seconds:
-                raise _out_of_reach(self.cluster.address, error) from error
+                raise InvalidInput(
+                    f"the Dask scheduler at {self.cluster.address} cannot be reached any more",
+                    value=f"{type(error).__name__}: {error}",
+                    expected="an answer within a minute",
+                    remedy="Start it again and repeat the command: finished runs are kept.",
+                ) from error
             return
         self.reached = self.looked
         self.cluster.replace_the_lost()
@@ -315,15 +325,6 @@ class DaskDispatcher(Dispatcher[str]):
             self.cluster.client.retire_workers([worker], close_workers=True)
 
 
-def _unusable(error: Exception) -> InvalidInput:
-    return InvalidInput(
-        "runs cannot be made on the Dask workers",
-        value=f"{type(error).__name__}: {error}",
-        expected="the same strandline, and the model, where the scheduler and its workers are",
-        remedy="Install both there, in the same versions as here.",
-    )
-
-
 def _refused(reason: str) -> InvalidInput:
     lines = [line for line in reason.splitlines() if "error" in line.lower()]
     return InvalidInput(
@@ -331,13 +332,4 @@ def _refused(reason: str) -> InvalidInput:
         value=lines[-1] if lines else reason,
         expected="jobs with these cores, memory, walltime, queue and account",
         remedy="Correct executor.dask.jobs, and run again: finished runs are kept.",
-    )
-
-
-def _out_of_reach(address: str, error: Exception) -> InvalidInput:
-    return InvalidInput(
-        f"the Dask scheduler at {address} cannot be reached any more",
-        value=f"{type(error).__name__}: {error}",
-        expected="an answer within a minute",
-        remedy="Start it again and repeat the command: finished runs are kept.",
     )

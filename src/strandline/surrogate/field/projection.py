@@ -38,6 +38,10 @@ _EDGE = 1e-9
 """How far outside a triangle, in its coordinates, a line may pass, so that neighbours leave no gap."""
 
 Points = Float[np.ndarray, "point 3"]
+Cells = Int[np.ndarray, "cell 3"]
+Lines = Float[np.ndarray, "line 3"]
+Numbers = Int[np.ndarray, " pair"]
+Sides = Int[np.ndarray, "side 2"]
 
 
 class Topology(NamedTuple):
@@ -70,7 +74,7 @@ class Reference:
     known: dict[bytes, "Projection | str"] = field(default_factory=dict, repr=False)
 
     @cached_property
-    def sides(self) -> Int[np.ndarray, "side 2"]:
+    def sides(self) -> Sides:
         return _rim(self.surface)
 
     @cached_property
@@ -150,11 +154,7 @@ def _centre(surface: Interface) -> Float[np.ndarray, "3"]:
 
 
 def _along_normals(
-    points: Points,
-    which: Int[np.ndarray, " inner"],
-    cells: Int[np.ndarray, "cell 3"],
-    surface: Interface,
-    centres: cKDTree,
+    points: Points, which: Int[np.ndarray, " inner"], cells: Cells, surface: Interface, centres: cKDTree
 ) -> Float[np.ndarray, "inner 3"]:
     """Return the nearest crossings of the nodes' normals with `surface`; its closest points if these are far."""
     start, normals = points[which], _vertex_normals(points, cells)[which]
@@ -168,9 +168,7 @@ def _along_normals(
     return np.asarray(out)
 
 
-def _crossings(
-    start: Float[np.ndarray, "line 3"], along: Float[np.ndarray, "line 3"], surface: Interface
-) -> Float[np.ndarray, " line"]:
+def _crossings(start: Lines, along: Lines, surface: Interface) -> Float[np.ndarray, " line"]:
     """Return how far along each line the nearest triangle that faces the same side is crossed, mm; inf if none is.
 
     The crossing solves start + t·along = a + v·(b - a) + w·(c - a) by Cramer's rule (Möller and Trumbore).
@@ -192,9 +190,7 @@ def _crossings(
     return out
 
 
-def _near_lines(
-    start: Float[np.ndarray, "line 3"], along: Float[np.ndarray, "line 3"], surface: Interface
-) -> tuple[Int[np.ndarray, " pair"], Int[np.ndarray, " pair"]]:
+def _near_lines(start: Lines, along: Lines, surface: Interface) -> tuple[Numbers, Numbers]:
     """Return pairs of a line and a triangle that it may cross, by balls around ever fewer neighbouring triangles."""
     corners, number = surface.points[surface.cells], len(surface.cells)
     order = cKDTree(surface.centres, leafsize=_BRANCHES).indices
@@ -236,7 +232,7 @@ def _fault(points: Points, reference: Interface, surface: Interface, centres: cK
     return ""
 
 
-def _error(points: Points, reference: Reference, surface: Interface, sides: Int[np.ndarray, "side 2"]) -> float:
+def _error(points: Points, reference: Reference, surface: Interface, sides: Sides) -> float:
     taken = Interface(points, reference.surface.cells)
     error = float(np.sqrt(np.mean(squared_distances(surface.points, taken))))
     if not len(sides):
@@ -246,9 +242,7 @@ def _error(points: Points, reference: Reference, surface: Interface, sides: Int[
     return max(error, float(np.sqrt(np.mean(np.sum(off**2, axis=1)))))
 
 
-def _closest_on_sides(
-    start: Float[np.ndarray, "line 3"], points: Points, sides: Int[np.ndarray, "side 2"]
-) -> Float[np.ndarray, "line 3"]:
+def _closest_on_sides(start: Lines, points: Points, sides: Sides) -> Lines:
     """Return the closest point on these sides to each point, by trying all sides."""
     a = points[sides[:, 0]]
     d = points[sides[:, 1]] - a
@@ -259,7 +253,7 @@ def _closest_on_sides(
     return np.asarray(start - offset[np.arange(len(start)), best])
 
 
-def _vertex_normals(points: Points, cells: Int[np.ndarray, "cell 3"]) -> Points:
+def _vertex_normals(points: Points, cells: Cells) -> Points:
     """Return unit normals of the nodes, those of their triangles weighted by area."""
     areas = np.repeat(vector_areas(points, cells), 3, axis=0)
     total = np.stack([np.bincount(cells.ravel(), areas[:, k], len(points)) for k in range(3)], axis=1)
@@ -267,7 +261,7 @@ def _vertex_normals(points: Points, cells: Int[np.ndarray, "cell 3"]) -> Points:
     return np.asarray(np.divide(total, length, out=np.zeros_like(total), where=length > 0))
 
 
-def _sides(surface: Interface) -> tuple[Int[np.ndarray, "side 2"], Int[np.ndarray, " side"]]:
+def _sides(surface: Interface) -> tuple[Sides, Int[np.ndarray, " side"]]:
     """Return all sides of triangles, each once, and how many triangles share each."""
     cells, number = surface.cells, len(surface.points)
     both = np.sort(np.stack([cells.ravel(), np.roll(cells, -1, axis=1).ravel()], axis=1), axis=1)
@@ -275,7 +269,7 @@ def _sides(surface: Interface) -> tuple[Int[np.ndarray, "side 2"], Int[np.ndarra
     return np.stack(np.divmod(found, number), axis=1), counts
 
 
-def _rim(surface: Interface) -> Int[np.ndarray, "side 2"]:
+def _rim(surface: Interface) -> Sides:
     sides, counts = _sides(surface)
     return np.asarray(sides[counts == 1])
 
@@ -287,7 +281,7 @@ def _topology(surface: Interface) -> Topology:
     return Topology(_parts(sides, number), _parts(rim, number) - loose, number - len(sides) + len(surface.cells))
 
 
-def _parts(sides: Int[np.ndarray, "side 2"], number: int) -> int:
+def _parts(sides: Sides, number: int) -> int:
     graph = coo_array((np.ones(len(sides)), (sides[:, 0], sides[:, 1])), shape=(number, number))
     return int(connected_components(graph, directed=False, return_labels=False))
 
