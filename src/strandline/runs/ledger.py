@@ -22,19 +22,9 @@ from filelock import BaseFileLock
 from strandline.errors import LedgerError
 from strandline.models.fingerprint import fingerprint
 from strandline.models.protocol import ForwardModel
-from strandline.runs import ledger_rows, ledger_schema
+from strandline.runs import ledger_rows, ledger_schema, plans
 from strandline.runs.ledger_schema import INTERRUPTED, translated
 from strandline.runs.lock_watch import Hold, locked
-from strandline.runs.plans import COLUMNS as PLAN_COLUMNS
-from strandline.runs.plans import (
-    Exclusion,
-    Plan,
-    read_exclusions,
-    read_plan,
-    require_reason,
-    rows_to_write,
-    write_exclusion,
-)
 from strandline.runs.record import RunRecord, RunRequest, excluded
 
 COPIED_STATES = frozenset({"ok", "failed", "invalid"})
@@ -217,10 +207,10 @@ class Ledger:
         for record in self._records(f"{LAST_OUTCOMES} GROUP BY key"):
             yield excluded(record, left_out[record.key].why) if record.key in left_out else record
 
-    def exclusions(self) -> Mapping[str, Exclusion]:
+    def exclusions(self) -> Mapping[str, plans.Exclusion]:
         """Return the runs excluded by hand, by key."""
         with translated(self.path):
-            return read_exclusions(self._connection)
+            return plans.read_exclusions(self._connection)
 
     def exclude(self, key: str, why: str) -> None:
         """Stop using this run, and do not make it again; its outcome is kept.
@@ -239,9 +229,9 @@ class Ledger:
         self._decide(key, why or "included again", exclude=False)
 
     def _decide(self, key: str, why: str, *, exclude: bool) -> None:
-        session, reason = self._writing_session(), require_reason(why)
+        session, reason = self._writing_session(), plans.require_reason(why)
         with translated(self.path):
-            write_exclusion(self._connection, session, key, excluded=exclude, why=reason, at=time.time())
+            plans.write_exclusion(self._connection, session, key, excluded=exclude, why=reason, at=time.time())
 
     def attempts(self, key: str) -> int:
         """Return how often the run was tried; starts that the driver itself interrupted do not count."""
@@ -292,17 +282,17 @@ class Ledger:
                 self._finish(number, record, origin=record.origin or str(other))
         return len(taken)
 
-    def plan(self, plan: Plan) -> None:
+    def plan(self, plan: plans.Plan) -> None:
         """Record which runs a study asks for; write nothing if that is known already.
 
         Rounds of refinement that depend on runs not made yet are added by a later call.
         """
         session = self._writing_session()
         with translated(self.path):
-            new = rows_to_write(plan, read_plan(self._connection, plan.study_sha256))
+            new = plans.rows_to_write(plan, plans.read_plan(self._connection, plan.study_sha256))
         if new:
             with self._transaction(), translated(self.path):
-                sql = f"INSERT INTO plans (session, planned_at, {PLAN_COLUMNS}) VALUES (?, ?{', ?' * len(new[0])})"
+                sql = f"INSERT INTO plans (session, planned_at, {plans.COLUMNS}) VALUES (?, ?{', ?' * len(new[0])})"
                 self._connection.executemany(sql, [(session, time.time(), *row) for row in new])
 
     def _meta(self, key: str) -> str:

@@ -70,7 +70,7 @@ def job_of(folder):
 
 
 def test_a_campaign_in_arrays_that_are_cut_to_what_slurm_allows(slurm, tmp_path, monkeypatch):
-    monkeypatch.setattr("strandline.runs.executors.slurm_array.largest_array", lambda: 4)
+    monkeypatch.setattr("strandline.runs.executors.slurm_batch.largest_array", lambda: 4)
     campaign(tmp_path, Counted(str(tmp_path)), 10)
     assert sorted(calls(tmp_path).values()) == [1] * 10
     assert counts(ledger_of(tmp_path)) == Counts(ok=10)

@@ -14,26 +14,10 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from strandline.design.active.checking import (
-    POOL,
-    BatchCheck,
-    agree,
-    error_probability,
-    looks,
-    number_of_probes,
-    objections,
-    probes,
-    verdict,
-)
+from strandline.design.active import checking, coverage_runs
+from strandline.design.active.checking import BatchCheck
 from strandline.design.active.choice import Losses
-from strandline.design.active.coverage_runs import (
-    LEFT_OUT_NOISE,
-    LEFT_OUT_SDS,
-    Surprise,
-    left_out_surprise,
-    points_elsewhere,
-    surprises,
-)
+from strandline.design.active.coverage_runs import Surprise, points_elsewhere
 from strandline.design.active.parabola import WHOLE, LogRatios
 from strandline.design.active.settings import Active
 from strandline.design.active.state import Knowledge, State
@@ -221,9 +205,9 @@ class PosteriorCheck:
     def begin(self, state: State, x: Points, records: Sequence[RunRecord], left: int, losses: Losses) -> New:
         """Return the first draws of a check, and where nobody has looked yet; `left` is the number of runs left."""
         earlier = self.near(state, records)
-        weights, probing = np.exp(state.log_weights), min(number_of_probes(self.space.dim, len(earlier)), left)
-        pool = np.unique(subset(weights, POOL, self.seed + 1))
-        first = pool[probes(state.positions[pool], probing)]
+        weights, probing = np.exp(state.log_weights), min(checking.number_of_probes(self.space.dim, len(earlier)), left)
+        pool = np.unique(subset(weights, checking.POOL, self.seed + 1))
+        first = pool[checking.probes(state.positions[pool], probing)]
         probing = len(first)  # a posterior may have collapsed to fewer particles
         others = subset(weights, self.active.check, self.seed)
         others = others[~np.isin(others, first)][: left - probing]
@@ -232,7 +216,7 @@ class PosteriorCheck:
         elsewhere = points_elsewhere(x, self.space, self.active.unseen, room) if room > 0 else x[:0]
         if not losses.bears(elsewhere):
             elsewhere = points_elsewhere(x, self.space, self.active.unseen, room, losses.likely)
-        ends = looks(probing, len(chosen), self.batch)
+        ends = checking.looks(probing, len(chosen), self.batch)
         draws, log_expected = state.positions[chosen], state.log_expected[chosen]
         few = self.space.dim <= WHOLE  # above, products are lacking: all draws may settle what it does not
         patient = not few or self._given_up >= MOST_GIVEN_UP or left < 2 * len(chosen)
@@ -269,12 +253,12 @@ class PosteriorCheck:
             "typical": float(variances(posterior).mean()),
             "scatter": self.scatter.variance,
         }
-        level = error_probability(checked.looks - len(checked.ends), checked.looks)
+        level = checking.error_probability(checked.looks - len(checked.ends), checked.looks)
         counts: dict[str, Any] = {"probing": probing, "level": level, "last": last}
         if not checked.patient and not self.scatter.explains(observed):
             given["most"] = len(checked.draws)
         compared = LogRatios(draws, ratios, variances(draws))
-        found = verdict(compared, posterior, self.active.tolerances, **counts, **given)
+        found = checking.verdict(compared, posterior, self.active.tolerances, **counts, **given)
         self._given_up += isinstance(found, BatchCheck) and found.given_up
         if not isinstance(found, BatchCheck) or not found.passed:
             return found, ()
@@ -294,8 +278,8 @@ class PosteriorCheck:
             return ()
         made = [records[k] for k in good]
         true = np.array([self.log_likelihood(record) for record in made])
-        limits = {"limits": (LEFT_OUT_SDS, LEFT_OUT_NOISE)} if strictly else {}
-        return surprises(state, x[good], made, true, self.active.unseen, state.knowledge.hidden, **limits)
+        limits = {"limits": (coverage_runs.LEFT_OUT_SDS, coverage_runs.LEFT_OUT_NOISE)} if strictly else {}
+        return coverage_runs.surprises(state, x[good], made, true, self.active.unseen, state.knowledge.hidden, **limits)
 
     def left_out(self, state: State, looked_around: set[bytes], chosen: set[bytes]) -> tuple[Surprise, ...]:
         """Return the run that the others predict much worse than they should, once for each run.
@@ -304,7 +288,7 @@ class PosteriorCheck:
         """
         if self.active.unseen >= 1:
             return ()
-        found = left_out_surprise(state, state.knowledge.hidden, looked_around, chosen)
+        found = coverage_runs.left_out_surprise(state, state.knowledge.hidden, looked_around, chosen)
         return () if found is None else (found,)
 
     def without_runs(self, state: State, records: Sequence[RunRecord]) -> BatchCheck:
@@ -314,7 +298,7 @@ class PosteriorCheck:
             reason = f"only {len(inside)} of the available runs lie inside the posterior"
             return BatchCheck(len(inside), 0, None, False, (reason,))
         found = reweight(inside.x, inside.values)
-        reasons = (*objections(found, self.active.tolerances), *self._unsure(state))
+        reasons = (*checking.objections(found, self.active.tolerances), *self._unsure(state))
         return BatchCheck(len(inside), 0, found, not reasons, reasons)
 
     def _unsure(self, state: State) -> tuple[str, ...]:
@@ -331,7 +315,7 @@ class PosteriorCheck:
         """Return whether runs near the posterior, each predicted from all others, show that it is right."""
         shown = self._shown(state)
         typical = float(state.knowledge.likelihood.variances(shown).mean())
-        return agree(self.near(state, records), shown, typical, self.active.tolerances)
+        return checking.agree(self.near(state, records), shown, typical, self.active.tolerances)
 
     def near(self, state: State, records: Sequence[RunRecord]) -> LogRatios:
         """Return the runs near the posterior: a parabola reaches a little farther than the draws."""

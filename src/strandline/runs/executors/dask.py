@@ -14,15 +14,10 @@ from typing import Any, ClassVar
 from strandline.errors import InvalidInput
 from strandline.models.protocol import ForwardModel
 from strandline.registry import of_extra
+from strandline.runs.executors import shared
 from strandline.runs.executors.dask_cluster import EXTRA, JOB_OPTIONS, opened
 from strandline.runs.executors.dask_driver import DaskDispatcher
 from strandline.runs.executors.local import usable_cores
-from strandline.runs.executors.shared import (
-    require_count,
-    require_room_in_walltime,
-    require_timeout,
-    walltime_seconds,
-)
 from strandline.runs.record import RunRecord, RunRequest
 from strandline.runs.worker import packed_model, require_posix
 
@@ -65,16 +60,16 @@ class DaskCluster:
     asks_again: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        require_timeout(self.timeout)
+        shared.require_timeout(self.timeout)
         for name, least in {"workers": 1, "minimum": 0, "maximum": 1}.items():
-            require_count(name, getattr(self, name), remedy="Correct the number.", least=least)
+            shared.require_count(name, getattr(self, name), remedy="Correct the number.", least=least)
         for wrong, what, value, expected, remedy in (*_contradictions(self), *_job_faults(self)):
             if wrong:
                 raise InvalidInput(what, value=value, expected=expected, remedy=remedy)
         if self.kind in QUEUES:
-            require_count("jobs.cores", self.jobs["cores"], remedy="Correct the number.")
-            walltime_seconds(self.jobs["walltime"])
-            require_room_in_walltime(self.timeout, self.jobs["walltime"])
+            shared.require_count("jobs.cores", self.jobs["cores"], remedy="Correct the number.")
+            shared.walltime_seconds(self.jobs["walltime"])
+            shared.require_room_in_walltime(self.timeout, self.jobs["walltime"])
 
     @property
     def kind(self) -> str:
@@ -100,7 +95,7 @@ class DaskCluster:
             return
         least = min(needed, most if self.minimum is None else self.minimum)
         with opened(self.kind, self.address, needed, self.jobs) as cluster:
-            life = walltime_seconds(self.jobs["walltime"]) if "walltime" in self.jobs else None
+            life = shared.walltime_seconds(self.jobs["walltime"]) if "walltime" in self.jobs else None
             runs = DaskDispatcher(
                 cluster,
                 setup,

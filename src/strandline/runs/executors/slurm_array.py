@@ -14,24 +14,8 @@ from pathlib import Path
 
 from strandline.errors import InvalidInput, StrandlineError
 from strandline.models.protocol import ForwardModel, asks_sensitivities
-from strandline.runs.executors.shared import (
-    require_count,
-    require_room_in_walltime,
-    require_timeout,
-    walltime_seconds,
-)
-from strandline.runs.executors.slurm_batch import (
-    ArrayBatch,
-    SlurmUnreachable,
-    cancel_jobs,
-    job_called,
-    job_states,
-    known_batches,
-    largest_array,
-    past_state,
-    read_run,
-    submit_job,
-)
+from strandline.runs.executors import shared, slurm_batch
+from strandline.runs.executors.slurm_batch import ArrayBatch, SlurmUnreachable, read_run
 from strandline.runs.record import RunRecord, RunRequest, State, with_log
 
 __all__ = ["UNUSABLE", "Detached", "SlurmArray"]
@@ -104,12 +88,12 @@ class SlurmArray:
     detach: bool = False
 
     def __post_init__(self) -> None:
-        require_timeout(self.timeout)
+        shared.require_timeout(self.timeout)
         for name in ("cpus", "max_running", "max_jobs"):
-            require_count(name, getattr(self, name), remedy="Correct the number.")
+            shared.require_count(name, getattr(self, name), remedy="Correct the number.")
         if self.walltime is not None:
-            walltime_seconds(self.walltime)
-        require_room_in_walltime(self.timeout, self.walltime)
+            shared.walltime_seconds(self.walltime)
+        shared.require_room_in_walltime(self.timeout, self.walltime)
         if not self.poll > 0:
             raise InvalidInput("poll", value=self.poll, expected="seconds above 0", remedy="Correct the number.")
 
@@ -149,13 +133,13 @@ class SlurmArray:
         return (
             WARNING_SECONDS
             if self.walltime is None
-            else min(WARNING_SECONDS, int(walltime_seconds(self.walltime) / 10))
+            else min(WARNING_SECONDS, int(shared.walltime_seconds(self.walltime) / 10))
         )
 
     def _known(self, model: ForwardModel) -> dict[str, tuple[ArrayBatch, int]]:
         """Return batch and number of each run that was submitted and not collected; the latest batch counts."""
         known: dict[str, tuple[ArrayBatch, int]] = {}
-        for batch in known_batches(self.folder):
+        for batch in slurm_batch.known_batches(self.folder):
             if batch.sensitivities < asks_sensitivities(model):
                 continue
             there, taken = batch.present()
@@ -218,7 +202,7 @@ class _ArrayRuns:
         if not self.waiting:
             return
         try:
-            largest = largest_array()
+            largest = slurm_batch.largest_array()
             while self.waiting:
                 batch = self._submitted(self.waiting[:largest])
                 for index, request in enumerate(batch.requests):
@@ -239,7 +223,7 @@ class _ArrayRuns:
         logs = str(batch.folder / "logs" / "A.txt").replace("%", "%%").removesuffix("A.txt") + "%a.txt"
         place = [f"--job-name={batch.name}", f"--output={logs}", f"--chdir={batch.folder}"]
         try:
-            batch.submitted(submit_job([*place, *self.options.options(len(requests))], script))
+            batch.submitted(slurm_batch.submit_job([*place, *self.options.options(len(requests))], script))
         except InvalidInput:
             if not _found(batch):  # a submission whose answer was lost still counts
                 batch.remove()
@@ -255,7 +239,7 @@ class _ArrayRuns:
         if not self.out:
             return
         with contextlib.suppress(SlurmUnreachable):
-            yield from self._lost(job_states(batches), there)
+            yield from self._lost(slurm_batch.job_states(batches), there)
 
     def _lost(
         self, states: Mapping[tuple[str, int], str], there: Mapping[str, Mapping[int, Path]]
@@ -269,7 +253,7 @@ class _ArrayRuns:
             self.ended[key] = self.ended.get(key, 0) + 1
             if self.ended[key] > LOOKS_FOR_A_LATE_RESULT:
                 del self.ended[key]
-                state = state or (past_state(batch.job, index) if batch.job else None)
+                state = state or (slurm_batch.past_state(batch.job, index) if batch.job else None)
                 yield key, _without_result(batch, index, request, state)
 
     def _read(self, batch: ArrayBatch, index: int, request: RunRequest, path: Path) -> RunRecord:
@@ -290,20 +274,20 @@ class _ArrayRuns:
     def _give_up(self, batch: ArrayBatch) -> None:
         """Cancel a batch that cannot succeed."""
         with contextlib.suppress(SlurmUnreachable):
-            cancel_jobs(batch.name)
+            slurm_batch.cancel_jobs(batch.name)
         batch.remove()
 
     def _tidy(self) -> None:
         """Remove the batches whose results are all taken; the ledger has them."""
         needed = {batch.name for batch, _, _ in self.out.values()}
-        for batch in known_batches(self.options.folder):
+        for batch in slurm_batch.known_batches(self.options.folder):
             if batch.name not in needed and len(batch.present()[1]) == len(batch.requests):
                 batch.remove()
 
 
 def _found(batch: ArrayBatch) -> bool:
     """Return whether SLURM has the job of a batch whose driver could not note its number; if so, note it."""
-    job = job_called(batch.name)
+    job = slurm_batch.job_called(batch.name)
     if job is not None:
         batch.submitted(job)
     return job is not None
