@@ -82,8 +82,14 @@ def pareto_smoothed(log_ratios: Float[np.ndarray, " draw"]) -> SmoothedWeights:
     Raises:
         InvalidInput: fewer than five draws, a ratio that is NaN or +inf, or none that is finite.
     """
-    _require_ratios(log_ratios)
-    number = len(log_ratios)
+    number, undefined = len(log_ratios), np.isnan(log_ratios) | np.isposinf(log_ratios)
+    if number < SMALLEST_TAIL or undefined.any() or np.isneginf(log_ratios).all():
+        raise InvalidInput(
+            "log ratios of importance sampling",
+            value=f"{number} values, {np.isfinite(log_ratios).sum()} of them finite",
+            expected=f"at least {SMALLEST_TAIL}, finite or -inf, and not all -inf",
+            remedy="Check both log densities at the draws.",
+        )
     log_weights = log_ratios - log_ratios.max()
     order = np.argsort(log_weights, kind="stable")
     length = max(SMALLEST_TAIL, math.ceil(min(number / 5, 3 * math.sqrt(number))))
@@ -153,17 +159,6 @@ def _usual_k_hat(number: int, spread: float) -> float:
     return float(np.quantile([pareto_smoothed(one).k_hat for one in sets], USUAL, method="higher"))
 
 
-def _require_ratios(log_ratios: Float[np.ndarray, " draw"]) -> None:
-    valid = not np.isnan(log_ratios).any() and not np.isposinf(log_ratios).any()
-    if len(log_ratios) < SMALLEST_TAIL or not valid or np.isneginf(log_ratios).all():
-        raise InvalidInput(
-            "log ratios of importance sampling",
-            value=f"{len(log_ratios)} values, {np.isfinite(log_ratios).sum()} of them finite",
-            expected=f"at least {SMALLEST_TAIL}, finite or -inf, and not all -inf",
-            remedy="Check both log densities at the draws.",
-        )
-
-
 @dataclass(frozen=True, eq=False)
 class Reweighting:
     """Moments of draws of equal weight and of the same draws reweighted, and their difference; each (dim,).
@@ -196,7 +191,13 @@ def reweight(draws: Float[np.ndarray, "draw dim"], log_ratios: Float[np.ndarray,
     Raises:
         InvalidInput: Draws that are all the same in one input; or as for `pareto_smoothed`.
     """
-    _require_spread(draws)
+    if not np.ptp(draws, axis=0).all():
+        raise InvalidInput(
+            "draws to be reweighted",
+            value="the same value of an input in every draw",
+            expected="draws that differ",
+            remedy="Take more draws, or look at what the sampler did.",
+        )
     smoothed = pareto_smoothed(log_ratios)
     before, after = Weighted(draws, np.full(len(draws), 1 / len(draws))), Weighted(draws, smoothed.weights)
     shift, old, new = shifted(before, after)
@@ -225,13 +226,3 @@ def subset(weights: Float[np.ndarray, " particle"], number: int, seed: int) -> I
     cumulative = np.cumsum(weights)
     found = np.searchsorted(cumulative, places * cumulative[-1], side="right")
     return np.asarray(np.minimum(found, np.flatnonzero(weights)[-1]))
-
-
-def _require_spread(draws: Float[np.ndarray, "draw dim"]) -> None:
-    if not np.ptp(draws, axis=0).all():
-        raise InvalidInput(
-            "draws to be reweighted",
-            value="the same value of an input in every draw",
-            expected="draws that differ",
-            remedy="Take more draws, or look at what the sampler did.",
-        )

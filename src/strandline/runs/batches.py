@@ -73,8 +73,6 @@ def run_batches(
         InvalidInput: there is no first batch, a batch is empty, or `patience` is not above 0.
         LedgerError: the ledger belongs to another model, or cannot be written.
     """
-    _require_batches(batches)
-    _require_patience(patience)
     policy = policy or FailurePolicy(stop_share=2.0)
     campaign = Campaign(model, [], ledger, executor, on_record, maximum_attempts, policy)
     course = _BatchCourse(campaign, batches, choose, patience)
@@ -88,6 +86,20 @@ class _BatchCourse:
     """Which batch is the last, whether it is closed, and what comes after it."""
 
     def __init__(self, campaign: Campaign, batches: Sequence[Batch], choose: Choose, patience: float) -> None:
+        if not batches or not all(batches):
+            raise InvalidInput(
+                "batches to begin with",
+                value=[len(batch) for batch in batches],
+                expected="at least one, none of them empty",
+                remedy="Choose the first batch before the campaign; leave out the empty one that ended an earlier one.",
+            )
+        if not patience > 0:
+            raise InvalidInput(
+                "patience with slow runs",
+                value=patience,
+                expected="a number above 0",
+                remedy="Use inf to wait for all runs.",
+            )
         self.campaign, self.choose, self.patience = campaign, choose, patience
         self.ended = False
         for batch in batches:
@@ -138,23 +150,3 @@ class _BatchCourse:
         longest = self.patience * max(record.seconds for record in settled.values())
         now = time.monotonic()
         return all(now - starts.begun[key] > max(longest, SHORTEST_PATIENCE_SECONDS) for key in others)
-
-
-def _require_batches(batches: Sequence[Batch]) -> None:
-    if not batches or not all(batches):
-        raise InvalidInput(
-            "batches to begin with",
-            value=[len(batch) for batch in batches],
-            expected="at least one, none of them empty",
-            remedy="Choose the first batch before the campaign; leave out the empty one that ended an earlier one.",
-        )
-
-
-def _require_patience(patience: float) -> None:
-    if not patience > 0:
-        raise InvalidInput(
-            "patience with slow runs",
-            value=patience,
-            expected="a number above 0",
-            remedy="Use inf to wait for all runs.",
-        )

@@ -79,7 +79,9 @@ class Ledger:
         path = Path(path)
         identity = model if model is None or isinstance(model, str) else fingerprint(model)
         if read_only:
-            return cls._for_reading(path, identity)
+            ledger = cls(path, ledger_schema.opened_for_reading(path), None)
+            ledger._checked(identity)
+            return ledger
         if identity is None:
             raise LedgerError(
                 f"model of the ledger {path}",
@@ -93,12 +95,6 @@ class Ledger:
         except BaseException:
             lock.release()
             raise
-
-    @classmethod
-    def _for_reading(cls, path: Path, model: str | None) -> "Ledger":
-        ledger = cls(path, ledger_schema.opened_for_reading(path), None)
-        ledger._checked(model)
-        return ledger
 
     @classmethod
     def _for_writing(cls, path: Path, model: str, description: str, lock: BaseFileLock) -> "Ledger":

@@ -269,7 +269,8 @@ def checked(result: object, *, conditions: Collection[str], inputs: Collection[s
             sensitivities are missing or do not belong to the interfaces.
     """
     simulation = Simulation.of(result) if isinstance(result, Interface) else result
-    if not isinstance(simulation, Simulation) or not _holds_interfaces(simulation.interfaces):
+    found = simulation.interfaces if isinstance(simulation, Simulation) else None
+    if not (isinstance(found, Mapping) and found and all(isinstance(one, Interface) for one in found.values())):
         raise InvalidResult(
             "not_an_interface",
             f"the model returned {_described(result)}; expected a Simulation or an Interface. "
@@ -285,10 +286,6 @@ def checked(result: object, *, conditions: Collection[str], inputs: Collection[s
             "condition and input, or take the field `sensitivities` from the model.",
         )
     return Simulation(interfaces, simulation.diagnostics, _sensitivities(given, interfaces, inputs))
-
-
-def _holds_interfaces(given: object) -> bool:
-    return isinstance(given, Mapping) and bool(given) and all(isinstance(v, Interface) for v in given.values())
 
 
 def _require_conditions(given: Mapping[str, Interface], declared: Collection[str]) -> None:

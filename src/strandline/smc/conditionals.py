@@ -34,16 +34,12 @@ def sample_each(
     """Draw weighted particles from p(x | θ, Y) ∝ L(x | θ) p(x) for each row θ of `given`.
 
     Each case does what `sample` does with the key ``fold_in(key, case)`` and θ fixed: it has its own temperatures and
-    stops once it reaches 1. θ is an argument of the compiled step, so one program serves all cases.
+    stops once it reaches 1. θ is an argument of the compiled step, so one program serves all cases; do not use the key
+    again.
 
-    Args:
-        key: Random key; do not use it again.
-        log_likelihood: log L of physical points for one θ, batched over the points and jittable; -inf allowed. If its
-            attribute `on_host` is true, it takes NumPy arrays: the points of all cases and as many rows of θ.
-        log_prior: log p of physical points, batched, jittable, normalised.
-        initial: Draws from the prior for each case, physical.
-        given: Value of θ for each case (value, given).
-        settings: The sampler's settings, the same for all.
+    Both log densities take physical points and are jittable; log L, batched over the points, takes one θ and may be
+    -inf, log p is normalised. If the attribute `on_host` of log L is true, it takes NumPy arrays: the points of all
+    cases and as many rows of θ. The initial particles are draws from the prior for each case, physical.
 
     Raises:
         InvalidInput: the number of sets of initial particles is not that of θ, double precision is off, there are fewer

@@ -42,12 +42,10 @@ def proposal_scale(acceptance: Scalar) -> Scalar:
 
 
 def proposal_factor(positions: Positions, weights: PerParticle, floor: Float[Array, " dim"]) -> Float[Array, "dim dim"]:
-    """Return a lower triangular factor F of the weighted covariance, F Fᵀ = Σ w (x - m)(x - m)ᵀ.
+    """Return a lower triangular factor F of the weighted covariance, F Fᵀ = Σ w (x - m)(x - m)ᵀ; weights are
+    normalised.
 
-    Args:
-        positions: physical positions.
-        weights: normalised weights.
-        floor: smallest standard deviation by input; it keeps a collapsed population moving.
+    `floor` is the smallest standard deviation by input; it keeps a collapsed population moving.
     """
     centred = positions - weights @ positions
     covariance = (weights[:, None] * centred).T @ centred
@@ -70,17 +68,11 @@ def metropolis(
     factor: Float[Array, "dim dim"],
     steps: int,
 ) -> Moved:
-    """Move every particle `steps` times with a kernel that leaves π_γ ∝ L^γ p invariant.
+    """Move every particle so many steps, one proposal each, with a kernel that leaves π_γ ∝ L^γ p invariant.
 
-    Args:
-        key: Random key; do not use it again.
-        positions: Physical positions.
-        log_likelihood: log L at the positions.
-        log_prior: log p at the positions.
-        target: (log L, log p) as batched, jittable functions; where log p is -inf, a proposal is rejected.
-        temperature: Exponent γ of the likelihood.
-        factor: Factor F of the proposal's covariance F Fᵀ.
-        steps: Number of proposals per particle.
+    log L and log p are those at the physical positions, the target is both as batched, jittable functions; where log p
+    is -inf, a proposal is rejected. The temperature is γ, and proposals have the covariance F Fᵀ with the factor F. Do
+    not use the random key again.
     """
 
     def move(step: Int[Array, ""], now: Moved) -> Moved:

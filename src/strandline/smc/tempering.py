@@ -29,13 +29,7 @@ def next_temperature(
     """Return γ' with ESS(γ') = ζ·ESS(γ) by bisection of log(γ' - γ), or 1 if ESS(1) is at least that.
 
     Particles of zero likelihood die at the first positive increment, whatever its size, so ESS(γ) counts only the
-    others.
-
-    Args:
-        log_weights: current log weights, any normalisation.
-        log_likelihood: log L of the particles, -inf allowed.
-        temperature: current γ.
-        zeta: share of the effective sample size to keep, in (0, 1).
+    others. Log weights have any normalisation; ζ, in (0, 1), is the share of the effective sample size to keep.
     """
 
     def size(increment: Scalar) -> Scalar:

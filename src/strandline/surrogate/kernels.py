@@ -226,7 +226,7 @@ class Product(_Named):
         return self._correlation(self.rate * np.abs(offset), axis=-1)
 
     def weighted_hessian(self, offset: Offsets, weight: Values) -> Float[np.ndarray, "point dim dim"]:
-        c, slope = self.value(offset) * weight, self._relative_slope(offset)
+        c, slope = self.value(offset) * weight, -(self.rate**2) * self.decline(self.rate * np.abs(offset)) * offset
         bend = self.rate**2 * self.curvature(self.rate * np.abs(offset))
         out = np.einsum("bn,bnd,bne->bde", c, slope, slope, optimize=True)
         np.einsum("bdd->bd", out)[:] = np.einsum("bn,bnd->bd", c, bend)
@@ -255,9 +255,6 @@ class Product(_Named):
         growth *= t  # in place: a tile stays in the cache
         growth *= t
         return self._correlation(t), growth
-
-    def _relative_slope(self, offset: Float[np.ndarray, "*shape dim"]) -> Float[np.ndarray, "*shape dim"]:
-        return np.asarray(-(self.rate**2) * self.decline(self.rate * np.abs(offset)) * offset)
 
 
 _ROOT3, _ROOT5 = math.sqrt(3.0), math.sqrt(5.0)

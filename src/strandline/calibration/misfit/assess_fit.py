@@ -132,17 +132,13 @@ def _drawn(
         return measure.model(seen).square(noise + fields)
     if isinstance(measure, NormalOffset):
         return np.asarray(((noise + fields) ** 2).sum(axis=1))
-    points = _without_errors(measure, predicted, seen) + _displacements(seen, stated, len(noise), random)
+    without = predicted if isinstance(measure, TrackedPoints) else closest_points(seen.points, predicted)
+    points = without.points + _displacements(seen, stated, len(noise), random)
     if fields.any():
         points += fields[..., None] * steady_normals(seen)
     if isinstance(measure, SYMMETRIC):
         return squared_discrepancies(measure, points, seen, predicted)
     return np.array([measure(predicted, Interface(row, seen.cells)) for row in points], float)
-
-
-def _without_errors(measure: Discrepancy, predicted: Interface, seen: Interface) -> Float[np.ndarray, "point xyz"]:
-    """Return the observed points as a right model predicts them: the closest points, or node by node."""
-    return predicted.points if isinstance(measure, TrackedPoints) else closest_points(seen.points, predicted).points
 
 
 def _displacements(

@@ -158,7 +158,8 @@ class ActiveDesign:
             decision = phase(self, now)
             if not isinstance(decision, str):
                 return decision
-        return self._learn_more(now)
+        room = self._room(now)
+        return self._noted(self._chosen(min(self._together, room if room > 0 else now.left), len(now.x)), "posterior")
 
     def _verdict(
         self, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]
@@ -239,10 +240,6 @@ class ActiveDesign:
         if not (ready and self._can_be_checked(now.records, now.left) and (self._confirmed() or room < 1)):
             return "not now"
         return self._noted(self.check.begin(self.state, now.x, now.records, now.left, self._losses()), "check")
-
-    def _learn_more(self, now: Situation) -> Batch:
-        room = self._room(now)
-        return self._noted(self._chosen(min(self._together, room if room > 0 else now.left), len(now.x)), "posterior")
 
     def _room(self, now: Situation) -> int:
         """Return the number of runs that are left besides those of a check."""

@@ -52,7 +52,8 @@ def odd_ones(runs: Sequence[Mapping[str, Interface]], hidden: float) -> dict[int
         if kind != usual
     }
     for name in runs[0]:
-        odd |= _misfits({i: run[name] for i, run in enumerate(runs) if i not in odd}, hidden)
+        some = {i: run[name] for i, run in enumerate(runs) if i not in odd}
+        odd |= min((_left_out(some, layout, hidden) for layout in _layouts(list(some.values()))), key=len)
     return odd
 
 
@@ -60,12 +61,6 @@ def _kind(interface: Interface) -> str:
     if interface.dim == 3:
         return "a surface"
     return "a closed polyline" if interface.closed else "an open polyline"
-
-
-def _misfits(interfaces: Mapping[int, Interface], hidden: float) -> dict[int, str]:
-    """Return those that cannot be brought to the points of the others, for the layout that leaves out the fewest."""
-    layouts = _layouts(list(interfaces.values()))
-    return min((_left_out(interfaces, layout, hidden) for layout in layouts), key=len)
 
 
 def _layouts(interfaces: Sequence[Interface]) -> list[PointLayout]:
