@@ -4,9 +4,10 @@ Each prediction follows the observations by their most probable shift, rotation,
 effect of these is added again: see `strandline.discrepancy.normal_offset`.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -48,11 +49,11 @@ class JointErrors:
     ) -> dict[str, Float[np.ndarray, "_ _ _"]]:
         """Return simulated interfaces as `PointErrors.followed` does; further columns of `by` are left out."""
         found = {}
-        for one, seen, part in zip(self._own, self.observations, self._parts(), strict=True):
+        for one, seen, part in zip(self._own, self.observations, self._parts, strict=True):
             name, middle = seen.condition, seen.interface.points.mean(axis=0)
             found[name] = one.followed(points[name], templates[name], by[:, part], middle=middle)
         if self.common:
-            rest = by[:, sum(part.stop - part.start for part in self._parts()) :]
+            rest = by[:, self._parts[-1].stop :]
             for one, seen in zip(self._ours, self.observations, strict=True):
                 name = seen.condition
                 found[name] = one.followed(found[name], templates[name], rest, middle=self._middle)
@@ -61,9 +62,9 @@ class JointErrors:
     def sizes(self, by: Float[np.ndarray, " error"]) -> tuple[dict[str, tuple[float, ...]], ...]:
         """Return the global errors of each observation as `PointErrors.sizes` does; further ones are left out."""
         dims = [one.interface.dim for one in self.observations]
-        found = [one.sizes(by[part], dim) for one, dim, part in zip(self._own, dims, self._parts(), strict=True)]
+        found = [one.sizes(by[part], dim) for one, dim, part in zip(self._own, dims, self._parts, strict=True)]
         if self.common:
-            rest = by[sum(part.stop - part.start for part in self._parts()) :]
+            rest = by[self._parts[-1].stop :]
             ours = (one.sizes(rest, dim) for one, dim in zip(self._ours, dims, strict=True))
             found = [mine | more for mine, more in zip(found, ours, strict=True)]
         return tuple(found)
@@ -106,13 +107,16 @@ class JointErrors:
     def _middle(self) -> Float[np.ndarray, " xyz"]:
         return np.asarray(np.concatenate([o.interface.points for o in self.observations]).mean(axis=0))
 
-    def _parts(self) -> Iterator[slice]:
-        """Yield the places of each observation's own global errors."""
-        first = 0
-        for one, seen in zip(self._own, self.observations, strict=True):
-            number = one.global_errors(seen.interface.dim)
-            yield slice(first, first + number)
-            first += number
+    @property
+    def _parts(self) -> list[slice]:
+        """Places of each observation's own global errors."""
+        pairs = zip(self._own, self.observations, strict=True)
+        return places_of(one.global_errors(seen.interface.dim) for one, seen in pairs)
+
+
+def places_of(numbers: Iterable[int]) -> list[slice]:
+    """Return the places of so many entries each, one after the other."""
+    return [slice(begin, end) for begin, end in pairwise(np.cumsum([0, *numbers]).tolist())]
 
 
 def residuals_of(
@@ -152,15 +156,14 @@ def sums_of(
 
 
 def _sums(joint: JointErrors, templates: Mapping[str, Interface], model: ErrorModel, points: Rows, rough: bool) -> Sums:
-    squares, products, first = [], [], 0
-    for seen in joint.observations:
-        part = slice(first, first + len(seen.interface.points))
+    squares, products = [], []
+    places = places_of(len(seen.interface.points) for seen in joint.observations)
+    for seen, part in zip(joint.observations, places, strict=True):
         weights, features = 1 / model.local[part], model.features[part]
         rows, template = points[seen.condition], templates[seen.condition]
         found = weighted_sums(seen.interface.points, rows, template, weights, features, rough=rough, longer=True)
         squares.append(found[0])
         products.append(found[1])
-        first = part.stop
     return np.sum(squares, axis=0), np.sum(products, axis=0)
 
 

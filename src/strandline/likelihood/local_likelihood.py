@@ -15,7 +15,7 @@ from scipy.special import logsumexp, softmax
 from strandline.discrepancy import Discrepancy, FollowsOffsets, NormalOffset
 from strandline.interface import ErrorModel, Interface, Observation, PointErrors
 from strandline.likelihood.compared import Compared, compared
-from strandline.likelihood.joint_errors import JointErrors, Points, sums_of
+from strandline.likelihood.joint_errors import JointErrors, Points, places_of, sums_of
 from strandline.likelihood.linearised_residuals import NearField, linearise
 from strandline.likelihood.parabolas import NearParabola
 from strandline.surrogate.field import FieldSurrogate
@@ -159,11 +159,9 @@ class OfOffsets:
         return np.asarray(sum(one.log_likelihood(offsets[:, part]) for one, part in self._parts()))
 
     def _parts(self) -> Iterator[tuple["_ByOffsets", slice]]:
-        first = 0
-        for one, nodes in zip(self.compared, self.nodes, strict=True):
-            number = len(one.observation.interface.points)
-            yield _ByOffsets(one, nodes), slice(first, first + number)
-            first += number
+        parts = places_of(len(one.observation.interface.points) for one in self.compared)
+        for one, nodes, part in zip(self.compared, self.nodes, parts, strict=True):
+            yield _ByOffsets(one, nodes), part
 
 
 @dataclass(frozen=True, eq=False)

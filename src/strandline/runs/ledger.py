@@ -54,7 +54,7 @@ class Counts:
         return self.ok + self.failed + self.timeout + self.killed + self.invalid + self.open
 
 
-class Ledger:
+class Ledger(contextlib.AbstractContextManager["Ledger"]):
     """All runs of one model; open it with `Ledger.open`, as a context manager."""
 
     def __init__(self, path: Path, connection: sqlite3.Connection, hold: Hold | None) -> None:
@@ -142,9 +142,6 @@ class Ledger:
         self._connection.close()
         if self._hold is not None:
             self._hold.release()
-
-    def __enter__(self) -> "Ledger":
-        return self
 
     def __exit__(self, *error: object) -> None:
         self.close()

@@ -105,7 +105,7 @@ class Driver:
     at_work: bool | None
 
 
-class Overview:
+class Overview(contextlib.AbstractContextManager["Overview"]):
     """A ledger opened to look at its runs; a context manager."""
 
     def __init__(self, path: Path, *, model: str | None = None) -> None:
@@ -127,9 +127,6 @@ class Overview:
 
     def close(self) -> None:
         self._connection.close()
-
-    def __enter__(self) -> "Overview":
-        return self
 
     def __exit__(self, *error: object) -> None:
         self.close()

@@ -17,7 +17,7 @@ from strandline.design.active import learn
 from strandline.discrepancy import Discrepancy
 from strandline.errors import StrandlineError
 from strandline.interface import ErrorModel, Interface, Observation
-from strandline.likelihood.joint_errors import JointErrors, Points, residuals_of, shared_errors
+from strandline.likelihood.joint_errors import JointErrors, Points, places_of, residuals_of, shared_errors
 from strandline.likelihood.noise_rule import StatedErrors, stated_errors
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior, Weighted
@@ -133,10 +133,9 @@ class Residuals:
         return cls(tuple(observations), measure, tuple(stated), joint, model)
 
     @cached_property
-    def parts(self) -> tuple[slice, ...]:
+    def parts(self) -> list[slice]:
         """Places of the residuals of each observation."""
-        ends = np.cumsum([len(seen.interface.points) for seen in self.observations]).tolist()
-        return tuple(slice(begin, end) for begin, end in zip([0, *ends[:-1]], ends, strict=True))
+        return places_of(len(seen.interface.points) for seen in self.observations)
 
     def at(self, points: Points, templates: Mapping[str, Interface]) -> Float[np.ndarray, "row seen"]:
         """Return the residuals of predicted interfaces with these points, one row each."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.linalg import block_diag
 from scipy.spatial import cKDTree
 
 from strandline.calibration.misfit.best_fit import BestFit, Residuals
@@ -60,18 +61,14 @@ def patches_of(points: Float[np.ndarray, "point 3"]) -> Int[np.ndarray, " point"
 
 def waves_of(observations: Sequence[Observation]) -> Float[np.ndarray, "seen wave"]:
     """Return cos(kπ s/L) at the points of each observed polyline, zero at those of the others; none for surfaces."""
-    columns, first = [], 0
-    total = sum(len(seen.interface.points) for seen in observations)
+    blocks = []
     for interface in (seen.interface for seen in observations):
-        number = len(interface.points)
+        number, count, places = len(interface.points), 0, np.zeros(0)
         if interface.dim == 2:
             places = np.pi * arc_lengths(interface) / float(steady_lengths(interface).sum())
-            for k in range(min(WAVES, number // FEWEST_FOR_WAVE)):
-                column = np.zeros(total)
-                column[first : first + number] = np.cos(k * places)
-                columns.append(column)
-        first += number
-    return np.stack(columns, axis=1) if columns else np.zeros((total, 0))
+            count = min(WAVES, number // FEWEST_FOR_WAVE)
+        blocks.append(np.reshape([np.cos(k * places) for k in range(count)], (count, number)).T)
+    return np.asarray(block_diag(*blocks))
 
 
 def beyond(
@@ -141,26 +138,19 @@ class Statistics:
 
 def parts_of(observations: Sequence[Observation]) -> ArcParts:
     """Return equal parts of the arc of each observed polyline, those with points, and patches of each surface."""
-    spans, columns, first = [], [], 0
-    total = sum(len(seen.interface.points) for seen in observations)
+    spans, blocks = [], []
     for k, interface in enumerate(seen.interface for seen in observations):
         number = len(interface.points)
         if interface.dim == 2:
             whole, count = float(steady_lengths(interface).sum()), max(min(PARTS, number // FEWEST_POINTS), 1)
             which = np.minimum((count * arc_lengths(interface) / whole).astype(int), count - 1)
-            numbers = np.unique(which).tolist()
-            spans += [Span(k, whole * part / count, whole * (part + 1) / count) for part in numbers]
+            spans += [Span(k, whole * part / count, whole * (part + 1) / count) for part in np.unique(which).tolist()]
         else:
             which = patches_of(interface.points)
             centres = [interface.points[which == part].mean(axis=0).tolist() for part in np.unique(which)]
             spans += [Span(k, 0.0, 0.0, (x, y, z)) for x, y, z in centres]
-        for part in np.unique(which):
-            column = np.zeros(total)
-            column[first : first + number] = which == part
-            columns.append(column)
-        first += number
-    members = np.stack(columns, axis=1) if columns else np.zeros((total, 0))
-    return ArcParts(tuple(spans), members, waves_of(observations))
+        blocks.append((which[:, None] == np.unique(which)).astype(float))
+    return ArcParts(tuple(spans), block_diag(*blocks), waves_of(observations))
 
 
 def observed_statistics(residuals: Residuals, fit: BestFit, parts: ArcParts) -> Statistics:

@@ -246,8 +246,7 @@ class ActiveRuns:
                 self.fidelities.learn(records)
                 if lacking := self.fidelities.lacking:
                     return lacking
-                if self.fidelities.correction is None and self.fidelities.dropped is None:
-                    self.fidelities.drop("there are too few inputs at which both models succeed")
+                self._use(self.fidelities)
                 given = self.design.batches[-1].kind == "given"
                 self._given = self.fidelities.by_both if given else self._given
                 self.design.besides = self.fidelities.by_both - self._given
@@ -270,6 +269,11 @@ class ActiveRuns:
             return report
         self._told_dropped = True
         return replace(report, dropped=self.fidelities.dropped)
+
+    def _use(self, fidelities: Fidelities) -> None:
+        """Drop a cheaper model of which too few runs succeeded."""
+        if fidelities.correction is None and fidelities.dropped is None:
+            fidelities.drop("there are too few inputs at which both models succeed")
 
     def _runs(self, batch: Batch) -> list[dict[str, float]]:
         """Return the runs of a batch: of the model, or of a cheaper one, and of both where they are compared."""

@@ -183,7 +183,8 @@ class Checked:
 class PosteriorCheck:
     """Asks for runs that check a posterior, `batch` at a time, and judges it by them.
 
-    `log_likelihood` returns that of a successful record, by the true model.
+    `log_likelihood` returns that of a successful record, by the true model; `whole` is the largest number of inputs
+    whose parabola settles whether more draws would help.
     """
 
     def __init__(
@@ -194,8 +195,9 @@ class PosteriorCheck:
         batch: int,
         log_likelihood: Callable[[RunRecord], float],
         seed: int,
+        whole: int = WHOLE,
     ) -> None:
-        self.active, self.space, self.batch, self.seed = active, space, batch, seed
+        self.active, self.space, self.batch, self.seed, self.whole = active, space, batch, seed, whole
         self.log_likelihood = log_likelihood
         self.scatter: SimulatorNoise = NONE
         self._checked: Checked | None = None
@@ -218,7 +220,7 @@ class PosteriorCheck:
             elsewhere = points_elsewhere(x, self.space, self.active.unseen, room, losses.likely)
         ends = checking.looks(probing, len(chosen), self.batch)
         draws, log_expected = state.positions[chosen], state.log_expected[chosen]
-        few = self.space.dim <= WHOLE  # above, products are lacking: all draws may settle what it does not
+        few = self.space.dim <= self.whole  # above, products are lacking: all draws may settle what it does not
         patient = not few or self._given_up >= MOST_GIVEN_UP or left < 2 * len(chosen)
         self._checked = Checked(state, draws, log_expected, probing, ends, elsewhere, earlier, len(ends), patient)
         return np.concatenate([draws[: ends[0]], elsewhere])
