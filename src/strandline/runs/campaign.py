@@ -100,7 +100,13 @@ class Campaign:
         require_count("maximum_attempts", maximum_attempts, remedy="Allow at least one attempt.")
         self.maximum_attempts, self.began = maximum_attempts, time.monotonic()
         self.identity = fingerprint(model)
-        ledger.require_model(self.identity)
+        if ledger.model != self.identity:
+            raise LedgerError(
+                f"{ledger.path} keeps the runs of another model",
+                value=f"{ledger.model} in the ledger, {self.identity} now",
+                expected="one and the same model",
+                remedy=f"Move {ledger.path.name} away or use a new study folder for the changed model.",
+            )
         self.order: list[str] = []
         self.requests: dict[str, RunRequest] = {}
         self.before: dict[str, tuple[int, int]] = {}

@@ -118,16 +118,7 @@ class Ledger(contextlib.AbstractContextManager["Ledger"]):
         with self._closed_on_error(), translated(self.path):
             ledger_schema.require_version(self.path, self._connection)
             if model is not None:
-                self.require_model(model)
-
-    def require_model(self, model: str) -> None:
-        """Refuse runs of any model but the one with this fingerprint.
-
-        Raises:
-            LedgerError: The ledger keeps the runs of another model.
-        """
-        with translated(self.path):
-            ledger_schema.require_model(self.path, self._connection, model)
+                ledger_schema.require_model(self.path, self._connection, model)
 
     @contextlib.contextmanager
     def _closed_on_error(self) -> Iterator[None]:
