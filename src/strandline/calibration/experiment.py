@@ -18,6 +18,8 @@ from strandline.likelihood.joint_errors import shared_errors
 from strandline.likelihood.noise_rule import stated_errors
 from strandline.surrogate.field import FieldSurrogate
 
+Matrix = Float[np.ndarray, "dim dim"]
+Point = Float[np.ndarray, " dim"]
 WHOLE = 0.8
 """Share of a polyline from which an observation of as many points consists of its nodes."""
 STEP = 1e-3
@@ -127,7 +129,7 @@ class Experiment:
     noises: Mapping[str, Noise | PointErrors | UnknownErrors]
     measure: Discrepancy
 
-    def truths(self, x: Float[np.ndarray, " dim"]) -> dict[str, Interface]:
+    def truths(self, x: Point) -> dict[str, Interface]:
         """Return the predicted interfaces at inputs x, at the observed places."""
         nodes = self.surrogate.points(self.surrogate.mean(x[None]))
         return {name: Interface(one.on(nodes[name][0]), one.cells) for name, one in self.footprints.items()}
@@ -144,9 +146,7 @@ class Experiment:
     def likelihood(self, observations: tuple[Observation, ...]) -> FieldLikelihood:
         return FieldLikelihood(self.surrogate, observations, self.measure)
 
-    def information(
-        self, x: Float[np.ndarray, " dim"], truths: Mapping[str, Interface]
-    ) -> Float[np.ndarray, "dim dim"]:
+    def information(self, x: Point, truths: Mapping[str, Interface]) -> Matrix:
         """Return the Fisher information of the inputs at x by these errors, for small displacements."""
         slopes = self._slopes(x)
         common = self._shared
@@ -158,7 +158,7 @@ class Experiment:
                 return joint.model.information(np.concatenate(rows))
         return np.asarray(sum(_of_one(self.errors[name], slopes[name], true) for name, true in truths.items()))
 
-    def _slopes(self, x: Float[np.ndarray, " dim"]) -> dict[str, Float[np.ndarray, "_ xyz dim"]]:
+    def _slopes(self, x: Point) -> dict[str, Float[np.ndarray, "_ xyz dim"]]:
         """Return the derivatives of the observed points, mm per unit of the input, by condition."""
         low, high = self.surrogate.warping.low, self.surrogate.warping.high
         steps = np.diag(STEP * (high - low))
@@ -234,9 +234,7 @@ def _drawn_together(
     return out
 
 
-def _of_one(
-    errors: Errors, slopes: Float[np.ndarray, "point xyz dim"], true: Interface
-) -> Float[np.ndarray, "dim dim"]:
+def _of_one(errors: Errors, slopes: Float[np.ndarray, "point xyz dim"], true: Interface) -> Matrix:
     if isinstance(errors, CoordinateErrors):
         return np.asarray(np.einsum("pxi,pxj->ij", slopes, slopes) / errors.sd**2)
     return errors.model(true).information(_along_normals(slopes, true))

@@ -48,6 +48,7 @@ SCRAMBLE = 0
 By = Literal["importance", "smc"]
 Points = Float[np.ndarray, "point dim"]
 Values = Float[np.ndarray, " point"]
+Matrix = Float[np.ndarray, "dim dim"]
 Densities = Callable[[Points], tuple[Values, Values]]
 """Function that returns the log densities of the prior and of the posterior, each of shape (point,)."""
 
@@ -272,9 +273,7 @@ def _tempered(log_weights: Values, least: float) -> Values:
     return low * log_weights
 
 
-def _begun(
-    x: Points, weights: Values, spread: Float[np.ndarray, "dim dim"], number: int, random: np.random.Generator
-) -> StudentMixture:
+def _begun(x: Points, weights: Values, spread: Matrix, number: int, random: np.random.Generator) -> StudentMixture:
     """Return parts of equal shares around points that are far from each other (k-means++)."""
     factor = np.linalg.cholesky(spread)
     z = solve_triangular(factor, x.T, lower=True, check_finite=False).T
@@ -286,9 +285,7 @@ def _begun(
     return StudentMixture(np.full(number, 1 / number), x[chosen], factors)
 
 
-def _improved(
-    mixture: StudentMixture, x: Points, weights: Values, effective: float, floor: Float[np.ndarray, "dim dim"]
-) -> StudentMixture:
+def _improved(mixture: StudentMixture, x: Points, weights: Values, effective: float, floor: Matrix) -> StudentMixture:
     """Return the mixture after one step of expectation maximisation, without parts that hardly any points belong to."""
     dim = x.shape[1]
     squares = mixture.squares(x)

@@ -29,6 +29,7 @@ MEAN, LOG_SD, SHARE, EVIDENCE = 0.1, 0.1, 0.05, 0.2
 The posterior, the mean of the halves, is off by half as much.
 """
 SMALLEST = np.finfo(float).tiny
+PerHalf = Float[np.ndarray, " half"]
 LIKELIHOOD = "log-likelihood"
 
 
@@ -180,9 +181,7 @@ def compare_halves(sampling: SMCResult, posterior: Posterior) -> SamplerCheck | 
     )
 
 
-def _reweighted(
-    half: SMCResult, log_likelihood: Float[np.ndarray, " half"]
-) -> tuple[Float[np.ndarray, " half"], float]:
+def _reweighted(half: SMCResult, log_likelihood: PerHalf) -> tuple[PerHalf, float]:
     """Return the weights of a half by the posterior's likelihood, and its log-evidence."""
     alive = ~np.isneginf(half.log_weights)
     log_weights = np.full(len(alive), -np.inf)
@@ -191,9 +190,7 @@ def _reweighted(
     return np.exp(log_weights - increment), half.log_evidence + increment
 
 
-def _split(
-    name: str, values: Sequence[Float[np.ndarray, " half"]], weights: Sequence[Float[np.ndarray, " half"]]
-) -> Split:
+def _split(name: str, values: Sequence[PerHalf], weights: Sequence[PerHalf]) -> Split:
     """Return the value at which the weighted distribution functions of two halves are farthest apart."""
     pooled, first = np.concatenate(values), len(values[0])
     order = np.argsort(pooled, kind="stable")

@@ -18,6 +18,7 @@ from strandline.discrepancy.protocol import MeasureKey, Snapshot
 from strandline.interface import GaussianNoise, Interface, Noise, Observation, PointErrors, UnknownErrors
 from strandline.likelihood.noise_rule import differences, noise_variance, second_differences
 
+Values = Float[np.ndarray, " run"]
 STEP = 0.5
 """Step of the finite differences, in standard deviations of the global errors."""
 NEWTON = 2
@@ -45,18 +46,14 @@ class Registered:
     def __call__(self, simulated: Interface, observed: Interface) -> float:
         return float(self._values(simulated.points[None], simulated, observed)[0])
 
-    def many(
-        self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
-    ) -> Float[np.ndarray, " run"]:
+    def many(self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface) -> Values:
         return self._values(points, template, observed)
 
-    def _values(
-        self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
-    ) -> Float[np.ndarray, " run"]:
+    def _values(self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface) -> Values:
         number = self.errors.global_errors(observed.dim)
         middle = observed.points.mean(axis=0)
 
-        def f(g: Float[np.ndarray, "run error"]) -> Float[np.ndarray, " run"]:
+        def f(g: Float[np.ndarray, "run error"]) -> Values:
             moved = self.errors.followed(points, template, g, middle=middle)
             squares = squared_discrepancies(self.measure, moved, template, observed)
             return np.asarray(squares / self.variance + (g**2).sum(axis=1))

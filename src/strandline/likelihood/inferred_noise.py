@@ -37,6 +37,10 @@ from strandline.likelihood.linearised_residuals import Linearised, NearField, li
 from strandline.likelihood.local_likelihood import Mixture
 from strandline.surrogate.field import FieldSurrogate
 
+Sds = Float[np.ndarray, " sd"]
+Values = Float[np.ndarray, " value"]
+Shared = Float[np.ndarray, "seen error"]
+Residuals = Float[np.ndarray, " seen"]
 WAVES = 12
 """Number of waves along the interface."""
 AMPLITUDES = np.geomspace(0.3, 10.0, 6)
@@ -137,7 +141,7 @@ class NoisePosterior:
     prior, or over the grid where no range is stated, without the constant -½ n log 2π.
     """
 
-    sds: Float[np.ndarray, " sd"]
+    sds: Sds
     lengths: Float[np.ndarray, " length"]
     causes: tuple[Cause, ...]
     weights: Float[np.ndarray, "cause sd length"]
@@ -286,7 +290,7 @@ def posterior_of_noise(
 
 def _grid(
     lin: Linearised, interfaces: Sequence[Interface], unknown: UnknownErrors, near: NoisePosterior | None
-) -> tuple[Float[np.ndarray, " sd"], Float[np.ndarray, " length"]]:
+) -> tuple[Sds, Float[np.ndarray, " length"]]:
     """Return values of s and ℓ: a wide range, or one around what was found there."""
     spacing = float(np.mean([spacings(one).mean() for one in interfaces]))
     shortest = 0.5 * min(float(one.lengths.sum()) for one in interfaces)
@@ -301,14 +305,12 @@ def _grid(
     return unknown.sds(np.geomspace(least, most, SDS)), unknown.lengths(np.geomspace(low, high, LENGTHS))
 
 
-def _quantiles(
-    levels: Sequence[float], values: Float[np.ndarray, " value"], mass: Float[np.ndarray, " value"]
-) -> list[float]:
+def _quantiles(levels: Sequence[float], values: Values, mass: Values) -> list[float]:
     """Return quantiles of probabilities on a grid, interpolated in the logarithm of the values."""
     return [float(one) for one in np.exp(np.interp(levels, np.cumsum(mass) - 0.5 * mass, np.log(values)))]
 
 
-def _log_share(given: tuple[float, float] | float | None, values: Float[np.ndarray, " value"]) -> float:
+def _log_share(given: tuple[float, float] | float | None, values: Values) -> float:
     """Return the log prior probability of the values' range: 0 unless a wider one was stated."""
     if not isinstance(given, tuple):
         return 0.0
@@ -319,13 +321,7 @@ def _unit_errors(observations: Sequence[Observation], unknown: Sequence[UnknownE
     return JointErrors(tuple(observations), tuple(one.known(1.0, 0.0) for one in unknown))
 
 
-def _log_evidences(
-    r: Float[np.ndarray, " seen"],
-    F: Float[np.ndarray, "seen error"],
-    interfaces: Sequence[Interface],
-    sds: Float[np.ndarray, " sd"],
-    length: float,
-) -> Float[np.ndarray, " sd"]:
+def _log_evidences(r: Residuals, F: Shared, interfaces: Sequence[Interface], sds: Sds, length: float) -> Sds:
     """Return log N(r; 0, s²R(ℓ) + FFᵀ) without the constant, for each s."""
     both, log_det, first = np.column_stack([r, F]), 0.0, 0
     white = np.empty_like(both)
@@ -387,7 +383,7 @@ def _levels(found: NoisePosterior, spacing: float) -> Iterator[tuple[float, floa
                 yield float(part.sum()), float(np.exp(part @ np.log(kappa[order]) / part.sum())), cause
 
 
-def _normaliser(lin: Linearised, local: Float[np.ndarray, " seen"], shared: Float[np.ndarray, "seen error"]) -> float:
+def _normaliser(lin: Linearised, local: Residuals, shared: Shared) -> float:
     """Return minus the log evidence of the residuals with the inputs marginalised, over that without inputs."""
     alone, with_inputs = ErrorModel(local, shared), ErrorModel(local, np.hstack([shared, lin.scaled]))
     least = float(with_inputs.square(lin.residuals))

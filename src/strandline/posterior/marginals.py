@@ -10,6 +10,7 @@ from strandline.errors import InvalidInput
 from strandline.interface import Interface
 
 LEVELS = (0.05, 0.5, 0.95)
+PerParticle = Float[np.ndarray, " particle"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,11 +27,7 @@ class Histogram:
 
 
 def histogram(
-    values: Float[np.ndarray, " particle"],
-    weights: Float[np.ndarray, " particle"],
-    *,
-    bounds: tuple[float, float] | None = None,
-    bins: int = 30,
+    values: PerParticle, weights: PerParticle, *, bounds: tuple[float, float] | None = None, bins: int = 30
 ) -> Histogram:
     """Return the weighted histogram of one input between `bounds`, by default the range of `values`.
 
@@ -44,7 +41,7 @@ def histogram(
 
 def histogram_mode(
     draws: Float[np.ndarray, "particle dim"],
-    weights: Float[np.ndarray, " particle"],
+    weights: PerParticle,
     *,
     bounds: Sequence[tuple[float, float]],
     bins: int = 30,
@@ -62,7 +59,7 @@ def histogram_mode(
     return np.asarray(low + (cells[np.argmax(mass)] + 0.5) * width)
 
 
-def _limits(values: Float[np.ndarray, " particle"], bounds: tuple[float, float] | None) -> tuple[float, float]:
+def _limits(values: PerParticle, bounds: tuple[float, float] | None) -> tuple[float, float]:
     low, high = (float(values.min()), float(values.max())) if bounds is None else bounds
     if values.min() < low or values.max() > high:
         raise InvalidInput(

@@ -14,6 +14,8 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.distance import cdist
 from scipy.special import expit, log_expit, logit
 
+Inputs = Float[np.ndarray, "run dim"]
+Outcomes = Bool[np.ndarray, " run"]
 LENGTHS = (0.5, 1.0, 2.0, 4.0)
 """Length scales tried, in standard deviations of the inputs."""
 SPREADS = (0.3, 2.0, 6.0)
@@ -32,7 +34,7 @@ class Feasibility:
     `roots` √W, and `factor` the lower Cholesky factor of I + √W K √W.
     """
 
-    z: Float[np.ndarray, "run dim"]
+    z: Inputs
     length: float = 1.0
     spread: float = 0.0
     offset: float = np.inf
@@ -50,9 +52,7 @@ class Feasibility:
         return np.asarray(log_expit(mean / np.sqrt(1 + np.pi * variance / 8)))
 
 
-def learn_feasibility(
-    z: Float[np.ndarray, "run dim"], ok: Bool[np.ndarray, " run"], *, largest: int = _LARGEST
-) -> Feasibility:
+def learn_feasibility(z: Inputs, ok: Outcomes, *, largest: int = _LARGEST) -> Feasibility:
     """Return the classifier of highest evidence.
 
     At most the `largest` last runs are learnt from.
@@ -65,9 +65,7 @@ def learn_feasibility(
     return max(tried, key=lambda one: one[0])[1]
 
 
-def _laplace(
-    z: Float[np.ndarray, "run dim"], ok: Bool[np.ndarray, " run"], length: float, spread: float, offset: float
-) -> tuple[float, Feasibility]:
+def _laplace(z: Inputs, ok: Outcomes, length: float, spread: float, offset: float) -> tuple[float, Feasibility]:
     """Return the log evidence and the classifier at given hyperparameters."""
     K = _kernel(z, z, length, spread)
     sign, f = np.where(ok, 1.0, -1.0), np.zeros(len(z))
@@ -87,6 +85,6 @@ def _laplace(
 
 
 def _kernel(
-    a: Float[np.ndarray, "run dim"], b: Float[np.ndarray, "other dim"], length: float, spread: float
+    a: Inputs, b: Float[np.ndarray, "other dim"], length: float, spread: float
 ) -> Float[np.ndarray, "run other"]:
     return np.asarray(spread**2 * np.exp(-0.5 * cdist(a, b, "sqeuclidean") / length**2))

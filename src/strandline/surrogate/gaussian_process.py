@@ -15,6 +15,10 @@ from strandline.surrogate.kernels import Kernel, LengthScale, as_length_scale, a
 
 _PAIRS_PER_BLOCK = 2**20
 _UNROLL = 8
+Inputs = Float[np.ndarray, "run dim"]
+Targets = Float[np.ndarray, " run"]
+Particles = Float[jax.Array, "particle dim"]
+PerParticle = Float[jax.Array, " particle"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,11 +31,11 @@ class GaussianProcess:
     input if the kernel has several; the signal variance σ0² and the nugget σ_n² are in squared units of the target.
     """
 
-    x_train: Float[np.ndarray, "run dim"]
+    x_train: Inputs
     shift: Float[np.ndarray, " dim"]
     scale: Float[np.ndarray, " dim"]
     target_mean: float
-    alpha: Float[np.ndarray, " run"]
+    alpha: Targets
     cholesky: Float[np.ndarray, "run run"]
     kernel: Kernel
     length_scale: LengthScale
@@ -84,9 +88,7 @@ class GaussianProcess:
             yield rows, points[rows, None, :] - train
 
 
-def standardisation(
-    x: Float[np.ndarray, "run dim"],
-) -> tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]]:
+def standardisation(x: Inputs) -> tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]]:
     """Return the mean and the standard deviation of each column.
 
     Raises:
@@ -105,13 +107,7 @@ def standardisation(
 
 
 def condition(
-    x: Float[np.ndarray, "run dim"],
-    y: Float[np.ndarray, " run"],
-    *,
-    kernel: Kernel,
-    length_scale: LengthScale,
-    signal_variance: float,
-    nugget: float,
+    x: Inputs, y: Targets, *, kernel: Kernel, length_scale: LengthScale, signal_variance: float, nugget: float
 ) -> GaussianProcess:
     """Return the Gaussian process conditioned on physical inputs x and targets y; hyperparameters are those of
     `GaussianProcess`.
@@ -141,9 +137,7 @@ def condition(
     )
 
 
-def batched_mean(
-    gp: GaussianProcess, *, fused: bool | None = None
-) -> Callable[[Float[jax.Array, "particle dim"]], Float[jax.Array, " particle"]]:
+def batched_mean(gp: GaussianProcess, *, fused: bool | None = None) -> Callable[[Particles], PerParticle]:
     """Return the posterior mean as a jittable JAX function of physical points (particle, dim).
 
     JAX's derivatives of it are NaN at a training point (√r² at 0); `GaussianProcess.hessian` is exact there too. If
@@ -158,7 +152,7 @@ def batched_mean(
         """Return points - centre, coordinates on the leading axis."""
         return [p - c for p, c in zip(points, centre, strict=True)]
 
-    def mean(x: Float[jax.Array, "particle dim"]) -> Float[jax.Array, " particle"]:
+    def mean(x: Particles) -> PerParticle:
         """Return the mean at physical inputs."""
         points = ((x - gp.shift) / unit).T
         if in_one:

@@ -29,6 +29,8 @@ TRIALS = 8
 """Trial shifts for each point of the mean; a parabola through the best three finds the shift between them."""
 
 Ring = Float[np.ndarray, "point 2"]
+Inputs = Float[np.ndarray, "run dim"]
+Fields = Float[np.ndarray, "run value"]
 FEWEST_POINTS = 33
 """Smallest number of points of an interface taken at equal shares of its arclength."""
 FINER = 6
@@ -123,7 +125,7 @@ class PointLayout:
         return Interface(points, self.template.cells)
 
 
-def common_layout(interfaces: Sequence[Interface], x: Float[np.ndarray, "run dim"] | None = None) -> PointLayout:
+def common_layout(interfaces: Sequence[Interface], x: Inputs | None = None) -> PointLayout:
     """Return the layout that all of these interfaces can be brought to.
 
     `x` are the inputs of the runs in [0, 1], to see whether equal numbers of nodes correspond; None: they do.
@@ -158,7 +160,7 @@ def _of_any_nodes(interfaces: Sequence[Interface]) -> PointLayout:
     return PointLayout(first.resampled(number), "arclength")
 
 
-def _smoothest(nodes: PointLayout, interfaces: Sequence[Interface], x: Float[np.ndarray, "run dim"]) -> PointLayout:
+def _smoothest(nodes: PointLayout, interfaces: Sequence[Interface], x: Inputs) -> PointLayout:
     """Return `nodes`, or a layout in which the points of the runs are a smoother function of the inputs."""
     errors = _left_out(nodes, interfaces, x)
     if nodes.template.dim == 2 and nodes.template.closed:
@@ -181,9 +183,7 @@ def _smoothest(nodes: PointLayout, interfaces: Sequence[Interface], x: Float[np.
     return other if ROUGHER * _rms(found) < _rms(errors) else nodes
 
 
-def _left_out(
-    layout: PointLayout, interfaces: Sequence[Interface], x: Float[np.ndarray, "run dim"]
-) -> Float[np.ndarray, " run"]:
+def _left_out(layout: PointLayout, interfaces: Sequence[Interface], x: Inputs) -> Float[np.ndarray, " run"]:
     """Return the error of each run's points predicted from the other runs, root mean square along the interface, mm.
 
     A Gaussian process with squared-exponential kernel as long as the box predicts them.
@@ -196,8 +196,8 @@ def _left_out(
 
 
 def kriged(
-    covariance: Float[np.ndarray, "run run"], values: Float[np.ndarray, "run value"]
-) -> tuple[Float[np.ndarray, " value"], Float[np.ndarray, "run value"], Float[np.ndarray, "run value"]]:
+    covariance: Float[np.ndarray, "run run"], values: Fields
+) -> tuple[Float[np.ndarray, " value"], Fields, Fields]:
     """Return the constant, the factors of the covariance, and the errors of left-out runs (universal kriging).
 
     The errors follow from the precision matrix: Rasmussen and Williams (2006), Section 5.4.2.
@@ -242,9 +242,7 @@ def registered(interface: Interface, layout: PointLayout) -> tuple[Float[np.ndar
     return taken.points, float(np.sqrt(np.mean(squared_distances(interface.points, taken))))
 
 
-def fields_of(
-    runs: Sequence[Mapping[str, Interface]], layouts: Mapping[str, PointLayout]
-) -> tuple[Float[np.ndarray, "run value"], float]:
+def fields_of(runs: Sequence[Mapping[str, Interface]], layouts: Mapping[str, PointLayout]) -> tuple[Fields, float]:
     """Return the coordinates of the points of all conditions, one row per run, and the worst registration error, mm."""
     rows, worst = [], 0.0
     for run in runs:

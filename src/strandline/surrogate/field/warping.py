@@ -16,6 +16,10 @@ from jaxtyping import Float
 
 from strandline.surrogate.field.mode_process import ModeData, ModeProcess, fit_mode
 
+Fields = Float[np.ndarray, "run value"]
+Slopes = Float[np.ndarray, "run value dim"]
+AnySlopes = Float[np.ndarray, "run *value dim"]
+Weights = Float[np.ndarray, " value"]
 MOST = 20
 """Largest number of modes with their own process."""
 STEP = 0.5
@@ -41,8 +45,8 @@ class Modes:
     the runs, mm.
     """
 
-    mean: Float[np.ndarray, " value"]
-    roots: Float[np.ndarray, " value"]
+    mean: Weights
+    roots: Weights
     basis: Float[np.ndarray, "mode value"]
     tail: Float[np.ndarray, "rest value"]
 
@@ -51,24 +55,19 @@ class Modes:
         """Root mean square of the modes cut off, along the interface, mm."""
         return float(np.sqrt(np.sum(self.tail**2)))
 
-    def coefficients(self, fields: Float[np.ndarray, "run value"]) -> Float[np.ndarray, "run mode"]:
+    def coefficients(self, fields: Fields) -> Float[np.ndarray, "run mode"]:
         return np.asarray(((fields - self.mean) * self.roots) @ self.basis.T)
 
-    def by_input(self, derivatives: Float[np.ndarray, "run value dim"]) -> Float[np.ndarray, "run mode dim"]:
+    def by_input(self, derivatives: Slopes) -> Float[np.ndarray, "run mode dim"]:
         """Return derivatives of the coefficients, given those of the fields."""
         return np.asarray(np.einsum("rvd,mv->rmd", derivatives * self.roots[:, None], self.basis, optimize=True))
 
-    def fields(self, coefficients: Float[np.ndarray, "run mode"]) -> Float[np.ndarray, "run value"]:
+    def fields(self, coefficients: Float[np.ndarray, "run mode"]) -> Fields:
         return np.asarray(self.mean + (coefficients @ self.basis) / self.roots)
 
 
 def decompose(
-    fields: Float[np.ndarray, "run value"],
-    weights: Float[np.ndarray, " value"],
-    derivatives: Float[np.ndarray, "run value dim"] | None,
-    *,
-    tolerance: float,
-    most: int = MOST,
+    fields: Fields, weights: Weights, derivatives: Slopes | None, *, tolerance: float, most: int = MOST
 ) -> Modes:
     """Return the fewest modes that leave a root mean square of the fields below `tolerance`, mm.
 
@@ -121,9 +120,7 @@ class Warping:
         columns = [WARPS[name].apply(x[:, j]) for j, name in enumerate(self.names)]
         return np.asarray((np.stack(columns, axis=1) - middle) / spread)
 
-    def gradients(
-        self, x: Float[np.ndarray, "run dim"], by_input: Float[np.ndarray, "run *value dim"]
-    ) -> Float[np.ndarray, "run *value dim"]:
+    def gradients(self, x: Float[np.ndarray, "run dim"], by_input: AnySlopes) -> AnySlopes:
         """Return derivatives with respect to the standardised inputs, given those by the physical ones."""
         _, spread = self._scale()
         slopes = np.stack([WARPS[name].slope(x[:, j]) for j, name in enumerate(self.names)], axis=1) / spread
@@ -158,9 +155,9 @@ class Data:
     """
 
     x: Float[np.ndarray, "run dim"]
-    fields: Float[np.ndarray, "run value"]
-    weights: Float[np.ndarray, " value"]
-    gradients: Float[np.ndarray, "run value dim"] | None
+    fields: Fields
+    weights: Weights
+    gradients: Slopes | None
 
     def first(self, number: int) -> "Data":
         gradients = None if self.gradients is None else self.gradients[:number]
