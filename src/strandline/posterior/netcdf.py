@@ -27,22 +27,16 @@ def to_datatree(
 ) -> xr.DataTree:
     """Return the posterior as a tree of data sets.
 
-    Groups: ``posterior`` (chain, draw) holds *equally weighted* draws, to which ArviZ's functions apply
-    directly; ``weighted_posterior`` (particle) the particles with their weights, log-likelihood and log prior;
-    ``prior`` (chain, draw) draws of the prior; ``observed_data`` the observed interfaces. No time is recorded: the same
-    posterior and seed yield the same content.
+    Groups: ``posterior`` (chain, draw) holds *equally weighted* draws, by default as many as there are particles, to
+    which ArviZ's functions apply directly; ``weighted_posterior`` (particle) the particles with their weights,
+    log-likelihood and log prior; ``prior`` (chain, draw) draws of the prior; ``observed_data`` the observed interfaces.
+    No time is recorded: the same posterior and seed, that of the resampling and of the draws from the prior, yield the
+    same content.
 
     With nuisance inputs, the joint reading of the posterior under uncertainty is ``posterior`` without their columns.
-    The cut reading has ``cut_posterior`` and ``weighted_cut_posterior``, the latter with the values of the nuisance
-    inputs and the log-evidence for each.
-
-    Args:
-        posterior: The weighted draws.
-        seed: Seed of the resampling and of the draws from the prior.
-        attrs: Further attributes of the root, e.g. the study's name.
-        observed: The observations that the posterior was computed from.
-        number: Number of equally weighted draws; by default as many as there are particles.
-        cut: The cut reading, if there are nuisance inputs.
+    The cut reading, if it is given, has ``cut_posterior`` and ``weighted_cut_posterior``, the latter with the values of
+    the nuisance inputs and the log-evidence for each. `attrs` are further attributes of the root, e.g. the study's
+    name.
     """
     size = posterior.number if number is None else number
     equal = posterior.equally_weighted(np.random.default_rng([seed, 0]), size)

@@ -34,9 +34,10 @@ def run_batches(
 ) -> tuple[RunRecord, ...]:
     """Return one record per run, in the order of the design: `batches`, then those that `choose` adds, one by one.
 
-    Whenever the last batch is closed and a worker is free, `choose` is called once for the next batch. It gets the
-    settled records of all batches, including failed runs, in the order of the design, but not the runs still under way.
-    When it returns an empty batch, the campaign waits for the runs under way and ends.
+    Whenever the last batch is closed and a worker is free, `choose` is called once for the next batch, in this thread,
+    while runs may be under way; it may be slow. It gets the settled records of all batches, including failed runs, in
+    the order of the design, but not the runs still under way. When it returns an empty batch, the campaign waits for
+    the runs under way and ends.
 
     A batch is closed when all of its runs are settled. So that one slow run does not hold up the others, it is also
     closed when at least half of its distinct runs are settled and all others are slow. A run is slow if its present
@@ -45,28 +46,16 @@ def run_batches(
 
     As long as no run is slow (no run is, with a `patience` of ``inf``), the batches depend only on the records and
     `choose`, not on the number of workers or the order in which runs end. If a campaign is killed and started again
-    with the batches chosen before, however many of them were saved, it goes on exactly as it would have, bit for bit,
-    provided that `choose` looks only at what a run yields and not at how long it took. Save a batch inside `choose`,
-    before returning it.
+    with the batches chosen before, at least one, however many of them were saved, it goes on exactly as it would have,
+    bit for bit, provided that `choose` looks only at what a run yields and not at how long it took. Save a batch inside
+    `choose`, before returning it.
 
     An executor that `asks_again` keeps its workers from batch to batch. Any other is called for each batch and makes
     all of its runs: the campaign waits for slow ones, whatever `patience` is.
 
-    Failed runs, runs whose process vanished, runs that go on without a driver and the ledger are as in `run_campaign`,
-    but a run that deserves another attempt is tried again at once, after those already waiting. `Progress.total` grows
-    with each batch.
-
-    Args:
-        model: The simulator.
-        batches: Batches chosen before, at least one, none of them empty.
-        choose: Function that returns the next batch, called in this thread, while runs may be under way; it may be
-            slow.
-        ledger: Ledger of this model, opened for writing; only the caller of this function writes to it.
-        executor: Executor that makes the runs.
-        on_record: Function called with each record as it arrives, including killed runs that will be tried again.
-        policy: What to do about failed runs; None leaves them out, however many there are.
-        patience: Multiple of the longest run time beyond which a run is slow.
-        maximum_attempts: Number of times that a run may take its process down.
+    All other arguments, failed runs, runs whose process vanished, runs that go on without a driver and the ledger are
+    as in `run_campaign`, but a run that deserves another attempt is tried again at once, after those already waiting.
+    `Progress.total` grows with each batch.
 
     Raises:
         CampaignStopped: The `policy` ends the campaign; finished runs are in the ledger.
