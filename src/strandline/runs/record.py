@@ -269,8 +269,9 @@ def checked(result: object, *, conditions: Collection[str], inputs: Collection[s
             sensitivities are missing or do not belong to the interfaces.
     """
     simulation = Simulation.of(result) if isinstance(result, Interface) else result
-    found = simulation.interfaces if isinstance(simulation, Simulation) else None
-    if not (isinstance(found, Mapping) and found and all(isinstance(one, Interface) for one in found.values())):
+    found: Any = getattr(simulation, "interfaces", None)
+    sound = isinstance(found, Mapping) and found and all(isinstance(one, Interface) for one in found.values())
+    if not isinstance(simulation, Simulation) or not sound:
         raise InvalidResult(
             "not_an_interface",
             f"the model returned {_described(result)}; expected a Simulation or an Interface. "

@@ -8,7 +8,7 @@ from concurrent.futures import wait as futures_wait
 from dataclasses import dataclass
 from operator import length_hint
 from threading import Event
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from strandline.models.protocol import ForwardModel
 from strandline.runs.executors.shared import Dispatcher, require_count, require_timeout
@@ -101,7 +101,7 @@ class _Crew(Dispatcher[WorkerSlot]):
 
     def hear(self, *, wait: bool) -> None:
         """Note which slots have loaded the model or made a run, or raise the error that keeps one from doing so."""
-        under_way = [*self.starting, *self.running]
+        under_way: list[Future[Any]] = [*self.starting, *self.running]
         if wait and not under_way:
             self.stopped.wait(LONGEST_WAIT_SECONDS)
         ended = futures_wait(under_way, LONGEST_WAIT_SECONDS if wait else 0.0, FIRST_COMPLETED).done
@@ -123,7 +123,8 @@ class _Crew(Dispatcher[WorkerSlot]):
     def close(self) -> None:
         """Stop the workers: the idle ones by hanging up, the others at once."""
         self.stopped.set()
-        futures_wait([*self.starting, *self.running])
+        for one in (*self.starting, *self.running):
+            one.exception()
         list(self.pool.map(WorkerSlot.close, self.slots))
         self.pool.shutdown()
 
