@@ -15,12 +15,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import log_softmax
 
-from strandline.errors import InvalidInput
 from strandline.likelihood import predicted
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted
 from strandline.runs import RunRecord
 from strandline.smc import SMCSettings, sample
+from strandline.smc.records import require
 from strandline.surrogate import LogLikelihoodSurrogate
 
 __all__ = ["SAMPLING", "Learnt", "Refinement", "Round", "refine", "shifts"]
@@ -50,9 +50,9 @@ class Refinement:
     temperature: float = 0.4
 
     def __post_init__(self) -> None:
-        _require(self.rounds >= 0, "rounds of the refinement", self.rounds, "0 or more")
-        _require(self.runs >= 1, "runs of a round of the refinement", self.runs, "at least 1")
-        _require(0 < self.temperature <= 1, "temperature of the refinement", self.temperature, "above 0, at most 1")
+        require(self.rounds >= 0, "rounds of the refinement", self.rounds, "0 or more")
+        require(self.runs >= 1, "runs of a round of the refinement", self.runs, "at least 1")
+        require(0 < self.temperature <= 1, "temperature of the refinement", self.temperature, "above 0, at most 1")
 
     @property
     def total(self) -> int:
@@ -215,8 +215,3 @@ def _account(before: Learnt, after: Learnt, proposal: _Proposal) -> Round:
 
 def _rms(values: Float[np.ndarray, " run"]) -> float | None:
     return float(np.sqrt(np.mean(values**2))) if len(values) else None
-
-
-def _require(right: bool, what: str, value: object, expected: str) -> None:
-    if not right:
-        raise InvalidInput(what, value=value, expected=expected, remedy="Change it and calibrate again.")

@@ -264,10 +264,7 @@ def noise_of_residuals(residuals: Float[np.ndarray, " point"], polyline: Interfa
     products = np.fft.irfft(np.abs(np.fft.rfft(values, size)) ** 2, size)[: size // 2]
     if not products[0] > 0:
         return ResidualNoise(0.0, 0.5 * spacing)
-    below = np.flatnonzero(products <= 0)
-    last = int(below[0]) if below.size else len(products)
-    length = spacing * (0.5 + float(products[1:last].sum() / products[0]))
-    return ResidualNoise(math.sqrt(float(np.mean(residuals**2))), length)
+    return _noise(residuals, products, float(products[0]), spacing)
 
 
 def noise_on_surface(residuals: Float[np.ndarray, " point"], surface: Interface) -> ResidualNoise:
@@ -285,7 +282,14 @@ def noise_on_surface(residuals: Float[np.ndarray, " point"], surface: Interface)
     first, second = np.triu_indices(len(values), 1)
     number = np.maximum(np.bincount(which), 1)
     covariance = np.bincount(which, values[first] * values[second]) / number
+    return _noise(residuals, covariance, square, h)
+
+
+def _noise(
+    residuals: Float[np.ndarray, " point"], covariance: Float[np.ndarray, " lag"], square: float, spacing: float
+) -> ResidualNoise:
+    """Return sd and ℓ = h (½ + Σ ρ), ρ the covariance at multiples of the spacing h over `square`, up to its first zero."""
     below = np.flatnonzero(covariance[1:] <= 0)
     last = 1 + int(below[0]) if below.size else len(covariance)
-    length = h * (0.5 + float(covariance[1:last].sum()) / square)
+    length = spacing * (0.5 + float(covariance[1:last].sum() / square))
     return ResidualNoise(math.sqrt(float(np.mean(residuals**2))), length)

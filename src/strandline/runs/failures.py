@@ -124,10 +124,8 @@ class FailurePolicy:
         return not record.ok and (wanted or self.aborts(record))
 
     def require_worth_going_on(self, made: Sequence[RunRecord]) -> None:
-        """Stop a campaign if nearly all of its runs fail, or the first ones by the same mistake in the model's code.
-
-        Args:
-            made: Runs that this campaign has settled so far.
+        """Stop a campaign if nearly all of the runs that it has settled so far fail, or the first ones by the same
+        mistake in the model's code.
 
         Raises:
             CampaignStopped: Nearly all runs fail; the message contains the most common kind and the last lines of one
@@ -208,11 +206,8 @@ def require_kinds(again: Iterable[str], known: Iterable[str]) -> None:
 
 
 class Outages:
-    """Counts the runs in a row that did not reach the server of `model`, and waits for it.
-
-    Args:
-        model: The simulator; one without `require_server` is left alone.
-        wait: Function that waits for some seconds.
+    """Counts the runs in a row that did not reach the server of `model`, if it has one (`require_server`), and waits
+    for it.
     """
 
     def __init__(self, model: ForwardModel, wait: Callable[[float], None] = time.sleep) -> None:

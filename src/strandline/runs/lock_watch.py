@@ -56,7 +56,12 @@ class Hold:
             LedgerError: the ledger was deleted, moved or replaced, or another driver uses it.
         """
         if _identity(self.path) != self._file:
-            raise _moved(self.path)
+            raise LedgerError(
+                f"ledger {self.path} is not the file that this run opened",
+                value="deleted, moved or replaced" if self.path.exists() else "deleted or moved",
+                expected="the ledger in its place until the run ends",
+                remedy="Put it back and run again; it holds the runs that ended before.",
+            )
         if _identity(self._lock_path) != self._lock_file:
             self._lock_again(connection, session)
 
@@ -86,15 +91,6 @@ def _identity(path: Path) -> tuple[int, int] | None:
     except OSError:
         return None
     return found.st_dev, found.st_ino
-
-
-def _moved(path: Path) -> LedgerError:
-    return LedgerError(
-        f"ledger {path} is not the file that this run opened",
-        value="deleted, moved or replaced" if path.exists() else "deleted or moved",
-        expected="the ledger in its place until the run ends",
-        remedy="Put it back and run again; it holds the runs that ended before.",
-    )
 
 
 def _taken_over(path: Path) -> LedgerError:

@@ -19,14 +19,10 @@ NARROWEST = 1e-8  # smallest standard deviation of a proposal, relative to that 
 
 
 class Moved(NamedTuple):
-    """Particles after some moves.
+    """Particles after some moves: physical positions, with log L and log p there.
 
-    Attributes:
-        positions: physical positions.
-        log_likelihood: log L there.
-        log_prior: log p there.
-        acceptance: share of accepted proposals, over all particles and moves.
-        undefined: number of proposals inside the support whose log-likelihood was NaN or +inf; they were rejected.
+    `acceptance` is the share of accepted proposals, over all particles and moves; `undefined` counts those inside the
+    support whose log-likelihood was NaN or +inf, which were rejected.
     """
 
     positions: Positions

@@ -11,7 +11,7 @@ from strandline.errors import InvalidInput
 def require(right: bool, what: str, value: object, expected: str) -> None:
     """Raise InvalidInput unless `right`."""
     if not right:
-        raise InvalidInput(what, value=value, expected=expected, remedy="Change it and sample again.")
+        raise InvalidInput(what, value=value, expected=expected, remedy="Change it and start again.")
 
 
 @dataclass(frozen=True)

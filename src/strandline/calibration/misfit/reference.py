@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.cluster.vq import kmeans2
 from scipy.linalg import block_diag
-from scipy.spatial import cKDTree
 
 from strandline.calibration.misfit.best_fit import BestFit, Residuals
 from strandline.calibration.misfit.verdict import Effort
@@ -20,7 +20,7 @@ from strandline.interface import ErrorModel, Observation, arc_lengths, steady_le
 PATCHES, FEWEST_IN_PATCH = 8, 4
 """Patches of a surface, and the fewest points of a patch on average."""
 ROUNDS = 20
-"""Most rounds in which the middles of the patches move."""
+"""Rounds in which the middles of the patches move."""
 WAVES, FEWEST_FOR_WAVE = 6, 4
 """Waves along an arc, the first one constant, and the fewest points for each."""
 TOGETHER = 0.01
@@ -47,15 +47,7 @@ def patches_of(points: Float[np.ndarray, "point 3"]) -> Int[np.ndarray, " point"
     for _ in range(count - 1):
         apart = np.minimum(apart, np.linalg.norm(points - points[chosen[-1]], axis=1))
         chosen.append(int(np.argmax(apart)))
-    middles = points[chosen]
-    which = np.zeros(len(points), dtype=int)
-    for _ in range(ROUNDS):
-        which = np.asarray(cKDTree(middles).query(points)[1], dtype=int)
-        kept = np.unique(which)
-        moved = np.stack([points[which == k].mean(axis=0) for k in kept])
-        if moved.shape == middles.shape and np.allclose(moved, middles, rtol=0, atol=1e-12 * float(np.ptp(points))):
-            break
-        middles = moved
+    which = kmeans2(points, points[chosen], iter=ROUNDS, minit="matrix")[1]
     return np.unique(which, return_inverse=True)[1].astype(int)
 
 

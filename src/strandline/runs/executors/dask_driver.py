@@ -290,7 +290,13 @@ class DaskDispatcher(Dispatcher[str]):
         self.reached = self.looked
         self.cluster.replace_the_lost()
         if self.cluster.refused is not None and not self.threads:
-            raise _refused(self.cluster.refused)
+            lines = [line for line in self.cluster.refused.splitlines() if "error" in line.lower()]
+            raise InvalidInput(
+                "the queueing system takes no job for a Dask worker",
+                value=lines[-1] if lines else self.cluster.refused,
+                expected="jobs with these cores, memory, walltime, queue and account",
+                remedy="Correct executor.dask.jobs, and run again: finished runs are kept.",
+            )
         self._forget_the_gone()
         for worker in self.threads:
             self.first_seen.setdefault(worker, self.looked)
@@ -323,13 +329,3 @@ class DaskDispatcher(Dispatcher[str]):
         self.retired[worker] = now
         with contextlib.suppress(OSError, TimeoutError):
             self.cluster.client.retire_workers([worker], close_workers=True)
-
-
-def _refused(reason: str) -> InvalidInput:
-    lines = [line for line in reason.splitlines() if "error" in line.lower()]
-    return InvalidInput(
-        "the queueing system takes no job for a Dask worker",
-        value=lines[-1] if lines else reason,
-        expected="jobs with these cores, memory, walltime, queue and account",
-        remedy="Correct executor.dask.jobs, and run again: finished runs are kept.",
-    )
