@@ -288,7 +288,7 @@ def noise_on_surface(residuals: Float[np.ndarray, " point"], surface: Interface)
 def _noise(
     residuals: Float[np.ndarray, " point"], covariance: Float[np.ndarray, " lag"], square: float, spacing: float
 ) -> ResidualNoise:
-    """Return sd and ℓ = h (½ + Σ ρ), where ρ is the covariance at multiples of h over `square`, up to its first zero."""
+    """Return sd and ℓ = h (½ + Σ ρ), ρ being the covariance at multiples of h over `square` up to its first zero."""
     below = np.flatnonzero(covariance[1:] <= 0)
     last = 1 + int(below[0]) if below.size else len(covariance)
     length = spacing * (0.5 + float(covariance[1:last].sum() / square))
