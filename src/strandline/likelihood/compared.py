@@ -44,12 +44,9 @@ class Registered:
     unit: ClassVar[str] = "1"
 
     def __call__(self, simulated: Interface, observed: Interface) -> float:
-        return float(self._values(simulated.points[None], simulated, observed)[0])
+        return float(self.many(simulated.points[None], simulated, observed)[0])
 
     def many(self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface) -> Values:
-        return self._values(points, template, observed)
-
-    def _values(self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface) -> Values:
         number = self.errors.global_errors(observed.dim)
         middle = observed.points.mean(axis=0)
 

@@ -45,26 +45,22 @@ def slope_correction(
     a James-Stein estimator: if the draws do not support a difference, the mirrored estimate stays as it is. Away from
     the bounds, which may be infinite, both are equal and nothing is added.
     """
-    blocks = np.array_split(points, max(1, -(-len(points) // _BLOCK)))
-    return np.concatenate([_slope_block(block, centres, weights, width, bounds) for block in blocks])
-
-
-def _slope_block(
-    points: Values, centres: PerCentre, weights: PerCentre, width: float, bounds: tuple[float, float]
-) -> Values:
-    below, above = ((bound - points) / width for bound in bounds)
-    mass = ndtr(above) - ndtr(below)
-    first = _normal(below) - _normal(above)
-    second = mass + _moment(below) - _moment(above)
-    z = (centres - points[:, None]) / width
-    kernel = _normal(z)
-    linear = (second[:, None] - first[:, None] * z) * kernel / (second * mass - first**2)[:, None]
-    mirrored = kernel + sum(_normal((2 * b - centres - points[:, None]) / width) for b in bounds if np.isfinite(b))
-    terms = (linear - mirrored) / width
-    difference = terms @ weights
-    variance = (terms - difference[:, None]) ** 2 @ weights**2
-    kept = np.maximum(0.0, 1.0 - variance / np.maximum(difference**2, np.finfo(float).tiny))
-    return np.asarray(kept * difference)
+    found = []
+    for block in np.array_split(points, max(1, -(-len(points) // _BLOCK))):
+        below, above = ((bound - block) / width for bound in bounds)
+        mass = ndtr(above) - ndtr(below)
+        first = _normal(below) - _normal(above)
+        second = mass + _moment(below) - _moment(above)
+        z = (centres - block[:, None]) / width
+        kernel = _normal(z)
+        linear = (second[:, None] - first[:, None] * z) * kernel / (second * mass - first**2)[:, None]
+        mirrored = kernel + sum(_normal((2 * b - centres - block[:, None]) / width) for b in bounds if np.isfinite(b))
+        terms = (linear - mirrored) / width
+        difference = terms @ weights
+        variance = (terms - difference[:, None]) ** 2 @ weights**2
+        kept = np.maximum(0.0, 1.0 - variance / np.maximum(difference**2, np.finfo(float).tiny))
+        found.append(kept * difference)
+    return np.concatenate(found)
 
 
 def _normal(z: Float[np.ndarray, "*point"]) -> Float[np.ndarray, "*point"]:
