@@ -123,8 +123,8 @@ class _Crew(Dispatcher[WorkerSlot]):
     def close(self) -> None:
         """Stop the workers: the idle ones by hanging up, the others at once."""
         self.stopped.set()
-        for one in (*self.starting, *self.running):
-            one.exception()
+        under_way: list[Future[Any]] = [*self.starting, *self.running]
+        futures_wait(under_way)
         list(self.pool.map(WorkerSlot.close, self.slots))
         self.pool.shutdown()
 

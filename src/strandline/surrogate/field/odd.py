@@ -54,7 +54,8 @@ def odd_ones(runs: Sequence[Mapping[str, Interface]], hidden: float) -> dict[int
     for name in runs[0]:
         some = {i: run[name] for i, run in enumerate(runs) if i not in odd}
         misfits = [_left_out(some, layout, hidden) for layout in _layouts(list(some.values()))]
-        odd |= min(misfits, key=len)
+        fewest: dict[int, str] = min(misfits, key=len)
+        odd |= fewest
     return odd
 
 
