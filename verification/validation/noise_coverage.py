@@ -22,7 +22,7 @@ from strandline.errors import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import FieldLikelihood
 from strandline.likelihood.compared import with_variance
-from strandline.likelihood.joint_errors import JointErrors, error_model
+from strandline.likelihood.joint_errors import JointErrors
 from strandline.likelihood.linearised_residuals import linearise
 from strandline.models.biofilm.model import Biofilm
 from strandline.numerics.threads import use_double
@@ -82,7 +82,7 @@ def _observed(field: FieldSurrogate, truth: Pair, errors: PointErrors, seed: int
 def limit(field: FieldSurrogate, seen: Interface, errors: PointErrors) -> tuple[np.ndarray, np.ndarray]:
     """Return the estimate and the standard deviations of the linearised posterior: the limit of Cramér and Rao."""
     lin = linearise(field, JointErrors((Observation(seen, errors),), (errors,)))
-    information = np.linalg.inv(lin.covariance(error_model([Observation(seen, errors)], [errors])))
+    information = np.linalg.inv(lin.covariance(JointErrors((Observation(seen, errors),), (errors,)).model))
     covariance = np.linalg.inv(information + np.diag(12 / (HIGH - LOW) ** 2))
     return lin.at, np.sqrt(np.diag(covariance))
 
