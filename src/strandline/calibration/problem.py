@@ -31,14 +31,10 @@ from strandline.typeset import html_table
 
 @dataclass(frozen=True)
 class Problem:
-    """The problem to solve.
+    """The problem to solve: the simulator, its unknown inputs with their priors, its known inputs by name, the observed
+    interface of each observed condition with its noise, and measures by name.
 
-    Args:
-        model: the simulator.
-        space: its unknown inputs with their priors.
-        fixed: its known inputs by name.
-        observations: the observed interface of each observed condition, and the noise.
-        discrepancies: measures by name. The first one defines the posterior; the others get a surrogate for comparison.
+    The first measure defines the posterior; the others get a surrogate for comparison.
     """
 
     model: ForwardModel

@@ -64,16 +64,12 @@ class Weighted:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Weighted draws of p(x, θ | Y) (paper (3a)) with the likelihood and prior of each.
+    """Weighted draws of p(x, θ | Y) (paper (3a)) with the log-likelihood and the log prior density, in physical units,
+    of each.
 
-    Args:
-        space: the inputs, in the order of the columns of `draws`.
-        draws: physical values (particle, dim).
-        log_weights: normalised log weights (particle,), normalised again if rounding was large; -inf is a particle
-            without weight.
-        log_likelihood: log-likelihood at each particle.
-        log_prior: log prior density at each particle, in physical units.
-        log_evidence: log of the integral of likelihood times prior.
+    The inputs of `space` are in the order of the columns of `draws`, physical values (particle, dim). The log weights
+    (particle,) are normalised, and normalised again if rounding was large; -inf is a particle without weight.
+    `log_evidence` is the log of the integral of likelihood times prior.
 
     Tempering with a step control near 1 ends with unequal weights: an unweighted summary of `draws` is wrong.
 

@@ -72,12 +72,10 @@ class Retry:
 class FailurePolicy:
     """What to do about failed runs: by default they are data, and only a vanished process is tried again, twice.
 
-    Args:
-        actions: Action by failure kind (``timeout``, ``exit_code``, …) or, for kinds without an entry, by state
-            (``failed``, ``invalid``, …): ``"continue"``, ``"abort"`` or a `Retry`.
-        stop_after: Number of settled runs from which on `stop_share` is checked.
-        stop_share: Share of failed runs from which on the campaign is stopped; above 1: never.
-        again: Kinds and states whose earlier failures are not final: these runs are made once more.
+    `actions` are by failure kind (``timeout``, ``exit_code``, …) or, for kinds without an entry, by state (``failed``,
+    ``invalid``, …): ``"continue"``, ``"abort"`` or a `Retry`. Once `stop_after` runs are settled, the campaign stops if
+    the share of failed ones reaches `stop_share`; above 1: never. `again` names kinds and states whose earlier failures
+    are not final: these runs are made once more.
 
     Raises:
         InvalidInput: an unknown action, or bounds that make no sense.

@@ -57,19 +57,12 @@ NOT_NOW = RunRequest("", {})
 class RunRecord:
     """The outcome of one run. Every end except `ok` is data, not an exception.
 
-    Args:
-        key: Content address of the run, see `run_key`.
-        inputs: Inputs by name.
-        state: One of `STATES`, or ``excluded``.
-        interfaces: The predicted interfaces by condition if `state` is ``ok``, else empty.
-        diagnostics: Numbers about the run; if it failed, the evidence of the failure.
-        seconds: Wall-clock time of the run.
-        failure_kind: Short machine-readable reason if the run did not end ``ok``.
-        message: The reason in words, with the last lines of the log.
-        log: End of the run's standard output and error, kept if the run did not end ``ok``.
-        origin: The ledger it was copied from; None for a run made here.
-        sensitivities: Derivatives d(points)/d(input) by condition and input, mm per unit of the input; empty if not
-            requested.
+    `key` is the content address of the run, see `run_key`, `state` one of `STATES`, or ``excluded``. The predicted
+    interfaces by condition are empty unless it ended ``ok``. `diagnostics` are numbers about the run, if it failed the
+    evidence of the failure; `seconds` are wall-clock time. If it did not end ``ok``, `failure_kind` is a short
+    machine-readable reason, `message` the reason in words, with the last lines of the log, and `log` the end of its
+    standard output and error. `origin` is the ledger that it was copied from; None for a run made here. `sensitivities`
+    are derivatives d(points)/d(input) by condition and input, mm per unit of the input; empty if not requested.
     """
 
     key: str

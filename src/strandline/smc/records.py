@@ -51,14 +51,10 @@ STUDY = SMCSettings(rejuvenation_steps=20, zeta=0.995)
 class StepInfo:
     """What one tempering step did.
 
-    Args:
-        temperature: Exponent γ of the likelihood after the step.
-        ess: Effective sample size after reweighting, before any resampling.
-        acceptance: Share of accepted moves in this step.
-        resampled: Whether the particles were resampled.
-        log_evidence_increment: Increment of the log evidence, log Σ w_i L_i^(γ' - γ).
-        covariance_scale: (a + b·mean acceptance)² used in this step, from the acceptance of the previous one; 1 in
-            the first step, as if all had been accepted.
+    `temperature` is the exponent γ of the likelihood after the step, `ess` the effective sample size after reweighting,
+    before any resampling, `acceptance` the share of accepted moves. `log_evidence_increment` is log Σ w_i L_i^(γ' - γ).
+    `covariance_scale` is (a + b·mean acceptance)² used in this step, from the acceptance of the previous one; 1 in the
+    first step, as if all had been accepted.
     """
 
     temperature: float
@@ -71,18 +67,12 @@ class StepInfo:
 
 @dataclass(frozen=True, eq=False)
 class SMCResult:
-    """Weighted particles of the posterior.
+    """Weighted particles of the posterior: physical positions with normalised log weights, log L and log p.
 
-    Args:
-        positions: physical positions; unequal weights, so every summary must be weighted.
-        log_weights: normalised log weights.
-        log_likelihood: log L at the positions.
-        log_prior: log p at the positions.
-        log_evidence: log ∫ L p dx, for the normalised prior that the initial particles were drawn from.
-        ess: effective sample size.
-        steps: what each tempering step did.
-        likelihood_evaluations: number of evaluated points, including proposals outside the support.
-        halves: the two independent runs that this is the union of, in the order of the particles; None for one run.
+    The weights are unequal, so every summary must be weighted. `log_evidence` is log ∫ L p dx, for the normalised prior
+    that the initial particles were drawn from, `ess` the effective sample size. `likelihood_evaluations` counts
+    evaluated points, including proposals outside the support. `halves` are the two independent runs that this is the
+    union of, in the order of the particles; None for one run.
     """
 
     positions: Float[np.ndarray, "particle dim"]
