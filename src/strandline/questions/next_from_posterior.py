@@ -73,7 +73,9 @@ def prospects_of(
     observer.stage("candidates")
     settings = list({key_of(one): one for candidate in candidates for one in candidate.settings}.values())
     runs = _runs(present, settings, executor, observer)
-    present = replace(present, succeeded=_succeeded(present, runs))
+    good = [record for one in runs.points for record in (one.run, *one.others) if record.ok]
+    fields = [field_of(surrogate, record.interfaces) for record in good]
+    present = replace(present, succeeded=np.array(fields) if fields else None)
     points = iter(runs.points)
     found = {key_of(one): present.prospect(one, next(points) if present.unknown(one) else None) for one in settings}
     return Prospects(present, found, runs.new, runs.reused)
@@ -227,12 +229,6 @@ def _runs(present: AfterExperiment, settings: Sequence[Setting], executor: Execu
     if not wanted:
         return Runs((), 0, 0)
     return runs_at(present.study, wanted, STEP * present.now.sd, usable=usable, executor=executor, observer=observer)
-
-
-def _succeeded(present: AfterExperiment, runs: Runs) -> Float[np.ndarray, "run value"] | None:
-    surrogate = present.surrogate
-    good = [record for one in runs.points for record in (one.run, *one.others) if record.ok]
-    return np.array([field_of(surrogate, record.interfaces) for record in good]) if good else None
 
 
 def _slopes(

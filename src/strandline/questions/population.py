@@ -216,21 +216,17 @@ def population_of(specimens: Sequence[SpecimenPosterior], *, seed: int = 1) -> P
 
 
 def _require_alike(specimens: Sequence[SpecimenPosterior]) -> None:
-    if len(specimens) < FEWEST_SPECIMENS:
-        raise InvalidInput(
-            "specimens of a population",
-            value=len(specimens),
-            expected=f"at least {FEWEST_SPECIMENS}",
-            remedy="Add specimens; the posterior of each is valid without a population.",
+    number, names = len(specimens), {one.space.names for one in specimens}
+    if number < FEWEST_SPECIMENS:
+        expected, remedy = (
+            f"at least {FEWEST_SPECIMENS}",
+            "Add specimens; each posterior is valid alone.",
         )
-    names = {one.space.names for one in specimens}
+        raise InvalidInput("specimens of a population", value=number, expected=expected, remedy=remedy)
     if len(names) > 1:
-        raise InvalidInput(
-            "unknown inputs of the specimens",
-            value="; ".join(sorted(", ".join(some) for some in names)),
-            expected="the same ones for all specimens",
-            remedy="Give an input for all specimens or for none.",
-        )
+        value, expected = "; ".join(sorted(", ".join(some) for some in names)), "the same ones for all specimens"
+        remedy = "Give an input for all specimens or for none."
+        raise InvalidInput("unknown inputs of the specimens", value=value, expected=expected, remedy=remedy)
 
 
 def _sampled(mixtures: Mixtures, random: np.random.Generator) -> Weighted:

@@ -265,7 +265,8 @@ def runs_for(begin: Start, specimens: Sequence[SpecimenPosterior], number: int) 
     """Return inputs of at most `number` runs at posterior draws, which most reduce the variance of the field there."""
     of_each = max(min(OF_EACH, MOST // max(len(specimens), 1)), 1)
     step = max(len(specimens) * of_each // MOST, 1)
-    places = [_places(begin, one, of_each) for one in specimens[::step]]
+    few = [(one, one.draws[:: max(len(one.draws) // of_each, 1)][:of_each]) for one in specimens[::step]]
+    places = [begin.with_given(one.given).whole(draws) for one, draws in few]
     x = np.concatenate(places) if places else np.empty((0, begin.space.dim))
     x = x[np.exp(begin.knowledge.log_feasibility(x)) >= LEAST_FEASIBLE] if len(x) else x
     if not len(x):
@@ -285,8 +286,3 @@ def runs_for(begin: Start, specimens: Sequence[SpecimenPosterior], number: int) 
         row = covariances[:, best]
         covariances = covariances - row[:, :, None] * row[:, None, :] / variances[:, best, None, None]
     return np.asarray(x[chosen])
-
-
-def _places(begin: Start, one: SpecimenPosterior, number: int) -> Float[np.ndarray, "some dim"]:
-    draws = one.draws[:: max(len(one.draws) // number, 1)][:number]
-    return begin.with_given(one.given).whole(draws)

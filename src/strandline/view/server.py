@@ -178,11 +178,17 @@ class _Ask(_Guarded):
     async def post(self, name: str) -> None:
         """Answer a question that computes or saves; a solution of the flow does not hold up the others."""
         viewed = self.session.viewed
+
+        def save(given: dict[str, Any]) -> dict[str, Any]:
+            asked = asked_by(_part(given, "assumptions"), viewed.study)
+            folder = save_as(viewed.study, str(given.get("name") or ""), asked)
+            return {"folder": str(folder), "command": f"strandline run {folder}"}
+
         tasks: dict[str, Callable[[dict[str, Any]], Any]] = {
             "predict": lambda given: viewed.predict(_part(given, "inputs")),
             "ask": lambda given: viewed.ask(_part(given, "assumptions"), again=bool(given.get("again"))),
             "flow": lambda given: viewed.flow(_part(given, "inputs"), str(given.get("condition") or "")),
-            "save": lambda given: _saved(viewed.study, given),
+            "save": save,
         }
         if name not in tasks:
             raise HTTPError(404)
@@ -231,12 +237,6 @@ def _part(given: dict[str, Any], name: str) -> dict[str, Any]:
     found = given.get(name)
     require(found is None or isinstance(found, dict), name, found, "a JSON object", "Use the page.")
     return found or {}
-
-
-def _saved(study: Study, given: dict[str, Any]) -> dict[str, Any]:
-    """Write a new study with the assumptions that were sent."""
-    folder = save_as(study, str(given.get("name") or ""), asked_by(_part(given, "assumptions"), study))
-    return {"folder": str(folder), "command": f"strandline run {folder}"}
 
 
 def application(session: Session, access: Access) -> Application:

@@ -71,14 +71,10 @@ class ViewedStudy:
 
     def require_ledger(self) -> None:
         """Refuse a ledger that is gone although the study has results or the page has shown runs."""
-        if self.study.ledger_path.is_file() or not (self.feed.version or (self.study.folder / SUMMARY).is_file()):
-            return
-        raise InvalidStudy(
-            "the study's ledger",
-            value=f"no file {self.study.ledger_path}",
-            expected="the runs behind what is shown",
-            remedy="Copy it back from a backup, or run the study again.",
-        )
+        path, remedy = self.study.ledger_path, "Copy it back from a backup, or run the study again."
+        known = path.is_file() or not (self.feed.version or (self.study.folder / SUMMARY).is_file())
+        words = f"no file {path}", "the runs behind what is shown", remedy
+        require(known, "the study's ledger", *words, InvalidStudy)
 
     @property
     def stamp(self) -> tuple[Any, ...]:
