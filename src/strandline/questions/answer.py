@@ -40,12 +40,7 @@ class Symbol(str):
 
 @dataclass(frozen=True)
 class Table:
-    """A table of text.
-
-    Args:
-        head: Headings of its columns.
-        rows: Its cells; in a short row, the last one takes the place of all that are missing.
-    """
+    """A table of text; in a short row, the last cell takes the place of all that are missing."""
 
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -65,14 +60,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of an answer.
-
-    Args:
-        heading: Its heading.
-        table: Its table, if there is one.
-        lines: Sentences, each on a line of its own.
-        notes: What the table means, or how it was computed; on the page alone.
-    """
+    """A part of an answer: its table, sentences, each on a line of its own, and notes, which are on the page alone."""
 
     heading: str
     table: Table | None = None
@@ -84,17 +72,9 @@ class Part:
 class Answer(Generic[Found]):
     """An answer to a question about a finished study, or about several.
 
-    Args:
-        name: The question: ``what-if``, ``next``, ``coverage``, ``compare`` or ``specimens``.
-        title: Title of its page.
-        lead: What was asked.
-        sentence: The answer in a sentence.
-        remarks: What deserves attention.
-        good: Whether the answer is as one would wish.
-        parts: Tables and what they mean; the most important one comes first.
-        content: Content of its JSON file, docs/reference/files.md.
-        found: The arrays behind it.
-        page: Path of its page.
+    `lead` is what was asked, `sentence` the answer in one, `good` whether it is as one would wish. The most important
+    one of its parts comes first. `content` is that of its JSON file (docs/reference/files.md), `found` the arrays
+    behind it, `page` the path of its page.
     """
 
     name: str

@@ -191,8 +191,7 @@ def _posterior(calibration: Calibration, truth: Mapping[str, float] | None) -> I
         figure = plots.plot_joint(posterior, names, laplace=calibration.laplace, truth=truth)
         caption = (
             "Posterior: weighted hexagonal histogram of the particles with percentile lines of the kernel density "
-            "(black), the Gaussian (orange) and the Laplace approximation (green); marginals with "
-            "priors (orange dashes)."
+            "(black), the Gaussian (orange) and the Laplace approximation (green); marginals with priors (dashes)."
         )
         yield Captioned("posterior", "posterior", caption, figure)
         caption = "The particles; area and colour show the weight. After a resampling, all weights are equal."
@@ -227,8 +226,7 @@ def _under_uncertainty(calibration: Calibration, truth: Mapping[str, float] | No
     names = [space.names[i] for i in space.nuisance]
     figure = plots.plot_marginals(calibration.posterior, names, truth=truth, whole_box=True)
     caption = (
-        f"Prior of {', '.join(names)} (orange dashes), kept by the cut reading, and the joint reading's "
-        "posterior of it."
+        f"Prior of {', '.join(names)} (orange dashes), kept by the cut reading, and its posterior in the joint one."
     )
     yield Captioned("nuisance", "uncertainty", caption, figure)
 
