@@ -23,13 +23,11 @@ from strandline.studies.study_runs import settled
 from strandline.version import __version__
 
 
+OTHER = "Choose another one."
+
+
 def require(
-    right: bool,
-    what: str,
-    value: object,
-    expected: str,
-    remedy: str = "Choose another one.",
-    error: type[InvalidInput] = InvalidInput,
+    right: bool, what: str, value: object, expected: str, remedy: str = OTHER, error: type[InvalidInput] = InvalidInput
 ) -> None:
     """Refuse what is not right."""
     if not right:

@@ -218,10 +218,7 @@ def population_of(specimens: Sequence[SpecimenPosterior], *, seed: int = 1) -> P
 def _require_alike(specimens: Sequence[SpecimenPosterior]) -> None:
     number, names = len(specimens), {one.space.names for one in specimens}
     if number < FEWEST_SPECIMENS:
-        expected, remedy = (
-            f"at least {FEWEST_SPECIMENS}",
-            "Add specimens; each posterior is valid alone.",
-        )
+        expected, remedy = (f"at least {FEWEST_SPECIMENS}", "Add specimens; each posterior is valid alone.")
         raise InvalidInput("specimens of a population", value=number, expected=expected, remedy=remedy)
     if len(names) > 1:
         value, expected = "; ".join(sorted(", ".join(some) for some in names)), "the same ones for all specimens"
