@@ -22,7 +22,6 @@ from strandline.studies.study import Study
 from strandline.studies.study_runs import settled
 from strandline.version import __version__
 
-
 OTHER = "Choose another one."
 
 
