@@ -11,6 +11,8 @@ from strandline.errors import InvalidInput
 
 __all__ = ["imported", "lookup", "of_extra", "suggestion"]
 
+MISSING = "Correct the name, install the module, or put its folder on PYTHONPATH."
+
 
 def lookup(registry: Mapping[str, Any], name: str, what: str) -> Any:
     """Return an entry of `registry`, or the object that ``module:name`` names.
@@ -36,28 +38,32 @@ def lookup(registry: Mapping[str, Any], name: str, what: str) -> Any:
     )
 
 
-def imported(target: str, what: str) -> Any:
-    """Return the object ``module:name``.
+def imported(target: str, what: str, missing: str = MISSING) -> Any:
+    """Return the object ``module:name``; `missing` is the remedy if there is none.
 
     Raises:
         InvalidInput: The module does not exist, or does not define the name.
     """
     module, _, name = target.partition(":")
     if not (module and name):
-        raise _refused(what, target, "module:name, e.g. my_package.measures:Hausdorff")
+        expected = "module:name, e.g. my_package.measures:Hausdorff"
+        raise InvalidInput(what, value=target, expected=expected, remedy=missing)
     try:
         found: Any = importlib.import_module(module)
     except Exception as error:
         why = f"{type(error).__name__}: {error}"
         if isinstance(error, ModuleNotFoundError) and error.name and f"{module}.".startswith(f"{error.name}."):
-            raise _refused(what, target, f"a module that can be imported ({why})") from None
+            expected = f"a module that can be imported ({why})"
+            raise InvalidInput(what, value=target, expected=expected, remedy=missing) from None
         place = traceback.extract_tb(error.__traceback__)[-1]
-        expected = f"a module without mistakes ({why}, in {Path(place.filename).name}, line {place.lineno})"
-        raise InvalidInput(what, value=target, expected=expected, remedy="Correct the module.") from None
+        at = "" if isinstance(error, SyntaxError) else f", in {Path(place.filename).name}, line {place.lineno}"
+        more = ", or install what it imports" if isinstance(error, ModuleNotFoundError) else ""
+        expected, remedy = f"a module without mistakes ({why}{at})", f"Correct the module {module}{more}."
+        raise InvalidInput(what, value=target, expected=expected, remedy=remedy) from None
     for part in name.split("."):
         found = getattr(found, part, None)
     if found is None:
-        raise _refused(what, target, f"a name defined in {module}")
+        raise InvalidInput(what, value=target, expected=f"a name defined in {module}", remedy=f"Correct {name}.")
     return found
 
 
@@ -77,11 +83,10 @@ def of_extra(module: str, extra: str, what: str) -> Any:
 
 
 def suggestion(name: str, known: Iterable[str], otherwise: str) -> str:
-    """Return a question that suggests the known name closest to `name`; `otherwise` if none is close."""
-    close = get_close_matches(name, list(known), n=1)
-    return f"Did you mean {close[0]}?" if close else otherwise
+    """Return a question that suggests the known name closest to `name`; `otherwise` if none is close.
 
-
-def _refused(what: str, target: str, expected: str) -> InvalidInput:
-    remedy = "Correct the name, install the module, or put its folder on PYTHONPATH."
-    return InvalidInput(what, value=target, expected=expected, remedy=remedy)
+    The case of letters does not count. Words of one or two letters are close to none but themselves.
+    """
+    words = {one.lower(): one for one in known if min(len(one), len(name)) > 2 or one.lower() == name.lower()}
+    close = get_close_matches(name.lower(), words, n=1)
+    return f"Did you mean {words[close[0]]}?" if close else otherwise

@@ -31,6 +31,7 @@ from strandline.studies.keys import StudyFile
 from strandline.studies.keys.observation import ObservationFile
 from strandline.studies.keys.schema import listed
 from strandline.studies.models import build_model
+from strandline.studies.template import EXAMPLES
 from strandline.surrogate import KERNELS
 from strandline.testing.studies import BEAM_STUDY, write_study
 
@@ -122,6 +123,7 @@ def test_every_command_is_described_with_its_options():
         metavars = [argument.make_metavar(click.Context(command)) for argument in arguments]
         known[" ".join(["strandline", name, *metavars])] = options
     assert {code(row[0])[0]: {option.split()[0] for option in code(row[1])} for row in table} == known
+    assert described("reference/command-line.md", "NAME") == set(EXAMPLES)
 
 
 def every_command():

@@ -71,7 +71,10 @@ def command(folder: Path, example: str | None, observed: Path | None, **stated: 
     _require_observed(observed, stated)
     path = write_example(example or "biofilm", folder, None if observed is None else _asked(observed, stated))
     name = shlex.quote(str(folder))
-    click.echo(f"wrote {path}\nnext: strandline check {name}, then strandline run {name}")
+    click.echo(f"wrote {path}")
+    if observed is not None:
+        click.echo("adapt there: model, fixed and inputs with their comments, an example's and not read from your file")
+    click.echo(f"next: strandline check {name}, then strandline run {name}")
 
 
 def _require_own(example: str | None, others: dict[str, Any]) -> None:

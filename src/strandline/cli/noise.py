@@ -1,6 +1,6 @@
 """`strandline noise`: the errors of measured contours, as the key `noise` of study.yaml."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,12 +44,12 @@ def command(files: tuple[Path, ...], unit: str, window: float | None, reading: t
     contours = [_contour(path, unit, options) for path in paths]
     if len(contours) == 1:
         found = errors_from_roughness(contours[0], window=None if window is None else TO_MM[unit] * window)
-        _show(_of_one(found, len(contours[0].points), unit), found.errors, found.notes, unit)
+        _show(_of_one(found, len(contours[0].points), unit), found, unit)
         return
     if window is not None:
         raise _refused("--window", f"{window:g} with {len(contours)} files", "a single file", "Leave it out.")
     repeats = errors_from_repeats(contours)
-    _show(_of_several(repeats, len(contours), unit), repeats.errors, repeats.notes, unit)
+    _show(_of_several(repeats, len(contours), unit), repeats, unit)
 
 
 def _of_one(found: "Roughness", points: int, unit: str) -> str:
@@ -61,39 +61,33 @@ def _of_several(found: "Repeats", contours: int, unit: str) -> str:
     return f"{contours} contours, compared at {found.places} places {_length(found.spacing, unit)} apart"
 
 
-def _show(compared: str, errors: "PointErrors", notes: Sequence[str], unit: str) -> None:
+def _show(compared: str, found: "Roughness | Repeats", unit: str) -> None:
     """Print what was compared, the errors, remarks, and the key for study.yaml."""
+    errors = found.errors
+    alone = " (independent points: half their distance)" if errors.length < 0.501 * found.spacing else ""
     click.echo(compared)
     click.echo(f"  sd of a point along the normal: {_length(errors.sd, unit)}")
-    click.echo(f"  correlation length: {_length(errors.length, unit)}")
-    for line in _common(errors, unit):
-        click.echo(f"  {line}")
-    for note in notes:
+    click.echo(f"  correlation length: {_length(errors.length, unit)}{alone}")
+    common, units = _common(errors, unit), {"rotation": " degrees", "scale": ""}
+    if common:
+        shown = ", ".join(f"{name} {_digits(value)}{units.get(name, f' {unit}')}" for name, value in common.items())
+        click.echo(f"  common to all points of a contour, sd over the contours: {shown}")
+    for note in found.notes:
         click.echo(f"  note: {note}")
     click.echo(f"for study.yaml:\n{_key(errors, unit)}")
 
 
-def _common(errors: "PointErrors", unit: str) -> Iterator[str]:
-    """Yield a line on the errors that all points of a contour share, unless there are none."""
-    lengths = {"shift": errors.shift, "offset": errors.offset}
-    shown = [f"{name} {_length(mm, unit)}" for name, mm in lengths.items() if mm > 0]
-    shown += [f"rotation {_digits(errors.rotation)} degrees"] if errors.rotation > 0 else []
-    shown += [f"scale {_digits(errors.scale)}"] if errors.scale > 0 else []
-    if shown:
-        yield f"common to all points of a contour, sd over the contours: {', '.join(shown)}"
+def _common(errors: "PointErrors", unit: str) -> dict[str, float]:
+    """Return the errors that all points of a contour share, as the key `noise` has them."""
+    units = {"shift": _in_mm(unit), "rotation": 1.0, "scale": 1.0, "offset": _in_mm(unit)}
+    found = {name: float(getattr(errors, name)) / size for name, size in units.items()}
+    return {name: value for name, value in found.items() if value > 0}
 
 
 def _key(errors: "PointErrors", unit: str) -> str:
     """Return the key `noise` with these errors."""
-    mm = _in_mm(unit)
-    values = {
-        "shift": errors.shift / mm,
-        "rotation": errors.rotation,
-        "scale": errors.scale,
-        "offset": errors.offset / mm,
-    }
-    unknown = ", ".join(f"{name}: {_digits(value)}" for name, value in values.items() if value > 0)
-    common = f", unknown: {{{unknown}}}" if unknown else ""
+    unknown = ", ".join(f"{name}: {_digits(value)}" for name, value in _common(errors, unit).items())
+    common, mm = f", unknown: {{{unknown}}}" if unknown else "", _in_mm(unit)
     return f"noise: {{sd: {_digits(errors.sd / mm)}, length: {_digits(errors.length / mm)}, unit: {unit}{common}}}"
 
 

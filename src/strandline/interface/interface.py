@@ -187,7 +187,7 @@ class Interface:
         mine, theirs = self._shares, other._shares
         return bool(np.sum((mine - theirs[::-1]) ** 2) < np.sum((mine - theirs) ** 2))
 
-    def require_simple(self) -> None:
+    def require_simple(self, remedy: str = "Sort the points along the interface or remove the loop.") -> None:
         """Refuse a polyline that crosses or touches itself.
 
         Raises:
@@ -200,7 +200,7 @@ class Interface:
                 f"the interface crosses itself: segments {i} and {j}",
                 value=f"({place[0]:.6g}, {place[1]:.6g}) mm",
                 expected="a polyline without crossings, its points in order along the interface",
-                remedy="Sort the points along the interface or remove the loop.",
+                remedy=remedy,
             )
 
     def _require(self, dim: int) -> None:

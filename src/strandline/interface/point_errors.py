@@ -137,7 +137,7 @@ class PointErrors:
                     f"{name} of the errors of points",
                     value=f"{getattr(self, name):.4g} mm",
                     expected=f"at most the size of the observed interface, {extent:.4g} mm",
-                    remedy="Correct it, or its unit.",
+                    remedy="Correct it, its unit, or the unit of the observation.",
                 )
         whole = float(seen.lengths.sum()) if seen.dim == 2 else math.sqrt(float(seen.areas.sum()))
         if self.length > 0.5 * whole:
@@ -145,7 +145,7 @@ class PointErrors:
                 "correlation length of the errors of points",
                 value=f"{self.length:.4g} mm",
                 expected=f"at most half the length of the interface, {0.5 * whole:.4g} mm",
-                remedy="State an error that all points share as a shift, rotation, scale or offset.",
+                remedy="Correct it, its unit or that of the observation; or state a shift, rotation, scale or offset.",
             )
 
     def local_variances(self, seen: Interface) -> Float[np.ndarray, " point"]:

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from strandline.errors import InvalidInput
 from strandline.interface import Interface
 from strandline.models import refused
 from strandline.models.fingerprint import OWN, earlier_fingerprint, fingerprint
@@ -28,6 +27,8 @@ from strandline.models.protocol import (
 from strandline.registry import imported
 
 __all__ = ["PythonModel", "lies_in", "modules_of"]
+
+WHAT = "function of the Python model"
 
 
 @dataclass
@@ -201,13 +202,8 @@ def _holding(folder: Path | None, target: str) -> Path | None:
 
 def _found(target: str) -> Any:
     """Return the callable ``module:name``."""
-    what = "function of the Python model"
-    try:
-        found = imported(target, what)
-        if not callable(found):
-            module, _, name = target.partition(":")
-            raise refused(what, target, f"a callable {name} in {module}")
-    except InvalidInput as error:
-        missing = "If the module is missing, put it beside study.yaml, install it, or put its folder on PYTHONPATH."
-        raise refused(what, target, error.expected, f"Correct the name. {missing}") from None
+    missing = "Correct the name, put the module beside study.yaml, install it, or put its folder on PYTHONPATH."
+    found = imported(target, WHAT, missing)
+    if not callable(found):
+        raise refused(WHAT, target, "a function or another callable", "Correct the name.")
     return found

@@ -1,6 +1,6 @@
 """The contents of a file, whatever its format: points, cells in blocks, and data on both."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -69,6 +69,7 @@ class Contents:
         data: Arrays by name, one row per point.
         displacement: Displacement to add to the points, if the reader knows it.
         pieces: Number of the piece that each point belongs to, if the points are not one polyline.
+        lines: Number of the line, from 1, of each point, if the file is a text table.
     """
 
     points: Float[np.ndarray, "point xyz"]
@@ -76,3 +77,4 @@ class Contents:
     data: Mapping[str, Shaped[np.ndarray, "..."]] = field(default_factory=dict)
     displacement: Float[np.ndarray, "point xyz"] | None = None
     pieces: Int[np.ndarray, " point"] | None = None
+    lines: Sequence[int] = ()

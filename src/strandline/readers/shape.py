@@ -27,6 +27,7 @@ ROUNDED = 1e-6
 """Slack of the sides of a box, as a share of the size of what is read: files print about six digits."""
 LEAST_SEEN = 10
 """Fewest points that may be left if some are hidden."""
+IN_ORDER = "Put the points in order along the interface: `sort: x` does it if x grows along it, `sort: y` if y does."
 SURFACES = (".stl", ".ply")
 """Suffixes of files that hold surfaces, even plane ones."""
 DISPLACEMENT = re.compile(r"u[_:]?[xyz\d]|(.*[\W_])?(disp|d[eé]pl|deform|verschieb).*", re.IGNORECASE)
@@ -96,7 +97,7 @@ def point_sds(contents: Contents, how: Reading, name: str) -> Float[np.ndarray, 
     if not (np.isfinite(sds) & (sds > 0)).all():
         worst = int(np.argmin(np.where(np.isfinite(sds), sds, -np.inf)))
         raise refused(
-            f"{name}: standard deviation of point {int(order[worst]) + 1}",
+            f"{name}: standard deviation {_place(int(order[worst]), contents.lines)}",
             float(sds[worst] / how.factor),
             "a number above 0",
             "Correct it, or hide the point.",
@@ -106,14 +107,14 @@ def point_sds(contents: Contents, how: Reading, name: str) -> Float[np.ndarray, 
 
 def _of_table(contents: Contents, places: Points, moved: Points, how: Reading, name: str) -> Interface:
     order = _order(contents, places, how, name)
-    _require_finite(moved[order], name)
+    _require_finite(moved, order, name, contents.lines)
     chain = moved[order]
-    require_in_order(chain, name, "Put them in order along the interface; `sort` does it if x or y grows along it.")
+    require_in_order(chain, name, IN_ORDER)
     repeated = _repeats_first(chain, how)
+    polyline = Interface.polyline(chain[:-1] if repeated else chain, closed=repeated or how.closed is True)
+    polyline.require_simple(f"{IN_ORDER} Else remove the loop." if how.sort is None else "Remove the loop.")
     if not repeated and how.closed is None:
         require_clear_ends(chain, name)
-    polyline = Interface.polyline(chain[:-1] if repeated else chain, closed=repeated or how.closed is True)
-    polyline.require_simple()
     return polyline
 
 
@@ -180,8 +181,8 @@ def _one_piece(
 def _of_cells(contents: Contents, places: Points, moved: Points, how: Reading, name: str) -> Interface:
     blocks = _chosen(contents, how, name)
     used = np.unique(np.concatenate([block.nodes.ravel() for block in blocks]))
-    _require_finite(places[used], name)
-    _require_finite(moved[used], name)
+    _require_finite(places, used, name)
+    _require_finite(moved, used, name)
     blocks = cells.joined(blocks, places, name)
     lowest = min(cells.dimension(block.kind) or 0 for block in blocks)
     flat = _is_flat(places[used], how.axes) and _is_flat(moved[used], how.axes)
@@ -337,13 +338,18 @@ def _is_flat(points: Points, axes: tuple[int, int]) -> bool:
     return all(float(np.ptp(points[:, k])) <= FLATNESS * extent for k in others)
 
 
-def _require_finite(points: Points, name: str) -> None:
-    finite = np.isfinite(points).all(axis=1)
+def _place(point: int, lines: Sequence[int]) -> str:
+    """Return where a person finds a point in the file."""
+    return f"in line {lines[point]}" if lines else f"with the number {point + 1}, counted from 1,"
+
+
+def _require_finite(points: Points, chosen: Int[np.ndarray, " n"], name: str, lines: Sequence[int] = ()) -> None:
+    finite = np.isfinite(points[chosen]).all(axis=1)
     if not finite.all():
-        where = int(np.argmin(finite))
+        first = int(chosen[np.argmin(finite)])
         raise refused(
-            f"{name}: point {where} of the interface is not finite",
-            points[where].tolist(),
+            f"{name}: the point {_place(first, lines)} is not finite",
+            points[first].tolist(),
             "finite coordinates in mm",
             "Remove or correct the point.",
             kind="non_finite",

@@ -101,7 +101,8 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
     _require_no_count(name, rows, chosen)
     moved = None if how.field is None else _columns(name, rows, titles, tuple(how.field))
     data = {} if how.sd is None else {SD: _columns(name, rows, titles, (how.sd,))[:, 0]}
-    return Contents(points, data=data, displacement=moved, pieces=_pieces(rows, titles, chosen, how))
+    pieces, numbers = _pieces(rows, titles, chosen, how), [row.number for row in rows]
+    return Contents(points, data=data, displacement=moved, pieces=pieces, lines=numbers)
 
 
 def read_npy(path: Path, how: Reading, name: str) -> Contents:

@@ -21,7 +21,7 @@ PLOTLY = PANELS / "vendor" / "plotly-cartesian.min.js"
 IMPORT = re.compile(r'^import \{ (\w+(?:, \w+)*) \} from "\./([\w-]+)\.js";$', re.MULTILINE)
 EXPORT = re.compile(r"^export (?=(?:async )?function (\w+)|const (\w+))", re.MULTILINE)
 LEFT = re.compile(r"^\s*(?:import|export)\b.*", re.MULTILINE)
-NUMBER = re.compile(r"(?<!\S)[-+]?\d[\d.]*(e[-+]\d+)?(?![^\s,;)])")
+NUMBER = re.compile(r"(?<![^\s(])[-+]?\d[\d.]*(e[-+]\d+)?(?![^\s,;)])")
 PLAIN_DIGITS = 6
 """Digits up to which a number is written without a power of ten."""
 
@@ -46,10 +46,10 @@ def _environment(package: str) -> Environment:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        finalize=numbers,
     )
     environment.filters |= {
         "g": number,
-        "numbers": numbers,
         "fixed": fixed,
         "unit": lambda unit: unit_text(unit) or "–",
         "with_sd": lambda item: with_sd(item["mean"], item["sd"]),
@@ -73,9 +73,12 @@ def number(value: float | list[float] | None, digits: int = 4) -> str:
     return numbers(f"{rounded:.{max(digits, PLAIN_DIGITS)}g}")
 
 
-def numbers(text: str) -> str:
-    """Return a text whose numbers have a proper minus, and powers of ten that no line break splits; HTML as it is."""
-    return text if hasattr(text, "__html__") else NUMBER.sub(_typeset, text)
+def numbers(text: Any) -> Any:
+    """Return a text whose numbers have a proper minus, and powers of ten that no line break splits.
+
+    HTML stays as it is, as does what is no text.
+    """
+    return NUMBER.sub(_typeset, text) if isinstance(text, str) and not hasattr(text, "__html__") else text
 
 
 def _typeset(found: re.Match[str]) -> str:

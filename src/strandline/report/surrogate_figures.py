@@ -15,6 +15,7 @@ from strandline.likelihood import evaluated, predicted
 from strandline.posterior import interface_band, normal_offsets, observed_offsets, subset
 from strandline.report import plots
 from strandline.report.figure_files import Captioned
+from strandline.report.html import number
 from strandline.text import listed
 
 DRAWS = 400
@@ -109,7 +110,7 @@ def surrogate_figures(calibration: Calibration) -> Iterator[Captioned]:
         others = "all other runs" if calibration.settings.fit is None else "nine tenths of the runs, without it"
         caption = (
             f"Each run's log-likelihood as {called} predicts it from {others}.{decide} "
-            f"Root-mean-square error of the runs near the mode: {validation.loo_rms_near_mode:.3g}."
+            f"Root-mean-square error of the runs near the mode: {number(validation.loo_rms_near_mode, 3)}."
         )
         yield Captioned("leave_one_out", "surrogate", caption, axes)
     if calibration.sensitivity is not None:

@@ -130,9 +130,9 @@ def attempt(model: ForwardModel, request: RunRequest, workdir: Path) -> RunRecor
         ending = _ended(request, "invalid", "invalid_interface", str(error))
     except (Exception, SystemExit) as error:
         if _is_want_of_memory(error):
-            ending = _ended(request, "killed", "out_of_memory", _told(error))
+            ending = _ended(request, "killed", "out_of_memory", _told(error, request))
         else:
-            ending = _ended(request, "failed", "exception", _told(error))
+            ending = _ended(request, "failed", "exception", _told(error, request))
     ending = _retained(replace(ending, seconds=time.perf_counter() - begin), model, workdir)
     return with_log(ending, log)
 
@@ -214,9 +214,11 @@ def _figures(given: Mapping[str, object]) -> dict[str, float]:
     return numbers
 
 
-def _told(error: BaseException) -> str:
+def _told(error: BaseException, request: RunRequest) -> str:
     """Return type, message and the last lines of the traceback of `error`, without those of the caller."""
     reason = "".join(traceback.format_exception_only(error)).strip()
+    if isinstance(error, KeyError) and error.args and error.args[0] not in [*request.inputs]:
+        reason += f" (the model was given {', '.join(request.inputs)}; if it needs more, add it to inputs or fixed)"
     frames = [one for one in traceback.format_tb(error.__traceback__)[1:] if CALLER not in one]
     lines = "".join(frames).splitlines()[-TRACEBACK_LINES:]
     return "\n".join([reason, *lines])

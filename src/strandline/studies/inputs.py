@@ -252,7 +252,7 @@ def _require_settable(
             expected=f"a fixed quantity or a nuisance input ({', '.join(settable) or 'there is none'}), or {known}",
             remedy="Remove it: an experiment cannot set what is to be inferred."
             if calibrated
-            else suggestion(name, (*settable, *Next.model_fields), "Correct the name."),
+            else suggestion(name, (*settable, *Next.model_fields), f"Give {name} under fixed, or correct the name."),
         )
     for value in values:
         check_values({name: value}, model, "next")

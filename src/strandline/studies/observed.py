@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Interface, PointErrors
 from strandline.models.protocol import ForwardModel, declared_conditions, undeformed_interface
 from strandline.readers import Reading, read_interface, read_point_sds
+from strandline.registry import suggestion
 from strandline.studies.keys.observation import ConditionFile, ObservationFile
 from strandline.studies.parse import made, refused_at
 from strandline.studies.pictures.photographed import Photographed, photographed
@@ -158,12 +158,11 @@ def _unknown_condition(condition: str, known: tuple[str, ...]) -> InvalidStudy:
             expected="one mapping, observation: {file: …, unit: …}",
             remedy="Remove the list and `condition`, or let the model declare its `conditions`.",
         )
-    close = get_close_matches(condition, known, n=1)
     return InvalidStudy(
         "observation: the model has no such condition" if condition else "observation: the condition is not named",
         value=condition or "no name",
         expected=f"some of {', '.join(known)}",
-        remedy=f"Did you mean {close[0]}?" if close else "Give a list, - {condition: NAME, file: …, unit: …}.",
+        remedy=suggestion(condition, known, "Give a list, - {condition: NAME, file: …, unit: …}."),
     )
 
 

@@ -180,9 +180,8 @@ def _expectation(finding: Mapping[str, Any]) -> str:
 
 def _remedy(finding: Mapping[str, Any], place: str) -> str:
     """Return what to do next: add a missing key, or take the word that was probably meant."""
-    words, given = _words(finding), str(finding["input"])
-    meant = next((word for word in words if word.lower() == given.lower()), given)
-    return "Add it." if finding["type"] == "missing" else suggestion(meant, words, f"Correct {place}.")
+    given = str(finding["input"])
+    return "Add it." if finding["type"] == "missing" else suggestion(given, _words(finding), f"Correct {place}.")
 
 
 def _words(finding: Mapping[str, Any]) -> list[str]:

@@ -61,7 +61,7 @@ def test_a_study_of_an_observed_interface(tmp_path, monkeypatch, capsys):
         text = (tmp_path / name / "study.yaml").read_text("utf-8")
         assert text.startswith("# Your observed interface")
         assert "../" not in text
-    capsys.readouterr()
+    assert "\nadapt there: model, fixed and inputs " in capsys.readouterr().out
     words = refused(capsys, "init", str(tmp_path / "d"), "--example", "oct", "--observed", "my edge.csv")
     assert "one of biofilm, python, command" in words
     unknown = ["--observed", str(tmp_path / "my edge.csv"), "--unit", "mm", "--sd", "unknown"]
@@ -130,6 +130,9 @@ def test_the_noise_of_one_contour(tmp_path, capsys):
     shown = printed(capsys, "noise", str(path), "--unit", "um", "--window", "200")
     assert shown.startswith("1 contour of 300 points ")
     assert 0.6 * TRUE.sd < stated(shown).sd < 1.4 * TRUE.sd
+    assert "independent" not in shown
+    path = contours(tmp_path / "white", 1, PointErrors(0.002)) / "contour-0.csv"
+    assert " (independent points: half their distance)\n" in printed(capsys, "noise", str(path), "--unit", "um")
 
 
 INPUTS = {"E": 400.0, "tilt": 0.02, "load": 1e-5}

@@ -40,7 +40,8 @@ NUMBER = 3
 
 @pytest.fixture
 def adapter(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(written(tmp_path, {"my_adapter": RESULTS, "broken_adapter": "def f(:\n"}))
+    broken = {"broken_adapter": "def f(:\n", "lonely_adapter": "\nimport no_such_module_anywhere\n"}
+    monkeypatch.syspath_prepend(written(tmp_path, {"my_adapter": RESULTS, **broken}))
 
 
 def test_points_become_a_polyline_and_other_results_a_failure(adapter, tmp_path):
@@ -60,16 +61,18 @@ def test_inputs_and_fingerprint_are_those_of_the_function_or_its_source(adapter)
 
 
 def test_what_cannot_be_found_is_refused(adapter, tmp_path):
-    for function, words in (
-        (":simulate", "module:name"),
-        ("no_such_module_anywhere:f", "no_such_module_anywhere"),
-        ("my_adapter:NUMBER", "a callable NUMBER in my_adapter"),
-        ("broken_adapter:f", "SyntaxError"),
+    missing = "put the module beside study.yaml, install it, or put its folder on PYTHONPATH"
+    for function, words, remedy in (
+        (":simulate", "module:name", missing),
+        ("no_such_module_anywhere:f", "no_such_module_anywhere", missing),
+        ("my_adapter:NUMBER", "a function or another callable", "Correct the name."),
+        ("broken_adapter:f", "SyntaxError: invalid syntax (broken_adapter.py, line 1))", "the module broken_adapter."),
+        ("lonely_adapter:f", "in lonely_adapter.py, line 2)", "lonely_adapter, or install what it imports."),
     ):
         with pytest.raises(InvalidInput) as caught:
             PythonModel(function, folder=tmp_path)
         assert words in str(caught.value)
-        assert "put it beside study.yaml, install it, or put its folder on PYTHONPATH" in caught.value.remedy
+        assert remedy in caught.value.remedy
 
 
 BESIDE = """import beside_slope

@@ -32,6 +32,12 @@ def test_edge_pixels_row_by_row_are_refused(tmp_path):
     assert len(read(written(tmp_path, np.concatenate([drop()[::2], drop()[-1::-2]]))).points) == 120
 
 
+def test_points_in_no_order_are_refused_with_the_option_that_orders_them(tmp_path):
+    path = written(tmp_path, arc(60, 6)[[3, 0, 4, 1, 5, 2]])
+    assert "`sort: x` does it if x grows along it" in refused("crosses itself", path, "invalid_interface")
+    assert len(read(path, sort="x").points) == 6
+
+
 def test_outlines_with_near_sides_or_long_pieces_are_in_order(tmp_path):
     t = np.linspace(0, 1, 50)
     strip = np.concatenate([np.stack([t, 0 * t], axis=1), np.stack([t[::-1], 0 * t + 0.003], axis=1)])

@@ -158,7 +158,7 @@ REMEDIES = [
 def test_bad_text(tmp_path):
     for text, options, words in BAD:
         assert words in refused(r"points\.csv", written(tmp_path, text), **options)
-    refused("point 1 of", written(tmp_path, "0,0\n1,inf\n"), "non_finite")
+    refused("the point in line 3 is not finite", written(tmp_path, "x,y\n0,0\n1,inf\n"), "non_finite")
     refused("no l", written(tmp_path, "0,0\n0,0\n"), "invalid_interface")
     refused("is missing", tmp_path / "none.npy", "result_missing")
     refused("is not a file", tmp_path)

@@ -30,7 +30,7 @@ def test_a_repeated_node_that_is_not_finite_is_named(tmp_path):
     points = CUBE[TETRA.ravel()]
     points[5] = np.nan
     path = written(tmp_path / "a.vtu", points, "tetra", np.arange(24).reshape(-1, 4))
-    refused("point 5 of the interface is not finite", path, "non_finite")
+    refused("the point with the number 6, counted from 1, is not finite", path, "non_finite")
 
 
 def test_near_and_keep_choose_a_part_of_a_surface(tmp_path):

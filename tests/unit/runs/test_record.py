@@ -155,6 +155,12 @@ def test_an_exception_is_a_failure_with_a_bounded_message_that_can_be_stored():
         assert len(record.message.encode()) < 2 * MESSAGE_CHARACTERS
 
 
+def test_the_key_error_of_a_missing_input_says_what_there_is():
+    for name, words in (("w", "KeyError: 'w' (the model was given a, b; "), ("a", "KeyError: 'a'\n")):
+        message = attempt(raising(KeyError(name)), RunRequest("k", {"a": 1.0, "b": 2.0}), Path()).message
+        assert message.startswith(words)
+
+
 def test_a_lack_of_memory_and_an_interruption_are_not_the_models():
     for error in (MemoryError(), OSError(errno.ENOMEM, "no memory")):
         record = outcome(raising(error))

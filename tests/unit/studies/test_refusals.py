@@ -90,7 +90,7 @@ MODEL = """
 model: {biofilm: {}, python: {}} | model: got | exactly one entry
 model: {biofilmm: {}} | model: got biofilmm | biofilm, command, python, umbridge | mean biofilm?
 model.python.function: nowhere:f | got nowhere:f | PYTHONPATH
-model.python.function: strandline.testing.studies:bean | a name defined in strandline.testing.studies
+model.python.function: strandline.testing.studies:bean | a name defined in strandline.testing.studies. Correct bean.
 model: {python: {function: strandline.testing.studies:two_loads, sensitivities: true}} | Move the key to the top level
 """
 INPUTS = r"""
@@ -124,6 +124,8 @@ observation: {} | one of `file` with its `unit`, `image`, `stack` and `synthetic
 observation: {file: none.csv, unit: mm} | observation none.csv is missing
 observation: {synthetic: {E: 400}} | observation.synthetic: got E: 400 | tilt, load too
 observation.synthetic.E: -4; observation.synthetic.nu: 0; observation.noise: {sd: 0}; observation.noise: 0.001
+observation: {file: none.csv, unit: cm} | got cm; expected one of mm, um, µm, m. Correct observation.unit.
+observation: {file: none.csv, unit: MM} | Did you mean mm?
 observation.sort: x | only with a `file`
 observation: {file: a.csv, unit: mm, noise: {sd: 0.001}} | observation | with `synthetic` only
 discrepancy: {curents: {}} | discrepancy: got curents | Did you mean currents?
@@ -221,7 +223,7 @@ TABLE = {
 COLUMNS = """
 observation.sd: GONE | observation: {file: …, sd: COLUMN}
 noise: {sd: 3, unit: um} | the noise does not take it
-observation.sd: x | standard deviation of point 1
+observation.sd: x | standard deviation in line 2
 noise.length: unknown | State the length, or write `sd: unknown`.
 noise.model_error: true | Remove model_error and spread.
 observation.sd: GONE, observation.columns: [x, z], noise: {sd: 1} | edge.csv has no column z: got x, y, sd

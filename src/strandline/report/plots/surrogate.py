@@ -38,16 +38,17 @@ def plot_leave_one_out(
         limits = (both.min() - margin, both.max() + margin)
         ax.plot(limits, limits, color=style.BLACK, linewidth=0.8, label="agreement")
         for chosen, colour, size, label in (
-            (~near, style.GREY, 3.0, "training point"),
-            (near, style.RED, 3.5, "near the mode"),
+            (~near, style.GREY, 3.0, "other runs"),
+            (near, style.RED, 3.5, "runs near the mode"),
         ):
             if chosen.any():
                 error = None if sd is None else sd[chosen]
                 rms = float(np.sqrt(np.mean((prediction[chosen] - value[chosen]) ** 2)))
-                text = f"{label}, rms error {rms:.2g}"
+                text = f"{label}, rms error {float(f'{rms:.3g}'):g}"
                 look: Any = {"fmt": "o", "color": colour, "markersize": size, "elinewidth": 0.7, "alpha": 0.6}
                 ax.errorbar(value[chosen], prediction[chosen], error, label=text, **look)
         ax.set(aspect="equal", xlim=limits, ylim=limits)
+        ax.locator_params(nbins=5)
         ax.set(xlabel="log-likelihood", ylabel=f"{left_out} prediction of\nlog-likelihood")
         style.below(ax)
     return ax

@@ -145,7 +145,7 @@ def test_leave_one_out_reports_the_error_near_the_mode():
     prediction = value + np.array([3.0, 3.0, 0.5, -0.5])
     ax = plots.plot_leave_one_out(value, prediction, sd=np.ones(4), near_mode=near)
     rendered(ax.figure)
-    assert entries(ax) == ["agreement", "training point, rms error 3", "near the mode, rms error 0.5"]
+    assert entries(ax) == ["agreement", "other runs, rms error 3", "runs near the mode, rms error 0.5"]
 
 
 def test_a_check_shows_agreement_failures_and_the_band_in_micrometres():
