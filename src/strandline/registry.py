@@ -4,6 +4,7 @@ import importlib
 import traceback
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,26 +45,25 @@ def imported(target: str, what: str, missing: str = MISSING) -> Any:
     Raises:
         InvalidInput: The module does not exist, or does not define the name.
     """
+    refused = partial(InvalidInput, what, value=target)
     module, _, name = target.partition(":")
     if not (module and name):
-        expected = "module:name, e.g. my_package.measures:Hausdorff"
-        raise InvalidInput(what, value=target, expected=expected, remedy=missing)
+        raise refused(expected="module:name, e.g. my_package.measures:Hausdorff", remedy=missing)
     try:
         found: Any = importlib.import_module(module)
     except Exception as error:
         why = f"{type(error).__name__}: {error}"
-        if isinstance(error, ModuleNotFoundError) and error.name and f"{module}.".startswith(f"{error.name}."):
-            expected = f"a module that can be imported ({why})"
-            raise InvalidInput(what, value=target, expected=expected, remedy=missing) from None
+        absent = error.name if isinstance(error, ModuleNotFoundError) else None
+        if absent and f"{module}.".startswith(f"{absent}."):
+            raise refused(expected=f"a module that can be imported ({why})", remedy=missing) from None
         place = traceback.extract_tb(error.__traceback__)[-1]
         at = "" if isinstance(error, SyntaxError) else f", in {Path(place.filename).name}, line {place.lineno}"
-        more = ", or install what it imports" if isinstance(error, ModuleNotFoundError) else ""
-        expected, remedy = f"a module without mistakes ({why}{at})", f"Correct the module {module}{more}."
-        raise InvalidInput(what, value=target, expected=expected, remedy=remedy) from None
+        remedy = f"Correct the module {module}{', or install what it imports' if absent else ''}."
+        raise refused(expected=f"a module without mistakes ({why}{at})", remedy=remedy) from None
     for part in name.split("."):
         found = getattr(found, part, None)
     if found is None:
-        raise InvalidInput(what, value=target, expected=f"a name defined in {module}", remedy=f"Correct {name}.")
+        raise refused(expected=f"a name defined in {module}", remedy=f"Correct {name}.")
     return found
 
 

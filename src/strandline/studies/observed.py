@@ -72,16 +72,9 @@ def read_points(
         what: Name of the points in messages.
         options: How to read the file, see `strandline.readers.Reading`.
     """
-    try:
+    with refused_at():
         reading = made(Reading, {**(options or {}), "file": path.name, "unit": unit}, what)
         return read_interface(path, reading, name=f"{what} {path.name}")
-    except InvalidInput as error:
-        raise InvalidStudy(
-            error.what,
-            value=error.value,
-            expected=error.expected,
-            remedy=error.remedy,
-        ) from None
 
 
 def read_sds(path: Path, unit: str, *, options: Mapping[str, Any]) -> Float[np.ndarray, " point"] | None:
