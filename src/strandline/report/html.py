@@ -70,7 +70,7 @@ def number(value: float | list[float] | None, digits: int = 4) -> str:
     if isinstance(value, list):
         return ", ".join(number(item, digits) for item in value)
     rounded = float(f"{value:.{digits}g}") + 0.0  # without the sign of a zero
-    return numbers(f"{rounded:.{max(digits, PLAIN_DIGITS)}g}")
+    return str(numbers(f"{rounded:.{max(digits, PLAIN_DIGITS)}g}"))
 
 
 def numbers(text: Any) -> Any:
