@@ -4,7 +4,7 @@ They take a hundredth of the time of comparing interfaces, and lead a sampler ne
 weighed off against the measure itself.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -132,41 +132,8 @@ class OfMixture:
 
 
 @dataclass(frozen=True, eq=False)
-class OfOffsets:
-    """Log-likelihood by a measure that nearly follows from the signed distances; `nodes` are those simulated."""
-
-    field: NearField
-    compared: tuple[Compared, ...]
-    nodes: tuple[int, ...]
-
-    def log_likelihood(self, coefficients: Modes, tail: Tail | None = None) -> Values:
-        size = max(BLOCK // len(self.field.residuals), 1)
-        parts = [slice(k, k + size) for k in range(0, len(coefficients), size)]
-        return np.concatenate([self._block(coefficients[p], None if tail is None else tail[p]) for p in parts])
-
-    @cached_property
-    def parabola(self) -> NearParabola:
-        """The same weights everywhere: those that square and derivative of d² have at the best fit."""
-        r = self.field.residuals
-        weights = np.concatenate([one.weights(r[part]) for one, part in self._parts()])
-        factors = self.field.factors
-        gram = factors.T @ (factors * weights[:, None])
-        best = float(self.log_likelihood(self.field.at[None])[0])
-        return NearParabola(self.field, gram, best + 0.5 * float(gram[0, 0]))
-
-    def _block(self, coefficients: Modes, tail: Tail | None) -> Values:
-        offsets = self.field.offsets(coefficients, tail)
-        return np.asarray(sum(one.log_likelihood(offsets[:, part]) for one, part in self._parts()))
-
-    def _parts(self) -> Iterator[tuple["_ByOffsets", slice]]:
-        parts = places_of(len(one.observation.interface.points) for one in self.compared)
-        for one, nodes, part in zip(self.compared, self.nodes, parts, strict=True):
-            yield _ByOffsets(one, nodes), part
-
-
-@dataclass(frozen=True, eq=False)
 class _ByOffsets:
-    """log L of one observation by a measure of offsets."""
+    """log L of one observation by a measure of offsets from simulated interfaces with so many nodes."""
 
     compared: Compared
     nodes: int
@@ -188,6 +155,33 @@ class _ByOffsets:
         squares = measure.of_offsets(offsets, self.compared.observation.interface, self.nodes)
         assert squares is not None
         return squares
+
+
+@dataclass(frozen=True, eq=False)
+class OfOffsets:
+    """Log-likelihood by a measure that nearly follows from the signed distances, with the place of each observation."""
+
+    field: NearField
+    parts: tuple[tuple[_ByOffsets, slice], ...]
+
+    def log_likelihood(self, coefficients: Modes, tail: Tail | None = None) -> Values:
+        size = max(BLOCK // len(self.field.residuals), 1)
+        parts = [slice(k, k + size) for k in range(0, len(coefficients), size)]
+        return np.concatenate([self._block(coefficients[p], None if tail is None else tail[p]) for p in parts])
+
+    @cached_property
+    def parabola(self) -> NearParabola:
+        """The same weights everywhere: those that square and derivative of d² have at the best fit."""
+        r = self.field.residuals
+        weights = np.concatenate([one.weights(r[part]) for one, part in self.parts])
+        factors = self.field.factors
+        gram = factors.T @ (factors * weights[:, None])
+        best = float(self.log_likelihood(self.field.at[None])[0])
+        return NearParabola(self.field, gram, best + 0.5 * float(gram[0, 0]))
+
+    def _block(self, coefficients: Modes, tail: Tail | None) -> Values:
+        offsets = self.field.offsets(coefficients, tail)
+        return np.asarray(sum(one.log_likelihood(offsets[:, part]) for one, part in self.parts))
 
 
 def _rows(size: Float[np.ndarray, " seen"], first: int) -> Float[np.ndarray, "row seen"]:
@@ -219,7 +213,9 @@ def nearby(
         return None
     equal = JointErrors(observations, tuple(PointErrors(1.0) for _ in observations))
     field = linearise(surrogate, equal).field
-    return OfOffsets(field, each, nodes) if field.finite else None
+    places = places_of(len(seen.interface.points) for seen in observations)
+    parts = ((_ByOffsets(one, number), place) for one, number, place in zip(each, nodes, places, strict=True))
+    return OfOffsets(field, tuple(parts)) if field.finite else None
 
 
 def follows_offsets(measure: Discrepancy, observation: Observation, nodes: int) -> bool:
