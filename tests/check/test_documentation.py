@@ -19,7 +19,7 @@ from tests.doors.models.command_faults import FAULTS
 from verification.reference_page import page
 
 import strandline as sl
-from strandline.cli.main import COMMANDS
+from strandline.cli.main import COMMANDS, command_named
 from strandline.design.active import CRITERIA
 from strandline.discrepancy import DISCREPANCIES
 from strandline.models import MODELS
@@ -129,7 +129,7 @@ def test_every_command_is_described_with_its_options():
 def every_command():
     """Yield the commands with their names, those of groups as ``GROUP COMMAND``."""
     for name in COMMANDS:
-        command = importlib.import_module(f"strandline.cli.{name.replace('-', '_')}").command
+        command = command_named(name)
         if isinstance(command, click.Group):
             yield from ((f"{name} {inner}", item) for inner, item in command.commands.items())
         else:

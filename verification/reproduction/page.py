@@ -13,8 +13,8 @@ from verification.reproduction.judgement import Claim
 from verification.reproduction.truth import TruePosterior
 
 from strandline import __version__
+from strandline.files import whole_file, write_json
 from strandline.report import template
-from strandline.studies.folder import whole_file, write_json
 
 WORDS = {"map": "MAP", "mean": "mean"}
 """Names on the page for the keys of a claim's numbers."""

@@ -58,7 +58,6 @@ def command(study: Path, plot: bool, as_json: bool, widths: bool) -> None:
 
 
 def _about(study: "Study", record: "RunRecord") -> Iterator[str]:
-    """Yield what the study states: inputs, conditions, how pictures were read."""
     from strandline.report.html import small_share
     from strandline.studies.first_run import turned_lines
     from strandline.studies.pictures.shown import read_lines
@@ -98,7 +97,6 @@ def _unheard(study: "Study") -> Iterator[str]:
 
 
 def _planned(study: "Study", known: int) -> tuple[str, int]:
-    """Return a line on the planned runs, and their number."""
     refine = study.settings.refine
     rounds = f" ({study.settings.runs} and {refine.rounds} rounds of {refine.runs})" if refine.rounds else ""
     most = "at most " if study.settings.active is not None else ""
@@ -188,11 +186,11 @@ def _widths(study: "Study", record: "RunRecord", *, asked: bool) -> Iterator[str
 
 
 def _drawn(study: "Study", record: "RunRecord") -> Path:
-    """Draw observed, undeformed and simulated interface into the study folder; return the picture's path."""
+    from strandline.files import whole_file
     from strandline.models.protocol import undeformed_interface
     from strandline.report.plots import plot_conditions, plot_interfaces
     from strandline.studies.first_run import observations_of
-    from strandline.studies.folder import told_if_unwritable, whole_file
+    from strandline.studies.folder import told_if_unwritable
 
     observed, label = observations_of(study), "simulated, medians of the priors"
     reference = undeformed_interface(study.model)
@@ -210,42 +208,25 @@ def _drawn(study: "Study", record: "RunRecord") -> Path:
 
 
 def _forward_run(study: "Study") -> tuple["RunRecord", str]:
-    """Return the run at the medians of the priors, and a line about it."""
     import numpy as np
 
     from strandline.cli.forward import attempted, show_remains
-    from strandline.errors import InvalidStudy
     from strandline.models.protocol import prepare_runs
+    from strandline.studies.first_run import require_ok
+    from strandline.studies.models import differentiating
 
     medians = study.space.prior_quantiles(np.full((1, study.space.dim), 0.5))[0]
     inputs = {**study.fixed, **study.space.as_mapping(medians)}
     prepare_runs(study.model)  # its time is not the run's
-    record = attempted(_with_sensitivities(study.model), inputs)
+    record = attempted(differentiating(study.model) or study.model, inputs)
     if record.failure_kind == "no_sensitivities":
         record = attempted(study.model, inputs)
-    shown = ", ".join(f"{name} = {value:.6g}" for name, value in inputs.items())
     if not record.ok:
-        message = (record.message or "").partition("\n")[0]
         show_remains(record)
-        raise InvalidStudy(
-            "the forward run at the medians of the priors failed",
-            value=f"{record.failure_kind or record.state} at {shown}",
-            expected="a run that ends with an interface",
-            remedy=f"Look at the simulator, or move the priors to where it runs. It says: {message}",
-        )
+    require_ok(record, "at the medians of the priors")
+    shown = ", ".join(f"{name} = {value:.6g}" for name, value in inputs.items())
     figures = ", ".join(f"{name} {value:.4g}" for name, value in record.diagnostics.items())
     return record, f"forward run at {shown}: ok in {record.seconds:.1f} s{f' ({figures})' if figures else ''}"
-
-
-def _with_sensitivities(model: Any) -> Any:
-    """Return the model with sensitivities if it offers them."""
-    from strandline.errors import InvalidInput
-    from strandline.models.protocol import with_sensitivities
-
-    try:
-        return with_sensitivities(model)
-    except InvalidInput:
-        return model
 
 
 def _measured(study: "Study", record: "RunRecord") -> dict[str, float]:

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from strandline.errors import InvalidInput
+from strandline.cli import options
+from strandline.studies.folder import require_temporary, told_if_unwritable
+from strandline.text import decimal
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,16 +19,34 @@ if TYPE_CHECKING:
     from strandline.models.protocol import ForwardModel
     from strandline.runs import RunRecord
 
-from strandline.cli import options
-
 LOG_LINES = 20
+
+
+def _numbers(_context: click.Context, _option: click.Parameter, given: tuple[str, ...]) -> dict[str, float]:
+    values: dict[str, float] = {}
+    for text in given:
+        name, _, number = (part.strip() for part in text.partition("="))
+        value = decimal(number)
+        if value is None or not math.isfinite(value):
+            raise click.BadParameter(f"got {text}; expected NAME=NUMBER, such as E=400.")
+        if name in values:
+            raise click.BadParameter(f"got {name} for the second time; expected each name once.")
+        values[name] = value
+    return values
 
 
 @click.command("forward")
 @options.study
-@click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="An input or fixed quantity; repeatable.")
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="NAME=VALUE",
+    callback=_numbers,
+    help="An input or fixed quantity; repeatable.",
+)
 @click.option("--csv", "csv_path", type=click.Path(path_type=Path), help="Write the deformed interface, x,y in mm.")
-@click.option("--json", "as_json", is_flag=True, help="Print the outcome as one JSON object.")
+@options.as_json
 @click.option("--sensitivities", is_flag=True, help="Add d(interface)/d(input) to the CSV and the JSON object.")
 @click.option(
     "--vtu", type=click.Path(path_type=Path), metavar="FOLDER", help="Write flow and deformation for ParaView."
@@ -34,7 +54,7 @@ LOG_LINES = 20
 @click.option("--plot", is_flag=True, help="Draw forward.png: flow and deformation; in the folder of --vtu, or here.")
 def command(
     study: Path,
-    settings: tuple[str, ...],
+    settings: dict[str, float],
     csv_path: Path | None,
     as_json: bool,
     sensitivities: bool,
@@ -52,23 +72,26 @@ def command(
     from strandline.studies.inputs import check_complete
 
     loaded = load_study(study)
-    inputs = {**loaded.fixed, **_parsed(settings)}
+    inputs = {**loaded.fixed, **settings}
     names = (*loaded.space.names, *loaded.fixed)
     check_complete(inputs, names, loaded.model, "--set", add="Add --set {name}=VALUE.")
     model = without_failure_budget(with_sensitivities(loaded.model) if sensitivities else loaded.model)
     targets = {} if csv_path is None else _targets(csv_path, declared_conditions(model))
     for path in targets.values():
         _require_target(path)
-    if vtu is not None or plot:
-        _require_fields(model)
+    if (vtu is not None or plot) and not hasattr(model, "fields"):
+        raise click.UsageError(f"--vtu and --plot draw the `fields` of a model; {type(model).__name__} has none.")
     record = attempted(model, inputs)
     drawn = _write_fields(model, inputs, vtu, plot=plot) if record.ok and (vtu is not None or plot) else []
     if record.ok:
         for condition, path in targets.items():
             _write_csv(path, record, condition, sensitivities=sensitivities)
     if as_json:
-        slopes = _slopes(record) if sensitivities else {}
-        click.echo(json.dumps(_outcome(record, inputs, targets) | {"written": [str(p) for p in drawn]} | slopes))
+        found = _outcome(record, inputs, targets) | {"written": [str(path) for path in drawn]}
+        if sensitivities:
+            every = record.sensitivities.items()
+            found["sensitivities"] = {name: {key: one.tolist() for key, one in some.items()} for name, some in every}
+        click.echo(json.dumps(found))
     elif not record.ok:
         message = (record.message or "").partition("\n")[0]
         click.echo(f"failed after {record.seconds:.2f} s: {record.failure_kind or record.state}: {message}", err=True)
@@ -100,24 +123,12 @@ def attempted(model: "ForwardModel", inputs: Mapping[str, float]) -> "RunRecord"
     import tempfile
 
     from strandline.runs import RunRequest, attempt
-    from strandline.studies.folder import require_temporary
 
     require_temporary()
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # one solve is too small to benefit from threads
 
     with tempfile.TemporaryDirectory(prefix="strandline-") as folder:
         return attempt(model, RunRequest("", dict(inputs)), Path(folder))
-
-
-def _require_fields(model: Any) -> None:
-    """Refuse to draw a model that has no fields to show."""
-    if not hasattr(model, "fields"):
-        raise InvalidInput(
-            "--vtu and --plot",
-            value=type(model).__name__,
-            expected="a model that offers its fields, such as biofilm",
-            remedy="Leave the options out, or give the model a method `fields`.",
-        )
 
 
 def _write_fields(model: Any, inputs: Mapping[str, float], folder: Path | None, *, plot: bool) -> list[Path]:
@@ -141,26 +152,6 @@ def _write_fields(model: Any, inputs: Mapping[str, float], folder: Path | None, 
     return written
 
 
-def _parsed(settings: tuple[str, ...]) -> dict[str, float]:
-    values = {}
-    for text in settings:
-        name, _, number = text.partition("=")
-        if name.strip() in values:
-            raise InvalidInput(
-                "--set",
-                value=f"{name.strip()} for the second time",
-                expected="each name once",
-                remedy="Remove one of them.",
-            )
-        try:
-            values[name.strip()] = float(number)
-        except ValueError:
-            values[name.strip()] = math.nan
-        if not math.isfinite(values[name.strip()]):
-            raise InvalidInput("--set", value=text, expected="NAME=NUMBER, e.g. E=400", remedy="Correct the option.")
-    return values
-
-
 def _require_target(path: Path) -> None:
     """Refuse a path where no file can be created, before the run is made."""
     if path.is_dir():
@@ -171,7 +162,7 @@ def _require_target(path: Path) -> None:
         problem = "without write permission"
     else:
         return
-    raise _unwritable(f"{path}, {problem}")
+    raise click.UsageError(f"{path} is {problem}; expected a file name in a folder that can be written to.")
 
 
 def _targets(path: Path, conditions: tuple[str, ...]) -> dict[str, Path]:
@@ -201,31 +192,14 @@ def _per(unit: str | None) -> str:
     return "" if unit in ("", "1") else f" per {unit}"
 
 
-def _slopes(record: "RunRecord") -> dict[str, object]:
-    return {
-        "sensitivities": {
-            condition: {name: slope.tolist() for name, slope in by_input.items()}
-            for condition, by_input in record.sensitivities.items()
-        }
-    }
-
-
 def _write_csv(path: Path, record: "RunRecord", condition: str, *, sensitivities: bool) -> None:
     columns: dict[str, np.ndarray[Any, Any]] = {"x,y": record.interfaces[condition].points}
     if sensitivities:
         columns |= {f"dx_d{name},dy_d{name}": d for name, d in record.sensitivities[condition].items()}
     blocks = [block.tolist() for block in columns.values()]
     lines = [",".join(columns)] + [",".join(repr(v) for pair in row for v in pair) for row in zip(*blocks, strict=True)]
-    try:
+    with told_if_unwritable(path.parent):
         path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise _unwritable(f"{path}: {error.strerror}") from None
-
-
-def _unwritable(value: str) -> InvalidInput:
-    return InvalidInput(
-        "--csv", value=value, expected="a file name in a folder that can be written to", remedy="Choose another path."
-    )
 
 
 def _outcome(record: "RunRecord", inputs: Mapping[str, float], targets: Mapping[str, Path]) -> dict[str, object]:

@@ -36,7 +36,7 @@ def command(study: Path, edit: bool, condition: str | None, reference: bool) -> 
         click.echo(f"wrote {page}: open it in a browser, mark the picture, and save the marks next to study.yaml")
         return
     from strandline.studies import load_study
-    from strandline.studies.pictures.shown import IMAGE, write_pictures, write_stacks
+    from strandline.studies.pictures.shown import IMAGE, write_pictures
 
     try:
         loaded = load_study(study)
@@ -53,41 +53,45 @@ def command(study: Path, edit: bool, condition: str | None, reference: bool) -> 
             expected="`image: {file: …, path: …, solid: …}`, or `stack: {file: …, solid: …}`",
             remedy='See the guide "Your observation", docs/how-to/picture.md.',
         )
-    for one in write_pictures(loaded.folder, loaded.pictures, loaded.undeformed, measures=loaded.discrepancies):
+    for one in write_pictures(loaded):
         click.echo("\n".join([*_lines(one), *(f"  wrote {study / file}" for file in one.files)]))
-    for one in write_stacks(loaded.folder, loaded.stacks, measures=loaded.discrepancies):
-        click.echo("\n".join([*_of_stack(one), *(f"  wrote {study / file}" for file in one.files)]))
     click.echo(f"next: strandline check {study}")
 
 
 def _lines(one: "PictureFiles") -> Iterator[str]:
-    """Yield what was found in one picture."""
-    found = one.content
-    of = f"{one.condition}: " if one.condition else ""
-    yield f"{of}{found['picture']}: edge of {found['points']} points, {found['edge_length']:.4g} mm long"
-    for note in found["notes"]:
-        yield f"  {note}"
+    found, of = one.content, f"{one.condition}: " if one.condition else ""
+    if "stack" in found:
+        extent = f"{found['triangles']} triangles, {'closed' if found['closed'] else 'open'}"
+        yield f"{of}{found['stack']}: surface of {extent}"
+    else:
+        yield f"{of}{found['picture']}: edge of {found['points']} points, {found['edge_length']:.4g} mm long"
+    yield from (f"  {note}" for note in found["notes"])
     yield f"  sha256 {found['sha256']}"
-    yield from _sizes(found)
+    micrometres = {name: f"{1e3 * found[name]:.3g} µm" for name in ("sd", "length", "offset", "blur")}
+    yield f"  sd of a point along the normal: {micrometres['sd']}; correlation length: {micrometres['length']}"
+    yield f"  sd of a common offset: {micrometres['offset']}; blur: {micrometres['blur']}"
+    if "stack" in found:
+        yield f"  contrast over noise: {found['contrast_to_noise']:.3g}"
+    else:
+        yield from _of_picture(found)
+    if "outline" in found:
+        smooth = {name: f"{1e3 * found['outline'][name]:.3g} µm" for name in ("sd", "length")}
+        yield f"  smooth outline: sd of a point {smooth['sd']}, correlation length {smooth['length']};"
+        yield "  these errors are added to the noise of the observation"
+        return
+    yield "  as `noise: {sd: image, unit: um, unknown: {shift: …, rotation: …, scale: …}}` states it"
+    for name, one_of in found["noise_variance"].items():
+        said = one_of["note"] if one_of["value"] is None else f"{one_of['value']:.3g} {one_of['unit']}".strip()
+        yield f"  σ_N² for {name}: {said}"
+
+
+def _of_picture(found: Mapping[str, Any]) -> Iterator[str]:
     yield from _of_frames(found["frames"])
     yield from (
         f"  {check['verdict']}: {check['name']} {check['shown']} ({check['expected']})" for check in found["checks"]
     )
     if found["registration"] is not None:
         yield _moved(found["registration"], 1e3 * min(found["pixel_mm"]))
-    if "outline" in found:
-        smooth = {name: f"{1e3 * found['outline'][name]:.3g} µm" for name in ("sd", "length")}
-        yield f"  smooth outline: sd of a point {smooth['sd']}, correlation length {smooth['length']};"
-        yield "  these errors are added to the noise of the observation"
-        return
-    yield from _as_stated(found)
-
-
-def _sizes(found: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the errors of the points."""
-    micrometres = {name: f"{1e3 * found[name]:.3g} µm" for name in ("sd", "length", "offset", "blur")}
-    yield f"  sd of a point along the normal: {micrometres['sd']}; correlation length: {micrometres['length']}"
-    yield f"  sd of a common offset: {micrometres['offset']}; blur: {micrometres['blur']}"
 
 
 def _of_frames(found: Mapping[str, Any] | None) -> Iterator[str]:
@@ -109,26 +113,6 @@ def _pair(errors: Mapping[str, float]) -> str:
     return f"sd {1e3 * errors['sd']:.3g} µm, correlation length {1e3 * errors['length']:.3g} µm"
 
 
-def _as_stated(found: Mapping[str, Any]) -> Iterator[str]:
-    """Yield how a study states these errors."""
-    yield "  as `noise: {sd: image, unit: um, unknown: {shift: …, rotation: …, scale: …}}` states it"
-    for name, one in found["noise_variance"].items():
-        said = one["note"] if one["value"] is None else f"{one['value']:.3g} {one['unit']}".strip()
-        yield f"  σ_N² for {name}: {said}"
-
-
-def _of_stack(one: "PictureFiles") -> Iterator[str]:
-    """Yield what was found in one stack."""
-    found = one.content
-    of = f"{one.condition}: " if one.condition else ""
-    yield f"{of}{found['stack']}: surface of {found['triangles']} triangles, {'closed' if found['closed'] else 'open'}"
-    yield from (f"  {note}" for note in found["notes"])
-    yield f"  sha256 {found['sha256']}"
-    yield from _sizes(found)
-    yield f"  contrast over noise: {found['contrast_to_noise']:.3g}"
-    yield from _as_stated(found)
-
-
 def _moved(found: Mapping[str, Any], unit: float) -> str:
     """Return where the set-up is in the picture; `unit` is the smaller side of a pixel in µm."""
     right, down = (f"{unit * value:.3g}" for value in found["shift"])
@@ -137,7 +121,6 @@ def _moved(found: Mapping[str, Any], unit: float) -> str:
 
 
 def _page(study: Path, condition: str | None, *, reference: bool) -> Path:
-    """Write the page for one picture and return its path."""
     from strandline.studies.parse import parse_study
     from strandline.studies.pictures.photographed import UNDEFORMED, picture_of, reference_of
     from strandline.studies.pictures.shown import write_page
@@ -145,7 +128,6 @@ def _page(study: Path, condition: str | None, *, reference: bool) -> Path:
 
     content, _ = parse_study(study)
     undeformed = undeformed_picture(content.model)
-    if condition == UNDEFORMED and undeformed is not None:
-        return write_page(study, reference_of(undeformed) if reference else undeformed)
-    given = picture_of(content.observation, condition)
+    given = undeformed if condition == UNDEFORMED else None
+    given = given or picture_of(content.observation, condition)
     return write_page(study, reference_of(given) if reference else given)

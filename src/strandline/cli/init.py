@@ -2,32 +2,35 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from strandline.registry import suggestion
-from strandline.studies.template import EXAMPLES, OWN, write_example
+from strandline.studies.template import EXAMPLES, OWN, Observed, write_example
 
-if TYPE_CHECKING:
-    from strandline.studies.template import Observed
 
-NOT_NEGATIVE = click.FloatRange(min=0)
-QUESTIONS = {
-    "length": "Over what length along the interface do neighbouring points err together, in µm? (0: not at all)",
-    "shift": "How far may the whole interface be shifted, in µm?",
-    "rotation": "How far may it be turned, in degrees?",
-    "scale": "How wrong may its scale be, as a share? (0.005: half a per cent)",
-    "offset": "How far may all points be too far in or out, in µm? (a threshold: never 0)",
+class _Size(click.FloatRange):
+    """A number in a range, or `unknown`."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number or the word."""
+        return value if value == "unknown" else super().convert(value, param, ctx)
+
+
+NOT_NEGATIVE, SD, LENGTH = click.FloatRange(min=0), _Size(min=0, min_open=True), _Size(min=0)
+UNIT = click.Choice(["mm", "um", "m"])
+QUESTIONS: dict[str, tuple[str, click.FloatRange]] = {
+    "length": (
+        "Over what length along the interface do neighbouring points err together, in µm? (0: not at all)",
+        LENGTH,
+    ),
+    "shift": ("How far may the whole interface be shifted, in µm?", NOT_NEGATIVE),
+    "rotation": ("How far may it be turned, in degrees?", NOT_NEGATIVE),
+    "scale": ("How wrong may its scale be, as a share? (0.005: half a per cent)", NOT_NEGATIVE),
+    "offset": ("How far may all points be too far in or out, in µm? (a threshold: never 0)", NOT_NEGATIVE),
 }
 """Questions about the errors of the observed points that have a default: none."""
-
-
-def _size(ctx: click.Context | None, param: click.Parameter | None, value: Any) -> float | str | None:
-    """Return a number that is not negative, `unknown`, or None."""
-    if value is None or value == "unknown":
-        return value if value is None else "unknown"
-    return float(NOT_NEGATIVE.convert(value, param, ctx))
 
 
 class _Init(click.Command):
@@ -49,12 +52,14 @@ class _Example(click.Choice[str]):
 @click.command("init", cls=_Init)
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--example", type=_Example(list(EXAMPLES)), help="Which example to write; by default the first.")
-@click.option("--observed", type=click.Path(path_type=Path), help="Your interface: a file with a point x, y per line.")
-@click.option("--unit", type=click.Choice(["mm", "um", "m"]), help="Unit of its coordinates.")
-@click.option("--sd", callback=_size, help="Standard deviation of one of its points, in µm, or `unknown`.")
 @click.option(
-    "--length", callback=_size, help="Length over which neighbouring points err together, in µm, or `unknown`."
+    "--observed",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Your interface: a file with a point x, y per line.",
 )
+@click.option("--unit", type=UNIT, help="Unit of its coordinates.")
+@click.option("--sd", type=SD, help="Standard deviation of one of its points, in µm, or `unknown`.")
+@click.option("--length", type=LENGTH, help="Length over which neighbouring points err together, in µm, or `unknown`.")
 @click.option("--shift", type=NOT_NEGATIVE, help="Standard deviation of its position, in µm.")
 @click.option("--rotation", type=NOT_NEGATIVE, help="Standard deviation of its rotation, in degrees.")
 @click.option("--scale", type=NOT_NEGATIVE, help="Standard deviation of its scale, as a share.")
@@ -67,8 +72,13 @@ def command(folder: Path, example: str | None, observed: Path | None, **stated: 
     """
     import shlex
 
-    _require_own(example, {"observed": observed, **stated})
-    _require_observed(observed, stated)
+    given = [f"--{name}" for name, value in stated.items() if value is not None]
+    if observed is None and given:
+        raise click.UsageError(f"{' and '.join(given)}: only for an observed interface; add --observed FILE.")
+    if observed is not None and example not in (None, *OWN):
+        raise click.UsageError(
+            f"--example {example} has an observation of its own: take one of {', '.join(OWN)}, or leave out --observed."
+        )
     path = write_example(example or "biofilm", folder, None if observed is None else _asked(observed, stated))
     name = shlex.quote(str(folder))
     click.echo(f"wrote {path}")
@@ -77,72 +87,19 @@ def command(folder: Path, example: str | None, observed: Path | None, **stated: 
     click.echo(f"next: strandline check {name}, then strandline run {name}")
 
 
-def _require_own(example: str | None, others: dict[str, Any]) -> None:
-    """Refuse options about an observed interface beside an example that is about its own."""
-    from strandline.errors import InvalidStudy
-
-    given = [f"--{name}" for name, value in others.items() if value is not None]
-    if example is not None and example not in OWN and given:
-        raise InvalidStudy(
-            f"--example {example} comes with its own observation",
-            value=", ".join(given),
-            expected=f"--example alone, or one of {', '.join(OWN)}",
-            remedy=f"Take --example command for a simulator of your own, or leave out {' and '.join(given)}.",
-        )
-
-
-def _require_observed(observed: Path | None, stated: dict[str, Any]) -> None:
-    """Refuse errors without an observed interface, and a file that is not there."""
-    from strandline.errors import InvalidStudy
-
-    given = [f"--{name}" for name, value in stated.items() if value is not None]
-    if observed is None and given:
-        raise InvalidStudy(
-            f"{given[0]} describes an observed interface",
-            value="none",
-            expected="--observed FILE too",
-            remedy=f"Add --observed, or leave out {', '.join(given)}.",
-        )
-    if observed is not None and not observed.is_file():
-        raise InvalidStudy(
-            "--observed", value=str(observed), expected="a file with a point x, y per line", remedy="Correct the path."
-        )
-
-
-def _asked(observed: Path, stated: dict[str, Any]) -> "Observed":
+def _asked(observed: Path, stated: dict[str, Any]) -> Observed:
     """Return what is known about the observed interface; ask for the rest if somebody can answer."""
-    from strandline.errors import InvalidStudy
-    from strandline.studies.template import Observed
-
-    if not sys.stdin.isatty() and (stated["unit"] is None or stated["sd"] is None):
-        missing = "--unit" if stated["unit"] is None else "--sd"
-        raise InvalidStudy(
-            f"{missing} of the observed interface",
-            value="nothing",
-            expected="--unit mm and --sd 3, say: nobody is there to ask",
-            remedy=f"Add {missing}.",
-        )
     ask, found = sys.stdin.isatty(), dict(stated)
+    missing = [f"--{name}" for name in ("unit", "sd") if found[name] is None]
+    if missing and not ask:
+        raise click.UsageError(f"Nobody is there to ask: add {' and '.join(missing)}, such as --unit mm --sd 3.")
     if found["unit"] is None:
-        found["unit"] = click.prompt(
-            f"Unit of the coordinates in {observed.name}", type=click.Choice(["mm", "um", "m"])
-        )
+        found["unit"] = click.prompt(f"Unit of the coordinates in {observed.name}", type=UNIT)
     if found["sd"] is None:
         text = "How far may one point be off, as a standard deviation in µm? (`unknown`: estimate it)"
-        found["sd"] = _answer(text)
-    for name, text in QUESTIONS.items():
+        found["sd"] = click.prompt(text, type=SD)
+    for name, (text, kind) in QUESTIONS.items():
         if found[name] is None:
-            found[name] = _answer(text, default="0") if ask else 0.0
-    if found["sd"] == 0:
-        raise InvalidStudy("--sd", value=0, expected="a number above 0, or `unknown`", remedy="Correct it.")
-    for name in ("shift", "rotation", "scale", "offset"):
-        if found[name] == "unknown":
-            raise InvalidStudy(f"--{name}", value="unknown", expected="a number, 0 or above", remedy="Estimate it.")
+            found[name] = click.prompt(text, "0", type=kind) if ask else 0.0
     known: dict[str, Any] = {name: None if value == "unknown" else value for name, value in found.items()}
     return Observed(observed, **known)
-
-
-def _answer(question: str, default: str | None = None) -> float | str | None:
-    """Return the answer to a question about a size."""
-    found: float | str | None = click.prompt(question, default, value_proc=lambda typed: _size(None, None, typed))
-    return found

@@ -42,6 +42,15 @@ COMMANDS = {
     "forward": "Make one forward run at chosen inputs.",
     "serve": "Serve a study's model to other programs, by UM-Bridge.",
 }
+FILES = dict.fromkeys(("coverage", "what-if", "compare", "specimens", "posterior", "next"), "questions")
+FILES |= {"retry": "run", "report": "run", "doctor": "status", "backup": "status", "view": "serve"}
+"""Modules of the commands that are not called like them."""
+
+
+def command_named(name: str) -> click.Command:
+    """Return one of `COMMANDS`."""
+    module = importlib.import_module(f"strandline.cli.{FILES.get(name, name)}")
+    return next(one for one in vars(module).values() if isinstance(one, click.Command) and one.name == name)
 
 
 class EndedBySignal(KeyboardInterrupt):
@@ -92,11 +101,7 @@ class _LazyGroup(click.Group):
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in COMMANDS:
-            return None
-        module = importlib.import_module(f"strandline.cli.{cmd_name.replace('-', '_')}")
-        command: click.Command = module.command
-        return command
+        return command_named(cmd_name) if cmd_name in COMMANDS else None
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -185,7 +190,8 @@ def _call(command: click.Command, arguments: list[str] | None) -> Any:
         raise KeyboardInterrupt from None
     except click.UsageError as error:
         where = error.ctx.command_path if error.ctx else "strandline"
-        _end(f"{error.format_message()} See `{where} --help`.", 2)
+        told = error.format_message()
+        _end(f"{told}{'' if told.endswith(('.', '?')) else '.'} See `{where} --help`.", 2)
     except click.ClickException as error:
         _end(error.format_message(), 2)
 

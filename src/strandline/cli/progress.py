@@ -1,12 +1,13 @@
 """Progress: bars on a terminal, plain lines elsewhere; with `--verbose` also each run, step and setting."""
 
-import io
+import logging
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields, is_dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, TextIO, cast
+from typing import Any, TextIO
 
 import click
 from rich.console import Console
@@ -16,7 +17,6 @@ from strandline.calibration import Observer
 from strandline.calibration import Settings as Stated
 from strandline.calibration.progress import STAGES, part_note, run_note, step_note
 from strandline.design.active import BatchReport
-from strandline.errors import InvalidInput
 from strandline.runs import Executor, RunRecord
 from strandline.runs import Progress as Runs
 from strandline.runs.journal import note as journal_note
@@ -31,21 +31,14 @@ SECONDS_BETWEEN_LINES = 15.0
 def observing(
     *,
     quiet: bool = False,
-    log: Path | None = None,
+    log: TextIO | None = None,
     details: Callable[[Callable[[str], None]], Observer] | None = None,
     clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[Observer]:
     """Yield an observer that shows the progress of the study on standard error, nothing if `quiet`.
 
-    Args:
-        quiet: Whether to show nothing.
-        log: File to which the progress is added, a line with its time for each step.
-        details: Function that takes a function to show a line and returns an observer, which then adds its lines to
-            all that is shown and logged.
-        clock: Function that returns the seconds since some time.
-
-    Raises:
-        InvalidInput: The file cannot be written to.
+    The `log` gets a line with its time for each step. `details` takes a function that shows a line, and returns an
+    observer that adds its lines to all that is shown and logged. `clock` returns the seconds since some time.
     """
     console = Console(stderr=True)
     with ExitStack() as opened:
@@ -54,51 +47,24 @@ def observing(
         elif console.is_terminal:
             shown = opened.enter_context(_bars(console))
         else:
-            shown = _lines(console, clock)
+            shown = _lines(partial(_say, console), clock)
         if log is not None:
-            shown = _both(shown, _lines(opened.enter_context(_timed(log)), clock))
+            shown = _both(shown, _lines(_adding_to(log), clock))
         yield shown if details is None else _both(shown, details(shown.note))
 
 
-def require_log(path: Path | None) -> None:
-    """Refuse a file for the log that cannot be written to; None is no log."""
-    if path is None:
-        return
-    try:
-        path.open("a", encoding="utf-8").close()
-    except OSError as error:
-        raise InvalidInput(
-            "--log",
-            value=f"{path}: {error.strerror}",
-            expected="a file that can be written to",
-            remedy="Correct the path, or make its folder.",
-        ) from None
+def _adding_to(log: TextIO) -> Callable[[str], None]:
+    """Return a function that adds a line to a log, after the time."""
+    handler = logging.StreamHandler(log)
+    handler.setFormatter(logging.Formatter("%(asctime)s %(message)s", "%Y-%m-%d %H:%M:%S"))
 
+    def add(text: str) -> None:
+        handler.handle(logging.makeLogRecord({"msg": text}))
 
-@contextmanager
-def _timed(path: Path) -> Iterator[Console]:
-    """Yield a console that adds lines with the time to a file."""
-    require_log(path)
-    with path.open("a", encoding="utf-8", buffering=1) as file:
-        yield Console(file=cast(TextIO, _Timed(file)), no_color=True, width=10_000)
-
-
-class _Timed(io.TextIOBase):
-    """A stream that writes the time before each line."""
-
-    def __init__(self, file: TextIO) -> None:
-        self._file = file
-
-    def write(self, text: str) -> int:
-        for line in text.splitlines():
-            if line:
-                self._file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {line}\n")
-        return len(text)
+    return add
 
 
 def _both(first: Observer, second: Observer) -> Observer:
-    """Return an observer that tells two."""
-
     def of(name: str) -> Callable[..., None]:
         def tell(*given: object) -> None:
             getattr(first, name)(*given)
@@ -141,18 +107,13 @@ def _bars(console: Console) -> Iterator[Observer]:
         def batch(report: BatchReport) -> None:
             _say(progress.console, report.line)
 
-        def note(text: str) -> None:
-            _say(progress.console, text)
-
+        note = partial(_say, progress.console)
         yield Observer(stage=stage, run=run, step=step, part=part, batch=batch, note=note)
         end_stage()
 
 
-def _lines(console: Console, clock: Callable[[], float]) -> Observer:
+def _lines(say: Callable[[str], None], clock: Callable[[], float]) -> Observer:
     last, current = [clock()], [""]
-
-    def say(text: str) -> None:
-        _say(console, text)
 
     def stage(name: str) -> None:
         last[0], current[0] = clock(), name
@@ -214,7 +175,6 @@ def set_aside_lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def _run_lines(record: RunRecord, kept: Path) -> list[str]:
-    """Return how a run ended, where its folder is, and why it failed."""
     inputs = ", ".join(f"{name} = {value:.6g}" for name, value in record.inputs.items())
     state = record.state if record.ok else f"{record.state} ({record.failure_kind})"
     told = told_folder(record) or next(
@@ -232,7 +192,6 @@ def _folders(kept: Path, key: str) -> list[Path]:
 
 
 def _settings(stated: Stated, executor: Executor) -> dict[str, str]:
-    """Return the settings of each stage in words."""
     by = "the field" if stated.surrogate == "field" else f"the log-likelihood, kernel {stated.kernel}"
     found = {
         "forward": f"{stated.planned_runs} runs{' at most' if stated.active else ''} by {_in_words(executor)}",

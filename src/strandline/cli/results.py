@@ -28,17 +28,15 @@ def show(summary: Mapping[str, Any], report: Path | None, *, as_json: bool = Fal
     if as_json:
         click.echo(json.dumps(summary))
         return
-    runs, check = summary["runs"], summary["quadrature_check"]
+    runs, check, certificate = summary["runs"], summary["quadrature_check"], summary["certificate"]
+    kinds = f"({counted(runs['by_kind'])}) " if runs["by_kind"] else ""
     click.echo(
-        f"\n{summary['study']}: {runs['ok']} forward runs ok, {runs['failed']} failed {_kinds(runs['by_kind'])}"
+        f"\n{summary['study']}: {runs['ok']} forward runs ok, {runs['failed']} failed {kinds}"
         f"({runs['new']} new, {runs['reused']} reused)"
     )
     click.echo(f"{'input':>10} {'unit':>7} {'mean':>10} {'sd':>9} {'median':>10} {'5 %':>10} {'95 %':>10} {'MAP':>10}")
     for name, item in summary["inputs"].items():
-        unit = "" if item["unit"] == "1" else item["unit"]
-        figures = (item[k] for k in ("mean", "sd", "median", "q05", "q95", "map"))
-        mean, sd, *rest = (f"{value:.4g}" for value in figures)
-        click.echo(f"{name:>10} {unit:>7} {mean:>10} {sd:>9} " + " ".join(f"{text:>10}" for text in rest))
+        click.echo(_row(name, item, "" if item["unit"] == "1" else item["unit"]))
     _show_readings(summary["under_uncertainty"] or {})
     click.echo(f"log-evidence {summary['log_evidence']:.3f}; effective samples {summary['sampler']['ess']:.0f}")
     if check is not None:
@@ -49,11 +47,10 @@ def show(summary: Mapping[str, Any], report: Path | None, *, as_json: bool = Fal
     halves = summary["sampler_check"]
     if halves is not None and halves["agree"]:
         click.echo(halves["verdict"])
-    if summary["certificate"] is not None and summary["certificate"]["converged"]:
-        click.echo(_certified(summary["certificate"]))
-        click.echo(summary["certificate"]["statement"])
-        if summary["certificate"].get("fidelities"):
-            click.echo(summary["certificate"]["fidelities"]["statement"])
+    if certificate is not None and certificate["converged"]:
+        click.echo(f"{_certified(certificate)}\n{certificate['statement']}")
+        if certificate.get("fidelities"):
+            click.echo(certificate["fidelities"]["statement"])
     for warning in summary["warnings"]:
         click.echo(_warned(f"warning: {warning}"))
     seconds = ", ".join(f"{stage} {value:.1f}" for stage, value in summary["seconds"].items())
@@ -90,13 +87,12 @@ def _certified(certificate: Mapping[str, Any]) -> str:
 
 
 def _show_readings(readings: Mapping[str, Any]) -> None:
-    """Print the posterior of the calibrated inputs in both readings."""
     for reading, content in readings.items():
         click.echo(f"under uncertainty, {reading} reading (MAP: fullest of {content['map_bins']} bins per input):")
         for name, item in content["inputs"].items():
-            mean, sd, *rest = (f"{item[k]:.4g}" for k in ("mean", "sd", "median", "q05", "q95", "map"))
-            click.echo(f"{name:>10} {'':>7} {mean:>10} {sd:>9} " + " ".join(f"{text:>10}" for text in rest))
+            click.echo(_row(name, item))
 
 
-def _kinds(by_kind: Mapping[str, int]) -> str:
-    return f"({counted(by_kind)}) " if by_kind else ""
+def _row(name: str, item: Mapping[str, Any], unit: str = "") -> str:
+    mean, sd, *rest = (f"{item[key]:.4g}" for key in ("mean", "sd", "median", "q05", "q95", "map"))
+    return f"{name:>10} {unit:>7} {mean:>10} {sd:>9} " + " ".join(f"{text:>10}" for text in rest)

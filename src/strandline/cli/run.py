@@ -1,10 +1,10 @@
-"""`strandline run`: the whole study."""
+"""`strandline run`, `retry`, `report`: the whole study, failed runs again, the results again."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 import click
 from click.shell_completion import CompletionItem
@@ -41,10 +41,10 @@ def _keys(context: click.Context, option: click.Parameter, start: str) -> list[C
 @options.device
 @click.option("--detach", is_flag=True, help="Submit the runs of a SLURM array and leave; `run` again collects them.")
 @click.option("--json", "as_json", is_flag=True, help="Print the content of summary.json as one JSON object.")
-@click.option("--log", type=click.Path(path_type=Path, dir_okay=False), help="Add the progress, with times, to a file.")
+@click.option("--log", type=click.File("a", encoding="utf-8"), help="Add the progress, with times, to a file.")
 @click.option("--verbose", is_flag=True, help="Also show each run and step as it ends, and the settings of each stage.")
 @options.quiet
-def command(
+def run(
     study: Path,
     settings: tuple[str, ...],
     into: Path | None,
@@ -52,7 +52,7 @@ def command(
     device: str | None,
     detach: bool,
     as_json: bool,
-    log: Path | None,
+    log: TextIO | None,
     verbose: bool,
     quiet: bool,
 ) -> None:
@@ -64,18 +64,18 @@ def command(
     With --set it leaves STUDY as it is and runs a copy beside it, named after the settings, which takes over all runs
     that fit; the same command again goes on there.
     """
-    _require_one(verbose=verbose, quiet=quiet)
+    if verbose and quiet:
+        raise click.UsageError("--verbose shows more, --quiet less: leave one out; --log FILE keeps the progress.")
     options.use_device(device)
     from functools import partial
 
-    from strandline.cli.progress import detailed, observing, require_log, say_journal, set_aside_lines
+    from strandline.cli.progress import detailed, observing, say_journal, set_aside_lines
     from strandline.cli.results import show, shown_also_if_incomplete
     from strandline.runs.executors import with_workers
     from strandline.studies import load_study, run_study
     from strandline.studies.folder import REPORT
     from strandline.studies.provenance import results_at_hand
 
-    require_log(log)
     study = _with_settings(study, settings, into, quiet=quiet)
     loaded = load_study(study)
     if (found := results_at_hand(loaded)) is not None:
@@ -115,22 +115,8 @@ def _doubting(study: "Study", observer: "Observer") -> "Observer":
     return replace(observer, run=_run)
 
 
-def _require_one(*, verbose: bool, quiet: bool) -> None:
-    """Refuse `--verbose` with `--quiet`."""
-    from strandline.errors import InvalidInput
-
-    if verbose and quiet:
-        raise InvalidInput(
-            "--verbose shows more, --quiet shows less",
-            value="both",
-            expected="at most one of them",
-            remedy="Leave one out; with --quiet, --log FILE still keeps the progress.",
-        )
-
-
 def _with_settings(study: Path, settings: tuple[str, ...], into: Path | None, *, quiet: bool) -> Path:
     """Return the folder of the study with other values, or `study` itself if there are none."""
-    from strandline.errors import InvalidStudy
     from strandline.studies.changed_copy import changed_study
 
     if settings:
@@ -139,12 +125,7 @@ def _with_settings(study: Path, settings: tuple[str, ...], into: Path | None, *,
             click.echo(f"{', '.join(settings)}: the study in {folder}", err=True)
         return folder
     if into is not None:
-        raise InvalidStudy(
-            "--into is the folder of a study with other values",
-            value=str(into),
-            expected="--set KEY=VALUE too",
-            remedy="Add --set, or leave out --into.",
-        )
+        raise click.UsageError("--into is the folder of a copy with other values: add --set KEY=VALUE, or omit it.")
     return study
 
 
@@ -156,16 +137,13 @@ def _shortest(folder: Path) -> Path:
 
 def _submit(study: "Study", executor: "Executor", observer: "Observer") -> None:
     """Submit all runs that `study` is known to need, and print what to do next."""
-    from strandline.errors import InvalidInput
     from strandline.runs.executors.slurm_array import Detached, SlurmArray
     from strandline.studies.run import submit_study
 
     if not isinstance(executor, SlurmArray):
-        raise InvalidInput(
-            "--detach",
-            value=f"the executor {type(executor).__name__}",
-            expected="runs that go on without a driver, executor: {slurm_array: …}",
-            remedy="Leave --detach out, or choose that executor in study.yaml.",
+        raise click.UsageError(
+            f"--detach: got the executor {type(executor).__name__}; expected runs that go on without a driver, "
+            "`executor: {slurm_array: …}` in study.yaml."
         )
     try:
         submit_study(study, executor=replace(executor, detach=True), observer=observer)
@@ -192,3 +170,57 @@ def _told_what_goes_on(study: "Study", executor: "Executor") -> Iterator[None]:
             names = ",".join(batch.name for batch in known_batches(executor.folder))
             click.echo(f"runs that go on in SLURM: {number} (`scancel --name={names}` would end them)", err=True)
         raise
+
+
+@click.command("retry")
+@options.study
+@click.option(
+    "--kind",
+    "kinds",
+    multiple=True,
+    required=True,
+    metavar="KIND",
+    help="Kind of failure, or a state: failed, timeout, killed, invalid. May be given several times.",
+)
+@options.workers
+@options.quiet
+def retry(study: Path, kinds: tuple[str, ...], workers: int | None, quiet: bool) -> None:
+    """Make the runs of STUDY that failed with KIND again, then the runs still missing, then the results.
+
+    The earlier outcomes stay in the ledger; the last one of each run counts.
+    """
+    from strandline.cli.progress import say_journal
+    from strandline.runs.executors import with_workers
+    from strandline.runs.failures import require_kinds
+    from strandline.studies import load_study
+
+    loaded = load_study(study)
+    require_kinds(kinds, loaded.runs.failure_kinds)
+    say_journal(loaded, quiet=quiet)
+    policy = replace(loaded.settings.failures, again=frozenset(kinds))
+    loaded = replace(loaded, settings=replace(loaded.settings, failures=policy))
+    _run(loaded, with_workers(loaded.executor, workers), quiet=quiet)
+
+
+@click.command("report")
+@options.study
+@options.device
+@options.quiet
+def report(study: Path, device: str | None, quiet: bool) -> None:
+    """Write posterior, figures and report of STUDY again from its ledger; no forward run is made."""
+    options.use_device(device)
+    from strandline.studies import load_study
+
+    loaded = load_study(study)
+    loaded.runs.require_finished()
+    _run(loaded, loaded.executor, quiet=quiet)
+
+
+def _run(study: "Study", executor: "Executor", *, quiet: bool) -> None:
+    from strandline.cli.progress import observing
+    from strandline.cli.results import show, shown_also_if_incomplete
+    from strandline.studies import run_study
+
+    with shown_also_if_incomplete(), observing(quiet=quiet) as observer:
+        outcome = run_study(study, executor=executor, observer=observer)
+    show(outcome.summary, outcome.report)

@@ -2,27 +2,26 @@
 
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from strandline.errors import InvalidInput
-
-if TYPE_CHECKING:
-    from strandline.runs.overview import Details, Overview, Run
-
 from strandline.cli import options
+from strandline.errors import InvalidInput
+from strandline.files import read_json
+from strandline.runs.ledger_schema import EXCLUDED, LOG_TITLE
+from strandline.runs.overview import STATES, Details, Overview, Run
+from strandline.studies.folder import LEDGER, SUMMARY
 
 SHORT = 12
 """Characters of a key in the list; as few of its first characters as are unique identify a run."""
-SUFFIXES = (".csv", ".nc")
 
 
 @click.command("runs")
 @options.study
-@click.option("--state", help="Only runs of this state: ok, failed, timeout, killed, invalid, excluded or open.")
+@click.option("--state", type=click.Choice([*STATES, EXCLUDED]), help="Only runs of this state.")
 @click.option("--kind", help="Only runs that failed for this reason.")
 @click.option("--limit", type=click.IntRange(min=1), metavar="N", help="At most N, the last to be started.")
 @click.option("--show", metavar="KEY", help="Show one run in full; the first characters of its key are enough.")
@@ -50,102 +49,67 @@ def command(
     State `open`: started and not ended, under way or lost; `excluded`: by --exclude, which needs the ledger for itself.
     FILE.csv has a row per run, FILE.nc the interfaces too.
     """
-    from strandline.runs.overview import Overview
-    from strandline.studies.folder import LEDGER
-
-    _require_known(state)
-    _require_target(export)
-    if as_json and export is not None:
-        raise click.UsageError("--json prints the runs, --export writes them: give one of the two.")
-    if exclude is not None or include is not None or why is not None:
-        option = _require_one_change(exclude, include, state, kind, limit, show, export, as_json or None)
-        with Overview(study / LEDGER) as ledger:
-            run = _found(exclude or include or "", ledger.runs(), option)
-        _change(study, run.key, why, exclude=exclude is not None)
-        return
+    one = {"--show": show, "--exclude": exclude, "--include": include}
+    others = {"--state": state, "--kind": kind, "--limit": limit, "--export": export, "--json": as_json or None}
+    option = _one_run(one, others, why)
+    if export is not None and export.suffix not in (".csv", ".nc"):
+        raise click.UsageError(f"--export: got {export}; expected a file name that ends with .csv or .nc.")
     with Overview(study / LEDGER) as ledger:
-        runs = _as_used(ledger.runs(), study)
-        if show is not None:
-            _require_alone(state, kind, limit, export, as_json or None)
-            run = _found(show, runs)
-            click.echo("\n".join((*_in_full(run, ledger), *_reasons(run, study))))
+        runs, model = _as_used(ledger.runs(), study), ledger.model()
+        if option is None:
+            _list(runs, ledger, state, kind, limit, export, as_json=as_json)
             return
-        _require_kind(kind, runs)
-        chosen = [run for run in runs if state in (None, run.last.state) and kind in (None, run.last.kind)]
-        chosen = chosen[-limit:] if limit else chosen
-        if as_json:
-            click.echo(json.dumps([_as_dict(run) for run in chosen]))
-        elif export is None:
-            click.echo("\n".join((*_table(chosen), f"{len(chosen)} of {len(runs)} runs")))
-        else:
-            _export(export, chosen, ledger)
+        run = _found(one[option] or "", runs, option)
+        if show is not None:
+            click.echo("\n".join((*_in_full(run, ledger), *_reasons(run, study))))
+    if show is None:
+        _change(study, run.key, model, why or "", exclude=exclude is not None)
 
 
-def _require_known(state: str | None) -> None:
-    from strandline.runs.ledger_schema import EXCLUDED
-    from strandline.runs.overview import STATES
+def _one_run(one: Mapping[str, str | None], others: Mapping[str, object], why: str | None) -> str | None:
+    """Return the option that names a single run, if one does; refuse options that do not go with it."""
+    given = [name for name, key in one.items() if key is not None]
+    besides = [name for name, value in others.items() if value is not None]
+    if len(given) > 1 or (given and besides):
+        raise click.UsageError(f"{' and '.join([*given, *besides])} do not go together: leave out all but one.")
+    if given != ["--exclude"] and given != ["--include"] and why is not None:
+        raise click.UsageError("--why is the reason for --exclude KEY or --include KEY: add one of them.")
+    if given == ["--exclude"] and why is None:
+        raise click.UsageError('--exclude needs --why REASON, such as --why "the mesh folded over".')
+    if "--json" in besides and "--export" in besides:
+        raise click.UsageError("--json prints the runs, --export writes them: give one of the two.")
+    return given[0] if given else None
 
-    known = (*STATES, EXCLUDED)
-    if state is not None and state not in known:
-        raise InvalidInput("--state", value=state, expected=f"one of {', '.join(known)}", remedy="Correct the option.")
+
+def _list(
+    runs: Sequence[Run],
+    ledger: Overview,
+    state: str | None,
+    kind: str | None,
+    limit: int | None,
+    export: Path | None,
+    *,
+    as_json: bool,
+) -> None:
+    _require_kind(kind, runs)
+    chosen = [run for run in runs if state in (None, run.last.state) and kind in (None, run.last.kind)]
+    chosen = chosen[-limit:] if limit else chosen
+    if as_json:
+        click.echo(json.dumps([_as_dict(run) for run in chosen]))
+    elif export is None:
+        click.echo("\n".join((*_table(chosen), f"{len(chosen)} of {len(runs)} runs")))
+    else:
+        _export(export, chosen, ledger)
 
 
-def _require_kind(kind: str | None, runs: Sequence["Run"]) -> None:
-    """Refuse a kind of failure that no run has had."""
+def _require_kind(kind: str | None, runs: Sequence[Run]) -> None:
     present = sorted({attempt.kind for run in runs for attempt in run.attempts if attempt.kind})
     if kind is not None and kind not in present:
-        raise InvalidInput(
-            "--kind",
-            value=kind,
-            expected=f"one of {', '.join(present)}" if present else "a failed run; there is none",
-            remedy="`strandline status` shows the kinds and how many there are; for states there is --state.",
-        )
+        known = f"one of {', '.join(present)}" if present else "a failed run; there is none"
+        raise click.UsageError(f"--kind: got {kind}; expected {known}. For states there is --state.")
 
 
-def _require_target(export: Path | None) -> None:
-    """Refuse a file that cannot be created, before anything is read."""
-    if export is None:
-        return
-    if export.suffix not in SUFFIXES:
-        raise InvalidInput(
-            "--export",
-            value=str(export),
-            expected=f"a file name that ends with {' or '.join(SUFFIXES)}",
-            remedy="Choose one of the two formats.",
-        )
-    if export.is_dir() or not export.parent.is_dir():
-        raise InvalidInput(
-            "--export",
-            value=str(export),
-            expected="a file in a folder that exists",
-            remedy="Correct the path, or make the folder.",
-        )
-
-
-def _require_alone(*others: object) -> None:
-    if any(other is not None for other in others):
-        raise InvalidInput(
-            "--show",
-            value="another option with it",
-            expected="--show KEY alone",
-            remedy="Leave out --state, --kind, --limit, --export and --json.",
-        )
-
-
-def _require_one_change(exclude: str | None, include: str | None, *others: object) -> str:
-    """Return the option that was given; refuse both at once, --why alone, or other options with them."""
-    if (exclude is None) == (include is None) or any(other is not None for other in others):
-        raise InvalidInput(
-            "--exclude, --include and --why",
-            value="several options that do not go together, or --why alone",
-            expected="either --exclude KEY --why REASON or --include KEY",
-            remedy="Give one of the two, without options that list, show or export runs.",
-        )
-    return "--exclude" if include is None else "--include"
-
-
-def _found(key: str, runs: Sequence["Run"], option: str = "--show") -> "Run":
-    """Return the run whose key begins with `key`."""
+def _found(key: str, runs: Sequence[Run], option: str) -> Run:
     matching = [run for run in runs if key and run.key.startswith(key)]
     if len(matching) != 1:
         raise InvalidInput(
@@ -157,8 +121,7 @@ def _found(key: str, runs: Sequence["Run"], option: str = "--show") -> "Run":
     return matching[0]
 
 
-def _table(runs: Sequence["Run"]) -> Iterator[str]:
-    """Yield a heading and a line for each run, in columns."""
+def _table(runs: Sequence[Run]) -> Iterator[str]:
     inputs = [run.inputs for run in runs]
     names = list(dict.fromkeys(name for some in inputs for name in some))
     rows = [("key", "state", "kind", "seconds", *names)]
@@ -173,7 +136,7 @@ def _table(runs: Sequence["Run"]) -> Iterator[str]:
         yield "  ".join([*cells, *(text.rjust(width) for text, width in zip(right, widths[3:], strict=True))])
 
 
-def _as_dict(run: "Run") -> dict[str, Any]:
+def _as_dict(run: Run) -> dict[str, Any]:
     last = run.last
     return {
         "key": run.key,
@@ -188,7 +151,7 @@ def _as_dict(run: "Run") -> dict[str, Any]:
     }
 
 
-def _in_full(run: "Run", ledger: "Overview") -> Iterator[str]:
+def _in_full(run: Run, ledger: Overview) -> Iterator[str]:
     """Yield everything known about a run except its interface; if it is open again, about its last outcome."""
     ended = run.outcome
     started = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(run.last.started_at))
@@ -211,30 +174,23 @@ def _in_full(run: "Run", ledger: "Overview") -> Iterator[str]:
             yield from (f"  {line}" for line in text.splitlines())
 
 
-def _without_log(details: "Details") -> str:
+def _without_log(details: Details) -> str:
     """Return the message without the last lines of the log if the whole log is printed after it."""
-    from strandline.runs.ledger_schema import LOG_TITLE
-
     message, _, lines = details.message.rpartition(f"\n{LOG_TITLE}\n")
     return message if message and details.log.endswith(lines) else details.message
 
 
-def _export(path: Path, runs: Sequence["Run"], ledger: "Overview") -> None:
-    """Write the runs to `path` and print a line about it."""
+def _export(path: Path, runs: Sequence[Run], ledger: Overview) -> None:
     from strandline.studies.export import write_csv, write_netcdf
 
     if not runs:
-        raise InvalidInput(
-            "--export", value="no run", expected="at least one run", remedy="Change --state and --kind, or run first."
-        )
+        raise click.UsageError("--export: there is no such run; change --state and --kind, or run the study first.")
     note = write_csv(path, runs, ledger) if path.suffix == ".csv" else write_netcdf(path, runs, ledger)
     click.echo(f"wrote {path}: {len(runs)} runs{note}")
 
 
-def _as_used(runs: Sequence["Run"], folder: Path) -> list["Run"]:
+def _as_used(runs: Sequence[Run], folder: Path) -> list[Run]:
     """Return the runs with the state that the analysis gives them: excluded by hand, or set aside as invalid."""
-    from strandline.runs.ledger_schema import EXCLUDED
-
     kinds = {key: kind for key, (kind, _) in _set_aside(folder).items()}
     out = []
     for run in runs:
@@ -246,8 +202,7 @@ def _as_used(runs: Sequence["Run"], folder: Path) -> list["Run"]:
     return out
 
 
-def _reasons(run: "Run", folder: Path) -> Iterator[str]:
-    """Yield why a run is left out."""
+def _reasons(run: Run, folder: Path) -> Iterator[str]:
     if run.exclusion is not None:
         when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(run.exclusion.decided_at))
         yield f"excluded: {when}, {run.exclusion.why}"
@@ -256,36 +211,26 @@ def _reasons(run: "Run", folder: Path) -> Iterator[str]:
         yield f"set aside by the last analysis: {kind}, {why}"
 
 
-def _change(folder: Path, key: str, why: str | None, *, exclude: bool) -> None:
+def _change(folder: Path, key: str, model: str | None, why: str, *, exclude: bool) -> None:
     """Exclude the run with this key, or include it again, and print what was done."""
     from strandline.runs import Ledger
-    from strandline.studies.folder import LEDGER
 
-    if exclude and why is None:
-        raise InvalidInput(
-            "--exclude", value="no reason", expected="--why REASON too", remedy='Add --why "the mesh folded over".'
-        )
-    path = folder / LEDGER
-    with Ledger.open(path, model=None, read_only=True) as reader:
-        model = reader.model
-    with Ledger.open(path, model=model) as ledger:
-        ledger.exclude(key, why or "") if exclude else ledger.include(key, why or "")
+    with Ledger.open(folder / LEDGER, model=model) as ledger:
+        ledger.exclude(key, why) if exclude else ledger.include(key, why)
     done = "excluded: it is not used and not made again" if exclude else "included again"
-    click.echo(f"run {key[:12]} is {done}; `strandline run {folder}` makes the results again")
+    click.echo(f"run {key[:SHORT]} is {done}; `strandline run {folder}` makes the results again")
 
 
-def _ending(run: "Run", state: str, kind: str) -> "Run":
+def _ending(run: Run, state: str, kind: str) -> Run:
     return run._replace(attempts=(*run.attempts[:-1], run.last._replace(state=state, kind=kind)))
 
 
 def _set_aside(folder: Path) -> dict[str, tuple[str, str]]:
     """Return kind and reason of the runs that the last analysis of study.yaml did not use at all, by key."""
-    from strandline.studies.folder import SUMMARY
-
+    summary = read_json(folder / SUMMARY)
     try:
-        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
         first = summary["likelihood"]["discrepancy"]
         some = [one for one in summary["set_aside"] if one["measure"] in (None, first)]
         return {one["key"]: (one["kind"], one["why"]) for one in some}
-    except (OSError, ValueError, KeyError, TypeError):
+    except (KeyError, TypeError):
         return {}

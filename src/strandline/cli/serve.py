@@ -1,9 +1,9 @@
-"""`strandline serve`: a study's model for other programs, by UM-Bridge."""
+"""`strandline serve`, `view`: a study's model for other programs, by UM-Bridge, and a study in the browser."""
 
-import dataclasses
 import signal
+import webbrowser
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -26,7 +26,7 @@ from strandline.cli import options
 )
 @click.option("--allow-origin", "origins", multiple=True, metavar="URL", help="A web page that may ask; repeatable.")
 @click.option("--outside", is_flag=True, help="Answer for inputs outside the boxes of the priors too.")
-def command(
+def serve(
     study: Path,
     port: int,
     host: str,
@@ -64,10 +64,11 @@ def command(
 
 def _solvers(study: "Study", workers: int) -> list["Solver"]:
     """Return a solver for plain runs and, if the model has sensitivities, one for runs with them."""
-    from strandline.studies.serve import Solver, differentiating
+    from strandline.studies.check import plain_model
+    from strandline.studies.models import differentiating
+    from strandline.studies.serve import Solver
 
-    model: Any = study.model
-    plain = dataclasses.replace(model, sensitivities=False) if study.sensitivities else model
+    plain = plain_model(study)
     models = [plain, differentiating(plain)]
     timeout = getattr(study.executor, "timeout", None)
     return [Solver(model, workers=workers, timeout=timeout) for model in models if model is not None]
@@ -89,3 +90,29 @@ def _announce(study: "Study", server: "UMBridgeServer", host: str) -> None:
         sizes = " and ".join(str(size) for size in model.output_sizes)
         features = ", ".join(name for name, offered in model.support.items() if offered)
         click.echo(f"  {model.name}: {sizes} number{'s' if sizes != '1' else ''}; {features}")
+
+
+@click.command("view")
+@options.study
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="To listen on; by default any free one.")
+@click.option("--no-browser", is_flag=True, help="Print the address only.")
+def view(study: Path, port: int, no_browser: bool) -> None:
+    """Show STUDY in the browser, until Ctrl-C: runs, posterior, interfaces, and what its assumptions do.
+
+    The page changes nothing in the study. It answers on this machine alone, to whoever has its address.
+    """
+    from strandline.studies import load_study
+    from strandline.view import Server
+
+    server = Server(load_study(study), port=port)
+
+    def started() -> None:
+        click.echo(f"{study}: {server.url}")
+        click.echo(f"Ctrl-C ends. From another machine: ssh -L {server.port}:localhost:{server.port} THIS_MACHINE")
+        if not no_browser:
+            webbrowser.open(server.url)
+
+    try:
+        server.run(started)
+    except KeyboardInterrupt:
+        click.echo("stopped", err=True)

@@ -1,7 +1,9 @@
-"""`strandline status`: how far a study has got."""
+"""`strandline status`, `doctor`, `backup`: how far a study has got, what is wrong with it, a copy of its ledger."""
 
 import json
+import sqlite3
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +13,7 @@ if TYPE_CHECKING:
     from strandline.studies.progress import RunReported, StudyProgress
 
 from strandline.cli import options
+from strandline.errors import InvalidInput
 
 RESULTS = {"none": "not yet", "current": "written", "outdated": "of an earlier study.yaml"}
 LINE = 160
@@ -19,7 +22,7 @@ LINE = 160
 @click.command("status")
 @options.study
 @options.as_json
-def command(study: Path, as_json: bool) -> None:
+def status(study: Path, as_json: bool) -> None:
     """Count the runs of STUDY by how they ended; show the pace, the slowest run, and why runs failed.
 
     It may be running meanwhile.
@@ -60,7 +63,6 @@ def lines_of(state: "StudyProgress") -> Iterator[str]:
 
 
 def _driver(state: "StudyProgress") -> str:
-    """Return a line on the driver and its pace."""
     driver = state.driver
     if driver is None:
         return "no driver yet"
@@ -88,3 +90,49 @@ def _time(seconds: float) -> str:
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+@click.command("doctor")
+@options.study
+def doctor(study: Path) -> None:
+    """Look for damage, gaps and drift in STUDY, and say what to do about each; change nothing.
+
+    Exit code 0: sound; 1: something was found.
+    """
+    from strandline.studies.doctor import examine
+
+    found = examine(study)
+    for finding in found:
+        click.echo(f"{finding.what}\n  -> {finding.remedy}")
+    click.echo("sound: nothing found" if not found else f"{len(found)} found")
+    if found:
+        raise SystemExit(1)
+
+
+@click.command("backup")
+@options.study
+@click.argument("file", type=click.Path(path_type=Path))
+def backup(study: Path, file: Path) -> None:
+    """Copy the ledger of STUDY to FILE, which must not exist; it may be running meanwhile.
+
+    To restore it, copy FILE to ledger.sqlite in the study folder while nothing is running there.
+    """
+    from strandline.runs.ledger_schema import copied, opened_for_reading
+    from strandline.runs.overview import Overview
+    from strandline.studies.folder import LEDGER
+
+    if file.exists() or not file.parent.is_dir():
+        raise click.UsageError(f"FILE: got {file}; expected a file that does not exist, in a folder that does.")
+    with Overview(study / LEDGER) as ledger:
+        number = len(ledger.runs())
+    try:
+        with closing(opened_for_reading(study / LEDGER)) as connection:
+            copied(connection, file)
+    except (OSError, sqlite3.Error) as error:
+        raise InvalidInput(
+            "FILE of the backup",
+            value=f"{file}: {error}",
+            expected="a folder that can be written to, with room on the disk, and a sound ledger",
+            remedy="Choose another place; `strandline doctor` says whether the ledger is sound.",
+        ) from error
+    click.echo(f"wrote {file}: {number} runs")

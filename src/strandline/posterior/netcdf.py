@@ -1,6 +1,5 @@
 """The posterior as an xarray DataTree in ArviZ's schema, and as a netCDF file."""
 
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from strandline.errors import InvalidInput
+from strandline.files import whole_file
 from strandline.interface import Observation
 from strandline.parameters import RESERVED, Parameter, ParameterSpace
 from strandline.posterior.posterior import Posterior
@@ -96,12 +96,8 @@ def _posterior(data: xr.Dataset, space: ParameterSpace) -> Posterior:
 
 def write(tree: xr.DataTree, path: Path) -> None:
     """Write the tree to a netCDF file, whole or not at all."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
+    with whole_file(path) as partial:
         tree.to_netcdf(partial, engine="h5netcdf")
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def read(path: Path) -> xr.DataTree:

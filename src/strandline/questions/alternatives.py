@@ -14,8 +14,9 @@ from strandline.studies.inputs import build_prior
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.observation import Noise
 from strandline.studies.keys.study_file import WhatIf
+from strandline.studies.load import study_of
 from strandline.studies.parse import checked, entry, refused_at
-from strandline.studies.study import Study, study_of
+from strandline.studies.study import Study
 from strandline.studies.text import load_yaml
 from strandline.text import listed
 

@@ -14,13 +14,11 @@ from matplotlib.figure import Figure
 
 from strandline.calibration.source import FieldQuality
 from strandline.errors import InvalidStudy
+from strandline.files import write_json
 from strandline.posterior import Weighted
 from strandline.report import ANSWERS, write_answer
-from strandline.studies.folder import told_if_unwritable, write_json
-from strandline.studies.provenance import versions
-from strandline.studies.study import Study
+from strandline.studies.folder import told_if_unwritable
 from strandline.typeset import html_table, html_text, unit_text
-from strandline.version import __version__
 
 __all__ = ["Answer", "Part", "Symbol", "Table"]
 
@@ -140,18 +138,6 @@ def moments(draws: Weighted, i: int, quantiles: Mapping[str, float]) -> dict[str
     found = np.quantile(draws.draws[:, i], [*quantiles.values()], weights=draws.weights, method="inverted_cdf")
     values = dict(zip(quantiles, found.tolist(), strict=True))
     return {"mean": float(draws.mean[i]), "sd": float(draws.sd[i]), **values}
-
-
-def facts_of(study: Study, seed: int) -> dict[str, Any]:
-    """Return what every answer says of the study, the program and the seed that it comes from."""
-    return {
-        "study": study.name,
-        "study_sha256": study.text_digest,
-        "version": __version__,
-        "versions": versions(),
-        "model": study.runs.identity,
-        "seed": seed,
-    }
 
 
 def facts_of_surrogate(runs: int, quality: FieldQuality) -> dict[str, Any]:

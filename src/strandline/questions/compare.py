@@ -12,6 +12,7 @@ from strandline.calibration import Observer
 from strandline.calibration.evidence import Evidence, ModelComparison, averaged, log_evidence, require_odds
 from strandline.calibration.progress import observer_or_default
 from strandline.errors import InvalidInput, InvalidStudy
+from strandline.files import read_json
 from strandline.numerics.threads import one_thread, use_double
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior, Weighted
@@ -33,8 +34,9 @@ from strandline.questions.knowledge import field_knowledge, require, require_see
 from strandline.runs import Executor
 from strandline.studies.check import finished_posterior
 from strandline.studies.first_run import observations_of
-from strandline.studies.folder import STUDY, SUMMARY, read_json, require_writable
-from strandline.studies.study import Study, load_study
+from strandline.studies.folder import STUDY, SUMMARY, require_writable
+from strandline.studies.load import load_study
+from strandline.studies.study import Study
 
 __all__ = ["Comparison", "compare"]
 

@@ -36,7 +36,6 @@ from strandline.questions.answer import (
     Part,
     Table,
     digits,
-    facts_of,
     facts_of_surrogate,
     label_and_unit,
     surrogate_note,
@@ -46,7 +45,7 @@ from strandline.runs import Progress
 from strandline.studies.check import finished_posterior, posterior_digest
 from strandline.studies.first_run import observations_of
 from strandline.studies.folder import REPLICATES, require_writable, told_if_unwritable
-from strandline.studies.provenance import points_digest
+from strandline.studies.provenance import facts_of, points_digest
 from strandline.studies.study import Study
 
 __all__ = ["coverage"]

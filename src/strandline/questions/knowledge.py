@@ -18,8 +18,7 @@ from strandline.runs import Ledger, RunRecord
 from strandline.runs.ledger_rows import outcome_digest
 from strandline.studies.first_run import observations_of
 from strandline.studies.models import cheaper_dropped
-from strandline.studies.study import Study
-from strandline.studies.study_runs import settled
+from strandline.studies.study import Study, settled
 from strandline.version import __version__
 
 OTHER = "Choose another one."

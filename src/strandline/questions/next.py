@@ -14,7 +14,7 @@ from strandline.design.candidates import Candidate
 from strandline.errors import InvalidStudy
 from strandline.interface import UnknownErrors
 from strandline.numerics.threads import one_thread, use_double
-from strandline.questions.answer import TO_MICROMETRES, Answer, Part, Symbol, Table, digits, facts_of
+from strandline.questions.answer import TO_MICROMETRES, Answer, Part, Symbol, Table, digits
 from strandline.questions.information import in_words
 from strandline.questions.knowledge import require, require_seed
 from strandline.questions.next_from_posterior import answers_from_posterior
@@ -24,6 +24,7 @@ from strandline.runs import Executor
 from strandline.studies.check import finished_posterior
 from strandline.studies.folder import POSTERIOR, require_writable
 from strandline.studies.progress import results_of
+from strandline.studies.provenance import facts_of
 from strandline.studies.study import Study
 from strandline.typeset import unit_text
 

@@ -18,8 +18,7 @@ from strandline.posterior import Weighted
 from strandline.questions.information import Direction, Outlook
 from strandline.runs import Executor, Ledger, RunRecord, run_campaign, run_key
 from strandline.studies.folder import NEXT_LEDGER
-from strandline.studies.study import Study
-from strandline.studies.study_runs import settled
+from strandline.studies.study import Study, settled
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,8 +38,7 @@ from strandline.studies.noise import build_noise, require_fits
 from strandline.studies.observed import read_observation, require_plausible
 from strandline.studies.parse import checked
 from strandline.studies.pictures.undeformed import with_errors_of
-from strandline.studies.study import Study
-from strandline.studies.study_runs import settled
+from strandline.studies.study import Study, settled
 from strandline.studies.text import load_yaml
 
 __all__ = ["Specimens", "open_specimens"]

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.questions.answer import Answer, Part, Symbol, Table, digits, facts_of, label_and_unit
+from strandline.files import whole_file
+from strandline.questions.answer import Answer, Part, Symbol, Table, digits, label_and_unit
 from strandline.questions.many import RefusedSpecimen
 from strandline.questions.opened import Specimens
 from strandline.questions.population import FEWEST_SPECIMENS, Population, Shrunk
 from strandline.questions.specimen import SpecimenPosterior
 from strandline.questions.start import TOLERATED_SHIFT
-from strandline.studies.folder import whole_file
+from strandline.studies.provenance import facts_of
 from strandline.text import with_sd
 
 QUANTILES = ("q05", "q50", "q95")

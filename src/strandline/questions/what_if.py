@@ -23,7 +23,6 @@ from strandline.questions.answer import (
     Symbol,
     Table,
     digits,
-    facts_of,
     facts_of_surrogate,
     moments,
     surrogate_note,
@@ -32,6 +31,7 @@ from strandline.questions.knowledge import baseline_of, require, require_seed
 from strandline.runs import Progress
 from strandline.studies.check import finished_posterior
 from strandline.studies.folder import require_writable
+from strandline.studies.provenance import facts_of
 from strandline.studies.study import Study
 from strandline.text import listed
 

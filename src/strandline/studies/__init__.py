@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from strandline.studies.check import PosteriorCheck, check_posterior
+    from strandline.studies.load import load_study
     from strandline.studies.result import Result, load_result
     from strandline.studies.run import Outcome, run_study
-    from strandline.studies.study import Study, load_study
+    from strandline.studies.study import Study
 
 __all__ = ["Outcome", "PosteriorCheck", "Result", "Study", "check_posterior", "load_result", "load_study", "run_study"]
 
@@ -18,7 +19,7 @@ _MODULES = {
     "Study": "study",
     "check_posterior": "check",
     "load_result": "result",
-    "load_study": "study",
+    "load_study": "load",
     "run_study": "run",
 }
 

@@ -12,8 +12,8 @@ from typing import Any
 
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.studies.folder import STUDY, is_result, told_if_unwritable
+from strandline.studies.load import load_study
 from strandline.studies.parse import parse_study, parsed
-from strandline.studies.study import load_study
 from strandline.studies.template import study_name
 from strandline.studies.text import Changes, changed_text, flow, load_yaml
 
@@ -24,10 +24,8 @@ LONGEST = 63
 def changed_study(folder: Path, settings: Sequence[str], into: Path | None = None) -> Path:
     """Return the folder of the study in `folder` with other values; it is written unless it is there already.
 
-    Args:
-        folder: Folder of the study, which stays as it is.
-        settings: The other values, each as ``KEY=VALUE``, with a dotted key and a value in YAML.
-        into: Folder of the copy; by default one beside `folder`, named after it and the settings.
+    The values are ``KEY=VALUE``, with dotted keys and values in YAML. Without `into`, the copy lies beside `folder`,
+    named after it and the values.
     """
     content, text = parse_study(folder)
     present, raw = folder.resolve(), load_yaml(text)
@@ -70,13 +68,7 @@ def write_copy(present: Path, target: Path, text: str) -> None:
 
 
 def reuse_from(present: Path, target: Path, others: Sequence[str] | None) -> list[str]:
-    """Return the key `reuse` of a copy: the original and the studies whose runs this takes over.
-
-    Args:
-        present: Folder of the original, absolute.
-        target: Folder of the copy, absolute.
-        others: The key `reuse` of the original.
-    """
+    """Return the key `reuse` of a copy at `target`: the original, `present`, and the `others` that it reuses itself."""
     folders = [present, *(present / str(other) for other in others or [])]
     return list(dict.fromkeys(Path(os.path.relpath(one, target)).as_posix() for one in folders))
 
@@ -92,7 +84,6 @@ def _told_as_setting() -> Iterator[None]:
 
 
 def _changes(settings: Sequence[str], content: dict[Any, Any]) -> dict[tuple[str, ...], Any]:
-    """Return the changes that the settings ask for, sorted by key."""
     found: dict[tuple[str, ...], Any] = {}
     for setting in settings:
         name, sign, value = setting.partition("=")
@@ -142,7 +133,6 @@ def _value(name: str, text: str) -> Any:
 
 
 def _named(name: str, changes: Changes) -> str:
-    """Return the name of the folder for a study with these changes."""
     words = "-".join(f"{'.'.join(keys)}-{flow(value)}" for keys, value in changes.items())
     full = re.sub(r"-+", "-", re.sub(r"[^A-Za-z0-9_.-]+", "-", f"{name}-{words}")).rstrip("-.")
     if len(full) <= LONGEST:
@@ -164,7 +154,6 @@ def _require_same(present: Path, target: Path, text: str) -> None:
 
 
 def _differing(present: Path, target: Path, text: str) -> Iterator[str]:
-    """Yield the names of files that are not as they would be written."""
     written = target / STUDY
     if not written.is_file() or written.read_text(encoding="utf-8") != text:
         yield STUDY

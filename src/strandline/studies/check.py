@@ -18,8 +18,8 @@ from jaxtyping import Float, Int
 
 from strandline.calibration import Observer
 from strandline.calibration.progress import observer_or_default
-from strandline.discrepancy import oriented_like_runs
 from strandline.errors import InvalidInput, InvalidStudy, TooFewRuns
+from strandline.files import read_json, write_json
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
 from strandline.models.protocol import ForwardModel, undeformed_interface
@@ -39,25 +39,16 @@ from strandline.posterior import (
 )
 from strandline.report import add_check
 from strandline.runs import Executor, Ledger, RunRecord, run_campaign, run_key
-from strandline.studies.folder import (
-    CHECK,
-    CHECK_LEDGER,
-    POSTERIOR,
-    read_json,
-    require_writable,
-    told_if_unwritable,
-    write_json,
-)
+from strandline.studies.first_run import observations_of, turned_like
+from strandline.studies.folder import CHECK, CHECK_LEDGER, POSTERIOR, require_writable, told_if_unwritable
 from strandline.studies.noise import require_stated
-from strandline.studies.observed import noisy
 from strandline.studies.progress import results_of
-from strandline.studies.provenance import versions
-from strandline.studies.study import Study
-from strandline.studies.study_runs import settled
-from strandline.version import __version__
+from strandline.studies.provenance import facts_of
+from strandline.studies.study import Study, settled
 
 SHIFT_SHOWN, RATIO_SHOWN = 0.25, 0.2
 """A remark reports a mean off by more than this, in standard deviations, or an sd off by more than this share."""
+MOMENTS = ("mean", "sd", "reweighted_mean", "reweighted_sd", "shift", "shift_error", "sd_ratio")
 VERDICTS: dict[Verdict, str] = {
     "good": "The weights can be trusted, and so can the reweighted figures.",
     "usable": "The surrogate is off where the posterior lies, but the reweighted figures can be used.",
@@ -67,15 +58,9 @@ VERDICTS: dict[Verdict, str] = {
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Draws of a posterior with the results of the true model, one of each per draw.
+    """Draws of a posterior, by the numbers of their particles, with the run, and the log-likelihoods, of each.
 
-    Args:
-        posterior: The posterior that was checked.
-        chosen: Particle numbers of the draws, shape (draw,).
-        records: Records of the runs at the draws.
-        true: Log-likelihoods by the true model, shape (draw,); -inf if the run failed.
-        surrogate: Log-likelihoods by the surrogate, shape (draw,).
-        result: The reweighted moments.
+    That by the true model is -inf if the run failed. `result` are the reweighted moments.
     """
 
     posterior: Posterior
@@ -87,7 +72,6 @@ class Compared:
 
     @property
     def failed(self) -> list[RunRecord]:
-        """The runs that returned no interface."""
         return [record for record in self.records if not record.ok]
 
 
@@ -97,21 +81,10 @@ def describe(study: Study, found: Compared, observations: Sequence[Observation],
     distinct = len({record.key for record in found.records})
     difference = (found.true - found.surrogate)[np.isfinite(found.true)]
     return {
-        "study": study.name,
-        "study_sha256": study.text_digest,
+        **facts_of(study, study.settings.seed),
         "posterior_sha256": posterior_digest(found.posterior),
-        "version": __version__,
-        "versions": versions(),
-        "seed": study.settings.seed,
-        "model": study.runs.identity,
         "draws": number,
-        "runs": {
-            "ok": number - len(found.failed),
-            "failed": len(found.failed),
-            "by_kind": dict(Counter(record.failure_kind or record.state for record in found.failed)),
-            "new": new_runs,
-            "reused": distinct - new_runs,
-        },
+        "runs": outcomes(found.records) | {"new": new_runs, "reused": distinct - new_runs},
         "k_hat": smoothed.k_hat,
         "threshold": reliability_threshold(number),
         "verdict": verdict_on(smoothed),
@@ -132,6 +105,13 @@ def describe(study: Study, found: Compared, observations: Sequence[Observation],
     }
 
 
+def outcomes(records: Sequence[RunRecord]) -> dict[str, Any]:
+    """Return how many runs ended ok, how many failed, and the kinds of the failures."""
+    failed = [record for record in records if not record.ok]
+    kinds = dict(Counter(record.failure_kind or record.state for record in failed))
+    return {"ok": len(records) - len(failed), "failed": len(failed), "by_kind": kinds}
+
+
 def read_check(folder: Path, posterior: Posterior) -> dict[str, Any] | None:
     """Return the check of `posterior` in `folder`; None if there is none, or only that of another posterior."""
     content = read_json(folder / CHECK)
@@ -145,29 +125,20 @@ def posterior_digest(posterior: Posterior) -> str:
 
 
 def _inputs(found: Compared) -> dict[str, dict[str, Any]]:
-    result = found.result
-    columns = {
-        "mean": result.mean,
-        "sd": result.sd,
-        "reweighted_mean": result.reweighted_mean,
-        "reweighted_sd": result.reweighted_sd,
-        "shift": result.shift,
-        "shift_error": result.shift_error,
-        "sd_ratio": result.sd_ratio,
-    }
     return {
-        parameter.name: {"unit": parameter.unit, **{name: float(column[i]) for name, column in columns.items()}}
+        parameter.name: {
+            "unit": parameter.unit,
+            **{name: float(getattr(found.result, name)[i]) for name in MOMENTS},
+        }
         for i, parameter in enumerate(found.posterior.space)
     }
 
 
 def _remarks(study: Study, found: Compared) -> Iterator[str]:
-    """Yield a sentence on k̂ and one on everything else to know."""
     verdict = verdict_on(found.result.smoothed)
     yield VERDICTS[verdict]
     if verdict != "good":
-        measure = study.measure
-        refined = getattr(measure, "quadrature", None) == "centre"
+        refined = getattr(study.measure, "quadrature", None) == "centre"
         yield (
             "Remedy: more runs near the posterior (a narrower box, or a larger design)"
             + (", the refined quadrature of the measure," if refined else "")
@@ -230,12 +201,9 @@ def _reference(
 def offset_band(
     points: Float[np.ndarray, "draw point xyz"], centre: Interface, observed: Interface
 ) -> dict[str, Any] | None:
-    """Return quantiles of the offsets from a polyline, and the offsets of the observation; None for surfaces.
+    """Return quantiles of the offsets of draws' nodes from a polyline and the observed ones; None for surfaces.
 
-    Args:
-        points: Nodes of the interfaces of some draws, mm.
-        centre: The polyline, with the same nodes, such as the median of the interfaces.
-        observed: The observed interface.
+    The polyline, `centre`, has the same nodes as the draws, such as the median of their interfaces; all in mm.
     """
     if points.shape[2] != 2:
         return None
@@ -270,11 +238,8 @@ def check_posterior(
     The draws depend only on the posterior, the seed and their number, and the runs are kept: no run is made twice.
     Writes check.json, figures/check.png and .pdf, and a section of report.html.
 
-    Args:
-        study: A finished study, from `load_study`.
-        draws: Number of draws; at least 20, at most as many as there are particles.
-        executor: Where forward runs are made; by default where the study says.
-        observer: Receives the progress.
+    At least 20 draws are taken, and at most as many as there are particles. The runs are made where the study says if
+    no executor is given. The observer receives the progress.
 
     Raises:
         InvalidInput: `draws` is too small or too large.
@@ -282,19 +247,24 @@ def check_posterior(
         LedgerError: The ledger is locked, belongs to another model, or is damaged.
         TooFewRuns: The run failed at every draw.
     """
-    _require_number(draws, None)
     posterior = finished_posterior(study)
-    _require_number(draws, posterior.number)
+    if not FEWEST_DRAWS <= draws <= posterior.number:
+        raise InvalidInput(
+            "draws of the check",
+            value=draws,
+            expected=f"from {FEWEST_DRAWS} to {posterior.number}, the number of particles",
+            remedy="200 are a good start; more draws make k̂ more certain.",
+        )
     require_writable(study.folder)
     tell, begun = observer_or_default(observer), time.perf_counter()
-    observations = _observations(study)
+    observations = study.observations(observations_of(study))
     require_stated((seen.noise for seen in observations), "strandline posterior check")
     chosen = subset(posterior.weights, draws, study.settings.seed)
     positions, surrogate = posterior.draws[chosen], posterior.log_likelihood[chosen]
     tell.stage("draws")
     records, new_runs = _run(study, positions, executor or study.executor, tell)
     tell.stage("report")
-    observations = tuple(_oriented(seen, records) for seen in observations)
+    observations = turned_like(observations, records)
     likelihood = InterfaceLikelihood(observations, study.measure)
     true = np.array([likelihood(record.interfaces) if record.ok else -np.inf for record in records])
     _require_one(records)
@@ -330,27 +300,9 @@ def finished_posterior(study: Study, *, purpose: str = "check") -> Posterior:
         ) from error
 
 
-def _observations(study: Study) -> tuple[Observation, ...]:
-    """Return the observations behind the posterior; a synthetic one is a run in the study's ledger plus noise."""
-    observed = study.observed
-    if study.truth is not None:
-        identity = study.runs.identity
-        key = run_key(identity, study.truth)
-        with Ledger.open(study.ledger_path, model=identity, read_only=True) as ledger:
-            observed = noisy(ledger.latest([key])[key].interfaces, study.synthetic_noise)
-    return study.observations(observed)
-
-
-def _oriented(seen: Observation, records: Sequence[RunRecord]) -> Observation:
-    """Return the observation with its points in the same direction as those of the runs."""
-    runs = [record.interfaces[seen.condition] for record in records if record.ok]
-    return seen.reversed() if oriented_like_runs(seen.interface, runs).flipped else seen
-
-
 def _run(
     study: Study, positions: Float[np.ndarray, "draw dim"], executor: Executor, observer: Observer
 ) -> tuple[tuple[RunRecord, ...], int]:
-    """Return the record of each draw, and the number of new runs."""
     model, identity = plain_model(study), study.runs.identity
     inputs = [{**study.fixed, **study.space.as_mapping(x)} for x in positions]
     keys = {run_key(identity, entry) for entry in inputs}
@@ -365,17 +317,6 @@ def plain_model(study: Study) -> ForwardModel:
     model: Any = study.model
     plain: ForwardModel = dataclasses.replace(model, sensitivities=False) if study.sensitivities else model
     return plain
-
-
-def _require_number(draws: int, particles: int | None) -> None:
-    if draws < FEWEST_DRAWS or (particles is not None and draws > particles):
-        most = "the number of particles" if particles is None else f"{particles}, the number of particles"
-        raise InvalidInput(
-            "draws of the check",
-            value=draws,
-            expected=f"from {FEWEST_DRAWS} to {most}",
-            remedy="200 are a good start; more draws make k̂ more certain.",
-        )
 
 
 def _require_one(records: tuple[RunRecord, ...]) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from strandline.errors import StrandlineError
+from strandline.files import read_json
 from strandline.models.python import PythonModel
 from strandline.runs.ledger_rows import outcome_digest, unsound
 from strandline.studies.folder import (
@@ -21,11 +22,11 @@ from strandline.studies.folder import (
     STUDY,
     SUMMARY,
     WHAT_IF,
-    read_json,
 )
+from strandline.studies.load import load_study
 from strandline.studies.progress import StudyProgress, progress_of
 from strandline.studies.provenance import versions
-from strandline.studies.study import Study, load_study
+from strandline.studies.study import Study
 from strandline.version import __version__
 
 LEDGERS = (LEDGER, CHECK_LEDGER, NEXT_LEDGER, SPECIMENS_LEDGER)
@@ -42,12 +43,7 @@ LEFTOVERS = ("*.partial", ".*.partial", "*.sqlite.new", "*.sqlite.new-*")
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that is wrong, or has changed.
-
-    Args:
-        what: The fact in one sentence.
-        remedy: What to do about it.
-    """
+    """Something that is wrong, or has changed, in one sentence, and what to do about it."""
 
     what: str
     remedy: str

@@ -3,13 +3,12 @@
 import csv
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from strandline.errors import InvalidInput
+from strandline.files import whole_file
 from strandline.runs.overview import Details, Overview, Run
-from strandline.studies.folder import whole_file
+from strandline.studies.folder import told_if_unwritable
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -23,16 +22,16 @@ def write_csv(path: Path, runs: Sequence[Run], ledger: Overview) -> str:
     Columns: key, state, kind, seconds, message (its first line), then ``input.NAME`` and ``diagnostic.NAME``; empty
     if a run has none.
     """
-    details = _details(runs, ledger)
-    inputs, figures = [run.inputs for run in runs], [_figures(run, details) for run in runs]
+    messages, figures = _facts(runs, ledger)
+    inputs = [run.inputs for run in runs]
     names, labels = _names(inputs), _names(figures)
     heading = ["key", "state", "kind", "seconds", "message"]
     heading += [f"input.{name}" for name in names] + [f"diagnostic.{name}" for name in labels]
-    with _told(path), whole_file(path) as partial, partial.open("w", encoding="utf-8", newline="") as stream:
+    with told_if_unwritable(path), whole_file(path) as part, part.open("w", encoding="utf-8", newline="") as stream:
         table = csv.writer(stream, lineterminator="\n")
         table.writerow(heading)
-        for run, given, found in zip(runs, inputs, figures, strict=True):
-            facts = (run.key, run.last.state, run.last.kind, run.last.seconds, _message(run, details))
+        for run, message, given, found in zip(runs, messages, inputs, figures, strict=True):
+            facts = (run.key, run.last.state, run.last.kind, run.last.seconds, message)
             table.writerow([*facts, *(given.get(name) for name in names), *(found.get(name) for name in labels)])
     return ""
 
@@ -45,11 +44,11 @@ def write_netcdf(path: Path, runs: Sequence[Run], ledger: Overview) -> str:
     have different numbers of points; the cells are included if all runs have the same.
 
     Raises:
-        InvalidInput: The file cannot be written.
+        InvalidStudy: The file cannot be written.
         LedgerError: A stored outcome does not match its checksum.
     """
     content, missing = _dataset(runs, ledger)
-    with _told(path), whole_file(path) as partial:
+    with told_if_unwritable(path), whole_file(path) as partial:
         content.to_netcdf(partial, engine="h5netcdf")
     if not missing:
         return ""
@@ -64,14 +63,13 @@ def _dataset(runs: Sequence[Run], ledger: Overview) -> tuple["xr.Dataset", list[
 
     from strandline.version import __version__
 
-    details = _details(runs, ledger)
-    figures = [_figures(run, details) for run in runs]
+    messages, figures = _facts(runs, ledger)
     seconds = [math.nan if run.last.seconds is None else run.last.seconds for run in runs]
     content = xr.Dataset(
         {
             "state": ("run", np.array([run.last.state for run in runs], dtype=object)),
             "kind": ("run", np.array([run.last.kind or "" for run in runs], dtype=object)),
-            "message": ("run", np.array([_message(run, details) for run in runs], dtype=object)),
+            "message": ("run", np.array(messages, dtype=object)),
             "seconds": ("run", np.array(seconds, dtype=float), {"units": "s"}),
             "inputs": _by_name("input", [run.inputs for run in runs]),
         },
@@ -84,7 +82,6 @@ def _dataset(runs: Sequence[Run], ledger: Overview) -> tuple["xr.Dataset", list[
 
 
 def _by_name(dim: str, rows: Sequence[Mapping[str, float]]) -> "xr.DataArray":
-    """Return a table of rows; NaN if a row lacks a name."""
     import numpy as np
     import xarray as xr
 
@@ -124,32 +121,12 @@ def _interfaces(
         yield f"cells{end}", ((f"cell{end}", f"corner{end}"), first.cells)
 
 
-def _details(runs: Sequence[Run], ledger: Overview) -> dict[int, Details]:
-    return ledger.details(run.last.number for run in runs)
-
-
-def _figures(run: Run, details: Mapping[int, Details]) -> Mapping[str, float]:
-    return details[run.last.number].diagnostics if run.last.number in details else {}
-
-
-def _message(run: Run, details: Mapping[int, Details]) -> str:
-    text = details[run.last.number].message if run.last.number in details else ""
-    return next(iter(text.splitlines()), "")
+def _facts(runs: Sequence[Run], ledger: Overview) -> tuple[list[str], list[Mapping[str, float]]]:
+    """Return the first line of each run's message, and its diagnostics."""
+    details, none = ledger.details(run.last.number for run in runs), Details("", "", {})
+    found = [details.get(run.last.number, none) for run in runs]
+    return [next(iter(one.message.splitlines()), "") for one in found], [one.diagnostics for one in found]
 
 
 def _names(rows: Iterable[Mapping[str, float]]) -> list[str]:
     return list(dict.fromkeys(name for row in rows for name in row))
-
-
-@contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """Turn the system's refusal to write `path` into one clear line."""
-    try:
-        yield
-    except OSError as error:
-        raise InvalidInput(
-            "--export",
-            value=f"{path}: {error.strerror or error}",
-            expected="a file name in a folder that can be written to",
-            remedy="Choose another path, or make room on the disk.",
-        ) from error

@@ -1,7 +1,8 @@
 """What one forward run shows about a study before the others are made."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,11 +11,11 @@ from jaxtyping import Float
 from strandline.design.active import SLOW_BATCH, seconds_of_a_batch
 from strandline.discrepancy import Discrepancy, apart, extent, oriented_like_runs
 from strandline.discrepancy.nearest import squared_distances
-from strandline.errors import ForwardModelError, InvalidInput, NumericsError
+from strandline.errors import ForwardModelError, InvalidInput, InvalidStudy, NumericsError
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import InterfaceLikelihood, compared, noise_length, sd_of_distances
 from strandline.models.protocol import SolvesOnFinerMesh, undeformed_interface
-from strandline.runs import Ledger, RunRecord, run_key
+from strandline.runs import RunRecord
 from strandline.studies.observed import noisy, require_plausible
 from strandline.studies.study import Study
 
@@ -34,12 +35,7 @@ ENOUGH_KNOWN, ALIKE = 10, 0.5
 
 @dataclass(frozen=True)
 class NoiseLength:
-    """The noise as a length.
-
-    Args:
-        mm: The length.
-        is_sd: Whether it is σ_N itself, the standard deviation of a distance.
-    """
+    """The noise as a length, and whether it is σ_N itself, the standard deviation of a distance."""
 
     mm: float
     is_sd: bool
@@ -57,7 +53,7 @@ def noise_of(study: Study, interface: Interface, condition: str = "") -> NoiseLe
     The sd of an observed point or σ_N if the measure sums squared distances; otherwise the shift of `interface` for
     which d² = σ_N².
     """
-    measure, seen = _measure(study), study.observation(interface, condition)
+    measure, seen = study.measure, study.observation(interface, condition)
     sd = sd_of_distances(seen, measure, interface)
     return NoiseLength(noise_length(seen, measure), False) if sd is None else NoiseLength(sd, True)
 
@@ -66,11 +62,24 @@ def observations_of(study: Study) -> Mapping[str, Interface]:
     """Return the observed interfaces; a synthetic one if the ledger has its run, else nothing."""
     if study.truth is None or not study.ledger_path.is_file():
         return study.observed
-    identity = study.runs.identity
-    key = run_key(identity, study.truth)
-    with Ledger.open(study.ledger_path, model=identity, read_only=True) as ledger:
+    key = study.runs.key(study.truth)
+    with study.runs.reading() as ledger:
         record = ledger.latest([key]).get(key)
     return noisy(record.interfaces, study.synthetic_noise) if record is not None and record.ok else {}
+
+
+def require_ok(record: RunRecord, what: str) -> RunRecord:
+    """Return a run that ended ok; refuse another one."""
+    if record.ok:
+        return record
+    shown = ", ".join(f"{name} = {value:.6g}" for name, value in record.inputs.items())
+    raise InvalidStudy(
+        f"the forward run {what} failed",
+        value=f"{record.failure_kind or record.state} at {shown}",
+        expected="a run that ends with an interface",
+        remedy="Look at the simulator, or move the priors to where it runs. It says: "
+        + (record.message or "no message").partition("\n")[0],
+    )
 
 
 def require_same_size(study: Study, record: RunRecord) -> None:
@@ -88,6 +97,15 @@ def facing(study: Study, record: RunRecord) -> Study:
     observed = {name: one.interface for name, one in found.items()}
     noises = {name: noise.reversed() for name in turned if isinstance(noise := study.noise_of(name), PointErrors)}
     return replace(study, observed=observed, noises={**study.noises, **noises}, turned=(*study.turned, *turned))
+
+
+def turned_like(observations: Iterable[Observation], runs: Sequence[RunRecord]) -> tuple[Observation, ...]:
+    """Return observations with their points in the same direction as those of the runs."""
+    out = []
+    for seen in observations:
+        interfaces = [record.interfaces[seen.condition] for record in runs if record.ok]
+        out.append(seen.reversed() if oriented_like_runs(seen.interface, interfaces).flipped else seen)
+    return tuple(out)
 
 
 def turned_lines(study: Study) -> Iterator[str]:
@@ -180,7 +198,7 @@ def _ends(interface: Interface) -> Float[np.ndarray, "end xyz"]:
 
 def displacement_lines(study: Study, record: RunRecord) -> Iterator[str]:
     """Yield the largest displacement of the run in µm and in units of the noise, if the undeformed state is known."""
-    undeformed, measure = undeformed_interface(study.model), _measure(study)
+    undeformed, measure = undeformed_interface(study.model), study.measure
     if undeformed is None:
         return
     for condition, run in record.interfaces.items():
@@ -232,19 +250,20 @@ def known_lines(study: Study) -> Iterator[str]:
     observed = observations_of(study)
     if not observed or not study.ledger_path.is_file():
         return
-    identity = study.runs.identity
-    truth = None if study.truth is None else run_key(identity, study.truth)
-    with Ledger.open(study.ledger_path, model=identity, read_only=True) as ledger:
+    truth = None if study.truth is None else study.runs.key(study.truth)
+    with study.runs.reading() as ledger:
         latest = ledger.latest([key for key in study.runs.needed_keys if key != truth])
     known = [latest[key] for key in sorted(latest) if latest[key].ok]
     chosen = known[:: max(1, -(-len(known) // MOST_KNOWN))]
     if not chosen:
         return
-    observations = study.observations(observed)
-    likelihood = InterfaceLikelihood(observations, _measure(study))
-    values = np.array([value for record in chosen if (value := _value(likelihood, record)) is not None])
-    if not len(values):
+    likelihood, found = InterfaceLikelihood(study.observations(observed), study.measure), list[float]()
+    for record in chosen:
+        with suppress(InvalidInput, NumericsError):  # the measure may refuse an interface
+            found.append(likelihood(record.interfaces))
+    if not found:
         return
+    values = np.array(found)
     of = f" {len(values)} of" if len(values) < len(known) else ""
     yield (
         f"log-likelihood over the box: from {values.min():.4g} to {values.max():.4g}, median {np.median(values):.4g}, "
@@ -255,14 +274,6 @@ def known_lines(study: Study) -> Iterator[str]:
             f"warning: the data tell nothing: the log-likelihoods of {len(values)} runs differ by at most "
             f"{np.ptp(values):.2g}; check the noise and its unit"
         )
-
-
-def _value(likelihood: InterfaceLikelihood, record: RunRecord) -> float | None:
-    """Return the log-likelihood of a run; None if the measure refuses its interface."""
-    try:
-        return likelihood(record.interfaces)
-    except (InvalidInput, NumericsError):
-        return None
 
 
 def mesh_lines(study: Study, record: RunRecord) -> Iterator[str]:
@@ -296,7 +307,7 @@ def batch_lines(study: Study, record: RunRecord) -> Iterator[str]:
     observed = dict(observations_of(study)) or dict(record.interfaces)
     observations = study.observations(observed)
     try:
-        seconds = seconds_of_a_batch(observations, _measure(study), record.interfaces, study.space.dim)
+        seconds = seconds_of_a_batch(observations, study.measure, record.interfaces, study.space.dim)
     except (InvalidInput, NumericsError):
         return  # what the measure refuses is reported elsewhere
     if seconds > SLOW_BATCH:
@@ -306,10 +317,6 @@ def batch_lines(study: Study, record: RunRecord) -> Iterator[str]:
             f"warning: choosing a batch takes about {seconds:.0f} s, to compare interfaces with {number} observed "
             f"points; to shorten it, keep one in {every} of them, or let the simulator return fewer nodes"
         )
-
-
-def _measure(study: Study) -> Discrepancy:
-    return study.measure
 
 
 def _length(mm: float) -> str:

@@ -1,15 +1,12 @@
 """The files of a study folder, whether they can be written, and whether they belong to its study.yaml."""
 
 import hashlib
-import json
-import math
 import os
 import re
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from strandline.errors import InvalidStudy
 
@@ -80,17 +77,6 @@ def require_temporary() -> None:
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary path and move the finished file to `path`, which is written whole or not at all."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        yield partial
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
-
-
-@contextmanager
 def told_if_unwritable(folder: Path) -> Iterator[None]:
     """Turn the system's refusal to write a result into one clear line."""
     try:
@@ -104,80 +90,20 @@ def told_if_unwritable(folder: Path) -> Iterator[None]:
         ) from error
 
 
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write `content`, whole or not at all, with null for each number that is not finite."""
-    text = json.dumps(_finite(content), indent=2, ensure_ascii=False, allow_nan=False)
-    with whole_file(path) as partial:
-        partial.write_text(text + "\n", encoding="utf-8")
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """Return the content of a file with JSON; nothing if there is none, or no mapping in it that can be read."""
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}
-
-
-def _finite(value: Any) -> Any:
-    """Return `value` with None for each number that is not finite."""
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 QUESTIONS = frozenset({"next", "what_if", "specimens"})
 """Keys that no forward run and no posterior depends on."""
-ASKED = re.compile(rf"^['\"]?({'|'.join(sorted(QUESTIONS))})\b", re.MULTILINE)
+QUESTION = re.compile(
+    rf"""(?:^[^\S\n]*\n)*(?:^\#.*\n)*                                     # blank lines and comments above its key
+    ^['"]?(?:{"|".join(sorted(QUESTIONS))})['"]?\s*:.*(?:\n|\Z)
+    (?:(?:^(?:\#.*|[^\S\n]*)\n)*^(?:[^\S\n]+\S|[-\]}}]).*(?:\n|\Z))*     # the other lines of its value
+    (?:(?:^(?:\#.*|[^\S\n]*)(?:\n|\Z))*\Z)?                            # after the last key: all that is left""",
+    re.MULTILINE | re.VERBOSE,
+)
 
 
 def digest_of(text: str) -> str:
-    """Return the SHA-256 of study.yaml without its questions, to notice results of another version of it."""
-    return hashlib.sha256(without_questions(text).encode()).hexdigest()
+    """Return the SHA-256 of study.yaml without its questions, to notice results of another version of it.
 
-
-def without_questions(text: str) -> str:
-    """Return the text of study.yaml without its questions, with the comment and the blank lines above each of them.
-
-    Adding a question to a study and removing it again thus changes nothing.
+    The comment and the blank lines above a question belong to it: adding one and removing it again changes nothing.
     """
-    if not ASKED.search(text):
-        return text
-    import yaml  # loaded only if needed: `strandline status` is quick
-
-    try:
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
-    except (yaml.YAMLError, ValueError, RecursionError):
-        return text
-    if not isinstance(root, yaml.MappingNode) or root.flow_style:
-        return text
-    lines = text.splitlines(keepends=True)
-    starts = [(str(key.value), key.start_mark.line) for key, _ in root.value]
-    ends = [*(line for _, line in starts[1:]), len(lines)]
-    cut = {
-        number
-        for (name, start), end in zip(starts, ends, strict=True)
-        if name in QUESTIONS
-        for number in _block(lines, start, end)
-    }
-    return "".join(line for number, line in enumerate(lines) if number not in cut)
-
-
-def _block(lines: list[str], start: int, end: int) -> Iterator[int]:
-    """Return the numbers of a key's lines and of those above it; what stands above the next key belongs to that one."""
-    last = end if end == len(lines) else _content_end(lines, start, end)
-    first = start
-    while first > 0 and lines[first - 1].startswith("#"):
-        first -= 1
-    while first > 0 and not lines[first - 1].strip():
-        first -= 1
-    return iter(range(first, last))
-
-
-def _content_end(lines: list[str], start: int, end: int) -> int:
-    while end > start + 1 and (not lines[end - 1].strip() or lines[end - 1].startswith("#")):
-        end -= 1
-    return end
+    return hashlib.sha256(QUESTION.sub("", text).encode()).hexdigest()

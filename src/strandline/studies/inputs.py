@@ -16,7 +16,8 @@ from strandline.priors import PRIORS, Prior
 from strandline.readers.options import TO_MM
 from strandline.registry import suggestion
 from strandline.studies.keys.study_file import Input, Next, Quantity, StudyFile
-from strandline.studies.parse import made, open_entry, refused_at, require_parts
+from strandline.studies.observed import require_condition
+from strandline.studies.parse import entry, made, open_entry, refused_at, require_parts
 
 MASS_CUT_ACCEPTED = 0.5
 """Largest share of an unbounded prior's mass that may lie outside the box."""
@@ -37,7 +38,9 @@ def build_space(inputs: Mapping[str, Input], model: ForwardModel) -> ParameterSp
 def build_fixed(study: StudyFile, model: ForwardModel) -> dict[str, float]:
     """Return the known inputs; together with the unknown ones they must be all that the model takes."""
     declared = {item.name: item for item in declared_inputs(model)}
-    _require_names(study, model)
+    if isinstance(model, UsesNames):
+        with refused_at():
+            model.require_names(study.inputs, study.fixed)
     fixed = {name: _fixed_value(name, given, declared) for name, given in study.fixed.items()}
     check_values(fixed, model, "fixed")
     for name in fixed:
@@ -57,14 +60,6 @@ def build_fixed(study: StudyFile, model: ForwardModel) -> dict[str, float]:
             remedy=f"Add e.g. `fixed: {{{missing[0]}: …}}`.",
         )
     return fixed
-
-
-def _require_names(study: StudyFile, model: ForwardModel) -> None:
-    """Let a model that knows which names it uses refuse other inputs and fixed quantities."""
-    if not isinstance(model, UsesNames):
-        return
-    with refused_at():
-        model.require_names(study.inputs, study.fixed)
 
 
 def check_values(values: Mapping[str, float], model: ForwardModel, place: str) -> None:
@@ -98,18 +93,11 @@ def check_complete(
 
 
 def _parameter(name: str, item: Input, declared: ModelInput | None) -> Parameter:
-    unit = item.unit
-    if declared is not None and _plain(unit or "1") != _plain(declared.unit):
-        raise InvalidStudy(
-            f"unit of inputs.{name}",
-            value=unit,
-            expected=f"{declared.unit}, the unit the model takes",
-            remedy=f"Write `unit: {declared.unit}` at {name} and give its prior in that unit.",
-        )
+    _require_unit(item.unit, declared, f"inputs.{name}", "give its prior in that unit")
     prior = build_prior(item.prior, f"inputs.{name}.prior")
     with refused_at(f"inputs.{name}"):
-        declared_unit = declared.unit if declared else unit or "1"
-        parameter = Parameter(name, prior, declared_unit, item.box, item.nuisance, symbol=item.label or "")
+        unit = declared.unit if declared else item.unit or "1"
+        parameter = Parameter(name, prior, unit, item.box, item.nuisance, symbol=item.label or "")
     _check_prior_in_box(parameter)
     return parameter
 
@@ -151,24 +139,24 @@ def _check_prior_in_box(parameter: Parameter) -> None:
 def _fixed_value(name: str, given: float | Quantity, declared: Mapping[str, ModelInput]) -> float:
     if not isinstance(given, Quantity):
         return float(given)
-    if name in declared and _plain(given.unit) != _plain(declared[name].unit):
-        raise InvalidStudy(
-            f"unit of fixed.{name}",
-            value=given.unit,
-            expected=f"{declared[name].unit}, the unit the model takes",
-            remedy="Convert the value.",
-        )
+    _require_unit(given.unit, declared.get(name), f"fixed.{name}", "convert the value")
     return float(given.value)
 
 
-def _check_name(name: str, declared: Mapping[str, Any], place: str) -> None:
-    if declared and name not in declared:
+def _require_unit(unit: str | None, declared: ModelInput | None, place: str, remedy: str) -> None:
+    """Refuse another unit than the model's: nothing is converted."""
+    if declared is not None and _plain(unit or "1") != _plain(declared.unit):
         raise InvalidStudy(
-            f"{place}: the model has no such input",
-            value=name,
-            expected=f"one of {', '.join(declared)}",
-            remedy=suggestion(name, declared, "Correct the name."),
+            f"unit of {place}",
+            value=unit,
+            expected=f"{declared.unit}, the unit the model takes",
+            remedy=f"Write `unit: {declared.unit}` there and {remedy}.",
         )
+
+
+def _check_name(name: str, declared: Mapping[str, Any], place: str) -> None:
+    if declared:
+        entry(declared, name, f"{place}: the model has no such input")
 
 
 def _check_range(value: float, declared: Mapping[str, ModelInput], name: str, place: str) -> None:
@@ -242,7 +230,6 @@ def read_candidates(
 def _require_settable(
     name: str, values: Iterable[float], model: ForwardModel, space: ParameterSpace, fixed: Mapping[str, float]
 ) -> None:
-    """Refuse a quantity that is neither known nor a nuisance, and values that it cannot have."""
     settable, known = [*fixed, *(space.names[k] for k in space.nuisance)], ", ".join(Next.model_fields)
     if name not in settable:
         calibrated = name in space.names
@@ -266,15 +253,7 @@ def _require_settable(
 
 
 def _condition(given: str | list[str], model: ForwardModel) -> tuple[str, ...]:
-    known = declared_conditions(model)
     names = [given] if isinstance(given, str) else given
-    if given == "" or (names and all(one in known and one for one in names)):
-        return () if given == "" else tuple(names)
-    raise InvalidStudy(
-        "next.condition",
-        value=given,
-        expected=f"names among {', '.join(known)}"
-        if any(known)
-        else "no such key, since the model has a single condition",
-        remedy="Correct the name." if any(known) else "Remove it.",
-    )
+    for name in names if given != "" else ():
+        require_condition(name, declared_conditions(model), "next.condition")
+    return tuple(name for name in names if name)

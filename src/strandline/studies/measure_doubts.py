@@ -87,7 +87,6 @@ def contradictions(study: Study) -> Iterator[str]:
 
 
 def _held(observation: Observation, of: str) -> Iterator[str]:
-    """Yield a warning if the outline in a picture may neither shift nor turn nor grow."""
     errors = observation.noise
     held = isinstance(errors, PointErrors | UnknownErrors) and not (errors.shift or errors.rotation or errors.scale)
     if held:
@@ -98,7 +97,6 @@ def _held(observation: Observation, of: str) -> Iterator[str]:
 
 
 def _alone(seen: Interface, of: str) -> Iterator[str]:
-    """Yield a warning for a single observed point that lies far from all others."""
     if len(seen.points) < FEWEST:
         return
     nearest = cKDTree(seen.points).query(seen.points, k=2)[0][:, 1]
@@ -161,8 +159,7 @@ def _unseen(measure: ClosestPoint, seen: Interface, run: Interface, of: str) -> 
     if measure.direction == "to_simulated" or seen.closed or run.closed:
         return
     spacing = max(float(np.median(one.lengths)) for one in (seen, run))
-    path, simulated = path_of(seen), path_of(run)
-    beyond = max(_beyond(path, seen, simulated[-1]), _beyond(path[::-1], seen, simulated[0]))
+    beyond = _overhang(run, seen)
     if beyond > BEYOND * spacing:
         yield (
             f"warning{of}: the simulated interface reaches {beyond:.3g} mm beyond an end of the observed one, and "
@@ -175,13 +172,18 @@ def _past_the_end(seen: Interface, run: Interface, of: str) -> Iterator[str]:
     """Yield a warning for observed points past the end of the simulated interface, which goes on straight a little."""
     if seen.closed or run.closed:
         return
-    path, simulated = path_of(seen), path_of(run)
-    past = max(_beyond(simulated, run, path[-1]), _beyond(simulated[::-1], run, path[0]))
+    past = _overhang(seen, run)
     if past > BEYOND_END * float(run.lengths.sum()):
         yield (
             f"warning{of}: the observed interface reaches {past:.3g} mm past an end of the simulated one; points that "
             "far out are compared with its end, so leave them out, or let the model return more of the interface"
         )
+
+
+def _overhang(one: Interface, other: Interface) -> float:
+    """Return how far one open interface reaches past the ends of another, mm."""
+    tips, path = path_of(one), path_of(other)
+    return max(_beyond(path, other, tips[-1]), _beyond(path[::-1], other, tips[0]))
 
 
 def _beyond(path: Float[np.ndarray, "point 2"], seen: Interface, tip: Float[np.ndarray, "2"]) -> float:

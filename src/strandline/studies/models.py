@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import ConfigDict
 
 from strandline.discrepancy import DISCREPANCIES, Discrepancy
 from strandline.discrepancy.comparison import apart
 from strandline.errors import InvalidInput, InvalidStudy, LedgerError
+from strandline.files import read_json
 from strandline.models import MODELS
 from strandline.models.fidelities import CHEAPER, WithCheaper, by_cheaper
 from strandline.models.fingerprint import fingerprint
@@ -19,10 +21,11 @@ from strandline.models.python import PythonModel
 from strandline.readers.options import TO_MM
 from strandline.runs import RunRecord
 from strandline.runs.overview import Overview
-from strandline.studies.folder import SUMMARY, read_json
+from strandline.studies.folder import SUMMARY
 from strandline.studies.keys import StudyFile
+from strandline.studies.keys.scalars import Choice, Number, Section
 from strandline.studies.observed import read_points
-from strandline.studies.parse import made, open_entry, refused_at, require_parts
+from strandline.studies.parse import checked, entry, made, open_entry, refused_at, require_parts
 from strandline.studies.pictures.undeformed import Undeformed, undeformed_in, without_picture
 
 
@@ -48,7 +51,7 @@ def build_model(
             remedy="Move the key to the top level of study.yaml.",
         )
     factory, place = open_entry(MODELS, name, "model", "a forward model"), f"model.{name}"
-    if wants_folder(factory):
+    if any(one.name == "folder" and one.init for one in dataclasses.fields(factory)):
         model: ForwardModel = made(factory, options, place, folder=folder)
     else:
         options = {key: _with_points(key, value, folder) for key, value in (options or {}).items()}
@@ -58,26 +61,16 @@ def build_model(
         found = made(factory, options, place)
         with refused_at(place):
             model = found.forward_model() if hasattr(found, "forward_model") else found
-    return _sensitive(model) if sensitivities else model
-
-
-def wants_folder(factory: Any) -> bool:
-    """Return whether a model needs the study folder: it has a field `folder`, which is then not an option."""
-    return any(f.name == "folder" and f.init for f in dataclasses.fields(factory))
+    with refused_at():
+        return with_sensitivities(model) if sensitivities else model
 
 
 def _with_points(name: str, value: Any, folder: Path) -> Any:
     """Return an option, with its file of points read if it names one."""
     if not isinstance(value, Mapping) or "file" not in value:
         return value
-    unit = value.get("unit")
-    if unit not in TO_MM:
-        raise InvalidStudy(
-            f"unit of the points in {value['file']}",
-            value=unit,
-            expected=f"one of {', '.join(TO_MM)}",
-            remedy="Add `unit: mm` after `file`.",
-        )
+    unit = str(value.get("unit", "nothing"))
+    entry(TO_MM, unit, f"unit of the points in {value['file']}, as in `unit: mm`")
     points = read_points(folder / str(value["file"]), unit, what=name).points.tolist()
     rest = {key: item for key, item in value.items() if key not in ("file", "unit")}
     return {"points": points, "spline": False, **rest}
@@ -101,13 +94,12 @@ def build_discrepancies(
     return result
 
 
-def _sensitive(model: ForwardModel) -> ForwardModel:
+def differentiating(model: ForwardModel) -> ForwardModel | None:
+    """Return `model` with sensitivities switched on; None if it has none."""
     try:
         asked: ForwardModel = with_sensitivities(model)
-    except InvalidInput as error:
-        raise InvalidStudy(
-            "sensitivities", value="true, but this model offers none", expected=error.expected, remedy=error.remedy
-        ) from None
+    except InvalidInput:
+        return None
     return asked
 
 
@@ -141,6 +133,14 @@ FAR = 0.5
 """Share of the interface's extent from which a check warns that the cheaper model's is off by too much."""
 
 
+class _Cheaper(Section):
+    """What `fidelities` states of the cheaper model: options in which it differs, or another model; and its cost."""
+
+    model_config = ConfigDict(extra="allow")
+    cost: Number = COST
+    model: Choice | None = None
+
+
 def with_cheaper(
     model: ForwardModel, content: StudyFile, folder: Path, undeformed: Undeformed | None = None
 ) -> ForwardModel:
@@ -148,7 +148,7 @@ def with_cheaper(
     if not content.fidelities:
         return model
     (given,) = content.fidelities
-    options = dict(given) if isinstance(given, Mapping) else {"mesh": given}
+    stated = checked(_Cheaper, {"mesh": given} if isinstance(given, str) else given, "fidelities")
     if isinstance(given, str) and not hasattr(model, "mesh"):
         raise InvalidStudy(
             "fidelities",
@@ -156,37 +156,26 @@ def with_cheaper(
             expected="the options in which the cheaper model differs: only a model with meshes has names for them",
             remedy=f"Write e.g. fidelities: [{EXAMPLES.get(next(iter(content.model)), EXAMPLE)}].",
         )
-    cost = options.pop("cost", COST)
-    if isinstance(cost, bool) or not isinstance(cost, int | float):
-        raise InvalidStudy(
-            "fidelities.cost", value=repr(cost), expected="a number above 0 and below 1", remedy="Write e.g. cost: 0.3."
-        )
     if CHEAPER in {*content.inputs, *content.fixed}:
         raise InvalidStudy(
             "an input of a study with fidelities", value=CHEAPER, expected="another name", remedy="Rename it."
         )
-    other = options.pop("model", None)
-    if other is None:
-        (name, own) = next(iter(content.model.items()))
-        choice: Mapping[str, Mapping[str, Any] | None] = {name: {**(own or {}), **options}}
-    elif options or not isinstance(other, Mapping) or len(other) != 1:
+    choice, differing = stated.model or content.model, stated.model_extra or {}
+    if stated.model is None:
+        ((name, own),) = content.model.items()
+        choice = {name: {**(own or {}), **differing}}
+    elif differing:
         raise InvalidStudy(
             "fidelities.model",
-            value=str(other) if not options else f"with {', '.join(options)} beside it",
+            value=f"with {', '.join(differing)} beside it",
             expected="one simulator with its options, as under `model`, and only `cost` beside it",
             remedy="Write e.g. fidelities: [{model: {command: {…}}, cost: 0.1}].",
         )
-    else:
-        choice = other
-    try:
+    with refused_at("fidelities"):
         cheaper = build_model(choice, folder, sensitivities=content.sensitivities, undeformed=undeformed)
         if isinstance(cheaper, UsesNames):
             cheaper.require_names(content.inputs, content.fixed)
-        return WithCheaper(model, cheaper, float(cost))
-    except InvalidInput as error:
-        raise InvalidStudy(
-            f"fidelities: {error.what}", value=error.value, expected=error.expected, remedy=error.remedy
-        ) from None
+        return WithCheaper(model, cheaper, stated.cost)
 
 
 def cheaper_dropped(folder: Path) -> bool:

@@ -13,7 +13,7 @@ from strandline.interface import GaussianNoise, Interface, Noise, PointErrors, U
 from strandline.readers.options import TO_MM
 from strandline.studies.keys.observation import COLUMN, IMAGE, ConditionNoise, Unknown
 from strandline.studies.observed import Found
-from strandline.studies.parse import refused_at
+from strandline.studies.parse import entry, refused_at
 
 Stated = float | str | tuple[float, float] | None
 
@@ -47,27 +47,30 @@ def build_noise(
             remedy="Name its column, `observation: {file: …, sd: COLUMN}`, or state one sd for all points.",
         )
     for name in given.spread:
-        if name not in names:
-            raise InvalidStudy(
-                "noise.spread", value=name, expected=f"some of {', '.join(names)}", remedy="Correct the name."
-            )
+        entry(dict.fromkeys(names), name, "noise.spread")
     spread = tuple(names.index(name) for name in given.spread)
     if given.sd == IMAGE:
-        return _of_picture(given, found, common, spread)
-    _require_ranges(given)
+        seen = _shown(given, found)
+        sd, length, common["offset"] = seen.sd, seen.length, common["offset"] or seen.offset
+    else:
+        _require_ranges(given)
     with refused_at():
         if given.sd == COLUMN:
             return _of_each(sds, length, given, **common, shared=unknown.shared)
         if isinstance(sd, float) and isinstance(length, float) and not (given.model_error or spread):
             return PointErrors(sd, length, **common, shared=unknown.shared)
-        _require_unshared(unknown)
+        if unknown.shared:
+            raise InvalidInput(
+                "noise.unknown.shared",
+                value=True,
+                expected="a known sd and length, no model_error and no spread",
+                remedy="Leave shared out.",
+            )
         return UnknownErrors(sd, length, **common, model_error=given.model_error, spread=spread)
 
 
-def _of_picture(
-    given: ConditionNoise, found: Found | None, common: Mapping[str, float], spread: tuple[int, ...]
-) -> PointErrors | UnknownErrors:
-    """Return the errors that the picture shows, with the common ones that are stated, lengths in mm."""
+def _shown(given: ConditionNoise, found: Found | None) -> PointErrors:
+    """Return the errors that the picture shows, lengths in mm."""
     seen = None if found is None else found.errors
     if seen is None:
         raise InvalidStudy(
@@ -83,24 +86,7 @@ def _of_picture(
             expected="the length that the picture shows",
             remedy="Leave it out, or state sd and length as numbers, as `strandline image` prints them.",
         )
-    unknown = given.unknown or Unknown()
-    found_too: dict[str, Any] = {**common, "offset": common["offset"] or seen.offset}
-    with refused_at():
-        if not (given.model_error or spread):
-            return PointErrors(seen.sd, seen.length, **found_too, shared=unknown.shared)
-        _require_unshared(unknown)
-        return UnknownErrors(seen.sd, seen.length, **found_too, model_error=given.model_error, spread=spread)
-
-
-def _require_unshared(unknown: Unknown) -> None:
-    """Refuse shared errors beside noise that is inferred."""
-    if unknown.shared:
-        raise InvalidInput(
-            "noise.unknown.shared",
-            value=True,
-            expected="a known sd and length, no model_error and no spread",
-            remedy="Leave shared out.",
-        )
+    return seen
 
 
 def require_offset(given: ConditionNoise) -> None:

@@ -1,6 +1,6 @@
 """The observed interface of each condition: from a file of points, a picture, a stack, or synthetic with noise."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,12 +22,7 @@ from strandline.studies.pictures.scanned import Scanned, scanned
 
 @dataclass(frozen=True)
 class SyntheticNoise:
-    """Independent Gaussian noise on every node coordinate of a synthetic observation.
-
-    Args:
-        sd: Standard deviation of the noise, mm.
-        seed: Seed of its random numbers.
-    """
+    """Independent Gaussian noise on every node coordinate of a synthetic observation: its sd, mm, and its seed."""
 
     sd: float
     seed: int
@@ -64,13 +59,8 @@ def read_points(
     """Return the interface in a file, in mm; for a text file without `options`, the open polyline of its points.
 
     Each line of such a file holds x and y, separated by a comma, a semicolon or blanks; a first line of column names
-    and lines that begin with # are skipped. The points are in order along the interface.
-
-    Args:
-        path: Path of the file.
-        unit: Unit of the numbers in the file, a key of `TO_MM`.
-        what: Name of the points in messages.
-        options: How to read the file, see `strandline.readers.Reading`.
+    and lines that begin with # are skipped. The points are in order along the interface. The options are those of
+    `strandline.readers.Reading`; `what` names the points in messages.
     """
     with refused_at():
         reading = made(Reading, {**(options or {}), "file": path.name, "unit": unit}, what)
@@ -87,14 +77,7 @@ def read_sds(path: Path, unit: str, *, options: Mapping[str, Any]) -> Float[np.n
 
 
 def require_plausible(name: str, observed: Interface, simulated: Interface, *, unit: str = "") -> None:
-    """Refuse an interface ten times larger or smaller than the model's: a wrong unit.
-
-    Args:
-        name: Name of the observation in messages.
-        observed: The observed interface, mm.
-        simulated: The model's interface, deformed or not, mm.
-        unit: The unit in which the observation was read, if known.
-    """
+    """Refuse an interface ten times larger or smaller than the model's, deformed or not: a wrong unit."""
     ratio = extent_ratio(observed, simulated)
     mistake = unit_mistake(ratio)
     if mistake:
@@ -108,14 +91,10 @@ def require_plausible(name: str, observed: Interface, simulated: Interface, *, u
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """An observed interface and what is known of its errors.
+    """An observed interface, mm, whether its points were reversed, and what is known of their errors.
 
-    Args:
-        interface: The interface, mm.
-        turned: Whether its points were reversed.
-        sds: Standard deviation of each point, mm, if the file holds them.
-        picture: The picture in which it was found, if it was.
-        stack: The stack of pictures in which it was found, if it was.
+    `sds` are the standard deviations of the points, mm, if the file holds them. The interface may have been found in a
+    picture or a stack.
     """
 
     interface: Interface
@@ -126,7 +105,6 @@ class Found:
 
     @property
     def errors(self) -> PointErrors | None:
-        """Errors of the points that the picture or the stack shows; None without one."""
         shown = self.picture or self.stack
         return None if shown is None else shown.errors
 
@@ -136,27 +114,20 @@ def read_observations(
 ) -> dict[str, Found]:
     """Return the observed interfaces by condition."""
     files = {item.condition: item for item in source} if isinstance(source, list) else {"": source}
-    known = declared_conditions(model)
     for condition in files:
-        if condition not in known:
-            raise _unknown_condition(condition, known)
+        require_condition(condition, declared_conditions(model), "observation")
     return {condition: read_observation(folder, item, model) for condition, item in files.items()}
 
 
-def _unknown_condition(condition: str, known: tuple[str, ...]) -> InvalidStudy:
-    if not any(known):
-        return InvalidStudy(
-            "observation: the model has a single condition without a name",
-            value=condition,
-            expected="one mapping, observation: {file: …, unit: …}",
-            remedy="Remove the list and `condition`, or let the model declare its `conditions`.",
+def require_condition(name: str, known: Collection[str], place: str) -> None:
+    """Refuse a condition that the model does not have; a model with a single one has no name for it."""
+    if name not in known:
+        raise InvalidStudy(
+            f"{place}: the model has no such condition",
+            value=name or "no name",
+            expected=f"some of {', '.join(known)}" if any(known) else "no name, since the model has a single condition",
+            remedy=suggestion(name, known, "Correct the name, or give one." if any(known) else "Remove it."),
         )
-    return InvalidStudy(
-        "observation: the model has no such condition" if condition else "observation: the condition is not named",
-        value=condition or "no name",
-        expected=f"some of {', '.join(known)}",
-        remedy=suggestion(condition, known, "Give a list, - {condition: NAME, file: …, unit: …}."),
-    )
 
 
 def read_observation(folder: Path, source: ObservationFile, model: ForwardModel) -> Found:

@@ -13,7 +13,7 @@ from strandline.errors import InvalidInput, InvalidStudy
 from strandline.registry import lookup, suggestion
 from strandline.studies.folder import STUDY
 from strandline.studies.keys import SCHEMA_VERSION, StudyFile
-from strandline.studies.keys.observation import KNOWN, ONE, RANGE, SEVERAL, UNKNOWN, ConditionFile
+from strandline.studies.keys.observation import ONE, SEVERAL, ConditionFile
 from strandline.studies.keys.schema import PLAIN, Options, annotation_of, keys_within, stated
 from strandline.studies.text import load_yaml
 
@@ -38,7 +38,7 @@ WORDS = {
     "too_short": "at least one entry",
 }
 """What was expected, in plain words, by pydantic's name of the mistake; pydantic's own words otherwise."""
-INTERNAL = {ONE, SEVERAL, KNOWN, UNKNOWN, RANGE, "[key]", "float", "int", "str", "Quantity", "dict"}
+INTERNAL = {ONE, SEVERAL, "[key]", "float", "int", "str", "Quantity", "dict"}
 """pydantic's own names in locations that are not keys of the file."""
 
 
@@ -162,7 +162,7 @@ def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list
 def _is_internal(part: int | str) -> bool:
     """Return whether `part` is one of pydantic's own names of union branches, not a key of the file."""
     return isinstance(part, str) and (
-        part in INTERNAL or part.startswith(("function-", "dict[", "list[", "tuple[", "constrained"))
+        part in INTERNAL or part.startswith(("function-", "dict[", "list[", "literal[", "tuple[", "constrained"))
     )
 
 
@@ -173,7 +173,7 @@ def _expectation(finding: Mapping[str, Any]) -> str:
         return f"at least {least} entries" if kind == "too_short" else f"at most {most} entries"
     text = str(finding["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
     if words := _words(finding):
-        return f"one of {', '.join(words)}"
+        return f"one of {', '.join(words)}" if len(words) > 1 else words[0]
     said = WORDS.get(kind, text[:1].lower() + text[1:])
     return f"a number {said}" if kind.startswith(("greater_than", "less_than")) else said
 
@@ -190,13 +190,7 @@ def _words(finding: Mapping[str, Any]) -> list[str]:
 
 
 def checked(schema: type[T], value: Any, within: str = "") -> T:
-    """Return a value of the study file after the check of its names, types and missing keys.
-
-    Args:
-        schema: A section, or another type that pydantic knows.
-        value: The value.
-        within: Place in the study file; the whole file by default.
-    """
+    """Return a value at the place `within` the study file, after the check of its names, types and missing keys."""
     try:
         return TypeAdapter(schema).validate_python(value)
     except ValidationError as error:
@@ -204,13 +198,9 @@ def checked(schema: type[T], value: Any, within: str = "") -> T:
 
 
 def made(kind: type[T], options: Mapping[str, Any] | None, place: str, **others: Any) -> T:
-    """Return an object of a dataclass, made from its options in the study file.
+    """Return an object of a dataclass, the library's own or one of ``module:name``, made from its options in the file.
 
-    Args:
-        kind: The class: the library's own, or one that the study names by ``module:name``.
-        options: Its options.
-        place: Place in the study file.
-        others: Further arguments, which are no options.
+    `place` is their place in the study file; `others` are further arguments, which are no options.
     """
     section = Options(kind, without=others, plain=PLAIN).section
     values = stated(checked(section, {} if options is None else options, place))
@@ -252,14 +242,7 @@ def entry(registry: Mapping[str, Any], name: str, place: str) -> Any:
 
 
 def open_entry(registry: Mapping[str, Any], name: str, place: str, protocol: str) -> Any:
-    """Return the entry `name` of a registry, or the class ``module:name``.
-
-    Args:
-        registry: Entries by name.
-        name: Name in the study file.
-        place: Place in the study file.
-        protocol: What the class must be, with its article, for messages.
-    """
+    """Return the entry `name` of a registry, or the class ``module:name``, which must be `protocol`."""
     with refused_at():
         found = lookup(registry, name, place)
     if not (isinstance(found, type) and dataclasses.is_dataclass(found)):

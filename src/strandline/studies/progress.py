@@ -11,10 +11,11 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any, Literal
 
+from strandline.files import read_json
 from strandline.runs.ledger_schema import EXCLUDED, INTERRUPTED
 from strandline.runs.overview import OPEN, Attempt, Driver, Overview, Run
 from strandline.runs.plans import Plan
-from strandline.studies.folder import LEDGER, REFINEMENT, STUDY, SUMMARY, digest_of, read_json
+from strandline.studies.folder import LEDGER, REFINEMENT, STUDY, SUMMARY, digest_of
 
 if TYPE_CHECKING:
     from strandline.studies.study import Study
@@ -49,24 +50,11 @@ class Failures:
 class StudyProgress:
     """Counts of the planned runs by outcome; each run counts once, as ok, failed, open or to do.
 
-    Args:
-        name: Name of the study.
-        planned: Number of runs of the design and of all rounds of refinement.
-        ok: Number of runs that returned an interface.
-        failed: Number of runs that returned none and will not be tried again.
-        open: Number of runs started and not ended whose driver is, or may be, at work.
-        lost: Number of runs started and not ended whose driver is gone; they count as to do.
-        reused: Number of runs that other studies have made, and that the first start takes over.
-        detached: Whether jobs of a SLURM array are out, which go on without a driver; `open` runs may be among them.
-        failures: Failures by kind, the commonest first.
-        rate: Runs per minute of the last driver that finished any.
-        seconds_left: Estimated time to the last planned run, s, if a driver is at work.
-        median_seconds: Median duration of the finished runs, s.
-        slowest: Slowest of the finished runs.
-        driver: Process that opened the ledger last, and whether it is at work.
-        active: Whether an active design is under way, which may stop before `planned` runs.
-        last_batch: Outcome of the last batch of an active design, in a line; empty if there is none.
-        results: Whether summary.json exists and belongs to the present study.yaml.
+    At work on `open` runs is, or may be, a driver; that of `lost` runs is gone, so they count as to do. Other studies
+    have made `reused` runs, which the first start takes over. If jobs of a SLURM array are `detached`, they go on
+    without a driver, and may be among the open ones. `failures` come by kind, the commonest first. `rate` is in runs
+    per minute of the last driver that finished any; the estimate of `seconds_left` needs one at work. An `active`
+    design may stop before `planned` runs; `last_batch` is the outcome of its last batch in a line.
     """
 
     name: str
@@ -89,7 +77,6 @@ class StudyProgress:
 
     @property
     def done(self) -> int:
-        """Runs that will not be tried again."""
         return self.ok + self.failed
 
     @property
@@ -120,7 +107,7 @@ def progress_in(folder: Path) -> StudyProgress:
     plan = recorded_plan(folder)
     if plan is not None:
         return _progress(folder, plan)
-    from strandline.studies.study import load_study
+    from strandline.studies.load import load_study
 
     return progress_of(load_study(folder))
 
@@ -133,13 +120,8 @@ def progress_of(study: "Study") -> StudyProgress:
 
 def progress_as_planned(study: "Study") -> StudyProgress:
     """Return the progress of `study` as it was loaded, by the plan that its driver has noted, if there is one."""
-    path = study.ledger_path
-    if path.is_file():
-        with Overview(path) as ledger:
-            plan = ledger.plan(study.text_digest)
-        if plan is not None:
-            return _progress(study.folder, plan)
-    return progress_of(study)
+    plan = _plan(study.folder, study.text_digest)
+    return progress_of(study) if plan is None else _progress(study.folder, plan)
 
 
 def recorded_plan(folder: Path) -> Plan | None:
@@ -148,10 +130,14 @@ def recorded_plan(folder: Path) -> Plan | None:
         text = (folder / STUDY).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         return None
+    return _plan(folder, digest_of(text))
+
+
+def _plan(folder: Path, study_sha256: str) -> Plan | None:
     if not (folder / LEDGER).is_file():
         return None
     with Overview(folder / LEDGER) as ledger:
-        return ledger.plan(digest_of(text))
+        return ledger.plan(study_sha256)
 
 
 def results_of(study: "Study") -> Results:
@@ -166,7 +152,8 @@ def _progress(folder: Path, plan: Plan) -> StudyProgress:
     with Overview(path, model=plan.model) as ledger:
         wanted, driver = frozenset(plan.keys), ledger.driver()
         runs = [run for run in ledger.runs() if run.key in wanted]
-        state = _Counted(plan, driver, runs, detached=_detached(path.parent)).told(ledger, results)
+        detached = any((folder / "slurm").glob("*/batch.json"))  # each batch has a folder until it is collected
+        state = _Counted(plan, driver, runs, detached=detached).told(ledger, results)
     noted = read_json(folder / REFINEMENT)
     noted = noted if noted.get("study_sha256") == plan.study_sha256 else {}
     under_way = "given" in noted and not noted.get("finished")
@@ -275,8 +262,3 @@ def _results(folder: Path, study_sha256: str) -> Results:
 
 def _seconds(attempt: Attempt) -> float:
     return attempt.seconds or 0.0
-
-
-def _detached(folder: Path) -> bool:
-    """Return whether batches of a SLURM array are out: each has a folder until it is collected."""
-    return any((folder / "slurm").glob("*/batch.json"))

@@ -10,11 +10,12 @@ from importlib import metadata
 from typing import Any
 
 from strandline.errors import InvalidStudy, StrandlineError
+from strandline.files import read_json
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.report import FIGURES
 from strandline.runs import FailurePolicy
 from strandline.runs.ledger_rows import outcome_digest
-from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY, read_json
+from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY
 from strandline.studies.study import Study
 from strandline.version import __version__
 
@@ -62,7 +63,6 @@ def points_digest(seen: Interface) -> str:
 
 
 def _facts(seen: Observation) -> tuple[str, str, str]:
-    """Return the condition, a digest of the points, and the noise."""
     noise = seen.noise
     stated = noise if isinstance(noise, PointErrors | UnknownErrors) else (type(noise).__qualname__, noise.facts)
     return seen.condition, points_digest(seen.interface), repr(stated)
@@ -104,6 +104,18 @@ def results_at_hand(study: Study) -> dict[str, Any] | None:
         return None
     runs = summary["runs"]
     return summary | {"runs": runs | {"new": 0, "reused": runs["new"] + runs["reused"]}}
+
+
+def facts_of(study: Study, seed: int) -> dict[str, Any]:
+    """Return what results and answers say of the study, the program and the seed that they come from."""
+    return {
+        "study": study.name,
+        "study_sha256": study.text_digest,
+        "version": __version__,
+        "versions": versions(),
+        "model": study.runs.identity,
+        "seed": seed,
+    }
 
 
 def versions() -> dict[str, str]:

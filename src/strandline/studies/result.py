@@ -1,6 +1,5 @@
 """The results of a finished study, read back: its posterior, its figures, and other posteriors from the same runs."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -10,28 +9,25 @@ from typing import Any
 from strandline.calibration import Calibration, Problem, Settings, calibrate
 from strandline.design.refinement import Refinement
 from strandline.discrepancy import DISCREPANCIES, Discrepancy
-from strandline.errors import InvalidInput, InvalidStudy
+from strandline.errors import InvalidInput
+from strandline.files import read_json
 from strandline.interface import GaussianNoise, PointErrors, UnknownErrors
 from strandline.models.fidelities import is_cheaper
-from strandline.posterior import Posterior, from_datatree, read
+from strandline.posterior import Posterior
 from strandline.report.plots.pairs import PosteriorPlots
 from strandline.runs import InProcess
-from strandline.studies.folder import POSTERIOR, SUMMARY
+from strandline.studies.check import finished_posterior
+from strandline.studies.first_run import observations_of
+from strandline.studies.folder import SUMMARY
+from strandline.studies.load import load_study
 from strandline.studies.models import cheaper_dropped
-from strandline.studies.observed import noisy
 from strandline.studies.parse import made, open_entry
-from strandline.studies.study import Study, load_study
+from strandline.studies.study import Study
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
-    """A finished study.
-
-    Args:
-        study: The study as its folder now has it.
-        posterior: Posterior that its last `strandline run` or `report` wrote.
-        summary: Content of summary.json.
-    """
+    """A finished study as its folder now has it, with the posterior and the summary that were written last."""
 
     study: Study
     posterior: Posterior
@@ -58,11 +54,8 @@ class Result:
     ) -> Calibration:
         """Return the posterior under another noise, from the existing runs; nothing is written.
 
-        Args:
-            sd: Standard deviation σ_N, in the unit of the discrepancy d.
-            variance: Variance σ_N² instead, in the unit of d².
-            errors: Errors of the observed points instead.
-            measure: Another measure too; by default the study's.
+        The noise is a standard deviation σ_N in the unit of d, or a variance σ_N² in that of d², or errors of the
+        observed points. The measure is the study's by default.
 
         Raises:
             InvalidInput: Not one of the three is given, or the number is not above 0.
@@ -83,9 +76,7 @@ class Result:
     def with_measure(self, measure: str | Discrepancy, **options: Any) -> Calibration:
         """Return the posterior under another measure, from the existing runs; nothing is written.
 
-        Args:
-            measure: A discrepancy, or its name in study files.
-            options: Options of a measure given by its name.
+        The measure is an object, or its name in study files, with its options.
 
         Raises:
             InvalidInput: There is no such measure, or it has no such option.
@@ -117,11 +108,7 @@ class Result:
         settings: Settings = replace(study.settings, active=None, refine=Refinement())
         given = self._inputs
         with study.runs.ledger() as ledger:
-            observed = study.observed
-            if study.truth is not None:
-                (record,) = ledger.latest([study.runs.key(study.truth)]).values()
-                observed = noisy(record.interfaces, study.synthetic_noise)
-            observations = study.observations(observed)
+            observations = study.observations(observations_of(study))
             problem = Problem(study.model, study.space, study.fixed, observations, study.discrepancies)
             return calibrate(problem, settings, ledger=ledger, executor=InProcess(), given=given)
 
@@ -134,20 +121,5 @@ def load_result(folder: Path | str) -> Result:
     """
     study = load_study(folder)
     study.runs.require_finished()
-    try:
-        summary = json.loads((study.folder / SUMMARY).read_text(encoding="utf-8"))
-        posterior = from_datatree(read(study.folder / POSTERIOR), study.space)
-    except (OSError, ValueError, InvalidInput) as error:
-        raise _no_results(study, str(error)) from None
-    if not isinstance(summary, dict) or summary.get("study_sha256") != study.text_digest:
-        raise _no_results(study, "results of an earlier study.yaml")
-    return Result(study, posterior, summary)
-
-
-def _no_results(study: Study, found: str) -> InvalidStudy:
-    return InvalidStudy(
-        f"results in {study.folder}",
-        value=found,
-        expected="posterior.nc and summary.json of study.yaml as it is",
-        remedy=f"Write them: strandline report {study.folder}",
-    )
+    posterior = finished_posterior(study, purpose="load")
+    return Result(study, posterior, read_json(study.folder / SUMMARY))

@@ -3,9 +3,11 @@
 import io
 import shutil
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import partial
+from importlib import import_module
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ from strandline.calibration import Calibration, Observer, Problem, calibrate
 from strandline.calibration.progress import observer_or_default
 from strandline.design.active import BatchReport
 from strandline.errors import InvalidInput, InvalidStudy, NumericsError, ResultsNotWritten
+from strandline.files import write_json
 from strandline.interface import Interface
 from strandline.likelihood import compared
 from strandline.models.protocol import prepare_runs
@@ -26,7 +29,7 @@ from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.runs.failures import FailurePolicy
 from strandline.studies.check import read_check
 from strandline.studies.first_run import require_same_size
-from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY, require_writable, write_json
+from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY, require_writable
 from strandline.studies.noise import require_fits
 from strandline.studies.observed import noisy
 from strandline.studies.pictures.shown import pictures_in_page
@@ -58,10 +61,7 @@ class Outcome:
 def run_study(study: Study, *, executor: Executor | None = None, observer: Observer | None = None) -> Outcome:
     """Run a whole study; forward runs that the ledger already holds are not made again.
 
-    Args:
-        study: A study, from `load_study`.
-        executor: Where forward runs are made; by default where the study says.
-        observer: Receives the progress.
+    They are made where the study says if no executor is given. The observer receives the progress.
 
     Raises:
         InvalidStudy: The folder cannot be written to, the synthetic observation cannot be made, or the study was
@@ -76,7 +76,13 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
     require_writers()
     require_writable(study.folder)
     study.runs.require_sound_ledgers()
-    executor, observer, made = executor or study.executor, observer_or_default(observer), _Made()
+    executor, observer, made = executor or study.executor, observer_or_default(observer), set[str]()
+
+    def run(record: RunRecord, progress: Progress) -> None:
+        made.add(record.key)
+        observer.run(record, progress)
+
+    told = replace(observer, run=run)
     with study.runs.ledger() as ledger:
         given = study.runs.begin_active(ledger)
         ledger.plan(study.runs.plan)
@@ -92,26 +98,19 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
                 study.settings,
                 ledger=ledger,
                 executor=executor,
-                observer=_noting_rounds(_telling_early(made.listening(observer), study), study, ledger),
+                observer=_noting_rounds(_checking_sizes(noting_widths(told, study), study), study, ledger),
                 given=given,
             )
-        study.runs.end_active()
+        if study.settings.active is not None:
+            study.runs.note(finished=True)  # its runs are all that the study needs
         ledger.plan(study.runs.plan)
-    return _write_results(study, calibration, made.number, observer)
+    return _write_results(study, calibration, len(made), observer)
 
 
 def submit_study(study: Study, *, executor: Executor, observer: Observer | None = None) -> None:
     """Submit the runs that are known to be needed and not yet made to an executor that does not wait for them.
 
-    Args:
-        study: A study, from `load_study`.
-        executor: Makes the runs; it raises when all of them have been submitted.
-        observer: Receives the runs that have been collected in the meantime.
-
-    Raises:
-        InvalidStudy: The folder cannot be written to.
-        LedgerError: The ledger is locked, belongs to another model, or is damaged.
-        InvalidInput: A library that writes the results does not work.
+    The executor raises when all of them have been submitted. Runs collected in the meantime are reported.
     """
     require_its_own_text(study)
     require_writers()
@@ -154,45 +153,31 @@ def _noting_rounds(observer: Observer, study: Study, ledger: Ledger) -> Observer
         observer.draws(inputs)
 
     def batch(report: BatchReport) -> None:
-        study.runs.note_batch(report.line)
+        study.runs.note(last_batch=report.line)
         observer.batch(report)
 
     return replace(observer, draws=draws, batch=batch)
 
 
-def _telling_early(observer: Observer, study: Study) -> Observer:
-    """Return an observer that learns from the first runs whether they fit the observation and what it can tell."""
-    return _checking_sizes(noting_widths(observer, study), study)
-
-
 def _checking_sizes(observer: Observer, study: Study) -> Observer:
     """Return an observer that ends the study if none of its first runs has the size of the observation."""
-    first: list[RunRecord] = []
+    found: list[InvalidStudy | None] = []
 
     def run(record: RunRecord, progress: Progress) -> None:
         observer.run(record, progress)
-        if record.ok and len(first) < TELLING_RUNS:
-            first.append(record)
-            if len(first) == TELLING_RUNS:
-                _require_some_size(study, first)
+        if record.ok and len(found) < TELLING_RUNS:
+            try:
+                require_same_size(study, record)
+                found.append(None)
+            except InvalidStudy as error:
+                found.append(error)  # a single run of another size is set aside later
+                if len(found) == TELLING_RUNS and None not in found:
+                    raise
 
     return replace(observer, run=run)
 
 
-def _require_some_size(study: Study, records: Sequence[RunRecord]) -> None:
-    """Refuse the study if no run has the size of the observation; a single run that has not is set aside later."""
-    for record in records:
-        try:
-            require_same_size(study, record)
-        except InvalidStudy as error:
-            refused = error
-        else:
-            return
-    raise refused
-
-
 def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observer) -> Mapping[str, Interface]:
-    """Return the observed interfaces by condition; synthetic ones are a run of the model plus noise."""
     if study.truth is None:
         return study.observed
     observer.stage("observation")
@@ -254,7 +239,8 @@ def _write_results(study: Study, calibration: Calibration, new_runs: int, observ
     with results.writing(SUMMARY):
         write_json(study.folder / SUMMARY, summary)
     outcome = Outcome(calibration, summary, report)
-    results.require_all(outcome)
+    if results.missing:
+        raise ResultsNotWritten(study.folder, results.missing, outcome) from results.first
     return outcome
 
 
@@ -269,27 +255,11 @@ def _tree(study: Study, calibration: Calibration) -> DataTree:
     )
 
 
-class _Made:
-    """The planned runs that were made; a run that was tried twice counts once."""
-
-    def __init__(self) -> None:
-        self.keys: set[str] = set()
-
-    @property
-    def number(self) -> int:
-        return len(self.keys)
-
-    def listening(self, observer: Observer) -> Observer:
-        def run(record: RunRecord, progress: Progress) -> None:
-            self.keys.add(record.key)
-            observer.run(record, progress)
-
-        return replace(observer, run=run)
-
-
 def require_writers() -> None:
     """Refuse to start if the libraries that write posterior.nc, the figures or the report do not work."""
-    for name, trial in {POSTERIOR: _try_netcdf, FIGURES: _try_figures, REPORT: _try_page}.items():
+    figures, page = partial(import_module, "matplotlib.backends.backend_pdf"), partial(template, "report.html.j2")
+    trials: dict[str, Callable[[], object]] = {POSTERIOR: _try_netcdf, FIGURES: figures, REPORT: page}
+    for name, trial in trials.items():
         try:
             trial()
         except Exception as error:
@@ -307,7 +277,7 @@ class Results:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.missing: dict[str, str] = {}
-        self._first: Exception | None = None
+        self.first: Exception | None = None
 
     @contextmanager
     def writing(self, name: str) -> Iterator[None]:
@@ -320,24 +290,14 @@ class Results:
     def failed(self, name: str, error: Exception) -> None:
         """Note why `name` is missing, and remove an older file of that name: it does not belong to these results."""
         self.missing[name] = reason(error)
-        self._first = self._first or error
+        self.first = self.first or error
         with suppress(OSError):
             (self.folder / name).unlink(missing_ok=True)
         if name == FIGURES:
             shutil.rmtree(self.folder / FIGURES, ignore_errors=True)
 
     def warnings(self) -> list[str]:
-        """Return a line for each result that is missing."""
         return [f"{name} could not be written: {why}" for name, why in self.missing.items()]
-
-    def require_all(self, outcome: Any) -> None:
-        """Raise if anything is missing.
-
-        Raises:
-            ResultsNotWritten: Something is missing; the error carries `outcome`.
-        """
-        if self.missing:
-            raise ResultsNotWritten(self.folder, self.missing, outcome) from self._first
 
 
 def reason(error: Exception) -> str:
@@ -351,11 +311,3 @@ def _try_netcdf() -> None:
     import h5netcdf
 
     h5netcdf.File(io.BytesIO(), "w").close()
-
-
-def _try_figures() -> None:
-    from matplotlib.backends import backend_agg, backend_pdf  # noqa: F401
-
-
-def _try_page() -> None:
-    template("report.html.j2")

@@ -10,17 +10,17 @@ from queue import LifoQueue
 import numpy as np
 from jaxtyping import Float
 
-from strandline.discrepancy import oriented_like_runs
-from strandline.errors import ForwardModelError, InvalidInput, InvalidStudy
-from strandline.interface import Interface, Observation
+from strandline.errors import ForwardModelError, InvalidInput
+from strandline.interface import Interface
 from strandline.likelihood import InterfaceLikelihood
-from strandline.models.protocol import ForwardModel, with_sensitivities
+from strandline.models.protocol import ForwardModel
 from strandline.models.umbridge.answers import Blocks, ServedModel
 from strandline.models.umbridge.model import flattened
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord, RunRequest, run_key
 from strandline.runs.worker import packed_model
 from strandline.runs.worker_slot import WorkerSlot
+from strandline.studies.first_run import require_ok, turned_like
 from strandline.studies.inputs import check_values
 from strandline.studies.noise import require_stated
 from strandline.studies.observed import noisy
@@ -111,11 +111,9 @@ class _Served:
         yield ServedModel("log_likelihood", dim, (1,), self.log_likelihood)
 
     def interface(self, condition: str, blocks: Blocks) -> Blocks:
-        """Return the interface, mm."""
         return flattened(self._run(blocks, self.solve).interfaces[condition])
 
     def log_likelihood(self, blocks: Blocks) -> Blocks:
-        """Return log L."""
         return [[self.likelihood(self._run(blocks, self.solve).interfaces)]]
 
     def gradient(self, condition: str, out: int, into: int, blocks: Blocks, weights: list[float]) -> list[float]:
@@ -158,31 +156,22 @@ def served_models(
     coordinates x0, y0, x1, y1, … of the points, mm, and for a surface its triangles as a second block;
     `log_likelihood` returns log L of the first measure by the true model, without the constant.
 
-    Args:
-        study: A study, from `load_study`.
-        solve: Makes a run; called by several threads at once.
-        differentiate: Makes a run with sensitivities; None if the model has none.
-        outside: Whether inputs outside the boxes of the priors are answered too.
+    `solve` and `differentiate` make a run, the second with sensitivities; several threads call them at once. Inputs
+    outside the boxes of the priors are answered if `outside`.
     """
     medians = study.space.prior_quantiles(np.full((1, study.space.dim), 0.5))[0]
-    example = _required(solve({**study.fixed, **study.space.as_mapping(medians)}), "at the medians of the priors")
-    observations = _observations(study, solve, example)
+    example = require_ok(solve({**study.fixed, **study.space.as_mapping(medians)}), "at the medians of the priors")
+    observed: Mapping[str, Interface] = study.observed
+    if study.truth is not None:
+        made = require_ok(solve(study.truth), "of the synthetic observation")
+        observed = noisy(made.interfaces, study.synthetic_noise)
+    observations = turned_like(study.observations(observed), [example])
     require_stated((seen.noise for seen in observations), "strandline serve")
     likelihood = InterfaceLikelihood(observations, study.measure)
     return tuple(_Served(study, solve, differentiate, likelihood, outside).models(example))
 
 
-def differentiating(model: ForwardModel) -> ForwardModel | None:
-    """Return `model` with sensitivities switched on; None if it has none."""
-    try:
-        asked: ForwardModel = with_sensitivities(model)
-    except InvalidInput:
-        return None
-    return asked
-
-
 def _check_box(values: Mapping[str, float], space: ParameterSpace) -> None:
-    """Refuse inputs outside the boxes of the priors."""
     for parameter in space:
         low, high = parameter.interval
         if not low <= values[parameter.name] <= high:
@@ -192,32 +181,3 @@ def _check_box(values: Mapping[str, float], space: ParameterSpace) -> None:
                 expected=f"a number from {low:g} to {high:g}, the box of its prior",
                 remedy="Stay within it, or start the server with `serve --outside`.",
             )
-
-
-def _observations(study: Study, solve: Solve, example: RunRecord) -> tuple[Observation, ...]:
-    """Return the observations with their points in the same direction as those of an example."""
-    observed: Mapping[str, Interface] = study.observed
-    if study.truth is not None:
-        observed = noisy(
-            _required(solve(study.truth), "of the synthetic observation").interfaces, study.synthetic_noise
-        )
-    found = []
-    for seen in study.observations(observed):
-        against = oriented_like_runs(seen.interface, [example.interfaces[seen.condition]]).flipped
-        found.append(seen.reversed() if against else seen)
-    return tuple(found)
-
-
-def _required(record: RunRecord, what: str) -> RunRecord:
-    if record.ok:
-        return record
-    raise InvalidStudy(
-        f"the forward run {what} failed",
-        value=f"{record.failure_kind or record.state}: {_first_line(record)}",
-        expected="a run that ends with an interface",
-        remedy="Look at the simulator, or move the priors to where it runs.",
-    )
-
-
-def _first_line(record: RunRecord) -> str:
-    return (record.message or "no message").partition("\n")[0]

@@ -38,17 +38,27 @@ def build_settings(content: StudyFile, model: ForwardModel) -> Settings:
         sampler = SMCSettings(**smc)
     dim, log_likelihood = len(content.inputs), content.surrogate.log_likelihood
     active = build_active(content.design.active, dim, sensitivities=content.sensitivities)
-    if sobol is not None:
-        check_runs(sobol.runs, dim)
+    if sobol is not None and sobol.runs < dim + 2:
+        raise InvalidStudy(
+            "design.sobol.runs",
+            value=sobol.runs,
+            expected=f"at least {dim + 2} runs for {dim} input(s); 100 are a start",
+            remedy="Enlarge the design.",
+        )
     by_field = active is not None or content.surrogate.field is not None
-    kernel = None if log_likelihood is None else log_likelihood.kernel
+    kernel, fit = (None, None) if log_likelihood is None else (log_likelihood.kernel, log_likelihood.fit)
+    kernel = kernel or ("matern32" if dim <= FEW_INPUTS or not by_field else "matern32_product")
+    with refused_at():
+        kernel_named(kernel, what="surrogate.log_likelihood.kernel")
+        if fit is not None:
+            fit_named(fit, what="surrogate.log_likelihood.fit")
     scramble = (content.design.active or {}).get("scramble") if sobol is None else sobol.scramble
     return Settings(
         runs=sobol.runs if sobol is not None else (active.initial if active and active.initial else 0),
         scramble=scramble,
         refine=refine,
-        kernel=check_kernel(kernel or ("matern32" if dim <= FEW_INPUTS or not by_field else "matern32_product")),
-        fit=None if log_likelihood is None else check_fit(log_likelihood.fit),
+        kernel=kernel,
+        fit=fit,
         surrogate="field" if by_field else "log_likelihood",
         active=active,
         particles=particles,
@@ -78,17 +88,6 @@ def failure_words(model: ForwardModel) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*states, *(declared_failure_kinds(model) or ()), *COMMON_KINDS]))
 
 
-def check_runs(runs: int, dim: int) -> None:
-    """Refuse a design with fewer runs than the surrogate needs even if none fails."""
-    if runs < dim + 2:
-        raise InvalidStudy(
-            "design.sobol.runs",
-            value=runs,
-            expected=f"at least {dim + 2} runs for {dim} input(s); 100 are a start",
-            remedy="Enlarge the design.",
-        )
-
-
 def build_active(given: Mapping[str, Any] | None, dim: int, *, sensitivities: bool) -> Active | None:
     """Return the settings of an active design, with the number of its first runs."""
     if given is None:
@@ -114,21 +113,6 @@ def build_refinement(given: Mapping[str, Any] | None, particles: int) -> Refinem
             remedy="Make fewer runs in a round, and more rounds.",
         )
     return refinement
-
-
-def check_kernel(name: str) -> str:
-    """Return `name` if there is a kernel of that name."""
-    with refused_at():
-        kernel_named(name, what="surrogate.log_likelihood.kernel")
-    return name
-
-
-def check_fit(name: str | None) -> str | None:
-    """Return `name` if it is None or names a function."""
-    if name is not None:
-        with refused_at():
-            fit_named(name, what="surrogate.log_likelihood.fit")
-    return name
 
 
 def build_executor(choice: ExecutorChoice, folder: Path) -> Executor:

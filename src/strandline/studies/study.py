@@ -1,39 +1,33 @@
-"""A study: a folder with study.yaml, loaded and checked as far as possible without a forward run."""
+"""A study: the content of study.yaml as objects, the forward runs that it needs, and which of them its ledgers hold."""
 
 import html
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from strandline.calibration import Settings
+from strandline.design import sobol
 from strandline.design.candidates import Candidate
 from strandline.discrepancy import Discrepancy
 from strandline.errors import InvalidStudy
+from strandline.files import read_json, write_json
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
-from strandline.models.protocol import ForwardModel, asks_sensitivities, declared_conditions
+from strandline.models.fidelities import CHEAPER, first_runs, run_identity
+from strandline.models.fingerprint import fingerprint
+from strandline.models.protocol import ForwardModel, asks_sensitivities
 from strandline.parameters import ParameterSpace
-from strandline.runs import Executor
-from strandline.studies.folder import LEDGER, digest_of
-from strandline.studies.inputs import build_fixed, build_space, check_complete, read_candidates
-from strandline.studies.keys import StudyFile
-from strandline.studies.keys.observation import COLUMN, IMAGE, ConditionFile, ConditionNoise, ObservationFile
-from strandline.studies.models import as_in_ledgers, build_discrepancies, build_model, with_cheaper
-from strandline.studies.noise import (
-    build_noise,
-    require_fits,
-    require_inferable,
-    require_offset,
-    require_shared,
-    require_unit,
-)
-from strandline.studies.observed import Found, SyntheticNoise, read_observations
-from strandline.studies.parse import parse_study
+from strandline.runs import Executor, Ledger, RunRecord, run_key
+from strandline.runs.ledger_schema import ATTEMPTS, EXCLUDED
+from strandline.runs.plans import Plan
+from strandline.studies.folder import LEDGER, REFINEMENT, digest_of
+from strandline.studies.observed import SyntheticNoise
 from strandline.studies.pictures.photographed import Photographed
 from strandline.studies.pictures.scanned import Scanned
-from strandline.studies.pictures.undeformed import Undeformed, undeformed_in, with_errors_of
-from strandline.studies.settings import build_executor, build_settings
-from strandline.studies.study_runs import StudyRuns
+from strandline.studies.pictures.undeformed import Undeformed
+from strandline.studies.settings import failure_words
 from strandline.typeset import html_table, html_text
 
 
@@ -41,28 +35,14 @@ from strandline.typeset import html_table, html_text
 class Study:
     """The content of study.yaml as domain objects.
 
-    Args:
-        folder: Folder of the study and its results.
-        name: Name of the study.
-        text: Text of study.yaml, kept for provenance.
-        model: The simulator, with sensitivities if the study asks for them.
-        space: The unknown inputs.
-        fixed: The known inputs by name.
-        discrepancies: Measures by name; the first one makes the posterior.
-        noise: Noise of every condition without its own.
-        noises: Noise by condition.
-        observed: The observed interfaces by condition, mm; empty if the model makes synthetic ones.
-        truth: The inputs at which the model makes a synthetic observation of each of its conditions, or None.
-        synthetic_noise: Noise added to a synthetic observation, or None.
-        turned: The conditions whose observed points were in the opposite direction and were reversed.
-        pictures: The pictures, by condition, in which observed interfaces were found.
-        stacks: The stacks of pictures, by condition, in which observed surfaces were found.
-        undeformed: The model's undeformed outline, if it comes from a picture.
-        settings: How the posterior is computed.
-        executor: Where forward runs are made.
-        reuse: Ledgers of other studies whose runs are taken over if they fit.
-        candidates: Candidates for the next experiment.
-        as_loaded: The study as loaded, to notice fields replaced since; None for a study made in another way.
+    `text` is that of study.yaml. The model has sensitivities if the study asks for them; `space` are its unknown,
+    `fixed` its known inputs. Of the measures by name, the first makes the posterior. `noise` holds for conditions
+    without an entry of their own in `noises`. Interfaces, in mm, are `observed` by condition; none are if the model
+    makes them, at the inputs `truth` and with `synthetic_noise`. The observed points of the conditions `turned` were in
+    the opposite direction. Observed interfaces may come from pictures or stacks, the undeformed outline from a picture.
+    `reuse` are ledgers of other studies whose runs are taken over if they fit, `candidates` those for the next
+    experiment. `as_loaded` is the study as loaded, to notice fields replaced since; None for a study made in another
+    way.
     """
 
     folder: Path
@@ -101,17 +81,14 @@ class Study:
         return inputs + html_table(("study", ""), facts)
 
     @cached_property
-    def runs(self) -> StudyRuns:
-        """The runs that the study needs, and which of them its ledgers hold."""
+    def runs(self) -> "StudyRuns":
         return StudyRuns(self)
 
     @property
     def measure(self) -> Discrepancy:
-        """The measure that defines the posterior."""
         return next(iter(self.discrepancies.values()))
 
     def noise_of(self, condition: str) -> Noise | PointErrors | UnknownErrors:
-        """Return the noise of a condition, or the errors of its observed points."""
         return self.noises.get(condition, self.noise)
 
     def observation(self, interface: Interface, condition: str) -> Observation:
@@ -121,12 +98,10 @@ class Study:
         return Observation(interface, stated, condition)
 
     def observations(self, observed: Mapping[str, Interface]) -> tuple[Observation, ...]:
-        """Return observed interfaces by condition with their noise."""
         return tuple(Observation(seen, self.noise_of(name), name) for name, seen in observed.items())
 
     @property
     def ledger_path(self) -> Path:
-        """The ledger of this study's runs."""
         return self.folder / LEDGER
 
     @property
@@ -136,136 +111,221 @@ class Study:
 
     @property
     def sensitivities(self) -> bool:
-        """Whether the runs also return sensitivities."""
         return asks_sensitivities(self.model)
 
 
-def load_study(folder: Path | str) -> Study:
-    """Return the study in `folder`; nothing is written and no forward run is made.
+@dataclass(frozen=True)
+class StudyRuns:
+    """The runs of a study: which ones it needs, where they are kept, and how far they have got.
 
-    Raises:
-        InvalidStudy: The study cannot be parsed, see `parse_study`, or a value in it cannot be used.
+    The inputs of later batches and rounds depend on the runs before them: refinement.json holds those that have begun,
+    as long as study.yaml does not change.
     """
-    folder = Path(folder)
-    return study_of(folder, *parse_study(folder))
 
+    study: Study
 
-def study_of(folder: Path, content: StudyFile, text: str) -> Study:
-    """Return the study that a study file states."""
-    undeformed = undeformed_in(content.model, folder)
-    model = build_model(content.model, folder, sensitivities=content.sensitivities, undeformed=undeformed)
-    reuse = tuple(_reused_ledger(folder, other) for other in content.reuse)
-    model = with_cheaper(as_in_ledgers(model, (folder / LEDGER, *reuse)), content, folder, undeformed)
-    space, fixed = build_space(content.inputs, model), build_fixed(content, model)
-    truth = _truth(content.observation, model, names=(*space.names, *fixed))
-    read = {} if truth is not None else read_observations(folder, content.observation, model)
-    observed = {condition: one.interface for condition, one in read.items()}
-    noise, noises = _noises(content, model, read)
-    if undeformed is not None:
-        undeformed = replace(undeformed, noises={name: noises.get(name, noise) for name in read})
-        with_errors = partial(with_errors_of, undeformed, conditions=len(read))
-        noises |= {name: with_errors(undeformed.noises[name], one.interface) for name, one in read.items()}
-    study = Study(
-        folder=folder,
-        name=content.name,
-        text=text,
-        model=model,
-        space=space,
-        fixed=fixed,
-        discrepancies=build_discrepancies(content.discrepancy),
-        noise=noise,
-        noises=noises,
-        observed=observed,
-        truth=truth,
-        synthetic_noise=_synthetic_noise(content),
-        turned=tuple(condition for condition, one in read.items() if one.turned),
-        pictures={condition: one.picture for condition, one in read.items() if one.picture is not None},
-        stacks={condition: one.stack for condition, one in read.items() if one.stack is not None},
-        undeformed=undeformed,
-        settings=build_settings(content, model),
-        executor=build_executor(content.executor, folder),
-        reuse=reuse,
-        candidates=read_candidates(content.next, model, space, fixed),
-        with_report=content.report == "full",
-    )
-    for condition, seen in observed.items():
-        require_fits(study.noise_of(condition), seen)
-    stated = {name: study.noise_of(name) for name in observed or declared_conditions(model)}
-    require_shared(stated)
-    measure, by_field = study.measure, study.settings.surrogate == "field"
-    for given in (content.noise, *content.noise.conditions.values()):
-        require_unit(given, study.discrepancies.values())
-    require_inferable(stated.values(), measure, by_field=by_field)
-    return replace(study, as_loaded=study)
+    @cached_property
+    def identity(self) -> str:
+        """Fingerprint of the model; ledgers of another model are refused."""
+        return fingerprint(self.study.model)
 
+    def key(self, inputs: Mapping[str, float]) -> str:
+        return run_key(run_identity(self.study.model, self.identity, inputs), inputs)
 
-def _noises(
-    content: StudyFile, model: ForwardModel, read: Mapping[str, Found]
-) -> tuple[Noise | PointErrors | UnknownErrors, dict[str, Noise | PointErrors | UnknownErrors]]:
-    """Return the noise, and that of each condition that has its own."""
-    known = declared_conditions(model)
-    for condition in content.noise.conditions:
-        if condition not in known:
+    @property
+    def design(self) -> list[dict[str, float]]:
+        """Inputs of the first design in their order: the Sobol design, or the given runs of an active design."""
+        study, given = self.study, self.given
+        if given is not None:
+            return given
+        points = sobol(study.settings.runs, study.space.dim, scramble=study.settings.scramble)
+        inputs = [{**study.fixed, **study.space.as_mapping(x)} for x in study.space.to_physical(points)]
+        return first_runs(study.model, inputs)
+
+    @property
+    def design_keys(self) -> list[str]:
+        return [self.key(inputs) for inputs in self.design]
+
+    @property
+    def rounds(self) -> list[list[str]]:
+        """Ledger keys of each round of refinement, or batch, that has begun."""
+        rounds = self._noted.get("rounds")
+        return [list(keys) for keys in rounds] if isinstance(rounds, list) else []
+
+    @property
+    def given(self) -> list[dict[str, float]] | None:
+        """Inputs of the existing runs that an active design starts with; None if there are none."""
+        given = self._noted.get("given")
+        return [dict(entry) for entry in given] if isinstance(given, list) and given else None
+
+    @property
+    def needed_keys(self) -> list[str]:
+        """Ledger keys of all runs known to be needed: the synthetic one, the design, the rounds."""
+        synthetic = [] if self.study.truth is None else [self.key(self.study.truth)]
+        rounds = [key for keys in self.rounds for key in keys]
+        return list(dict.fromkeys([*synthetic, *self.design_keys, *rounds]))
+
+    @property
+    def planned(self) -> int:
+        """Number of runs of the design and of all rounds of refinement.
+
+        For an active design: the most that it may make; once it has ended, those that it made.
+        """
+        settings, begun = self.study.settings, self.rounds
+        first, made = len(self.design), sum(len(keys) for keys in begun)
+        if settings.active is not None:
+            most = settings.active.runs + (first if self.given is not None else 0)
+            return first + made if self._noted.get("finished") else max(most, first + made)
+        left = settings.refine.rounds - len(begun)
+        return first + made + left * settings.refine.runs
+
+    @property
+    def plan(self) -> Plan:
+        """What the study is known to need from its ledger."""
+        study = self.study
+        return Plan(
+            study_sha256=study.text_digest,
+            name=study.name,
+            model=self.identity,
+            inputs=tuple(study.space.names),
+            sensitivities=study.sensitivities,
+            planned=self.planned,
+            parts=(tuple(self.design_keys), *(tuple(keys) for keys in self.rounds)),
+        )
+
+    @property
+    def known(self) -> int:
+        """Number of planned runs in the study's ledger or in a reused one."""
+        keys = [*self.design_keys, *(key for some in self.rounds for key in some)]
+        known: set[str] = set()
+        for ledger in self._own_and_reused():
+            known.update(record.key for record in settled(ledger, keys, sensitivities=self.study.sensitivities))
+        return len(known)
+
+    @property
+    def failure_kinds(self) -> set[str]:
+        """Kinds and states of the runs that did not end ok, be it with the model before its correction."""
+        if not self.study.ledger_path.is_file():
+            return set()
+        with self.reading() as ledger:
+            corrected = ledger.model != self.identity
+            latest = list(ledger if corrected else ledger.latest(self.needed_keys).values())
+        failed = [record for record in latest if not record.ok and record.state != EXCLUDED]
+        return {word for record in failed for word in (record.failure_kind, record.state) if word}
+
+    @property
+    def unheard_kinds(self) -> list[str]:
+        """Words under ``failures.kinds`` that the model does not declare and with which no run has ended."""
+        named = self.study.settings.failures.actions
+        known = {*failure_words(self.study.model), *(self.failure_kinds if named else ())}
+        return [kind for kind in named if kind not in known]
+
+    @property
+    def open_attempts(self) -> int:
+        if not self.study.ledger_path.is_file():
+            return 0
+        with Ledger.open(self.study.ledger_path, model=None, read_only=True) as ledger:
+            return ledger.counts().open
+
+    def ledger(self) -> Ledger:
+        """Open the study's ledger to write to it; it is made if there is none."""
+        return Ledger.open(self.study.ledger_path, model=self.identity, description=self.study.name)
+
+    def reading(self, path: Path | None = None) -> Ledger:
+        """Open the study's ledger, or another one, to read it; a ledger of another model is refused."""
+        return Ledger.open(path or self.study.ledger_path, model=self.identity, read_only=True)
+
+    def require_sound_ledgers(self) -> None:
+        """Refuse a ledger, own or reused, that is damaged or belongs to another model or to a newer strandline."""
+        for _ in self._own_and_reused():
+            pass
+
+    def require_finished(self) -> None:
+        study, keys, done = self.study, self.needed_keys, 0
+        needed = len(keys) + self.planned - sum(len(some) for some in (self.design_keys, *self.rounds))
+        if study.ledger_path.is_file():
+            with self.reading() as ledger:
+                done = len(settled(ledger, keys, sensitivities=study.sensitivities))
+        if done < needed:
             raise InvalidStudy(
-                "noise.conditions: the model has no such condition",
-                value=condition,
-                expected=f"some of {', '.join(known)}" if any(known) else "no conditions: the model has a single one",
-                remedy="Correct the name, or remove it.",
+                "the study is not finished",
+                value=f"{done} of {needed} forward runs done{', the synthetic one included' if study.truth else ''}",
+                expected="all runs done before results are made",
+                remedy=f"Run it first: strandline run {study.folder}",
             )
-    names, stated = tuple(content.inputs), dict[str, ConditionNoise](content.noise.conditions)
-    if content.noise.sd in (COLUMN, IMAGE):
-        stated = {**dict.fromkeys(read, content.noise), **stated}
-    for name, one in read.items():
-        _require_taken(stated.get(name, content.noise), one, name)
-    noises = {name: build_noise(given, names, read.get(name)) for name, given in stated.items()}
-    told = [one for one in read.values() if one.sds is not None or one.errors is not None]
-    noise = build_noise(content.noise, names, next(iter([*told, *read.values()]), None))
-    return noise, noises
+
+    def take_over(self, ledger: Ledger) -> None:
+        """Copy runs of other studies that this one needs and has not made itself."""
+        keys = self.needed_keys
+        for other in self.study.reuse:
+            known = ledger.latest(keys)
+            missing = [key for key in keys if key not in known or self._lacks_sensitivities(known[key])]
+            if missing and other.is_file():
+                ledger.copy_from(other, missing, sensitivities=self.study.sensitivities)
+
+    def begin_round(self, number: int, inputs: Sequence[Mapping[str, float]]) -> None:
+        """Note the runs of round `number`, counted from 0; drop later rounds."""
+        self.note(rounds=[*self.rounds[:number], [self.key(entry) for entry in inputs]], finished=False)
+
+    def begin_active(self, ledger: Ledger) -> list[dict[str, float]] | None:
+        """Return the inputs of the existing runs that an active design starts with; None for its Sobol design.
+
+        They are the runs that the study's own and the reused ledgers hold from another study.yaml, if there are at
+        least as many as the design would start with. The first answer is noted, so that the study goes on with it.
+        """
+        settings = self.study.settings
+        if settings.active is None:
+            return None
+        if "given" not in self._noted:
+            found = self._at_hand(ledger)
+            self.note(given=found if len(found) >= settings.runs else [], rounds=[], finished=False)
+        return self.given
+
+    def note(self, **content: Any) -> None:
+        """Note in refinement.json how far refinement or an active design has got."""
+        digest = {"study_sha256": self.study.text_digest}
+        write_json(self.study.folder / REFINEMENT, digest | self._noted | content)
+
+    def _own_and_reused(self) -> Iterator[Ledger]:
+        for path in (self.study.ledger_path, *self.study.reuse):
+            if path.is_file():
+                with self.reading(path) as ledger:
+                    yield ledger
+
+    def _at_hand(self, ledger: Ledger) -> list[dict[str, float]]:
+        """Return the inputs of settled runs in the box that have the study's known inputs, in a fixed order."""
+        truth = None if self.study.truth is None else run_key(ledger.model, self.study.truth)
+        found: dict[str, dict[str, float]] = {}
+        for path in (None, *(path for path in self.study.reuse if path.is_file())):
+            with nullcontext(ledger) if path is None else self.reading(path) as source:
+                for record in source:
+                    if record.final and record.state != EXCLUDED and record.key != truth and self._belongs(record):
+                        found[record.key] = dict(record.inputs)
+        return [found[key] for key in sorted(found)]
+
+    def _belongs(self, record: RunRecord) -> bool:
+        study, names = self.study, {*self.study.fixed, *self.study.space.names}
+        if set(record.inputs) - {CHEAPER} != names or record.key != self.key(record.inputs):
+            return False
+        known = all(record.inputs[name] == value for name, value in study.fixed.items())
+        box = zip(study.space.names, study.space.low, study.space.high, strict=True)
+        useful = not study.sensitivities or not record.ok or bool(record.sensitivities)
+        return known and useful and all(low <= record.inputs[name] <= high for name, low, high in box)
+
+    def _lacks_sensitivities(self, record: RunRecord) -> bool:
+        return record.final and not record.settles(sensitivities=self.study.sensitivities)
+
+    @property
+    def _noted(self) -> dict[str, Any]:
+        """Content of refinement.json; empty if it belongs to another study.yaml."""
+        found = read_json(self.study.folder / REFINEMENT)
+        return found if found.get("study_sha256") == self.study.text_digest else {}
 
 
-def _require_taken(given: ConditionNoise, one: Found, condition: str) -> None:
-    """Refuse standard deviations of points that the noise leaves aside, and a picture's edge without an offset."""
-    if one.sds is not None and given.sd != COLUMN:
-        raise InvalidStudy(
-            "observation.sd: the noise does not take it",
-            value=f"condition {condition}" if condition else f"noise.sd: {given.sd}",
-            expected=f"`noise: {{sd: {COLUMN}, unit: um}}`",
-            remedy="Write that, or remove observation.sd.",
-        )
-    if one.errors is not None:
-        require_offset(given)
-
-
-def _truth(
-    source: ObservationFile | list[ConditionFile], model: ForwardModel, *, names: tuple[str, ...]
-) -> dict[str, float] | None:
-    """Return the inputs of a synthetic observation."""
-    if isinstance(source, list) or source.synthetic is None:
-        return None
-    check_complete(source.synthetic, names, model, "observation.synthetic")
-    return dict(source.synthetic)
-
-
-def _synthetic_noise(content: StudyFile) -> SyntheticNoise | None:
-    """Return the noise of a synthetic observation; its seed is the study's if it has none."""
-    source = content.observation
-    if isinstance(source, list) or source.noise is None:
-        return None
-    seed = source.noise.seed
-    return SyntheticNoise(source.noise.sd, content.seed if seed is None else seed)
-
-
-def _reused_ledger(folder: Path, other: str) -> Path:
-    target = folder / other
-    try:
-        found = target.is_dir()
-    except (OSError, ValueError):  # a name too long, or one that the system cannot hold
-        found = False
-    if not found:
-        raise InvalidStudy(
-            "reuse",
-            value=other,
-            expected="the folder of another study, relative to this one",
-            remedy="Correct the path or remove it.",
-        )
-    return target / LEDGER
+def settled(ledger: Ledger, keys: Iterable[str], *, sensitivities: bool = False) -> list[RunRecord]:
+    """Return the records of the runs `keys` that will not be tried again, given whether `sensitivities` are wanted."""
+    return [
+        record
+        for record in ledger.latest(keys).values()
+        if record.settles(sensitivities=sensitivities) or ledger.open_attempts(record.key) >= ATTEMPTS
+    ]

@@ -1,6 +1,5 @@
 """summary.json: all results of a finished study, for programs."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
@@ -19,15 +18,15 @@ from strandline.report.fit import as_json, fit_as_json, nearest_runs
 from strandline.report.warnings import find_warnings
 from strandline.runs.ledger_rows import outcome_digest
 from strandline.runs.ledger_schema import EXCLUDED
+from strandline.studies.check import outcomes
 from strandline.studies.measure_doubts import contradictions
 from strandline.studies.parse import in_words
 from strandline.studies.pictures.shown import read_how
-from strandline.studies.provenance import observation_digest, versions
+from strandline.studies.provenance import facts_of, observation_digest
 from strandline.studies.study import Study
 from strandline.studies.summary_field import certificate, comparison, field_surrogate, inferred_noise
 from strandline.studies.widths import outline_effect
 from strandline.surrogate import GaussianProcess, LogLikelihoodSurrogate
-from strandline.version import __version__
 
 QUANTILES = (0.05, 0.5, 0.95)
 
@@ -35,15 +34,11 @@ QUANTILES = (0.05, 0.5, 0.95)
 def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_runs: int) -> dict[str, Any]:
     """Return the summary as plain numbers, texts, lists and dicts."""
     sampling, nearest = calibration.sampling, _nearest(calibration)
+    posterior, exact, laplace = calibration.posterior, calibration.quadrature, calibration.laplace
     return {
-        "study": study.name,
-        "study_sha256": study.text_digest,
-        "version": __version__,
-        "versions": versions(),
-        "seed": study.settings.seed,
+        **facts_of(study, study.settings.seed),
         "draft": study.settings.draft,
-        "model": study.runs.identity,
-        "runs": _runs(calibration) | {"new": new_runs, "reused": reused_runs},
+        "runs": outcomes(calibration.all_runs) | {"new": new_runs, "reused": reused_runs},
         "observation_sha256": observation_digest(study),
         "ledger_sha256": outcome_digest(study.ledger_path, frozenset(study.runs.needed_keys)),
         "set_aside": [asdict(one) for one in calibration.set_aside],
@@ -59,10 +54,10 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "truth": None if study.truth is None else dict(study.truth),
         "synthetic_noise": None if study.synthetic_noise is None else asdict(study.synthetic_noise),
         "inputs": _inputs(calibration),
-        "log_evidence": calibration.posterior.log_evidence,
+        "log_evidence": posterior.log_evidence,
         "likelihood": _likelihood(calibration),
         "pictures": read_how(study),
-        "undeformed_outline": outline_effect(study, calibration.records, calibration.posterior),
+        "undeformed_outline": outline_effect(study, calibration.records, posterior),
         "surrogate": _surrogate(calibration.surrogate)
         if calibration.field is None
         else field_surrogate(calibration, calibration.field),
@@ -76,11 +71,15 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
             "zeta": study.settings.smc.zeta,
             "tempering_steps": len(sampling.steps),
             "likelihood_evaluations": sampling.likelihood_evaluations,
-            "ess": sampling.ess if calibration.field is None else calibration.posterior.ess,
+            "ess": sampling.ess if calibration.field is None else posterior.ess,
         },
         "gaussian": {"covariance": calibration.gaussian.covariance.tolist()},
-        "laplace": _laplace(calibration),
-        "quadrature_check": quadrature_check(calibration),
+        "laplace": {
+            "definite": laplace.definite,
+            "eigenvalues": laplace.eigenvalues.tolist(),
+            "covariance": None if laplace.covariance is None else laplace.covariance.tolist(),
+        },
+        "quadrature_check": None if exact is None else _compared(posterior.space.names, posterior, exact),
         "sampler_check": sampler_check(calibration),
         "under_uncertainty": _under_uncertainty(calibration),
         "sensitivity": _sensitivity(calibration),
@@ -91,12 +90,6 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         ],
         "seconds": dict(calibration.seconds),
     }
-
-
-def quadrature_check(calibration: Calibration) -> dict[str, Any] | None:
-    """Compare the sampler with the direct integration of the same surrogate; None above three inputs."""
-    exact, posterior = calibration.quadrature, calibration.posterior
-    return None if exact is None else _compared(posterior.space.names, posterior, exact)
 
 
 def sampler_check(calibration: Calibration) -> dict[str, Any] | None:
@@ -118,7 +111,6 @@ def sampler_check(calibration: Calibration) -> dict[str, Any] | None:
 
 
 def _compared(names: Sequence[str], sampled: Posterior | Reading, exact: QuadratureResult) -> dict[str, Any]:
-    """Compare means and standard deviations of the sampler with those of the quadrature."""
     per_input = {n: {"mean": float(m), "sd": float(s)} for n, m, s in zip(names, exact.mean, exact.sd, strict=True)}
     return per_input | {
         "max_mean_error_sd": float(np.max(np.abs(sampled.mean - exact.mean) / exact.sd)),
@@ -152,29 +144,21 @@ def _under_uncertainty(calibration: Calibration) -> dict[str, Any] | None:
 
 
 def _reading(reading: Reading) -> dict[str, Any]:
-    mean, sd, mode = reading.mean, reading.sd, reading.map_estimate
-    q05, median, q95 = reading.quantiles(QUANTILES)
-    figures = {"mean": mean, "sd": sd, "median": median, "q05": q05, "q95": q95, "map": mode}
     return {
-        "inputs": {
-            name: {key: float(values[i]) for key, values in figures.items()} for i, name in enumerate(reading.names)
-        },
+        "inputs": dict(zip(reading.names, _moments(reading), strict=True)),
         "map_bins": reading.map_bins,
         "covariance": reading.covariance.tolist(),
     }
 
 
-def _runs(calibration: Calibration) -> dict[str, Any]:
-    failed = [record for record in calibration.all_runs if not record.ok]
-    return {
-        "ok": len(calibration.all_runs) - len(failed),
-        "failed": len(failed),
-        "by_kind": dict(Counter(record.failure_kind or record.state for record in failed)),
-    }
+def _moments(found: Posterior | Reading) -> list[dict[str, float]]:
+    """Return mean, standard deviation, quantiles and mode of each input."""
+    q05, median, q95 = found.quantiles(QUANTILES)
+    columns = {"mean": found.mean, "sd": found.sd, "median": median, "q05": q05, "q95": q95, "map": found.map_estimate}
+    return [dict(zip(columns, row, strict=True)) for row in np.column_stack([*columns.values()]).tolist()]
 
 
 def _nearest(calibration: Calibration) -> dict[str, Any]:
-    """Return how near the best run comes to each observation."""
     values = np.asarray(next(iter(calibration.log_likelihoods.values())))
     problem = calibration.problem
     if calibration.field is not None:
@@ -199,23 +183,17 @@ def _refinement(calibration: Calibration) -> list[dict[str, Any]]:
 
 def _inputs(calibration: Calibration) -> dict[str, Any]:
     posterior = calibration.posterior
-    quantiles = posterior.quantiles(QUANTILES)
     return {
         parameter.name: {
             "label": parameter.shown,
             "unit": parameter.unit,
-            "mean": float(posterior.mean[i]),
-            "sd": float(posterior.sd[i]),
-            "median": float(quantiles[1, i]),
-            "q05": float(quantiles[0, i]),
-            "q95": float(quantiles[2, i]),
-            "map": float(posterior.map_estimate[i]),
+            **moments,
             "nuisance": parameter.nuisance,
             "prior": in_words(parameter.prior),
             "box": list(parameter.interval),
             "prior_mass_cut": parameter.mass_cut,
         }
-        for i, parameter in enumerate(posterior.space)
+        for parameter, moments in zip(posterior.space, _moments(posterior), strict=True)
     }
 
 
@@ -242,7 +220,6 @@ def _likelihood(calibration: Calibration) -> dict[str, Any]:
 
 
 def _noise(observation: Observation, discrepancy: Discrepancy, nodes: int) -> dict[str, float]:
-    """Return the noise of an observation: the errors of its points if they are stated, and the noise of the measure."""
     return {**observation.noise.facts, **compared(observation, discrepancy, nodes).noise.facts}
 
 
@@ -262,16 +239,6 @@ def _surrogate(surrogate: LogLikelihoodSurrogate) -> dict[str, Any]:
         if isinstance(process, GaussianProcess)
         else None,
         "optimiser": _plain(asdict(surrogate.fit)) if surrogate.fit else None,
-    }
-
-
-def _laplace(calibration: Calibration) -> dict[str, Any]:
-    approximation = calibration.laplace
-    covariance = approximation.covariance
-    return {
-        "definite": approximation.definite,
-        "eigenvalues": approximation.eigenvalues.tolist(),
-        "covariance": None if covariance is None else covariance.tolist(),
     }
 
 

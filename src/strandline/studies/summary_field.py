@@ -38,8 +38,8 @@ def field_surrogate(calibration: Calibration, found: FieldOutcome) -> dict[str, 
             "log_likelihood_sd": found.scatter.sd,
         },
         "variance_effect": {
-            "shift": dict(zip(names, found.effect.shift.tolist(), strict=True)),
-            "sd_ratio": dict(zip(names, found.effect.sd_ratio.tolist(), strict=True)),
+            "shift": _by_name(names, found.effect.shift),
+            "sd_ratio": _by_name(names, found.effect.sd_ratio),
             "effective": found.effect.effective,
         },
         "feasible_mass": found.feasible,
@@ -157,21 +157,17 @@ def comparison(calibration: Calibration) -> dict[str, Any] | None:
 
 
 def _check(found: BatchCheck, step: Step | None, names: tuple[str, ...]) -> dict[str, Any]:
-    weights = found.reweighting
+    weights, moments = found.reweighting, ("shift", "shift_error", "sd_ratio")
+    of: dict[str, Any] = dict.fromkeys(("k_hat", "effective", *moments))
+    if weights is not None:
+        k_hat, each = weights.smoothed.k_hat, weights.smoothed.log_weights
+        of = {"k_hat": k_hat if np.isfinite(k_hat) else None, "effective": weights.smoothed.ess / len(each)}
+        of |= {name: _by_name(names, getattr(weights, name)) for name in moments}
     return {
         "by": "left-out runs" if step is not None and step.kind == "given" else "runs at draws of the posterior",
-        "passed": found.passed,
-        "draws": found.draws,
-        "failed": found.failed,
-        "left_out": found.left_out,
-        "early": found.early,
-        "given_up": found.given_up,
+        **{name: getattr(found, name) for name in ("passed", "draws", "failed", "left_out", "early", "given_up")},
         "reasons": list(found.reasons),
-        "k_hat": None if weights is None or not np.isfinite(weights.smoothed.k_hat) else weights.smoothed.k_hat,
-        "effective": None if weights is None else weights.smoothed.ess / len(weights.smoothed.log_weights),
-        "shift": None if weights is None else dict(zip(names, weights.shift.tolist(), strict=True)),
-        "shift_error": None if weights is None else dict(zip(names, weights.shift_error.tolist(), strict=True)),
-        "sd_ratio": None if weights is None else dict(zip(names, weights.sd_ratio.tolist(), strict=True)),
+        **of,
     }
 
 
@@ -180,14 +176,18 @@ def _step(step: Step, names: tuple[str, ...]) -> dict[str, Any]:
         "runs": step.runs,
         "ok": step.ok,
         "kind": step.kind,
-        "mean": dict(zip(names, step.mean.tolist(), strict=True)),
-        "sd": dict(zip(names, step.sd.tolist(), strict=True)),
+        "mean": _by_name(names, step.mean),
+        "sd": _by_name(names, step.sd),
         "error_um": TO_MICROMETRES * step.error,
         "since": step.since,
         "change": None if step.moved is None else step.moved.shift,
         "change_sd": None if step.moved is None else step.moved.width,
         "effective": None if step.moved is None else step.moved.effective,
     }
+
+
+def _by_name(names: tuple[str, ...], values: np.ndarray) -> dict[str, float]:
+    return dict(zip(names, values.tolist(), strict=True))
 
 
 def _quantiles(values: Float[np.ndarray, " value"], weights: Float[np.ndarray, " value"] | None) -> dict[str, float]:

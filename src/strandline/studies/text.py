@@ -1,7 +1,7 @@
 """The text of study.yaml → plain data, with the line of each mistake; the same text with other values."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from math import inf
 from typing import Any
 
@@ -38,11 +38,6 @@ def load_yaml(text: str) -> Any:
         mark = getattr(error, "problem_mark", None)
         problem = getattr(error, "problem", None) or error
         raise _not_yaml(mark, f"a mistake in its syntax: {problem}") from None
-
-
-def compose_yaml(text: str) -> yaml.Node | None:
-    """Return the nodes of `text`, which `load_yaml` accepts, with their places in it."""
-    return yaml.compose(text, Loader=_Loader)
 
 
 class _Loader(yaml.SafeLoader):
@@ -124,7 +119,6 @@ class _Loader(yaml.SafeLoader):
 
 
 def _require_usable(node: yaml.ScalarNode) -> None:
-    """Refuse control characters."""
     found = UNUSABLE.search(node.value)
     if found:
         raise _not_yaml(node.start_mark, repr(found[0])[1:-1], "no control characters", "Remove the character.")
@@ -185,7 +179,7 @@ def changed_text(text: str, changes: Changes) -> str:
     edited = text
     try:
         for keys, value in changes.items():
-            edited = _edited(edited, keys, value)
+            edited = _edited(edited, yaml.compose(edited, Loader=_Loader), keys, value)
         if load_yaml(edited) == wanted:
             return edited
     except (_CannotEdit, InvalidStudy):
@@ -212,53 +206,29 @@ def flow(value: Any) -> str:
     return text.strip()[1:-1]
 
 
-def _edited(text: str, keys: tuple[str, ...], value: Any) -> str:
-    """Return the text with one change."""
-    node = compose_yaml(text)
-    for depth, name in enumerate(keys):
-        if not isinstance(node, yaml.MappingNode):
-            raise _CannotEdit
-        below = _nested(keys[depth + 1 :], value)
-        found = next((pair for pair in node.value if pair[0].value == name), None)
-        if found is None:
-            return text if value is REMOVED else _with_key(text, node, name, below)
-        key, node_below = found
-        if value is REMOVED and depth == len(keys) - 1:
-            return _without(text, node, key, node_below)
-        if depth == len(keys) - 1 or _is_null(node_below):
-            return _with_value(text, node_below, below)
-        node = node_below
-    raise _CannotEdit
-
-
-def _nested(keys: tuple[str, ...], value: Any) -> Any:
-    """Return ``{a: {b: value}}`` for the keys a, b."""
-    for key in reversed(keys):
-        value = {key: value}
-    return value
-
-
-def _is_null(node: yaml.Node) -> bool:
-    return isinstance(node, yaml.ScalarNode) and node.tag.endswith(":null")
-
-
-def _with_value(text: str, node: yaml.Node, value: Any) -> str:
-    start, end = node.start_mark.index, _end(text, node)
-    before = text[:start].rstrip()
-    before = f"{before} " if before.endswith(":") else text[:start]
-    return f"{before}{flow(value)}{text[end:]}"
-
-
-def _with_key(text: str, node: yaml.MappingNode, name: str, value: Any) -> str:
+def _edited(text: str, node: yaml.Node | None, keys: Sequence[str], value: Any) -> str:
+    if not isinstance(node, yaml.MappingNode):
+        raise _CannotEdit
+    name, *rest = keys
+    pair = next((one for one in node.value if one[0].value == name), None)
+    old = None if pair is None else pair[1]
+    if rest and old is not None and not old.tag.endswith(":null"):
+        return _edited(text, old, rest, value)
+    if value is REMOVED:
+        return text if rest or pair is None else _without(text, node, *pair)
+    for one in reversed(rest):
+        value = {one: value}
+    if old is not None:
+        before = text[: old.start_mark.index]
+        before = f"{before.rstrip()} " if before.rstrip().endswith(":") else before
+        return f"{before}{flow(value)}{text[_end(text, old) :]}"
     entry = f"{flow(name)}: {flow(value)}"
-    if not node.value:
-        at = node.start_mark.index + 1
-        return f"{text[:at]}{entry}{text[at:]}"
-    last = _end(text, node.value[-1][1])
-    if node.flow_style:
-        return f"{text[:last]}, {entry}{text[last:]}"
-    at = _line_end(text, last)
-    return f"{text[:at]}\n{' ' * node.start_mark.column}{entry}{text[at:]}"
+    at = _end(text, node.value[-1][1]) if node.value else node.start_mark.index + 1
+    if node.value and not node.flow_style:
+        at, entry = _line_end(text, at), f"\n{' ' * node.start_mark.column}{entry}"
+    elif node.value:
+        entry = f", {entry}"
+    return f"{text[:at]}{entry}{text[at:]}"
 
 
 def _without(text: str, node: yaml.MappingNode, key: yaml.Node, value: yaml.Node) -> str:

@@ -63,13 +63,8 @@ def expected_sd(
 ) -> Float[np.ndarray, " dim"]:
     """Return the posterior's standard deviation of each input if the interface is linear in them.
 
-    The observation is taken to be the part of the simulated interface that was observed.
-
-    Args:
-        study: The study.
-        interfaces: Interfaces of the run at which the slopes hold, by condition.
-        slopes: Derivatives of its points.
-        observed: Observed interfaces, if known; only the places of their points along the interface count.
+    The observation is taken to be the part of the simulated interface that was observed. Of the observed interfaces,
+    if they are known, only the places of their points along the interface count. `slopes` hold at `interfaces`.
 
     Raises:
         InvalidInput: The measure refuses the interfaces, or no noise variance of it fits the errors of the points.
@@ -210,7 +205,6 @@ def predicted_at(
 
 
 def _early_lines(study: Study, records: Sequence[RunRecord]) -> list[str]:
-    """Return the expected widths in sentences; none if they cannot be computed."""
     names, seen = study.space.names, study.observed or records[0].interfaces
     if any(isinstance(study.noise_of(condition), UnknownErrors) for condition in seen):
         return []

@@ -17,6 +17,7 @@ from strandline.calibration.misfit import by_field
 from strandline.calibration.what_if import Answer
 from strandline.design.active import Knowledge
 from strandline.errors import InvalidInput, InvalidStudy
+from strandline.files import read_json
 from strandline.interface import Interface
 from strandline.models.protocol import DrawsFields, ForwardModel, declared_conditions
 from strandline.numerics.threads import one_thread, use_double
@@ -27,7 +28,7 @@ from strandline.report import explore
 from strandline.runs import Ledger
 from strandline.runs.overview import Overview
 from strandline.studies.first_run import observations_of
-from strandline.studies.folder import REFINEMENT, STUDY, SUMMARY, digest_of, read_json
+from strandline.studies.folder import REFINEMENT, STUDY, SUMMARY, digest_of
 from strandline.studies.pictures.shown import picture_behind
 from strandline.studies.progress import progress_as_planned
 from strandline.studies.study import Study

@@ -4,7 +4,6 @@ An example is what stands under a heading of a guide that begins with "Example".
 before it with other keys. ``…`` stands for what is left out.
 """
 
-import importlib
 import itertools
 import json
 import os
@@ -22,10 +21,10 @@ import numpy as np
 import pytest
 import yaml
 
-from strandline.cli.main import COMMANDS
+from strandline.cli.main import COMMANDS, command_named
 from strandline.models.protocol import declared_conditions, undeformed_interface
 from strandline.studies import load_study
-from strandline.studies.template import write_template
+from strandline.studies.template import write_example
 
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"
@@ -165,7 +164,7 @@ def test_studies_and_commands_of_a_page_are_valid(page: str, tmp_path: Path, mon
         elif step.kind == "command":
             folder = parsed(step)
             if step.text.startswith("strandline init"):
-                study = write_template(folder).parent
+                study = write_example("biofilm", folder).parent
             if step.text.startswith("strandline forward") and "--csv" in step.text:
                 # In place of the interfaces that the command would write.
                 model, file = load_study(folder).model, Path(step.text.split("--csv ")[1].split()[0])
@@ -181,7 +180,7 @@ def parsed(step: Step) -> Path:
     """Return the folder that a command is for, its options checked by the real command line."""
     _, name, *arguments = shlex.split(step.text)
     assert name in COMMANDS, step.text
-    command = importlib.import_module(f"strandline.cli.{name}").command
+    command = command_named(name)
     while isinstance(command, click.Group):
         name, *arguments = arguments
         command = command.commands[name]

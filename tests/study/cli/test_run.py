@@ -90,7 +90,7 @@ def test_a_study_that_has_not_changed_is_shown_and_not_run(beam, capsys):
 
 def test_both_ways_to_the_status_print_the_same(beam, capsys, monkeypatch):
     loaded = Mock(side_effect=load_study)
-    monkeypatch.setattr("strandline.studies.study.load_study", loaded)
+    monkeypatch.setattr("strandline.studies.load.load_study", loaded)
     folder = str(beam.folder)
     quick = [printed(capsys, "status", folder, *options) for options in ([], ["--json"])]
     assert not loaded.called

@@ -86,5 +86,5 @@ def test_a_forward_run_writes_a_file_for_each_condition(tmp_path, capsys):
         assert table.dtype.names == ("x", "y", "dx_dE", "dy_dE", "dx_dload", "dy_dload")
         np.testing.assert_array_equal(table["dy_dE"], exact.sensitivities[condition]["E"][:, 1])
     (tmp_path / "t-heavy.csv").mkdir()
-    assert "t-heavy.csv, a folder" in refused(capsys, *run[:-2], str(tmp_path / "t.csv"))
+    assert "t-heavy.csv is a folder" in refused(capsys, *run[:-2], str(tmp_path / "t.csv"))
     assert not (tmp_path / "t-light.csv").exists()

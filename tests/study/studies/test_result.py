@@ -55,11 +55,11 @@ def test_what_there_is_not_is_refused(result, beam, copy_of, tmp_path):
     folder = copy_of(beam)
     text = (folder / "study.yaml").read_text()
     (folder / "study.yaml").write_text(text + "# changed\n")
-    with pytest.raises(InvalidStudy, match="results of an earlier study"):
+    with pytest.raises(InvalidStudy, match="no posterior to load: got results of an earlier study"):
         sl.load_result(folder)
     (folder / "study.yaml").write_text(text)
     (folder / "summary.json").unlink()
-    with pytest.raises(InvalidStudy, match="strandline report"):
+    with pytest.raises(InvalidStudy, match="no posterior to load"):
         sl.load_result(folder)
 
 

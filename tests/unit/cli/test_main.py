@@ -19,20 +19,39 @@ REFUSALS = {
     "run study --fast": "'--fast'. Did you mean",
     "run empty": "not a study folder",
     "doctor empty": "not a study folder",
-    "run study --verbose --quiet": "got both; expected at most one of them",
+    "run study --verbose --quiet": "--verbose shows more, --quiet less: leave one out",
+    "run study --log none/run.log": "No such file or directory. See `strandline run --help`.",
+    "run study --into other": "add --set KEY=VALUE",
     "run study --detach --quiet": "--detach: got the executor LocalProcesses",
     "check stiff": "the medians of the priors failed: got large_deflection at load = 1, E = 430, tilt = 0.02",
     "retry study --kind stalld": "stalld",
     "runs study --show zz": "See `strandline runs study` for the keys.",
-    "forward study --set E=400 --set ' E =500'": "--set: got E for the second time; expected each name once",
+    "forward study --set E=400 --set ' E =500'": "got E for the second time; expected each name once",
     "forward study --set E=400": "a value for tilt too. Add --set tilt=VALUE.",
     "runs empty": "no such file; expected a ledger. Run the study first",
     "runs study --kind stalld": "got stalld; expected one of limit_point, non_finite, stalled, timeout, wor",
     "runs study --show a": "--show: got a; expected the beginning of the key of one run, not of 7",
     "runs study --export runs.txt": "expected a file name that ends with .csv or .nc",
-    "runs study --exclude aa1": "expected --why REASON",
+    "runs study --state done": "'done' is not one of 'ok', 'failed', 'timeout'",
+    "runs study --exclude aa1": "--exclude needs --why REASON",
+    "runs study --exclude aa1 --include aa1 --why x": "--exclude and --include do not go together",
+    "runs study --show aa1 --limit 3": "--show and --limit do not go together",
+    "runs study --why x": "--why is the reason for --exclude KEY or --include KEY",
+    "runs study --export none/runs.csv": "No such file or directory; expected a folder with write permission",
+    "runs study --export none/runs.nc": "expected a folder with write permission",
     "init study": "there is a study already",
     "init new --example pendent-drop": "Did you mean pendant-drop?",
+    "init new --sd 3": "--sd: only for an observed interface; add --observed FILE",
+    "init new --observed none.csv": "File 'none.csv' does not exist",
+    "init new --observed study/study.yaml": "add --unit and --sd, such as --unit mm --sd 3",
+    "init new --observed study/study.yaml --unit mm --sd 0": "0.0 is not in the range x>0",
+    "init new --observed study/study.yaml --unit mm --sd 1 --shift unknown": "'unknown' is not a valid float",
+    "noise study/study.yaml --unit inch": "'inch' is not one of 'mm', 'um', 'µm', 'm'",
+    "noise empty --unit mm": "empty has no files",
+    "forward study --set E=400 --set tilt=0 --csv none/edge.csv": "none/edge.csv is in a folder that does not exist",
+    "forward study --set E=400 --set tilt=0 --plot": "--vtu and --plot draw the `fields` of a model",
+    "forward study --set E=4x": "got E=4x; expected NAME=NUMBER, such as E=400",
+    "forward study --set E=1e999": "got E=1e999; expected NAME=NUMBER, such as E=400",
     "what-if study --ask noise": "--ask: got noise; expected keys with values",
 }
 
@@ -101,12 +120,12 @@ def test_how_a_command_ends(handlers, capsys, monkeypatch):
         def command(error=error):
             raise error
 
-        monkeypatch.setattr("strandline.cli.doctor.command", command)
+        monkeypatch.setattr("strandline.cli.status.doctor", command)
         assert ends("doctor") == code
         assert capsys.readouterr().err == f"strandline: {told}\n"
 
 
 def test_the_shell_completes_the_keys_of_a_study_file():
-    (option,) = (one for one in run.command.params if one.name == "settings")
-    found = option.shell_complete(click.Context(run.command), "design.active.r")
+    (option,) = (one for one in run.run.params if one.name == "settings")
+    found = option.shell_complete(click.Context(run.run), "design.active.r")
     assert [(one.value, one.help[:22]) for one in found] == [("design.active.runs=", "Maximum number of runs")]

@@ -195,7 +195,7 @@ def test_what_the_command_writes_is_the_same_each_time_with_every_check_and_its_
     assert json.loads(files["edge.json"])["sd"] == pytest.approx(study.pictures[""].errors.sd)
     earlier = f"Did you mean hump.png? ({folder / 'image' / 'edge.png'} still shows an earlier edge.)\n"
     assert image(capsys, written(folder, file="hamp.png")).endswith(earlier)
-    write_pictures(folder, study.pictures, measures=study.discrepancies)
+    write_pictures(study)
     assert {path.name: path.read_bytes() for path in (folder / "image").iterdir()} == files
     # Near the limit of the points: a little more trim is refused.
     shown = image(capsys, written(tmp_path, trim=0.41))

@@ -13,7 +13,7 @@ from strandline.runs.ledger_schema import ATTEMPTS
 from strandline.studies import load_study
 from strandline.studies.doctor import _gaps, examine
 from strandline.studies.progress import RATE_RUNS, _per_minute, progress_in, progress_of
-from strandline.studies.study_runs import settled
+from strandline.studies.study import settled
 from strandline.testing.studies import write_study
 
 RUNS = 8

@@ -12,6 +12,7 @@ from tests.unit.studies.test_refusals import BIOFILM, BOTH, EDGE, OWN, SHARED, T
 
 from strandline.discrepancy import ClosestPoint, Currents
 from strandline.errors import InvalidStudy
+from strandline.files import write_json
 from strandline.interface import GaussianNoise, Interface, PointErrors, UnknownErrors, spacings
 from strandline.models.biofilm.outline import Outline
 from strandline.models.python import PythonModel
@@ -22,7 +23,6 @@ from strandline.runs.executors.dask import DaskCluster
 from strandline.runs.executors.slurm_array import SlurmArray
 from strandline.smc import SMCSettings
 from strandline.studies import load_study
-from strandline.studies.folder import write_json
 from strandline.studies.inputs import require_prior
 from strandline.studies.keys.settings import ExecutorChoice
 from strandline.studies.noise import require_stated

@@ -83,7 +83,7 @@ desing: {sobol: {runs: 64}}, design: GONE | unknown key: got desing | Did you me
 seed: one, noise: {sd: -1} | study.yaml: noise.sd | (1 more to correct: seed.)
 name: a/b; seed: -1; seed: 4294967296; version: 2; version: '1'; version: 1.0; version: true; version: GONE
 reuse: [../nothing] | reuse: got ../nothing | folder of another study
-sensitivities: true | sensitivities: got true, but this model offers none
+sensitivities: true | sensitivities of the model: got this model offers none
 failures.kinds: {timeout: recover}; failures.kinds: {timeout: {retry: 0}} | continue, abort, or {retry: N}
 """
 MODEL = """
@@ -156,7 +156,7 @@ design.sobol.runs: 1.0e+12 | design.sobol.runs | equal to 1000000
 design.refine: {runs: 201}, sampler: {smc: {particles: 200}} | design.refine.runs: got 201; expected at most 200
 design.active: {runs: 50}; design: {} | either `sobol
 design: {active: {runs: 50}, refine: {runs: 5}} | an active design refines itself
-design: {active: {runs: 60}}, surrogate: {log_likelihood: {}} | got an active design with a surrogate of the log-lik
+design: {active: {runs: 60}}, surrogate: {log_likelihood: {}} | surrogate: got | `field: {}` for an active design
 design: {active: {runs: 50, criterion: entropy}}; design: {active: {runs: 15}}; design: {active: {runs: 50, check: 5}}
 design: {active: {runs: 50, explore: 0.9}}; design: {active: {runs: 50, rounds: 2}}
 sampler.smc.particles: 3; sampler.smc.zeta: 1; sampler.smc.rejuvenation_steps: 0; sampler.cut.values: 1
@@ -178,14 +178,14 @@ CHEAPER = {"model": {"python": {"function": "tests.study.studies.exact:softer"}}
 
 def test_cheaper_models(tmp_path):
     for models, words in (
-        ("coarse", "fidelities: got coarse; expected a list with one cheaper model"),
+        ("coarse", "fidelities: got coarse; expected a list with one cheaper model, `[coarse]`"),
         ([{"cost": 0.1}], "fidelities: the cheaper model: got the model itself"),
         (["coarse"], "only a model with meshes has names for them"),
         ([{**CHEAPER, "cost": 2}], "above 0 and below 1"),
         ([CHEAPER, CHEAPER], "exactly one entry"),
     ):
         assert words in message_of(write_study(tmp_path, design={"active": {"runs": 60}}, fidelities=models))
-    assert "a cheaper model without an active design" in message_of(write_study(tmp_path, fidelities=[CHEAPER]))
+    assert "`active: {runs: …}` beside `fidelities`" in message_of(write_study(tmp_path, fidelities=[CHEAPER]))
 
 
 BOTH = [{"condition": name, "file": f"{name}.csv", "unit": "um"} for name in ("heavy", "light")]
@@ -204,7 +204,8 @@ def test_conditions(tmp_path):
         np.savetxt(tmp_path / f"{name}.csv", interface.points * 1000, delimiter=",")
     assert not_refused(tmp_path, CONDITIONS, **TWO_LOADS_STUDY) == []
     assert "each condition once" in message_of(write_study(tmp_path, **TWO_LOADS_STUDY | {"observation": BOTH[:1] * 2}))
-    assert "without a name: got heavy; expected one mapping" in message_of(write_study(tmp_path, observation=BOTH))
+    words = "observation: the model has no such condition: got heavy; expected no name"
+    assert words in message_of(write_study(tmp_path, observation=BOTH))
     shift = {**SHARED, "unknown": {**SHARED["unknown"], "shift": 9}}
     by_field = {**TWO_LOADS_STUDY, "discrepancy": {"normal_offset": {}}, "surrogate": {"field": {}}}
     for noise, words in (

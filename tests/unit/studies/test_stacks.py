@@ -19,7 +19,7 @@ from strandline.readers import Reading, read_interface
 from strandline.studies import load_study
 from strandline.studies.keys.observation import StackFile
 from strandline.studies.pictures.scanned import Scanned
-from strandline.studies.pictures.shown import read_how, write_stacks
+from strandline.studies.pictures.shown import read_how, write_pictures
 from strandline.studies.pictures.undeformed import with_errors_of
 from strandline.testing.studies import BEAM_STUDY, write_study
 
@@ -99,7 +99,7 @@ def test_what_the_command_writes_is_the_same_each_time(tmp_path, capsys):
     assert (how_read["file"], how_read["notes"]) == ("cells.npy", content["notes"])
     assert content["sd"] == pytest.approx(study.stacks[""].errors.sd)
     assert next(iter(content["noise_variance"])).startswith("closest_point, direction to_simulated")
-    write_stacks(folder, study.stacks, measures=study.discrepancies)
+    write_pictures(study)
     assert {path.name: path.read_bytes() for path in (folder / "image").iterdir()} == files
 
 

@@ -1,13 +1,15 @@
 """The keys `observation` and `noise` of study.yaml."""
 
-from collections.abc import Callable, Mapping
+from dataclasses import fields
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, ConfigDict, Discriminator, Field, Tag, model_validator
 
 from strandline.interface import is_condition
 from strandline.interface.point_errors import MOST
+from strandline.readers.options import Reading
 from strandline.studies.keys.scalars import VARIANCES, Name, Number, Section, Seed, Switch
+from strandline.studies.keys.schema import with_keys_of
 
 Place = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
@@ -30,22 +32,15 @@ class RegisteredTo(Section):
 
     @property
     def files(self) -> list[str]:
-        """The files of the other picture."""
         return [self.to] if isinstance(self.to, str) else list(self.to)
 
 
-class ImageFile(Section):
-    """A picture with the observed interface; `strandline.imaging` checks `edge`, and from `pixel` to `frame`."""
+class _Picture(Section):
+    """The keys that pictures and stacks of them have in common; `strandline.imaging` checks most of them."""
 
     file: str | Annotated[list[str], Field(min_length=1)]
-    """the picture, relative to the study folder; a list, or a folder: frames of one state, averaged"""
-    pixel: Any = None
-    """size of a pixel, `{size: 3.1, unit: um}` or `{x: 6, y: 4, unit: um}`; needed unless the file's header or a scale
-    bar in the file of clicks states it"""
-    page: Any = None
-    """page of a TIFF, from 0"""
-    average: Any = None
-    """`true`: the mean of all pages, as frames of one state"""
+    """the picture, relative to the study folder; a list, or a folder: frames of one state, averaged; of a stack, the
+    planes from the first to the last"""
     index: Any = None
     """refractive index by which depths, along y, are divided"""
     scale: Any = None
@@ -56,6 +51,29 @@ class ImageFile(Section):
     """name of the data set in an HDF5 file"""
     reader: Any = None
     """[your own reader](../how-to/extend.md#a-picture-format) of the file, `module:name`; default: by its suffix"""
+    solid: Literal["bright", "dark"]
+    """the side of the model: the brighter or the darker one"""
+
+    @property
+    def files(self) -> list[str]:
+        return [self.file] if isinstance(self.file, str) else list(self.file)
+
+    @property
+    def reading(self) -> dict[str, Any]:
+        names = ("pixel", "page", "average", "index", "scale", "channel", "dataset", "reader")
+        return {name: value for name in names if (value := getattr(self, name, None)) is not None}
+
+
+class ImageFile(_Picture):
+    """A picture with the observed interface; `strandline.imaging` checks `edge`, and from `pixel` to `frame`."""
+
+    pixel: Any = None
+    """size of a pixel, `{size: 3.1, unit: um}` or `{x: 6, y: 4, unit: um}`; needed unless the file's header or a scale
+    bar in the file of clicks states it"""
+    page: Any = None
+    """page of a TIFF, from 0"""
+    average: Any = None
+    """`true`: the mean of all pages, as frames of one state"""
     frame: Any = None
     """where the model's (0, 0) is, `{origin: [212, 640]}` in pixels from the left and the top; with `x: left` or
     `y: down` if the model's axes point there, and `rotation` in degrees"""
@@ -67,8 +85,6 @@ class ImageFile(Section):
     [[x, y], …], or `model`, the model's own outline"""
     closed: Switch = False
     """whether the interface is closed"""
-    solid: Literal["bright", "dark"]
-    """the side of the model: the brighter or the darker one"""
     edge: Any = "erf"
     """how the edge is found: `erf` for cameras, `path` for speckle, `contour` for the half level of clean pictures; or
     [your own](../how-to/extend.md#an-edge-method), `{method: "module:name", options: {…}}`"""
@@ -83,35 +99,12 @@ class ImageFile(Section):
             raise ValueError("`path` with at least three pixels [x, y] along the interface")
         return self
 
-    @property
-    def files(self) -> list[str]:
-        """The files of the picture."""
-        return [self.file] if isinstance(self.file, str) else list(self.file)
 
-    @property
-    def reading(self) -> dict[str, Any]:
-        """How to read the picture."""
-        names = ("pixel", "page", "average", "index", "scale", "channel", "dataset", "reader")
-        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
-
-
-class StackFile(Section):
+class StackFile(_Picture):
     """A stack of pictures with the observed surface; `strandline.imaging` checks the keys from `voxel` to `exclude`."""
 
-    file: str | Annotated[list[str], Field(min_length=1)]
-    """the stack, relative to the study folder; a list: a picture for each plane, from the first to the last"""
     voxel: Any = None
     """size of a voxel, `{x: 0.2, y: 0.2, z: 0.5, unit: um}`; needed unless the file's header states it"""
-    index: Any = None
-    """refractive index by which depths, along y, are divided"""
-    scale: Any = None
-    """what the numbers are, as for `observation.image.scale`"""
-    channel: Any = None
-    """of pictures in colour: `grey` (default), `red`, `green` or `blue`"""
-    dataset: Any = None
-    """name of the data set in an HDF5 file"""
-    reader: Any = None
-    """your own reader of the file, as for `observation.image.reader`"""
     frame: Any = None
     """where the model's (0, 0, 0) is, `{origin: [128, 128, 64]}` in voxels from the left, the top and the first plane;
     with `x: left`, `y: up` or `z: first` if the model's axes point there, and `rotation: [0, 0, 30]` in degrees about
@@ -119,17 +112,10 @@ class StackFile(Section):
     exclude: list[Any] = []
     """regions in which the surface is not used: `{box: [[0, 0, 0], [10, 10, 5]], unit: um}` or
     `{ball: [5, 5, 0], radius: 2, unit: um}` in the model's coordinates, or `{voxels: [[0, 0, 0], [50, 50, 9]]}`"""
-    solid: Literal["bright", "dark"]
-    """the side of the model: the brighter or the darker one"""
     triangles: Annotated[int, Field(ge=100, le=50_000)] = 5000
     """most triangles of the surface"""
     smooth: Annotated[Number, Field(ge=0, le=5)] | None = None
     """standard deviation of the Gaussian that smooths the stack, in sides of a voxel; default: 1, up to 2 if noisy"""
-
-    @property
-    def files(self) -> list[str]:
-        """The files of the stack."""
-        return [self.file] if isinstance(self.file, str) else list(self.file)
 
 
 ONE, SEVERAL = "[one]", "[several]"
@@ -145,54 +131,26 @@ class ObservationNoise(Section):
     """its seed; default: the study's `seed`"""
 
 
-class ObservationFile(Section):
-    """Where the observed interface comes from: a file, or a run of the model itself.
-
-    `strandline.readers` checks the keys between `unit` and `synthetic`.
-    """
+class _Source(Section):
+    """A file with an observed interface."""
 
     file: str | None = None
     """observed [interface](#files), relative to the study folder"""
     unit: Literal["mm", "um", "µm", "m"] | None = None
     """unit of length: `mm`, `um`, `µm` or `m`; required with `file`"""
-    columns: Any = None
-    """of tables: x and y, `[x, y]` by name or `[1, 2]` by number; more on this and the next keys: [files](#files)"""
-    delimiter: Any = None
-    """of text: the character between fields"""
-    decimal: Any = None
-    """of text: decimal mark, `.` or `","`"""
-    closed: Any = None
-    """of tables: whether the last point is joined to the first, if the file does not repeat it"""
-    sort: Any = None
-    """of tables: `x` or `y`, which sorts points that are not in order"""
-    field: Any = None
-    """displacement to add: point data by name, or `none`; or two columns"""
-    time: Any = None
-    """of series: `last`, `{index: 3}` or `{value: 0.5}`"""
-    block: Any = None
-    """of meshes: block of cells, by number from 0 or by kind such as `line`"""
-    cells: Any = None
-    """of meshes: `{region: 3}`, only cells with this cell data"""
-    points: Any = None
-    """of meshes: `{wall: 1}`, only parts whose nodes all have this point data"""
-    select: Any = None
-    """`{x: [0, 1], y: [0, 1]}`: only what is in this box, mm"""
-    hide: Any = None
-    """of tables: boxes whose points are left out, as parts that cannot be seen"""
-    sd: Any = None
-    """of tables: column with the standard deviation of each point, in `unit`"""
-    near: Any = None
-    """of several pieces, the one nearest to `[x, y]`, mm"""
-    keep: Any = None
-    """`longest`: of several pieces, the longest"""
-    start: Any = None
-    """of meshes: `[x, y]`, mm, where the line begins"""
-    plane: Any = None
-    """of meshes: the coordinates of a line, `xy`, `xz` or `yz`"""
-    count: Any = None
-    """required number of points"""
-    reader: Any = None
-    """function that reads the file, `module:name`"""
+
+
+READ = tuple(one.name for one in fields(Reading) if one.name not in ("file", "unit"))
+_Read: Any = with_keys_of(_Source, Reading, READ)
+
+
+class ObservationFile(_Read):  # type: ignore[misc]
+    """Where the observed interface comes from: a file, or a run of the model itself.
+
+    `strandline.readers` checks the keys between `unit` and `synthetic`.
+    """
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
     synthetic: dict[str, Number] | None = None
     """instead of `file`: a value for each input; the model makes the observation"""
     image: ImageFile | None = None
@@ -217,13 +175,10 @@ class ObservationFile(Section):
 
     @property
     def reading(self) -> dict[str, Any]:
-        """How to read the file."""
-        others = {"file", "unit", "synthetic", "image", "stack", "noise", "condition"}
-        return {name: value for name, value in self if name not in others and value is not None}
+        return {name: value for name in READ if (value := getattr(self, name)) is not None}
 
 
 def _condition(name: str) -> str:
-    """Refuse a name that no condition can have."""
     if not name or not is_condition(name):
         raise ValueError("a short name without slashes")
     return name
@@ -243,7 +198,6 @@ class ConditionFile(ObservationFile):
 
 
 def _conditions(value: list[ConditionFile]) -> list[ConditionFile]:
-    """Refuse a condition that is observed twice."""
     names = [item.condition for item in value]
     if len(set(names)) < len(names):
         raise ValueError("each condition once")
@@ -262,56 +216,14 @@ Observed = Annotated[
 
 
 NotNegative = Annotated[Number, Field(ge=0)]
-KNOWN, UNKNOWN, RANGE, COLUMN, IMAGE = "[known]", "[unknown]", "[range]", "column", "image"
-"""Branches of `noise.sd` and `noise.length`."""
-
-
-def _how(value: Any) -> str:
-    if isinstance(value, list):
-        return RANGE
-    words = {"unknown": UNKNOWN, COLUMN: f"[{COLUMN}]", IMAGE: f"[{IMAGE}]"}
-    return words.get(value, KNOWN) if isinstance(value, str) else KNOWN
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _number_or(words: tuple[str, ...]) -> Callable[[Any], Any]:
-    """Return a validator that refuses a mistyped word or keys, such as a prior, and says what there is."""
-
-    def check(value: Any) -> Any:
-        mistyped = isinstance(value, str) and value not in words and not _is_number(value)
-        if mistyped or isinstance(value, Mapping):
-            *others, last = ("a number", "a range [low, high]", *(f"`{word}`" for word in words))
-            raise ValueError(f"{', '.join(others)} or {last}")
-        return value
-
-    return check
-
-
-_Range = Annotated[tuple[Number, Number], Tag(RANGE)]
-_Unknown = Annotated[Literal["unknown"], Tag(UNKNOWN)]
-_Column = Annotated[Literal["column"], Tag(f"[{COLUMN}]")]
-_Image = Annotated[Literal["image"], Tag(f"[{IMAGE}]")]
-Sd = Annotated[
-    Annotated[Number, Field(gt=0), Tag(KNOWN)] | _Unknown | _Range | _Column | _Image,
-    Discriminator(_how),
-    BeforeValidator(_number_or(("unknown", COLUMN, IMAGE))),
-]
-Length = Annotated[
-    Annotated[Number, Field(ge=0), Tag(KNOWN)] | _Unknown | _Range,
-    Discriminator(_how),
-    BeforeValidator(_number_or(("unknown",))),
-]
+COLUMN, IMAGE = "column", "image"
+"""Words for `noise.sd`: the standard deviations in a table, and those that a picture shows."""
+Range = tuple[Number, Number]
+Sd = Annotated[Number, Field(gt=0)] | Literal["unknown", "column", "image"] | Range
+Length = NotNegative | Literal["unknown"] | Range
 
 
 def _written(sd: object) -> str:
-    """Return a standard deviation as the file has it."""
     return f"[{', '.join(f'{end:g}' for end in sd)}]" if isinstance(sd, tuple) else str(sd)
 
 
@@ -355,7 +267,6 @@ class ConditionNoise(Section):
 
     @property
     def of_points(self) -> bool:
-        """Whether the noise is that of the observed points."""
         return self.unit is not None
 
     @model_validator(mode="after")

@@ -50,7 +50,6 @@ class Options:
 
     @cached_property
     def section(self) -> type[BaseModel]:
-        """The keys with their types, defaults and meanings."""
         meaning, hints = meanings(self.of), _hints(self.of)
         own = {f.name: f for f in dataclasses.fields(self.of) if f.init and f.name not in self.without}
         keys: dict[str, Any] = {
@@ -65,7 +64,6 @@ class Options:
         return made
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return the schema of the section."""
         inner = handler.generate_schema(self.section)
         return core_schema.no_info_wrap_validator_function(self._read, inner)
 
@@ -109,6 +107,13 @@ class _Described(Section):
     model_config = ConfigDict(use_attribute_docstrings=False)
 
 
+def with_keys_of(base: type[Section], of: type, names: Collection[str]) -> type[Section]:
+    """Return a section with further keys: fields of a dataclass, which checks their values itself."""
+    said = meanings(of)
+    keys: dict[str, Any] = {name: (Any, Field(None, description=said[name])) for name in names}
+    return create_model(base.__name__, __base__=(base, _Described), **keys)
+
+
 def _left_out(value: Any) -> Any:
     if value is None:
         raise PydanticUseDefault
@@ -130,13 +135,7 @@ def _hints(kind: type) -> dict[str, Any]:
 
 def keys_within(annotation: Any) -> type[BaseModel] | None:
     """Return the section inside an annotation such as ``dict[str, Input]``, or None."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for mark in getattr(annotation, "__metadata__", ()):
-        if isinstance(mark, Options):
-            return mark.section
-    found = (keys_within(argument) for argument in get_args(annotation))
-    return next((section for section in found if section is not None), None)
+    return next(_sections_in(annotation), None)
 
 
 def annotation_of(key: FieldInfo) -> Any:
@@ -207,16 +206,14 @@ def _shown(meaning: str | None) -> str:
 
 
 def _sections_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the sections inside an annotation."""
+    marks = [mark for mark in getattr(annotation, "__metadata__", ()) if isinstance(mark, Options)]
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
-        return
-    marks = [mark for mark in getattr(annotation, "__metadata__", ()) if isinstance(mark, Options)]
-    if marks:
+    elif marks:
         yield marks[0].section
-        return
-    for argument in get_args(annotation):
-        yield from _sections_in(argument)
+    else:
+        for argument in get_args(annotation):
+            yield from _sections_in(argument)
 
 
 def _by_name(annotation: Any) -> bool:

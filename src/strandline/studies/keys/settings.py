@@ -188,7 +188,6 @@ class ExecutorChoice(Section):
 
 
 def _action(value: Any) -> Any:
-    """Return `continue`, `abort`, or the number of retries."""
     if value in ("continue", "abort"):
         return value
     times = value.get("retry") if isinstance(value, dict) and len(value) == 1 else None

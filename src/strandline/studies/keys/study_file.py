@@ -2,10 +2,9 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from strandline.design.candidates import FEWEST_POINTS
-from strandline.errors import InvalidStudy
 from strandline.studies.keys.observation import Noise, Observed
 from strandline.studies.keys.scalars import MOST, Choice, Name, Number, Section, Seed, Switch, Unit, Whole
 from strandline.studies.keys.settings import Design, ExecutorChoice, Failures, Sampler, Surrogate
@@ -171,35 +170,21 @@ class StudyFile(Section):
     def _one_in_a_list(cls, given: Any) -> Any:
         if isinstance(given, list):
             return given
-        raise InvalidStudy(
-            "fidelities",
-            value=given,
-            expected="a list with one cheaper model",
-            remedy="Write e.g. fidelities: [coarse], or fidelities: [{mesh: coarse, cost: 0.3}].",
-        )
+        raise ValueError("a list with one cheaper model, `[coarse]` or `[{mesh: coarse, cost: 0.3}]`")
 
-    @model_validator(mode="after")
-    def _fitting_surrogate(self) -> "StudyFile":
-        if self.design.active is not None and self.surrogate.log_likelihood is not None:
-            raise _unfit(
-                "an active design with a surrogate of the log-likelihood",
-                "`surrogate: {field: {}}` for an active design, or `design: {sobol: {runs: …}}`",
-            )
-        if self.fidelities and self.design.active is None:
-            raise InvalidStudy(
-                "fidelities",
-                value="a cheaper model without an active design",
-                expected="`design: {active: {runs: …}}`, which decides which model to run",
-                remedy="Change the design, or remove fidelities.",
-            )
-        if self.design.refine is not None and self.surrogate.field is not None:
-            raise _unfit(
-                "rounds of refinement with a surrogate of the field",
-                "`design: {active: …}` to refine a surrogate of the field",
-            )
-        return self
+    @field_validator("design")
+    @classmethod
+    def _chooses_the_model(cls, design: Design, before: ValidationInfo) -> Design:
+        if before.data.get("fidelities") and design.active is None:
+            raise ValueError("`active: {runs: …}` beside `fidelities`: it decides which of the two models to run")
+        return design
 
-
-def _unfit(value: str, expected: str) -> InvalidStudy:
-    what = "study.yaml: design and surrogate do not fit together"
-    return InvalidStudy(what, value=value, expected=expected, remedy="Change one of the two keys.")
+    @field_validator("surrogate")
+    @classmethod
+    def _fits_the_design(cls, surrogate: Surrogate, before: ValidationInfo) -> Surrogate:
+        design = before.data.get("design", Design.model_construct())
+        if design.active is not None and surrogate.log_likelihood is not None:
+            raise ValueError("`field: {}` for an active design, or `design: {sobol: {runs: …}}`")
+        if design.refine is not None and surrogate.field is not None:
+            raise ValueError("`log_likelihood: {}` for rounds of refinement, or `design: {active: {runs: …}}`")
+        return surrogate

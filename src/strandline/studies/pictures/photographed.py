@@ -41,12 +41,9 @@ UNDEFORMED = "undeformed"
 
 
 def frame_note(frame: Frame | StackFrame, options: object, origin: str = "the study") -> str:
-    """Return a sentence that says where the model lies in a picture, and who said so.
+    """Return a sentence that says where the model lies in a picture, and what gives the origin.
 
-    Args:
-        frame: Where it lies.
-        options: The key `frame` as the study gives it; what it leaves out is a default.
-        origin: What gives the origin.
+    `options` is the key `frame` as the study gives it: what it leaves out is a default.
     """
     given = options if isinstance(options, Mapping) else {}
     at = ", ".join(f"{value:.6g}" for value in frame.origin)
@@ -70,18 +67,11 @@ MODEL = "model"
 class Photographed:
     """A picture, the edge in it, and where it lies in the model's coordinates.
 
-    Args:
-        picture: The picture.
-        frame: Where the model lies in it.
-        path: First path, from which the search began, in pixels.
-        edge: The edge, in pixels; its errors and arc lengths in mm.
-        interface: The edge as an interface in the model's coordinates, mm.
-        registration: Where the set-up is in the picture, if it was found from another one of it.
-        repeated: Errors of the edge from the frames whose mean the picture is; None for a single one.
-        doubts: Why such frames show no errors.
-        placed: Sentence that says where the model lies in the picture, and who said so.
-        trim: Share of the edge that was left out at either end.
-        ignored: Sentences on what was marked and does not count, because the study states something else.
+    `path`, from which the search began, and `edge` are in pixels, the edge's errors and arc lengths in mm, as is the
+    `interface` in the model's coordinates. `registration` says where the set-up is, if that was found from another
+    picture of it. `repeated` are the errors that frames show whose mean the picture is; `doubts` say why they show
+    none. `placed` says in a sentence where the model lies, and who said so. `trim` is the share of the edge that was
+    left out at either end. `ignored` says what was marked and does not count, because the study states something else.
     """
 
     picture: Picture
@@ -98,7 +88,6 @@ class Photographed:
 
     @property
     def name(self) -> str:
-        """Name of the picture's file."""
         return self.picture.name
 
     @property
@@ -200,8 +189,8 @@ def _repeated(
 
 def picture_reading(options: Mapping[str, Any], place: str = PLACE) -> PictureReading:
     """Return how to read a picture, from the options in the study file."""
-    rest = {name: value for name, value in options.items() if name != "pixel"}
     size = None if options.get("pixel") is None else made(StatedSize, options["pixel"], f"{place}.pixel").in_mm
+    rest = {name: value for name, value in options.items() if name != "pixel"}
     return made(PictureReading, rest, place, pixel=size)
 
 
@@ -327,7 +316,6 @@ def _path(
     undeformed: Interface | None,
     size: tuple[int, int],
 ) -> tuple[Float[np.ndarray, "click 2"], bool]:
-    """Return the first path, in pixels, and whether it is closed."""
     if clicks is not None:
         if not len(clicks.path):
             raise InvalidStudy(

@@ -19,12 +19,8 @@ PLACE = "observation.stack"
 class Scanned:
     """A stack, the surface in it, and where it lies in the model's coordinates.
 
-    Args:
-        stack: The stack.
-        frame: Where the model lies in it.
-        surface: The surface, in voxels; its errors in mm.
-        interface: The surface as an interface in the model's coordinates, mm.
-        placed: Sentence that says where the model lies in the stack, and who said so.
+    The surface is in voxels, its errors in mm, as is the `interface`. `placed` says in a sentence where the model lies
+    in the stack, and who said so.
     """
 
     stack: Stack
@@ -35,7 +31,6 @@ class Scanned:
 
     @property
     def name(self) -> str:
-        """Name of the stack's file."""
         return self.stack.name
 
     @property
@@ -73,10 +68,7 @@ def scanned(folder: Path, given: StackFile) -> Scanned:
 
 
 def _reading(given: StackFile) -> PictureReading:
-    """Return how to read the stack."""
-    names = ("index", "scale", "channel", "dataset", "reader")
-    options = {name: value for name in names if (value := getattr(given, name)) is not None}
-    how = picture_reading(options, PLACE)
+    how = picture_reading(given.reading, PLACE)
     if given.voxel is None:
         return how
     if isinstance(given.voxel, dict) and given.voxel.get("size") is not None:

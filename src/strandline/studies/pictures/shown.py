@@ -3,9 +3,8 @@
 import base64
 import io
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from jaxtyping import Float
 from PIL import Image
 
 from strandline.discrepancy import Discrepancy, KnowsPointErrors, NormalOffset, Whitens, unit_of
+from strandline.files import whole_file, write_json
 from strandline.imaging import FrameErrors
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood.compared import adapted
@@ -20,7 +20,7 @@ from strandline.report import html
 from strandline.report.click_page import click_page
 from strandline.report.plots.picture import plot_picture, plot_stack
 from strandline.report.plots.style import DOTS_PER_INCH
-from strandline.studies.folder import require_writable, told_if_unwritable, whole_file, write_json
+from strandline.studies.folder import require_writable, told_if_unwritable
 from strandline.studies.keys.observation import ImageFile
 from strandline.studies.parse import in_words, refused_at
 from strandline.studies.pictures.photographed import UNDEFORMED, Photographed, clicked, read_only_picture
@@ -108,62 +108,66 @@ def _saved(image: Image.Image, kind: str, **options: Any) -> bytes:
     return out.getvalue()
 
 
+ERRORS = ("sd", "length", "shift", "rotation", "scale", "offset")
 IMAGE = "image"
 """Folder, in the study's, of what is written."""
 
 
 @dataclass(frozen=True)
 class PictureFiles:
-    """What was written on one picture.
-
-    Args:
-        condition: The observed condition.
-        content: Errors of the edge and where they come from, as in ``image.json``.
-        files: Names of the files, relative to the study's folder.
-    """
+    """The condition of a picture, its errors as in ``image.json``, and the names of the files in the study."""
 
     condition: str
     content: Mapping[str, Any]
     files: tuple[str, ...]
 
 
-def write_pictures(
-    folder: Path,
-    pictures: Mapping[str, Photographed],
-    undeformed: Undeformed | None = None,
-    *,
-    measures: Mapping[str, Discrepancy] = MappingProxyType({}),
-) -> list[PictureFiles]:
-    """Write table, picture and numbers of the edge of each condition into ``image/`` of the study's folder."""
-    require_writable(folder)
-    target, out = folder / IMAGE, []
+def write_pictures(study: Study) -> list[PictureFiles]:
+    """Write each edge and surface into ``image/`` of the study's folder: a table or a mesh, a picture, its errors."""
+    require_writable(study.folder)
+    target, measures, out = study.folder / IMAGE, study.discrepancies, []
     with told_if_unwritable(target):
         target.mkdir(exist_ok=True)
-        first = {} if undeformed is None else {UNDEFORMED: undeformed.picture}
-        for condition, one in {**first, **pictures}.items():
-            stem = f"{condition}-edge" if condition else "edge"
-            content = described(one, {} if condition == UNDEFORMED else measures)
-            rows = np.column_stack([one.interface.points, *_along(one)])
-            with whole_file(target / f"{stem}.csv") as path:
-                np.savetxt(path, rows, delimiter=",", header="x,y,sd,arc", comments="", fmt="%.7g")
-            figure: Any = plot_picture(one.picture, one.path, one.edge)
-            with whole_file(target / f"{stem}.png") as path:
-                figure.savefig(path, dpi=DOTS_PER_INCH, format="png", metadata={"Software": None})
-            write_json(target / f"{stem}.json", content)
-            names = tuple(f"{IMAGE}/{stem}.{suffix}" for suffix in ("csv", "png", "json"))
-            out.append(PictureFiles(condition, content, names))
-        if undeformed is not None:
-            out[0] = _with_outline(target, out[0], undeformed)
+        if study.undeformed is not None:
+            out.append(_write_outline(target, study.undeformed))
+        out += [_write_edge(target, condition, one, measures) for condition, one in study.pictures.items()]
+        out += [_write_surface(target, condition, one, measures) for condition, one in study.stacks.items()]
     return out
 
 
-def _with_outline(target: Path, written: PictureFiles, undeformed: Undeformed) -> PictureFiles:
-    """Write the smooth outline too."""
+def _write_edge(target: Path, condition: str, one: Photographed, measures: Mapping[str, Discrepancy]) -> PictureFiles:
+    stem, content = f"{condition}-edge" if condition else "edge", described(one, measures)
+    rows = np.column_stack([one.interface.points, *_along(one)])
+    with whole_file(target / f"{stem}.csv") as path:
+        np.savetxt(path, rows, delimiter=",", header="x,y,sd,arc", comments="", fmt="%.7g")
+    names = _write_shown(target, stem, plot_picture(one.picture, one.path, one.edge), content)
+    return PictureFiles(condition, content, (f"{IMAGE}/{stem}.csv", *names))
+
+
+def _write_surface(target: Path, condition: str, one: Scanned, measures: Mapping[str, Discrepancy]) -> PictureFiles:
+    stem, content = f"{condition}-surface" if condition else "surface", described_stack(one, measures)
+    with whole_file(target / f"{stem}.vtu") as path:
+        path.write_text(vtu(one.interface), encoding="utf-8")
+    names = _write_shown(target, stem, plot_stack(one.stack, one.surface.mesh), content)
+    return PictureFiles(condition, content, (f"{IMAGE}/{stem}.vtu", *names))
+
+
+def _write_shown(target: Path, stem: str, figure: Any, content: Mapping[str, Any]) -> tuple[str, str]:
+    """Write a figure and the numbers beside it; return their names."""
+    with whole_file(target / f"{stem}.png") as path:
+        figure.savefig(path, dpi=DOTS_PER_INCH, format="png", metadata={"Software": None})
+    write_json(target / f"{stem}.json", content)
+    return f"{IMAGE}/{stem}.png", f"{IMAGE}/{stem}.json"
+
+
+def _write_outline(target: Path, undeformed: Undeformed) -> PictureFiles:
+    """Write the edge in the picture of the undeformed outline, and the smooth outline."""
+    written, outline = _write_edge(target, UNDEFORMED, undeformed.picture, {}), undeformed.outline
     name = f"{UNDEFORMED}-outline.csv"
     with whole_file(target / name) as path:
-        np.savetxt(path, undeformed.outline.points, delimiter=",", header="x,y", comments="", fmt="%.7g")
-    smooth = {"sd": undeformed.outline.sd, "length": undeformed.outline.length}
-    return replace(written, content={**written.content, "outline": smooth}, files=(*written.files, f"{IMAGE}/{name}"))
+        np.savetxt(path, outline.points, delimiter=",", header="x,y", comments="", fmt="%.7g")
+    content = {**written.content, "outline": {"sd": outline.sd, "length": outline.length}}
+    return PictureFiles(UNDEFORMED, content, (*written.files, f"{IMAGE}/{name}"))
 
 
 def write_page(folder: Path, given: ImageFile) -> Path:
@@ -190,20 +194,13 @@ def described(one: Photographed, measures: Mapping[str, Discrepancy]) -> dict[st
         "notes": list(one.notes),
         "points": len(one.edge.points),
         "edge_length": float(one.interface.lengths.sum()),
-        "sd": e.sd,
-        "length": e.length,
-        "offset": e.offset,
-        "spacing": e.spacing,
-        "blur": e.blur,
+        **_named(e, "sd", "length", "offset", "spacing", "blur"),
         "smallest_radius": e.radius,
-        "contrast_to_noise": e.contrast_to_noise,
-        "limit_share": e.limit_share,
-        "facts": e.facts,
+        **_named(e, "contrast_to_noise", "limit_share", "facts"),
         "frames": None if one.repeated is None else _of_frames(one.repeated),
         "registration": None if one.registration is None else asdict(one.registration),
         "checks": [
-            {key: getattr(check, key) for key in ("name", "value", "limit", "verdict", "shown", "expected")}
-            for check in one.edge.checks
+            _named(check, "name", "value", "limit", "verdict", "shown", "expected") for check in one.edge.checks
         ],
         "noise_variance": variances(one.interface, one.errors, measures),
     }
@@ -214,15 +211,15 @@ def _of_frames(found: FrameErrors) -> dict[str, Any]:
     return {
         "frames": found.frames,
         "compared": found.compared,
-        "one_frame": _stated(found.one),
-        "mean": _stated(found.mean),
+        "one_frame": _named(found.one, *ERRORS),
+        "mean": _named(found.mean, *ERRORS),
         "picture_alone": {"sd": found.picture_sd, "length": found.picture_length},
         "used": "frames" if found.larger else "picture",
     }
 
 
-def _stated(errors: PointErrors) -> dict[str, float]:
-    return {name: getattr(errors, name) for name in ("sd", "length", "shift", "rotation", "scale", "offset")}
+def _named(one: object, *names: str) -> dict[str, Any]:
+    return {name: getattr(one, name) for name in names}
 
 
 def _along(one: Photographed) -> tuple[np.ndarray, np.ndarray]:
@@ -249,7 +246,6 @@ def variances(seen: Interface, errors: PointErrors, measures: Mapping[str, Discr
 
 
 def _variance(measure: Discrepancy, seen: Interface, errors: PointErrors) -> tuple[float | None, str | None]:
-    """Return σ_N² of a measure, or why there is none."""
     if isinstance(measure, Whitens):
         return None, "none needed, it weighs the points by their errors"
     closed = measure.noise_variance(errors, seen) if isinstance(measure, KnowsPointErrors) else None
@@ -258,28 +254,6 @@ def _variance(measure: Discrepancy, seen: Interface, errors: PointErrors) -> tup
 
 TRIANGLE = 5
 """VTK's number of the kind of a cell."""
-
-
-def write_stacks(
-    folder: Path, stacks: Mapping[str, Scanned], *, measures: Mapping[str, Discrepancy] = MappingProxyType({})
-) -> list[PictureFiles]:
-    """Write surface, slices and numbers of each condition into ``image/`` of the study's folder."""
-    require_writable(folder)
-    target, out = folder / IMAGE, []
-    with told_if_unwritable(target):
-        target.mkdir(exist_ok=True)
-        for condition, one in stacks.items():
-            stem = f"{condition}-surface" if condition else "surface"
-            content = described_stack(one, measures)
-            with whole_file(target / f"{stem}.vtu") as path:
-                path.write_text(vtu(one.interface), encoding="utf-8")
-            figure: Any = plot_stack(one.stack, one.surface.mesh)
-            with whole_file(target / f"{stem}.png") as path:
-                figure.savefig(path, dpi=DOTS_PER_INCH, format="png", metadata={"Software": None})
-            write_json(target / f"{stem}.json", content)
-            names = tuple(f"{IMAGE}/{stem}.{suffix}" for suffix in ("vtu", "png", "json"))
-            out.append(PictureFiles(condition, content, names))
-    return out
 
 
 def described_stack(one: Scanned, measures: Mapping[str, Discrepancy]) -> dict[str, Any]:
@@ -293,13 +267,7 @@ def described_stack(one: Scanned, measures: Mapping[str, Discrepancy]) -> dict[s
         "triangles": len(one.interface.cells),
         "points": len(one.interface.points),
         "closed": one.interface.closed,
-        "sd": e.sd,
-        "length": e.length,
-        "offset": e.offset,
-        "blur": e.blur,
-        "contrast_to_noise": e.contrast_to_noise,
-        "open_share": e.open_share,
-        "facts": e.facts,
+        **_named(e, "sd", "length", "offset", "blur", "contrast_to_noise", "open_share", "facts"),
         "noise_variance": variances(one.interface, one.errors, measures),
     }
 

@@ -20,13 +20,7 @@ IMAGE = "image"
 
 @dataclass(frozen=True, eq=False)
 class Undeformed:
-    """An undeformed outline and the picture that shows it.
-
-    Args:
-        picture: The picture with the edge.
-        outline: The smooth outline through the edge.
-        noises: Noise of each condition without the errors of the outline.
-    """
+    """The smooth outline through the edge in a picture, and the noise of the conditions without its errors."""
 
     picture: Photographed
     outline: Outlined
@@ -34,7 +28,6 @@ class Undeformed:
 
     @property
     def options(self) -> dict[str, Any]:
-        """The outline as options of the model."""
         return {"points": self.outline.points.tolist(), "spline": False}
 
     @property
@@ -75,17 +68,12 @@ def without_picture(outline: Mapping[str, Any]) -> dict[str, Any]:
 def with_errors_of(
     undeformed: Undeformed | None, noise: Noise | PointErrors | UnknownErrors, seen: Interface, *, conditions: int
 ) -> Noise | PointErrors | UnknownErrors:
-    """Return the noise of an observation together with the errors of the undeformed outline.
+    """Return the noise of an observation together with the errors of the undeformed outline in a picture.
 
     An error of the undeformed outline moves the simulated interface by nearly as much: variances add, and so do the
     integrals s²ℓ of the covariances. The outline is the same in all conditions; since each is compared on its own, its
-    variances count as many times as there are conditions, so that no number of them can make it better known.
-
-    Args:
-        undeformed: The outline from a picture, if there is one.
-        noise: The noise of the observed interface; one of the measure stays as it is.
-        seen: The observed interface.
-        conditions: Number of observed conditions.
+    variances count as many times as there are conditions, so that no number of them can make it better known. A noise
+    of the measure stays as it is.
     """
     if undeformed is None or not isinstance(noise, PointErrors | UnknownErrors):
         return noise
