@@ -141,7 +141,8 @@ class PythonModel:
     folder: Path | None = field(default=None, kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "folder", _holding(self.folder, self.function))
+        holds = self.folder is not None and lies_in(self.folder, self.function.partition(":")[0])
+        object.__setattr__(self, "folder", self.folder.resolve() if self.folder and holds else None)
         self._target()
 
     @property
@@ -193,11 +194,6 @@ def _polyline(points: Any) -> Any:
     except (TypeError, ValueError):
         array = np.empty(0)
     return Interface.polyline(array) if array.ndim == 2 and array.shape[1] == 2 else points
-
-
-def _holding(folder: Path | None, target: str) -> Path | None:
-    """Return the absolute path of `folder` if the module of ``module:name`` lies in it, else None."""
-    return folder.resolve() if folder is not None and lies_in(folder, target.partition(":")[0]) else None
 
 
 def _found(target: str) -> Any:

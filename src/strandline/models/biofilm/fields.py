@@ -82,6 +82,8 @@ def _stress_at_nodes(system: CoupledSystem, part: Int[np.ndarray, " element"]) -
     return result
 
 
+IN_SPACE = ((0, 0), (0, 1))
+"""Padding of plane vectors (point, 2) by a third component 0."""
 COLLECTION = """<?xml version="1.0"?>
 <VTKFile type="Collection" version="0.1">
   <Collection>
@@ -106,12 +108,12 @@ def write_vtu(fields: FlowFields, folder: Path) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         for name, points in (("undeformed", fields.points - fields.displacement), ("deformed", fields.points)):
             mesh = meshio.Mesh(
-                _in_space(points),
+                np.pad(points, IN_SPACE),
                 [("triangle", fields.triangles)],
                 point_data={
-                    "velocity [mm/s]": _in_space(fields.velocity),
+                    "velocity [mm/s]": np.pad(fields.velocity, IN_SPACE),
                     "pressure [Pa]": fields.pressure,
-                    "displacement [mm]": _in_space(fields.displacement),
+                    "displacement [mm]": np.pad(fields.displacement, IN_SPACE),
                 },
                 cell_data={
                     "part": [fields.cell_part.astype(np.int8)],
@@ -124,8 +126,3 @@ def write_vtu(fields: FlowFields, folder: Path) -> Path:
         what, expected = "folder for the files for ParaView", "a folder that can be written to"
         raise refused(what, str(error), expected, "Choose another folder.") from None
     return folder / "flow.pvd"
-
-
-def _in_space(vectors: np.ndarray) -> np.ndarray:
-    """Return plane vectors with a third component 0."""
-    return np.column_stack([vectors, np.zeros(len(vectors))])

@@ -76,12 +76,12 @@ def answer(models: Sequence[ServedModel], method: str, path: str, body: bytes) -
 
 
 def _answered(models: Sequence[ServedModel], method: str, path: str, body: bytes) -> dict[str, Any]:
-    if path == "/Info":
-        _require_method(method, "GET", path)
-        return {"protocolVersion": PROTOCOL_VERSION, "models": [model.name for model in models]}
-    if path not in ENDPOINTS:
+    if path not in ("/Info", *ENDPOINTS):
         raise Rejected("NotFound", f"no endpoint {path[:80]}; there are /Info, {', '.join(ENDPOINTS)}", 404)
-    _require_method(method, "POST", path)
+    if method != (right := "GET" if path == "/Info" else "POST"):
+        raise Rejected("InvalidInput", f"{method} {path}: expected {right}", 405)
+    if path == "/Info":
+        return {"protocolVersion": PROTOCOL_VERSION, "models": [model.name for model in models]}
     asked = _object(body)
     model = next((model for model in models if model.name == asked.get("name")), None)
     if model is None:
@@ -125,11 +125,6 @@ ENDPOINTS: Mapping[str, Callable[[ServedModel, Mapping[str, Any]], dict[str, Any
     "/ApplyHessian": lambda model, asked: {},  # no model supports it
 }
 """Path → function that answers it, given the model that the request names; /Info names none."""
-
-
-def _require_method(method: str, right: str, path: str) -> None:
-    if method != right:
-        raise Rejected("InvalidInput", f"{method} {path}: expected {right}", 405)
 
 
 def _object(body: bytes) -> dict[str, Any]:
