@@ -112,11 +112,7 @@ def smoothed(path: Float[np.ndarray, "point 2"], half: int, *, closed: bool) -> 
 
 
 def require_contours(contours: Sequence[Interface]) -> None:
-    """Refuse contours that are surfaces, short, or not of one kind and size.
-
-    Raises:
-        InvalidInput: They are one of these; the message says which, counted from 1.
-    """
+    """Refuse contours that are surfaces, short, or not of one kind and size."""
     require_polylines(*contours)
     for number, contour in enumerate(contours, 1):
         if len(contour.points) < FEWEST_POINTS:

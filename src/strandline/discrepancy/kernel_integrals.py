@@ -83,9 +83,6 @@ def gauss_order(ratio: float, tolerance: float) -> int:
     Bernstein ellipse of radius ρ around the piece it grows by at most exp(ratio²(ρ - 1/ρ)²/32). So the error of m
     points, exact for polynomials up to degree 2m-1, is at most 4 ρ^(1-2m)/(ρ-1) times that, relative to the piece's
     length times the integral of the kernel. The best ρ is used.
-
-    Raises:
-        NumericsError: no rule of up to 100 points reaches the tolerance.
     """
     growth = (ratio * (_RADII - 1 / _RADII)) ** 2 / 32
     for order in range(1, 101):
@@ -170,9 +167,6 @@ def refined_surface_product(a: Interface, b: Interface, width: float, *, toleran
 
     The error is relative to area · min(area, 2πσ²) of `a`, the ⟨a,a⟩ of a plane much larger (or smaller) than the
     width, if `b` does not pass near one point many times.
-
-    Raises:
-        NumericsError: no rule reaches the tolerance.
     """
     (area, other), plane = (float(one.areas.sum()) for one in (a, b)), 2 * math.pi * width**2
     least = min(area, plane)
@@ -208,11 +202,7 @@ def surface_nodes(surface: Interface, width: float, tolerance: float) -> Nodes:
 
 @lru_cache(maxsize=4096)
 def triangle_order(ratio: float, tolerance: float) -> int:
-    """Return the lowest order of a rule whose error bound on a triangle of radius `ratio` widths is within tolerance.
-
-    Raises:
-        NumericsError: no order up to the highest reaches it.
-    """
+    """Return the lowest order of a rule whose error bound on a triangle of radius `ratio` widths is in tolerance."""
     for order in range(1, _HIGHEST + 1):
         if error_bound(order, ratio) <= tolerance:
             return order

@@ -71,10 +71,9 @@ def kernel_sum(a: Nodes, b: Nodes, width: float, *, reach: float, sizes: Sizes =
 
     JAX sums many pairs if its float64 is switched on, else NumPy: slower, with the same result to rounding.
     """
-    if len(a) * len(b) <= sizes.small:
+    if len(a) * len(b) <= sizes.small or not double():
         return _blocked(a, b, width)
-    summed = _compiled if double() else _in_blocks
-    return math.fsum(side_by_side(summed(_with_blank(a), _with_blank(b), width), _batches(a, b, reach, sizes)))
+    return math.fsum(side_by_side(_compiled(_with_blank(a), _with_blank(b), width), _batches(a, b, reach, sizes)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,18 +155,6 @@ def _filled_up(partners: Int[np.ndarray, " partner"], *, blank: int) -> Int[np.n
 def _with_blank(nodes: Nodes) -> Nodes:
     """Return the nodes and a blank one after them, at the position of the last one and with normal 0."""
     return Nodes(np.pad(nodes.points, ((0, 1), (0, 0)), mode="edge"), np.pad(nodes.normals, ((0, 1), (0, 0))))
-
-
-def _in_blocks(a: Nodes, b: Nodes, width: float) -> Callable[[_TileBatch], float]:
-    """Return a function that sums a batch with NumPy."""
-
-    def sums(batch: _TileBatch) -> float:
-        rows = zip(batch.tiles, batch.begin, batch.end, batch.weights, strict=True)
-        return math.fsum(
-            weight * _blocked(a[tile], b[batch.partners[first:last]], width) for tile, first, last, weight in rows
-        )
-
-    return sums
 
 
 def _blocked(a: Nodes, b: Nodes, width: float) -> float:

@@ -15,7 +15,7 @@ from functools import lru_cache, partial, reduce
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from strandline.discrepancy.protocol import Snapshot
@@ -66,11 +66,7 @@ class ClosestPoints:
 
 
 def squared_distances(points: Float[np.ndarray, "point xyz"], target: Interface) -> Float[np.ndarray, " point"]:
-    """Return the squared distance, mm², of each point to the closest point of `target`, on its cells.
-
-    Raises:
-        InvalidInterface: points with another number of coordinates than `target`.
-    """
+    """Return the squared distance, mm², of each point to the closest point of `target`, on its cells."""
     return closest_points(points, target).squares
 
 
@@ -80,9 +76,6 @@ def closest_points(points: Float[np.ndarray, "point xyz"], target: Interface, *,
     The search trees are kept for the most recently searched interfaces.
 
     With `once`, the interface will not be searched again, as a prediction that is looked at once.
-
-    Raises:
-        InvalidInterface: points with another number of coordinates than `target`.
     """
     if points.shape[1] != target.dim:
         raise InvalidInterface(
@@ -171,14 +164,11 @@ class _Tree:
         centres: Tree of the cells' centres.
         order: Number of the cell in each of the lowest boxes; some are repeated to fill all boxes equally.
         levels: Corners (low, high) of the boxes, (2, xyz, box): 1, 2, 4, …, and finally one for each cell.
-        cylinders: Cylinders around the contents of the lowest boxes above those of single cells. They enclose flat,
-            slanted contents more tightly than boxes, and so rule out most boxes for distant points.
     """
 
     centres: cKDTree
     order: Int[np.ndarray, " place"]
     levels: list[Float[np.ndarray, "2 xyz _"]]
-    cylinders: "_Cylinders"
 
     def look(self, best: _Best, rows: Int[np.ndarray, " pair"], boxes: Int[np.ndarray, " pair"], level: int) -> None:
         """Improve the best with the cells in the boxes, each box paired with the point of its row."""
@@ -187,82 +177,19 @@ class _Tree:
             self.look(best, rows[:half], boxes[:half], level)
             self.look(best, rows[half:], boxes[half:], level)
             return
-        near = self._within(best, rows, boxes, level)
+        square = np.zeros(len(rows))
+        for x, low, high in zip(best.columns, *self.levels[level], strict=True):
+            at = x.take(rows)
+            apart = np.maximum(np.maximum(low.take(boxes) - at, at - high.take(boxes)), 0.0)
+            square += apart * apart
+        near = square <= best.reach(rows)
         rows, boxes = rows[near], boxes[near]
-        if level == len(self.levels) - 2:
-            squares = self.cylinders.squares(best.columns.take(rows, axis=1), boxes)
-            self._tighten(best, rows, boxes, squares)
-            near = squares <= best.reach(rows)
-            rows, boxes = rows[near], boxes[near]
         if level == len(self.levels) - 1:
             best.look_at(rows, self.order[boxes])
         elif len(rows):
             parts = self.levels[level + 1].shape[2] // self.levels[level].shape[2]
             inner = (parts * boxes[:, None] + np.arange(parts)).ravel()
             self.look(best, np.repeat(rows, parts), inner, level + 1)
-
-    def _tighten(
-        self,
-        best: _Best,
-        rows: Int[np.ndarray, " pair"],
-        boxes: Int[np.ndarray, " pair"],
-        squares: Float[np.ndarray, " pair"],
-    ) -> None:
-        """Try the cells in the box that seems nearest to each point, for a better bound."""
-        if rows.size:
-            first = np.flatnonzero(np.diff(rows, prepend=-1))
-            least = np.repeat(np.minimum.reduceat(squares, first), np.diff(first, append=len(rows)))
-            which = np.flatnonzero(squares == least)
-            which = which[np.diff(rows[which], prepend=-1) > 0]
-            parts = len(self.order) // self.levels[-2].shape[2]
-            cells = self.order[parts * boxes[which, None] + np.arange(parts)]
-            best.look_at(np.repeat(rows[which], parts), cells.ravel())
-
-    def _within(
-        self, best: _Best, rows: Int[np.ndarray, " pair"], boxes: Int[np.ndarray, " pair"], level: int
-    ) -> Bool[np.ndarray, " pair"]:
-        low, high = self.levels[level]
-        square = np.zeros(len(rows))
-        for k in range(len(low)):
-            x = best.columns[k].take(rows)
-            apart = np.maximum(np.maximum(low[k].take(boxes) - x, x - high[k].take(boxes)), 0.0)
-            square += apart * apart
-        return np.asarray(square <= best.reach(rows))
-
-
-@dataclass(frozen=True, eq=False)
-class _Cylinders:
-    """Flat cylinders, each around the cells of one box: (xyz, box) or (box,), mm."""
-
-    centres: Float[np.ndarray, "xyz box"]
-    axes: Float[np.ndarray, "xyz box"]
-    heights: Float[np.ndarray, " box"]
-    radii: Float[np.ndarray, " box"]
-
-    @classmethod
-    def around(
-        cls, corners: Float[np.ndarray, "xyz box corner"], normals: Float[np.ndarray, "xyz box"]
-    ) -> "_Cylinders":
-        """Return the cylinders around corners, along the normals; if those cancel, along any axis."""
-        length = np.sqrt(_dot(normals, normals))
-        upright = np.eye(len(normals))[0][:, None]
-        axes = np.where(length > 0, normals / np.where(length > 0, length, 1.0), upright)
-        centres = corners.mean(axis=2)
-        up, off = _split(corners - centres[:, :, None], axes[:, :, None])
-        return cls(centres, axes, np.abs(up).max(axis=1), np.sqrt(off.max(axis=1)))
-
-    def squares(self, p: Vectors, boxes: Int[np.ndarray, " pair"]) -> Float[np.ndarray, " pair"]:
-        """Return the squared distances of points (xyz, pair) to cylinders."""
-        up, off = _split(p - self.centres.take(boxes, axis=1), self.axes.take(boxes, axis=1))
-        above = np.maximum(np.abs(up) - self.heights.take(boxes), 0.0)
-        beside = np.maximum(np.sqrt(off) - self.radii.take(boxes), 0.0)
-        return np.asarray(above * above + beside * beside)
-
-
-def _split(q: Vectors, axes: Vectors) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
-    """Return the component along unit axes and the square of the rest."""
-    up = _dot(q, axes)
-    return up, _dot(q - up * axes, q - up * axes)
 
 
 @lru_cache(maxsize=8)
@@ -280,11 +207,7 @@ def _tree(snapshot: Snapshot) -> _Tree:
         low = reduce(np.minimum, (low[:, k::parts] for k in range(parts)))
         high = reduce(np.maximum, (high[:, k::parts] for k in range(parts)))
         levels.insert(0, np.stack([low, high]))
-    flat = _Cylinders.around(
-        np.concatenate([one.reshape(target.dim, -1, leaf) for one in corners], axis=2),
-        target.normals[order].reshape(2**halvings, leaf, target.dim).sum(axis=1).T,
-    )
-    return _Tree(cKDTree(centres), order, levels, flat)
+    return _Tree(cKDTree(centres), order, levels)
 
 
 def _corners(target: Interface, which: Int[np.ndarray, "*#pair"]) -> list[Float[np.ndarray, "xyz ..."]]:

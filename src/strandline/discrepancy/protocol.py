@@ -114,11 +114,7 @@ def independent_terms(discrepancy: Discrepancy, observed: Interface) -> int | No
 
 
 def require_polylines(*interfaces: Interface) -> None:
-    """Refuse interfaces that are not polylines in the plane.
-
-    Raises:
-        InvalidInterface: an interface whose points do not have two coordinates.
-    """
+    """Refuse interfaces that are not polylines in the plane."""
     for interface in interfaces:
         if interface.dim != 2:
             raise InvalidInterface(
@@ -130,11 +126,7 @@ def require_polylines(*interfaces: Interface) -> None:
 
 
 def require_alike(simulated: Interface, observed: Interface) -> None:
-    """Refuse to compare a polyline with a surface.
-
-    Raises:
-        InvalidInterface: two interfaces with different numbers of coordinates.
-    """
+    """Refuse to compare a polyline with a surface."""
     if simulated.dim != observed.dim:
         raise InvalidInterface(
             "simulated and observed interface of a discrepancy measure",
@@ -145,11 +137,7 @@ def require_alike(simulated: Interface, observed: Interface) -> None:
 
 
 def require_same_direction(simulated: Interface, observed: Interface) -> None:
-    """Refuse interfaces whose normals point to opposite sides.
-
-    Raises:
-        InvalidInterface: one runs from the other end, or faces the other side.
-    """
+    """Refuse interfaces whose normals point to opposite sides."""
     if simulated.runs_against(observed):
         raise InvalidInterface(
             "the simulated interface runs against the observed one",

@@ -109,11 +109,7 @@ class _Frame:
     basis: Float[np.ndarray, "place column"]
 
     def offsets(self, contour: Interface, most: float) -> Float[np.ndarray, " place"]:
-        """Return the signed distance of the contour's point next to each place, mm; nothing is interpolated.
-
-        Raises:
-            InvalidInput: No point of the contour is within `most` mm of a place.
-        """
+        """Return the signed distance of the contour's point next to each place, mm; nothing is interpolated."""
         path = path_of(contour)
         nearest = _nearest(_feet(path, self.outline), self.places, self.outline, most)
         return signed_distances(path[nearest], self.outline)
@@ -140,11 +136,7 @@ def _feet(path: Float[np.ndarray, "point 2"], outline: Interface) -> Float[np.nd
 
 
 def _places(outline: Interface, feet: Sequence[Float[np.ndarray, " _"]]) -> tuple[Float[np.ndarray, " place"], float]:
-    """Return places along the part of the outline that all contours show, as far apart as the points of the coarsest.
-
-    Raises:
-        InvalidInput: That part is too short.
-    """
+    """Return places along the part of the outline that all contours show, as far apart as points of the coarsest."""
     whole = float(outline.lengths.sum())
     if outline.closed:
         number = min(len(one) for one in feet)
@@ -184,11 +176,7 @@ def _effects(
 def _nearest(
     feet: Float[np.ndarray, " point"], places: Float[np.ndarray, " place"], outline: Interface, most: float
 ) -> Int[np.ndarray, " place"]:
-    """Return the number of the point whose foot is next to each place.
-
-    Raises:
-        InvalidInput: It is more than `most` mm away.
-    """
+    """Return the number of the point whose foot is next to each place."""
     order, whole = np.argsort(feet), float(outline.lengths.sum())
     along = feet[order]
     if outline.closed:

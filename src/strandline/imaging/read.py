@@ -1,18 +1,14 @@
 """A picture file → the picture, linear in intensity, with the size of its pixels."""
 
 import hashlib
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Shaped
 
-from strandline.errors import InvalidInput
 from strandline.imaging.files.plain import read_by_pillow, read_hdf5, read_npy
 from strandline.imaging.files.thorlabs import read_oct
 from strandline.imaging.files.tiff import read_tiff
@@ -20,7 +16,7 @@ from strandline.imaging.linear import intensity
 from strandline.imaging.picture import Picture, PictureFile, Stack, require_pixels
 from strandline.imaging.reading import PictureReading, PixelSize, agreed
 from strandline.readers.checked import unfit
-from strandline.readers.contents import refused
+from strandline.readers.contents import refused, undamaged
 from strandline.registry import imported, suggestion
 
 PictureReader = Callable[[Path, PictureReading, str], PictureFile]
@@ -33,7 +29,6 @@ FORMATS: dict[str, PictureReader] = {
     ".npy": read_npy,
 }
 """Suffix of a file → function that reads it."""
-T = TypeVar("T")
 Paths = Path | Sequence[Path]
 _VOXEL = "e.g. `{x: 6, y: 6, z: 10, unit: um}`"
 
@@ -52,7 +47,8 @@ def opened(path: Path, how: PictureReading) -> Iterator[PictureFile]:
     if reader is None:
         remedy = "Save it as TIFF or PNG, or give `reader: module:name`."
         raise refused(f"{name} has an unknown format", path.suffix or "no suffix", ", ".join(FORMATS), remedy)
-    file = _guarded(partial(reader, path, how, name), name)
+    with undamaged(name, "a whole picture file"):
+        file = reader(path, how, name)
     if not isinstance(file, PictureFile):
         what, expected = f"what the reader {how.reader} returns", "strandline.imaging.PictureFile"
         raise refused(what, f"a {type(file).__name__}", expected, "Correct the reader.")
@@ -66,26 +62,11 @@ def opened(path: Path, how: PictureReading) -> Iterator[PictureFile]:
 
 def loaded(file: PictureFile, frame: int, name: str) -> Shaped[np.ndarray, "row column *channel"]:
     """Return the numbers of a frame."""
-    values = _guarded(lambda: np.asarray(file.load(frame)), name)
+    with undamaged(name, "a whole picture file"):
+        values = np.asarray(file.load(frame))
     if values.shape[:2] != file.shape:
         raise refused(f"{name}: frame {frame}", f"the shape {values.shape}", f"rows and columns {file.shape}")
     return values
-
-
-def _guarded(read: Callable[[], T], name: str) -> T:
-    """Return what `read` does; any error on a damaged file becomes one line."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return read()
-    except InvalidInput:
-        raise
-    except (Exception, SystemExit) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        remedy = "Look at the file, or at what writes it."
-        if "imagecodecs" in reason:
-            remedy = "Save it without this compression, or install what unpacks it: pip install imagecodecs"
-        raise refused(f"{name} cannot be read", reason, "a whole picture file", remedy) from None
 
 
 def listed(paths: Path | Sequence[Path]) -> list[Path]:

@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 
 from strandline.errors import InvalidInterface
 from strandline.interface import triangles
-from strandline.interface.drawing import drawn
 
 __all__ = ["Interface", "Oriented", "oriented_like"]
 
@@ -19,6 +18,10 @@ _ROUNDING = 8 * float(np.finfo(float).eps)
 """Share of an interface's extent below which two of its points count as touching."""
 _PAIRS = 1 << 18
 """Number of pairs of segments examined together."""
+_WIDTH, _MARGIN = 420.0, 8.0
+"""Width of a drawing and of its margin, pixels."""
+_LEAST, _MOST = 40.0, 420.0
+"""Smallest and largest height of a drawing, pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +53,7 @@ class Interface:
 
     def _repr_svg_(self) -> str | None:
         """Return a drawing of a polyline for a notebook; a surface has none."""
-        return drawn(self.points) if self.dim == 2 else None
+        return _drawn(self.points) if self.dim == 2 else None
 
     def __post_init__(self) -> None:
         if len(self.points) < self.cells.shape[1] or len(self.cells) == 0:
@@ -304,6 +307,22 @@ class Interface:
         after = np.roll(d, -1, axis=0) if self.closed else d[1:]
         fold = np.flatnonzero((np.abs(_cross(onward, after)) <= _ROUNDING) & (np.sum(onward * after, axis=1) < 0))
         return None if fold.size == 0 else (int(fold[0]), int(fold[0] + 1) % len(d), self.ends[fold[0]])
+
+
+def _drawn(points: Float[np.ndarray, "point 2"]) -> str:
+    """Return an SVG of the polyline through some points, y upwards, with equal scales along both axes."""
+    low, sides = points.min(axis=0), np.maximum(np.ptp(points, axis=0), 1e-300)
+    scale = min((_WIDTH - 2 * _MARGIN) / sides[0], (_MOST - 2 * _MARGIN) / sides[1])
+    height = max(scale * float(sides[1]) + 2 * _MARGIN, _LEAST)
+    x, y = (scale * (points - low)).T
+    places = " ".join(
+        f"{a + _MARGIN:.1f},{height - _MARGIN - b:.1f}" for a, b in zip(x.tolist(), y.tolist(), strict=True)
+    )
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{_WIDTH:.0f}" height="{height:.0f}" role="img" '
+        f'aria-label="polyline of {len(points)} points">'
+        f'<polyline points="{places}" fill="none" stroke="#0072B2" stroke-width="2"/></svg>'
+    )
 
 
 class Oriented(NamedTuple):

@@ -125,11 +125,7 @@ class PointErrors:
         return ErrorModel(self.local_variances(seen), shared)
 
     def require_fits(self, seen: Interface) -> None:
-        """Refuse an interface of less than two correlation lengths, or smaller than a shift or an offset.
-
-        Raises:
-            InvalidInput: It is one of these.
-        """
+        """Refuse an interface of less than two correlation lengths, or smaller than a shift or an offset."""
         extent = float(np.linalg.norm(np.ptp(seen.points, axis=0)))
         for name in ("shift", "offset"):
             if getattr(self, name) > extent:

@@ -199,11 +199,7 @@ def read_xdmf(path: Path, how: Reading, name: str) -> Contents:
 
 
 def _require_own_data(path: Path, root: ElementTree.Element) -> None:
-    """Refuse data outside the folder of the file, and data that unpack to far more than the files that hold them.
-
-    Raises:
-        ValueError: (also KeyError, OSError) There are such data; the message shows the place.
-    """
+    """Refuse data outside the folder of the file, and data that unpack to far more than the files that hold them."""
     allowances: dict[Path, Allowance] = {}
     for item in root.iter("DataItem"):
         form, text = item.get("Format", ""), (item.text or "").strip()

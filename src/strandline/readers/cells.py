@@ -67,11 +67,7 @@ def dimension(kind: str) -> int | None:
 
 
 def joined(blocks: Sequence[Block], points: Float[np.ndarray, "point xyz"], name: str) -> list[Block]:
-    """Return cells that share nodes where they touch, if each has nodes of its own, as NGSolve writes them.
-
-    Raises:
-        Unreadable: Nodes are near each other, but too far apart for rounding.
-    """
+    """Return cells that share nodes where they touch, if each has nodes of its own, as NGSolve writes them."""
     nodes = np.concatenate([block.nodes.ravel() for block in blocks])
     used = np.unique(nodes)
     if len(used) < len(nodes) or sum(len(block.nodes) for block in blocks) == 1:
@@ -157,11 +153,7 @@ class Chain:
 
 
 def chains(edges: Int[np.ndarray, "edge 2"], points: Float[np.ndarray, "point 2"], name: str) -> list[Chain]:
-    """Return the polylines that `edges` form, each in the direction of most of its edges.
-
-    Raises:
-        Unreadable: three or more edges meet at a point.
-    """
+    """Return the polylines that `edges` form, each in the direction of most of its edges."""
     edges = edges[edges[:, 0] != edges[:, 1]]
     _, first = np.unique(np.sort(edges, axis=1), axis=0, return_index=True)
     edges = edges[np.sort(first)]
@@ -189,11 +181,7 @@ def chosen_chain(
     near: Sequence[float] | None,
     longest: bool,
 ) -> Chain:
-    """Return the one polyline among those found.
-
-    Raises:
-        Unreadable: There is none, or there are several and no option chooses one.
-    """
+    """Return the one polyline among those found."""
     if not found:
         raise refused(f"{name} holds no interface", None, "cells that form a line", "Look at the selection.")
     if near is not None:

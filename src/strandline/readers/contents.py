@@ -1,6 +1,8 @@
 """The contents of a file, whatever its format: points, cells in blocks, and data on both."""
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -42,6 +44,23 @@ def refused(
 ) -> Unreadable:
     """Return the error for a file that cannot be used."""
     return Unreadable(what, value=value, expected=expected, remedy=remedy, kind=kind)
+
+
+@contextmanager
+def undamaged(name: str, expected: str) -> Iterator[None]:
+    """Turn any error on a damaged file into one line, and ignore warnings."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except InvalidInput:
+        raise
+    except (Exception, SystemExit) as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        remedy = "Look at the file, or at what writes it."
+        if "imagecodecs" in reason:
+            remedy = "Save it without this compression, or install what unpacks it: pip install imagecodecs"
+        raise refused(f"{name} cannot be read", reason, expected, remedy) from None
 
 
 @dataclass(frozen=True, eq=False)

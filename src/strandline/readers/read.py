@@ -2,7 +2,6 @@
 
 import re
 import stat
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,10 +10,10 @@ from jaxtyping import Float
 
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
-from strandline.readers.contents import Contents, Unreadable, refused
+from strandline.readers.contents import Contents, Unreadable, refused, undamaged
 from strandline.readers.options import Reading
 from strandline.readers.shape import interface_of, point_sds
-from strandline.readers.tables import missing, require_end
+from strandline.readers.tables import require_end
 from strandline.registry import imported
 
 _TABLE = "strandline.readers.tables:read_text"
@@ -112,7 +111,8 @@ def read_interface(path: Path, how: Reading, *, name: str = "", ended: bool = Fa
     _require_file(path, name)
     _require_known(_beginning(path), how, name)
     if ended and how.count is None and _reader(path, how) in (_TABLE, *TEXTS.values()):
-        require_end(path, name)
+        with undamaged(name, "a readable text file"):
+            require_end(path, name)
     contents = _contents(path, how, name)
     try:
         return interface_of(contents, how, name)
@@ -149,19 +149,10 @@ def _contents(path: Path, how: Reading, name: str) -> Contents:
     reader: Reader = imported(target, f"reader of {name}")
     if target == _TABLE and (how.time is not None or how.plane != "xy"):
         raise refused(f"{name} is a table of one time", "`time` or `plane`", "`columns` alone", "Remove it.")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            contents = reader(path, how, name)
+    with undamaged(name, f"a whole {how.suffix} file"):
+        contents = reader(path, how, name)
         _require_contents(contents, target)
         _require_whole(contents)
-    except InvalidInput:
-        raise
-    except (Exception, SystemExit) as error:
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        raise refused(
-            f"{name} cannot be read", reason, f"a whole {how.suffix} file", "Look at the file, or at what writes it."
-        ) from None
     return contents
 
 
@@ -185,7 +176,7 @@ def _require_file(path: Path, name: str) -> None:
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
-        raise missing(path, name) from None
+        raise refused(f"{name} is missing", str(path), "a file with two columns x, y", kind="result_missing") from None
     except OSError as error:
         raise refused(f"{name} cannot be read", str(error), "a readable file") from None
     if not stat.S_ISREG(mode):

@@ -35,12 +35,7 @@ DISPLACEMENT = re.compile(r"u[_:]?[xyz\d]|(.*[\W_])?(disp|d[eé]pl|deform|versch
 
 
 def interface_of(contents: Contents, how: Reading, name: str) -> Interface:
-    """Return the interface, in mm.
-
-    Raises:
-        Unreadable: the file does not hold what the options ask for.
-        InvalidInterface: The points form no interface.
-    """
+    """Return the interface, in mm."""
     places, moved = _places(contents, how, name)
     found = (
         _of_cells(contents, places, moved, how, name)
@@ -84,11 +79,7 @@ def _may_move(key: str, values: Shaped[np.ndarray, "..."]) -> bool:
 
 
 def point_sds(contents: Contents, how: Reading, name: str) -> Float[np.ndarray, " point"]:
-    """Return the standard deviations of the points of the interface that `interface_of` returns, in mm.
-
-    Raises:
-        Unreadable: One is not above 0.
-    """
+    """Return the standard deviations of the points of the interface that `interface_of` returns, in mm."""
     places, moved = _places(contents, how, name)
     order = _order(contents, places, how, name)
     if _repeats_first(moved[order], how):
@@ -190,7 +181,7 @@ def _of_cells(contents: Contents, places: Points, moved: Points, how: Reading, n
         parts = cells.surface_triangles(blocks) if lowest == 2 else cells.boundary_triangles(blocks)
         if lowest == 3 and signed_volume(places, parts) < 0:
             parts = parts[:, ::-1]  # solids that are numbered inside out
-        return _surface(_chosen_part(_kept(parts, contents, places, how, name), places, how, name), moved, places)
+        return _surface(_chosen_part(_kept(parts, contents, places, how, name), places, how, name), moved)
     parts = cells.line_edges(blocks) if lowest == 1 else cells.boundary_edges(blocks)
     if not flat:
         faces = next((block.kind for block in contents.blocks if cells.dimension(block.kind) == 2), None)
@@ -299,8 +290,7 @@ def _area(ring: Plane) -> float:
     return float((ring[:, 0] * after[:, 1] - ring[:, 1] * after[:, 0]).sum())
 
 
-def _surface(triangles: Int[np.ndarray, "cell 3"], moved: Points, places: Points) -> Interface:
-    triangles = _merged(triangles, places)
+def _surface(triangles: Int[np.ndarray, "cell 3"], moved: Points) -> Interface:
     used, corners = np.unique(triangles, return_inverse=True)
     return Interface(np.ascontiguousarray(moved[used]), corners.reshape(-1, 3).astype(np.int64))
 

@@ -74,7 +74,7 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
 
     A line of column names and lines that begin with # or * are skipped. Without `columns` each line holds x and y.
     """
-    lines = _lines(path, name)
+    lines = path.read_text(encoding="utf-8-sig").splitlines()
     separator = _separator(lines, how, name)
     rows, comments = _rows(lines, separator)
     titles = rows[0].fields if rows and _is_header(rows[0]) else ()
@@ -107,10 +107,7 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
 
 def read_npy(path: Path, how: Reading, name: str) -> Contents:
     """Return the points of an array of numbers (point, column); pickled objects are not read."""
-    try:
-        array = np.load(path, allow_pickle=False, mmap_mode=None)
-    except (ValueError, EOFError, OSError, MemoryError) as error:
-        raise refused(f"{name} cannot be read", str(error), "an array of numbers saved by numpy.save") from None
+    array = np.load(path, allow_pickle=False)
     if not (isinstance(array, np.ndarray) and array.ndim == 2 and array.dtype.kind in "fiu" and len(array)):
         found = f"{array.dtype} of the shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
         raise refused(f"{name} holds no points", found, "an array of numbers (point, 2)")
@@ -319,11 +316,7 @@ def _is_label(text: str) -> bool:
 
 
 def _separator(lines: Sequence[str], how: Reading, name: str) -> str:
-    """Return the character that separates fields; a blank stands for any number of them.
-
-    Raises:
-        Unreadable: A line has two of them, of which one may be decimal commas.
-    """
+    """Return the character that separates fields; a blank stands for any number of them."""
     if how.delimiter is not None:
         return how.delimiter
     marks = ";\t" if how.decimal == "," else ",;\t"
@@ -343,30 +336,9 @@ def _separator(lines: Sequence[str], how: Reading, name: str) -> str:
     return "," if any("," in line for line in lines) and how.decimal != "," else " "
 
 
-def _lines(path: Path, name: str) -> list[str]:
-    try:
-        return path.read_text(encoding="utf-8-sig").splitlines()
-    except FileNotFoundError:
-        raise missing(path, name) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise refused(f"{name} cannot be read", str(error), "a readable text file") from None
-
-
-def missing(path: Path, name: str) -> Unreadable:
-    """Return the error for a missing file."""
-    return refused(f"{name} is missing", str(path), "a file with two columns x, y", kind="result_missing")
-
-
 def require_end(path: Path, name: str) -> None:
-    """Refuse a program's result whose last line has no line break: its last number may be cut off.
-
-    Raises:
-        Unreadable: There is no line break; the message shows the last line.
-    """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise refused(f"{name} cannot be read", str(error), "a readable text file") from None
+    """Refuse a program's result whose last line has no line break: its last number may be cut off."""
+    content = path.read_bytes()
     if content.strip() and not content.endswith((b"\n", b"\r")):
         raise refused(
             f"{name} ends within a line",
@@ -424,11 +396,7 @@ def read_json(path: Path, how: Reading, name: str) -> Contents:
 
 
 def outlines(content: bytes) -> list[DrawnLine]:
-    """Return points of each outline in a GeoJSON or labelme file, holes as well, and whether it is closed.
-
-    Raises:
-        ValueError: (also KeyError, TypeError, AttributeError, IndexError) The content is no JSON, or damaged.
-    """
+    """Return points of each outline in a GeoJSON or labelme file, holes as well, and whether it is closed."""
     return list(_drawn(json.loads(content)))
 
 

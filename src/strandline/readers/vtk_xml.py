@@ -64,11 +64,7 @@ class Allowance:
         self._limit = self._left = ALWAYS_BYTES + PER_BYTE * packed
 
     def take(self, number: int) -> None:
-        """Use up `number` bytes.
-
-        Raises:
-            ValueError: fewer are left.
-        """
+        """Use up `number` bytes."""
         self._left -= number
         if self._left < 0:
             raise ValueError(
@@ -127,11 +123,7 @@ def _dtype(name: str, order: str) -> np.dtype[Any]:
 
 
 def split(content: bytes) -> tuple[ElementTree.Element, Encoding]:
-    """Return the root of a file and its encoding; appended data are not XML and are taken out first.
-
-    Raises:
-        ValueError: (also ElementTree.ParseError, a SyntaxError) not a file of this kind.
-    """
+    """Return the root of a file and its encoding; appended data are not XML and are taken out first."""
     head, mark, rest = content.partition(b"<AppendedData")
     appended, raw = b"", False
     if mark:
@@ -147,11 +139,7 @@ def split(content: bytes) -> tuple[ElementTree.Element, Encoding]:
 
 
 def numbers(array: ElementTree.Element, encoding: Encoding) -> Shaped[np.ndarray, "..."]:
-    """Return the numbers of a DataArray; (row, component) if it has several components.
-
-    Raises:
-        ValueError: it is damaged, or of an unknown type.
-    """
+    """Return the numbers of a DataArray; (row, component) if it has several components."""
     dtype, form = encoding.dtype(array.attrib["type"]), array.get("format", "ascii")
     if form == "ascii":
         flat = np.array((array.text or "").split(), dtype=dtype.newbyteorder("="))
@@ -212,11 +200,7 @@ def _decoded(stream: bytes, encoding: Encoding, *, raw: bool) -> bytes:
 
 
 def read_vtk_xml(path: Path, how: Reading, name: str) -> Contents:
-    """Return the contents of a VTU, VTP, PVTU or PVTP file, its pieces joined.
-
-    Raises:
-        ValueError: (also KeyError, IndexError, SyntaxError) a damaged file, or one of another kind.
-    """
+    """Return the contents of a VTU, VTP, PVTU or PVTP file, its pieces joined."""
     return _read(path, parallel=True)
 
 
@@ -372,11 +356,7 @@ def read_pvd(path: Path, how: Reading, name: str) -> Contents:
 
 
 def chosen_time(times: Sequence[float], how: Reading, name: str) -> int:
-    """Return the index of the requested time; of the last one if none is requested.
-
-    Raises:
-        Unreadable: there is no such time, or none at all.
-    """
+    """Return the index of the requested time; of the last one if none is requested."""
     if not times:
         raise refused(f"{name} holds no times", None, "one time or more")
     if how.time is None or isinstance(how.time, str):

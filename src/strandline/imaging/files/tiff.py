@@ -1,6 +1,5 @@
 """TIFF: 8 and 16 bits, floating point, stacks, ImageJ and OME, read by tifffile."""
 
-import importlib
 import logging
 import math
 import struct
@@ -15,8 +14,8 @@ from jaxtyping import Shaped
 
 from strandline.imaging.picture import PictureFile, require_pixels
 from strandline.imaging.reading import PictureReading, PixelSize
-from strandline.readers.checked import unfit
 from strandline.readers.contents import refused
+from strandline.registry import of_extra
 
 MIN_IS_WHITE, MIN_IS_BLACK, RGB = 0, 1, 2
 """TIFF's numbers of the ways in which a number becomes a colour."""
@@ -33,7 +32,6 @@ DEFLATE = (8, 32946)
 MOST_UNPACKED = 1 << 28
 """Bytes; what cannot unpack to more, at zlib's largest ratio, is not looked at before."""
 LARGEST_RATIO = 1032
-PIECE = 1 << 20
 _MICROMETRES = ("um", "µm", "μm", "\\u00B5m", "micron", "microns", "micrometer")
 TO_MM = {"nm": 1e-6, "mm": 1.0, "cm": 10.0, "m": 1e3, "inch": 25.4, "in": 25.4} | dict.fromkeys(_MICROMETRES, 1e-3)
 """Units as ImageJ and OME write them; both ways to write µ occur, and its code."""
@@ -101,11 +99,7 @@ def _notes(file: Any, page: Any) -> tuple[str, ...]:
 
 def _imported(name: str) -> Any:
     """Return tifffile; what it logs about a damaged file stays off the screen, for the error says it."""
-    try:
-        tifffile = importlib.import_module("tifffile")
-    except ModuleNotFoundError:
-        remedy = 'Install it: pip install "strandline[image]"'
-        raise unfit(f"{name} needs tifffile", "no package of this name", "the extra `image`", remedy) from None
+    tifffile = of_extra("tifffile", "image", f"{name} needs tifffile")
     log = logging.getLogger("tifffile")
     if not log.handlers:
         log.addHandler(logging.NullHandler())
@@ -206,18 +200,5 @@ def require_parts(path: Path, page: Any, *, most: int = MOST_UNPACKED) -> None:
         with path.open("rb") as file:
             file.seek(offset)
             packed = file.read(count)
-        if not _unpacks_within(packed, bound):
+        if len(zlib.decompressobj().decompress(packed, bound + 1)) > bound:
             raise ValueError(f"its {count} compressed bytes unpack to more than its pixels")
-
-
-def _unpacks_within(packed: bytes, bound: int) -> bool:
-    """Return whether bytes compressed by zlib unpack to `bound` bytes at most, a piece at a time."""
-    unpacker, total = zlib.decompressobj(), 0
-    for start in range(0, len(packed), PIECE):
-        rest = packed[start : start + PIECE]
-        while rest:
-            total += len(unpacker.decompress(rest, PIECE))
-            if total > bound:
-                return False
-            rest = unpacker.unconsumed_tail
-    return True

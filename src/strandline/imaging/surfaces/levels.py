@@ -1,6 +1,5 @@
 """Grey values of a stack, smoothed, and the surface at one level of them: marching cubes."""
 
-import importlib
 import math
 from dataclasses import dataclass
 
@@ -12,8 +11,10 @@ from scipy.sparse.csgraph import connected_components
 
 from strandline.imaging.surfaces.mesh import Mesh
 from strandline.readers.checked import unfit
+from strandline.registry import of_extra
 
 _BINS = 256
+_NEEDS = "a surface from a stack needs scikit-image"
 _EVERY = 1 << 20
 """Voxels from which the two levels and the noise come; of larger stacks every so many are taken."""
 _NORMAL = 0.6745
@@ -71,13 +72,8 @@ def two_levels(values: Float32[np.ndarray, "z row column"]) -> tuple[float, floa
     """Return the median grey values of the dark and of the bright part, told apart by Otsu's threshold (1979)."""
     some = _some(values)
     counts, edges = np.histogram(some, _BINS)
-    centres = 0.5 * (edges[1:] + edges[:-1])
-    below = np.cumsum(counts)
-    above = below[-1] - below
-    sums = np.cumsum(counts * centres)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        between = below * above * (sums / below - (sums[-1] - sums) / above) ** 2
-    threshold = edges[1 + int(np.nanargmax(np.nan_to_num(between[:-1])))]
+    with np.errstate(invalid="ignore"):  # of a stack of one grey value
+        threshold = of_extra("skimage.filters", "image3d", _NEEDS).threshold_otsu(hist=(counts, edges[1:]))
     dark, bright = some[some <= threshold], some[some > threshold]
     if not dark.size or not bright.size:
         return float(some.min()), float(some.max())
@@ -108,11 +104,7 @@ def level_surface(field: Field, level: float, *, triangles: int) -> Mesh:
     The outermost voxels, where smoothing lacks neighbours, are left out. The grid is coarser where that leaves several
     times the number of triangles that are wanted in the end.
     """
-    try:
-        measure = importlib.import_module("skimage.measure")
-    except ModuleNotFoundError:
-        what, remedy = "a surface from a stack needs scikit-image", 'Install it: pip install "strandline[image3d]"'
-        raise unfit(what, "no package of this name", "the extra `image3d`", remedy) from None
+    measure = of_extra("skimage.measure", "image3d", _NEEDS)
     rims = np.maximum(1, np.rint(field.sigma / field.stretch)).astype(int)
     rims = np.where(np.array(field.values.shape[::-1]) > 4 * rims, rims, 0)
     inner = field.values[tuple(slice(rim, -rim or None) for rim in rims[::-1])]
