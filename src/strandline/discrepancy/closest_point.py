@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from strandline.discrepancy.many_distances import sums_of_squares
+from strandline.discrepancy.many_distances import signed_sums
 from strandline.discrepancy.nearest import squared_distances
 from strandline.discrepancy.protocol import require_alike
 from strandline.errors import InvalidInput
@@ -125,17 +125,18 @@ class ClosestPoint:
     def _to_observed(self, points: Rows, template: Interface, observed: Interface) -> Values | None:
         weights = self._weights(points, template)
         if observed.dim == 2:
-            found = sums_of_squares(points, observed.points[None], observed.cells, weights)
+            found = signed_sums(points, observed.points[None], observed.cells, weights, np.empty((points.shape[1], 0)))
             if found is not None:
-                return found
+                return found[0]
         squares = squared_distances(np.ascontiguousarray(points.reshape(-1, template.dim)), observed)
         return np.asarray((weights * squares.reshape(points.shape[:2])).sum(axis=1))
 
     def _to_simulated(self, points: Rows, template: Interface, observed: Interface) -> Values | None:
         if observed.dim != 2:
             return None
-        weights = self._weights(observed.points[None], observed)
-        return sums_of_squares(observed.points[None], points, template.cells, weights)
+        seen = observed.points[None]
+        found = signed_sums(seen, points, template.cells, self._weights(seen, observed), np.empty((seen.shape[1], 0)))
+        return None if found is None else found[0]
 
     def _weights(self, points: Rows, template: Interface) -> Float[np.ndarray, "#run point"]:
         """Return the weight of each node's squared distance; one row if it is the same in all runs."""

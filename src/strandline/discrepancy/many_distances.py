@@ -6,7 +6,7 @@ together, compiled and in double precision. The closest segment is never left ou
 segments, except for rounding.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any
@@ -61,43 +61,35 @@ def motion(
     return low + half, np.sqrt(np.einsum("pk,pk->p", half, half))
 
 
-def sums_of_squares(
+def signed_sums(
     points: Points,
-    corners: Float[np.ndarray, "#run corner 2"],
+    corners: Corners,
     cells: Int[np.ndarray, "cell 2"],
     weights: Float[np.ndarray, "#run point"],
-) -> Float[np.ndarray, " run"] | None:
-    """Return Σ w δ² over the points of each run, δ the distance to the closest point of that run's polyline; mm².
+    features: Float[np.ndarray, "point feature"],
+) -> tuple[Float[np.ndarray, " run"], Float[np.ndarray, "run feature"]] | None:
+    """Return Σ w r² and Σ f r over the points of each run, r the signed distance to that run's polyline, mm.
 
-    An array with one row is the same in all runs. Return None for few runs, or if JAX is in single precision.
+    r is positive on the side of the normals (`Interface.normals`). An array with one row is the same in all runs.
+    Return None for few runs, or if JAX is in single precision.
     """
     runs = max(len(points), len(corners))
     if runs < FEWEST or not double():
         return None
-    out, centre = np.empty(runs), (points if len(points) > 1 else corners)[0].mean(axis=0)
+    squares, products, centre = np.empty(runs), np.empty((runs, features.shape[1])), points[0].mean(axis=0)
 
-    def block(task: tuple[_SegmentPairs, Int[np.ndarray, " some"]]) -> Float[np.ndarray, " some"]:
+    def block(task: tuple[_SegmentPairs, Int[np.ndarray, " some"]]) -> tuple[Any, Any]:
+        """Return the sums of some runs, padded to a number of runs that is compiled already."""
         pairs, rows = task
         (x, y), ends = (_runs_last(_padded(array, rows) - centre) for array in (points, corners))
-        (of_points,), size = _runs_last(_padded(weights, rows)[..., None]), len(padded(rows))
-        return np.asarray(_sums()(x, y, of_points, *ends, cells, pairs.rows, runs=size))[: len(rows)]
+        (factors,) = _runs_last(_padded(weights, rows)[..., None])
+        return _loop()(x, y, factors, features, *ends, cells, pairs.rows)
 
-    _fill(out, block, points, corners, cells)
-    return out
-
-
-def _fill(
-    out: Float[np.ndarray, "run *sum"],
-    block: Callable[[tuple["_SegmentPairs", Int[np.ndarray, " some"]]], Float[np.ndarray, "some *sum"]],
-    points: Points,
-    corners: Corners,
-    cells: Int[np.ndarray, "cell 2"],
-) -> None:
-    """Write what `block` returns for blocks of similar runs, side by side, into the rows of these runs."""
-    (order,) = similar(points if len(points) > 1 else corners, len(out))
+    (order,) = similar(points if len(points) > 1 else corners, runs)
     todo = [*tasks(points, corners, cells, order)]
-    for (_, rows), sums in zip(todo, side_by_side(block, todo), strict=True):
-        out[rows] = sums
+    for (_, rows), found in zip(todo, side_by_side(block, todo), strict=True):
+        squares[rows], products[rows] = found[0][: len(rows)], found[1].T[: len(rows)]
+    return squares, products
 
 
 def tasks(
@@ -201,14 +193,14 @@ def frames(x: Any, y: Any, cells: Any) -> Frames:
     return ux, uy, mx * ux + my * uy, mx * uy - my * ux, 0.5 * length
 
 
-def _square(x: Any, y: Any, segment: Any) -> Any:
-    """Return the squared distance of points to segments given by their frames."""
+def _apart(x: Any, y: Any, segment: Any) -> tuple[Any, Any]:
+    """Return the squared distance of points to segments given by their frames, and that to the left of their lines."""
     import jax.numpy as jnp
 
     ux, uy, along, across, half = segment
     beyond = jnp.maximum(jnp.abs(x * ux + y * uy - along) - half, 0.0)
-    off = x * uy - y * ux - across
-    return beyond * beyond + off * off
+    off = y * ux - x * uy + across
+    return beyond * beyond + off * off, off
 
 
 @lru_cache(maxsize=1)
@@ -219,14 +211,14 @@ def _bounds() -> Any:
 
     @partial(jax.jit, compiler_options=WIDEST)
     def bounds(x: Any, y: Any, across: Any, up: Any, cells: Any, bent: Any) -> Any:
-        distance = jnp.sqrt(_square(x[:, None], y[:, None], frames(across, up, cells)))
+        distance = jnp.sqrt(_apart(x[:, None], y[:, None], frames(across, up, cells))[0])
         return distance - bent, (distance + bent).min(axis=1)
 
     return bounds
 
 
 @lru_cache(maxsize=1)
-def _sums() -> Any:
+def _loop() -> Any:
     """Return the compiled loop over the rows of pairs.
 
     Runs are on the last axis. An array that all runs share lacks this axis: numbers instead of vectors of length one
@@ -235,78 +227,18 @@ def _sums() -> Any:
     import jax
     import jax.numpy as jnp
 
-    @partial(jax.jit, compiler_options=WIDEST, static_argnames="runs")
-    def sums(x: Any, y: Any, weights: Any, across: Any, up: Any, cells: Any, rows: Rows, *, runs: int) -> Any:
-        """Return the weighted sum of the squared distances of each run, shape (run,), mm²."""
-        polyline, (segments, owners, last, number) = frames(across, up, cells), rows
-
-        def row(i: Any, state: Any) -> Any:
-            """Compare a point with one row of segments; add its least squared distance after its last row."""
-            best, total = state
-            p = owners[i]
-            for k in range(ABREAST):
-                best = jnp.minimum(best, _square(x[p], y[p], [frame[segments[i, k]] for frame in polyline]))
-            total = total + jnp.where(last[i], weights[p] * best, 0.0)
-            return jnp.where(last[i], jnp.inf, best), total
-
-        begin = jnp.full(runs, jnp.inf), jnp.zeros(runs)
-        return jax.lax.fori_loop(0, number, row, begin)[1]
-
-    return sums
-
-
-def signed_sums(
-    points: Float[np.ndarray, "point 2"],
-    corners: Float[np.ndarray, "run corner 2"],
-    cells: Int[np.ndarray, "cell 2"],
-    weights: Float[np.ndarray, " point"],
-    features: Float[np.ndarray, "point feature"],
-) -> tuple[Float[np.ndarray, " run"], Float[np.ndarray, "run feature"]] | None:
-    """Return Σ w r² and Σ f r over the points, r the signed distance to the polyline of each run, mm.
-
-    r is positive on the side of the normals (`Interface.normals`). Returns None for few runs, or with JAX in single
-    precision.
-    """
-    runs = len(corners)
-    if runs < FEWEST or not double():
-        return None
-    centre = points.mean(axis=0)
-    shared = points - centre
-    both = np.column_stack([weights, features])
-
-    def block(task: tuple[_SegmentPairs, Int[np.ndarray, " some"]]) -> Float[np.ndarray, "some sum"]:
-        """Return the sums of some runs, padded to a number of runs that is compiled already."""
-        pairs, rows = task
-        some = corners[padded(rows)] - centre
-        x, y = (np.ascontiguousarray(some[..., axis].T) for axis in (0, 1))
-        return np.asarray(_loop()(shared[:, 0], shared[:, 1], both, x, y, cells, pairs.rows)).T[: len(rows)]
-
-    out = np.empty((runs, both.shape[1]))
-    _fill(out, block, points[None], corners, cells)
-    return out[:, 0], out[:, 1:]
-
-
-@lru_cache(maxsize=1)
-def _loop() -> Any:
-    """Return the compiled loop over the rows of pairs, runs on the last axis."""
-    import jax
-    import jax.numpy as jnp
-
     @partial(jax.jit, compiler_options=WIDEST)
-    def loop(x: Any, y: Any, factors: Any, across: Any, up: Any, cells: Any, rows: Rows) -> Any:
-        """Return the sums, shape (sum, run)."""
+    def loop(x: Any, y: Any, weights: Any, features: Any, across: Any, up: Any, cells: Any, rows: Rows) -> Any:
+        """Return Σ w r², shape (run,), and Σ f r, shape (feature, run)."""
         polyline, (segments, owners, last, number) = frames(across, up, cells), rows
-        runs = across.shape[1]
+        runs = (x[0] + across[0]).size
 
         def row(i: Any, state: Any) -> Any:
             """Compare a point with one row of segments; its last row leaves its squared distance, with a sign."""
             best, side, signed = state
             p = owners[i]
             for k in range(ABREAST):
-                ux, uy, along, off_line, half = (frame[segments[i, k]] for frame in polyline)
-                beyond = jnp.maximum(jnp.abs(x[p] * ux + y[p] * uy - along) - half, 0.0)
-                off = y[p] * ux - x[p] * uy + off_line
-                square = beyond * beyond + off * off
+                square, off = _apart(x[p], y[p], [frame[segments[i, k]] for frame in polyline])
                 side = jnp.where(square < best, off, side)
                 best = jnp.minimum(best, square)
             signed = jax.lax.dynamic_update_slice(signed, jnp.copysign(best, side)[None], (p, jnp.zeros_like(p)))
@@ -315,7 +247,7 @@ def _loop() -> Any:
         begin = jnp.full(runs, jnp.inf), jnp.zeros(runs), jnp.zeros((len(x), runs))
         signed = jax.lax.fori_loop(0, number, row, begin)[2]
         squares = jnp.abs(signed)
-        distances = jnp.copysign(jnp.sqrt(squares), signed)
-        return jnp.concatenate([factors[:, :1].T @ squares, factors[:, 1:].T @ distances])
+        total = (weights[None] @ squares)[0] if weights.ndim == 1 else (weights * squares).sum(axis=0)
+        return total, features.T @ jnp.copysign(jnp.sqrt(squares), signed)
 
     return loop

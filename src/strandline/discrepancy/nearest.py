@@ -177,10 +177,10 @@ class _Tree:
             self.look(best, rows[:half], boxes[:half], level)
             self.look(best, rows[half:], boxes[half:], level)
             return
-        square = np.zeros(len(rows))
-        for x, low, high in zip(best.columns, *self.levels[level], strict=True):
-            at = x.take(rows)
-            apart = np.maximum(np.maximum(low.take(boxes) - at, at - high.take(boxes)), 0.0)
+        square, (low, high) = np.zeros(len(rows)), self.levels[level]
+        for k in range(len(low)):
+            x = best.columns[k].take(rows)
+            apart = np.maximum(np.maximum(low[k].take(boxes) - x, x - high[k].take(boxes)), 0.0)
             square += apart * apart
         near = square <= best.reach(rows)
         rows, boxes = rows[near], boxes[near]

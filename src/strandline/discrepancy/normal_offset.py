@@ -298,7 +298,7 @@ def weighted_sums(
     if template.dim == 2 and len(points) >= FEWEST:
         found = _by_places(seen, points, template, weights, features, ROUGH if rough else PLACES)
         if found is None:
-            found = signed_sums(seen, points, template.cells, weights, features)
+            found = signed_sums(seen[None], points, template.cells, weights[None], features)
         if found is not None:
             return found
     each = [_signed(seen, Interface(row, template.cells)) for row in points]
@@ -321,7 +321,7 @@ def _by_places(
     off = _side(means, Snapshot.of(template)) * means.off
     cross = means.of_places(weights * off)
     columns = np.column_stack([means.of_places(features), cross])
-    found = signed_sums(means.places, points, template.cells, means.of_places(weights), columns)
+    found = signed_sums(means.places[None], points, template.cells, means.of_places(weights)[None], columns)
     if found is None:
         return None
     squares, products = found

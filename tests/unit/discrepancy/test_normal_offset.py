@@ -58,7 +58,7 @@ def test_many_are_as_one_by_one(kind):
         found = measure.many(points, template, seen)
         np.testing.assert_allclose(found, one_by_one(measure, points, template, seen), rtol=1e-9)
     plain, some, few = NormalOffset(), np.ones(len(seen.points)), points[: FEWEST - 1]
-    assert signed_sums(seen.points, few, template.cells, some, some[:, None]) is None
+    assert signed_sums(seen.points[None], few, template.cells, some[None], some[:, None]) is None
     np.testing.assert_allclose(plain.many(few, template, seen), one_by_one(plain, few, template, seen))
 
 
