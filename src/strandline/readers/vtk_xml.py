@@ -1,7 +1,6 @@
 """VTU, VTP and their parallel forms: points, cells and data, read without VTK."""
 
 import base64
-import binascii
 import itertools
 import lzma
 import re
@@ -155,48 +154,27 @@ def numbers(array: ElementTree.Element, encoding: Encoding) -> Shaped[np.ndarray
     return native.reshape(-1, components) if components > 1 else native
 
 
-class _Bytes:
-    """Bytes from the beginning of a stream; only as many as requested are decoded."""
+def _decoded(stream: bytes, encoding: Encoding, *, raw: bool) -> bytes:
+    """Return the bytes of one array: counts first, then the data, possibly compressed in blocks."""
+    count, size = encoding.header, encoding.header.itemsize
 
-    def __init__(self, stream: bytes, *, raw: bool) -> None:
-        self.stream, self.raw = stream, raw
-
-    def first(self, number: int) -> bytes:
-        """Return the first `number` bytes."""
-        found = self.stream[:number] if self.raw else self._unpacked(4 * -(-number // 3))[:number]
+    def part(number: int, *, after: int = 0) -> bytes:
+        """Return some bytes behind others that were encoded separately; only these are decoded."""
+        rest = stream[after if raw else 4 * -(-after // 3) :]
+        found = rest[:number] if raw else base64.b64decode(rest[: 4 * -(-number // 3)], validate=True)[:number]
         if len(found) < number:
             raise ValueError(f"its data end after {len(found)} of {number} bytes")
         return found
 
-    def behind(self, number: int) -> "_Bytes":
-        """Return the stream after a part of `number` bytes that was encoded separately."""
-        return _Bytes(self.stream[number if self.raw else 4 * -(-number // 3) :], raw=self.raw)
-
-    def _unpacked(self, characters: int) -> bytes:
-        try:
-            return base64.b64decode(self.stream[:characters], validate=True)
-        except binascii.Error as error:
-            raise ValueError(f"its base64 data are damaged ({error})") from None
-
-
-def _decoded(stream: bytes, encoding: Encoding, *, raw: bool) -> bytes:
-    """Return the bytes of one array: counts first, then the data, possibly compressed in blocks."""
-    count, size = encoding.header, encoding.header.itemsize
-    source = _Bytes(stream, raw=raw)
+    first = int(np.frombuffer(part(size), count)[0])
     if encoding.unpacker is None:
-        length = int(np.frombuffer(source.first(size), count)[0])
-        if not raw and b"=" in stream[: 4 * -(-size // 3)]:  # the count was encoded separately
-            return source.behind(size).first(length)
-        return source.first(size + length)[size:]
-    blocks = int(np.frombuffer(source.first(size), count)[0])
-    header = np.frombuffer(source.first(size * (3 + blocks)), count).tolist()
-    ends = np.cumsum([0, *header[3:]]).tolist()
-    packed = source.behind(size * (3 + blocks)).first(ends[-1])
-    try:
-        parts = (packed[low:high] for low, high in itertools.pairwise(ends))
-        return b"".join(encoding.allowance.unpacked(encoding.unpacker(), part) for part in parts)
-    except (zlib.error, lzma.LZMAError) as error:
-        raise ValueError(f"its compressed data are damaged ({error})") from None
+        apart = not raw and b"=" in stream[: 4 * -(-size // 3)]  # the count was encoded separately
+        return part(first, after=size) if apart else part(size + first)[size:]
+    head = size * (3 + first)
+    ends = np.cumsum([0, *np.frombuffer(part(head), count).tolist()[3:]]).tolist()
+    packed = part(ends[-1], after=head)
+    blocks = (packed[low:high] for low, high in itertools.pairwise(ends))
+    return b"".join(encoding.allowance.unpacked(encoding.unpacker(), block) for block in blocks)
 
 
 def read_vtk_xml(path: Path, how: Reading, name: str) -> Contents:
