@@ -125,7 +125,7 @@ class ClosestPoint:
     def _to_observed(self, points: Rows, template: Interface, observed: Interface) -> Values | None:
         weights = self._weights(points, template)
         if observed.dim == 2:
-            found = signed_sums(points, observed.points[None], observed.cells, weights, np.empty((points.shape[1], 0)))
+            found = signed_sums(points, observed.points[None], observed.cells, weights)
             if found is not None:
                 return found[0]
         squares = squared_distances(np.ascontiguousarray(points.reshape(-1, template.dim)), observed)
@@ -135,7 +135,7 @@ class ClosestPoint:
         if observed.dim != 2:
             return None
         seen = observed.points[None]
-        found = signed_sums(seen, points, template.cells, self._weights(seen, observed), np.empty((seen.shape[1], 0)))
+        found = signed_sums(seen, points, template.cells, self._weights(seen, observed))
         return None if found is None else found[0]
 
     def _weights(self, points: Rows, template: Interface) -> Float[np.ndarray, "#run point"]:

@@ -66,17 +66,18 @@ def signed_sums(
     corners: Corners,
     cells: Int[np.ndarray, "cell 2"],
     weights: Float[np.ndarray, "#run point"],
-    features: Float[np.ndarray, "point feature"],
+    features: Float[np.ndarray, "point feature"] | None = None,
 ) -> tuple[Float[np.ndarray, " run"], Float[np.ndarray, "run feature"]] | None:
     """Return Σ w r² and Σ f r over the points of each run, r the signed distance to that run's polyline, mm.
 
     r is positive on the side of the normals (`Interface.normals`). An array with one row is the same in all runs.
-    Return None for few runs, or if JAX is in single precision.
+    Without f, the first sum is found in less time. Return None for few runs, or if JAX is in single precision.
     """
     runs = max(len(points), len(corners))
     if runs < FEWEST or not double():
         return None
-    squares, products, centre = np.empty(runs), np.empty((runs, features.shape[1])), points[0].mean(axis=0)
+    centre, number = points[0].mean(axis=0), 0 if features is None else features.shape[1]
+    squares, products = np.empty(runs), np.empty((runs, number))
 
     def block(task: tuple[_SegmentPairs, Int[np.ndarray, " some"]]) -> tuple[Any, Any]:
         """Return the sums of some runs, padded to a number of runs that is compiled already."""
@@ -229,25 +230,30 @@ def _loop() -> Any:
 
     @partial(jax.jit, compiler_options=WIDEST)
     def loop(x: Any, y: Any, weights: Any, features: Any, across: Any, up: Any, cells: Any, rows: Rows) -> Any:
-        """Return Σ w r², shape (run,), and Σ f r, shape (feature, run)."""
+        """Return Σ w r², shape (run,), and Σ f r, (feature, run)."""
         polyline, (segments, owners, last, number) = frames(across, up, cells), rows
         runs = (x[0] + across[0]).size
 
         def row(i: Any, state: Any) -> Any:
-            """Compare a point with one row of segments; its last row leaves its squared distance, with a sign."""
-            best, side, signed = state
+            """Compare a point with one row of segments; after its last row, keep its squared distance with a sign."""
+            best, side, found = state
             p = owners[i]
             for k in range(ABREAST):
                 square, off = _apart(x[p], y[p], [frame[segments[i, k]] for frame in polyline])
                 side = jnp.where(square < best, off, side)
                 best = jnp.minimum(best, square)
-            signed = jax.lax.dynamic_update_slice(signed, jnp.copysign(best, side)[None], (p, jnp.zeros_like(p)))
-            return jnp.where(last[i], jnp.inf, best), side, signed
+            if features is None:
+                found = found + jnp.where(last[i], weights[p] * best, 0.0)
+            else:
+                found = jax.lax.dynamic_update_slice(found, jnp.copysign(best, side)[None], (p, jnp.zeros_like(p)))
+            return jnp.where(last[i], jnp.inf, best), side, found
 
-        begin = jnp.full(runs, jnp.inf), jnp.zeros(runs), jnp.zeros((len(x), runs))
-        signed = jax.lax.fori_loop(0, number, row, begin)[2]
-        squares = jnp.abs(signed)
+        begin = jnp.full(runs, jnp.inf), jnp.zeros(runs), jnp.zeros(runs if features is None else (len(x), runs))
+        found = jax.lax.fori_loop(0, number, row, begin)[2]
+        if features is None:
+            return found, jnp.zeros((0, runs))
+        squares = jnp.abs(found)
         total = (weights[None] @ squares)[0] if weights.ndim == 1 else (weights * squares).sum(axis=0)
-        return total, features.T @ jnp.copysign(jnp.sqrt(squares), signed)
+        return total, features.T @ jnp.copysign(jnp.sqrt(squares), found)
 
     return loop
