@@ -78,7 +78,8 @@ class MarkovPath:
 
     def locate(self, picture: GreyValues, course: SmoothPath, counted: Bool[np.ndarray, " normal"] | None) -> Located:
         """Return the edge near a course; see `EdgeMethod`."""
-        if self.likelihood == "gamma":
+        relative = self.likelihood == "gamma"
+        if relative:
             _require_intensity(picture)
         strip = strip_along(picture, course, reach=self.reach + self.support, step=self.step)
         places = strip.places[np.abs(strip.places) <= self.reach + 1e-9]
@@ -87,13 +88,14 @@ class MarkovPath:
         for turn in range(self.rounds):
             template, shift = learnt_template(even, offsets)
             expected = template.at(strip.places - (offsets + shift)[:, None])
-            even = self._levelled(strip, expected, offsets + shift, columns)
-            speckle = _Speckle.of(even, expected, relative=self.likelihood == "gamma")
+            even = columns_levelled(strip, expected, offsets + shift, columns) if relative else strip
+            even = levelled(even, expected, relative=relative)
+            speckle = _Speckle.of(even, expected, relative=relative)
             table = self._table(even, template, places, speckle)
             draws = _DRAWS if counted is not None and turn == self.rounds - 1 else 0
             path = _walk(table, places, self.drift, course.closed, draws)
             offsets = path.mean
-        if self.likelihood == "gamma" and counted is not None:
+        if relative and counted is not None:
             _require_speckle(speckle.skewness, math.sqrt(speckle.variance))
         found = strip.usable[:, np.abs(strip.places) <= self.support / 2].mean(axis=1) > 0.5
         return Located(
@@ -108,18 +110,6 @@ class MarkovPath:
             contrast_to_noise=speckle.contrast_to_noise(template),
             facts={"kappa": speckle.kappa, "speckle_variance": speckle.variance, "skewness": speckle.skewness},
         )
-
-    def _levelled(
-        self,
-        strip: Strip,
-        expected: Float[np.ndarray, "normal place"],
-        offsets: Float[np.ndarray, " normal"],
-        columns: Int[np.ndarray, "normal place"],
-    ) -> Strip:
-        """Return the strip without what light and shadow do to it."""
-        relative = self.likelihood == "gamma"
-        strip = columns_levelled(strip, expected, offsets, columns) if relative else strip
-        return levelled(strip, expected, relative=relative)
 
     def _table(
         self, strip: Strip, template: EdgeTemplate, places: Float[np.ndarray, " candidate"], speckle: "_Speckle"

@@ -11,6 +11,7 @@ import math
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.fft import next_fast_len
+from scipy.linalg import toeplitz
 from scipy.ndimage import gaussian_filter1d
 
 from strandline.imaging.located import Scatter
@@ -38,7 +39,9 @@ def noise_covariance(
     found = autocovariance(residuals, usable)
     remaining = np.eye(len(basis)) - basis @ np.linalg.pinv(basis)
     lags = min(_ACROSS, len(basis) - 1) + 1
-    response = np.stack([_diagonals(remaining @ _toeplitz(k, len(basis)) @ remaining.T)[:lags] for k in range(lags)])
+    response = np.stack(
+        [_diagonals(remaining @ toeplitz(one) @ remaining.T)[:lags] for one in np.eye(len(basis))[:lags]]
+    )
     return np.asarray(np.linalg.lstsq(response.T, found[:, :lags].T, rcond=1e-3)[0].T)
 
 
@@ -115,10 +118,6 @@ def autocovariance(
     total = sums[:along, :across] + sums[:along, mirrored]
     number = counts[:along, :across] + counts[:along, mirrored]
     return np.asarray(total / np.maximum(number, 1.0))
-
-
-def _toeplitz(lag: int, size: int) -> Float[np.ndarray, "place place"]:
-    return np.asarray(np.eye(size, k=lag) + (np.eye(size, k=-lag) if lag else 0.0))
 
 
 def _diagonals(matrix: Float[np.ndarray, "place place"]) -> Float[np.ndarray, " place"]:

@@ -135,8 +135,6 @@ def covered_by(polygon: Float[np.ndarray, "corner 2"], shape: tuple[int, int]) -
         return covered
     low = np.clip(np.floor(polygon.min(axis=0)), 0, shape[::-1]).astype(int)
     high = np.clip(np.ceil(polygon.max(axis=0)) + 1, 0, shape[::-1]).astype(int)
-    if (high <= low).any():
-        return covered
     x, y = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
     covered[low[1] : high[1], low[0] : high[0]] = inside_polygon(np.stack([x, y], axis=-1).astype(float), polygon)
     return covered

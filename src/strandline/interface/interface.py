@@ -348,7 +348,6 @@ def _meeting(
     slack: float,
     *,
     closed: bool,
-    together: int = _PAIRS,
 ) -> Iterator[tuple[int, int]]:
     """Yield the pairs of segments, except neighbours, that share a point: each crosses the line of the other.
 
@@ -361,7 +360,7 @@ def _meeting(
     pairs = np.concatenate([[0], np.cumsum(partners)])
     begin = 0
     while begin < number:
-        end = max(int(np.searchsorted(pairs, pairs[begin] + together, side="right")) - 1, begin + 1)
+        end = max(int(np.searchsorted(pairs, pairs[begin] + _PAIRS, side="right")) - 1, begin + 1)
         one = np.repeat(np.arange(begin, end), partners[begin:end])
         two = one + 1 + np.arange(pairs[begin], pairs[end]) - pairs[one]
         i, j = np.sort([order[one], order[two]], axis=0)

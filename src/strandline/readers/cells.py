@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse.csgraph import connected_components, depth_first_order
 from scipy.spatial import cKDTree
 
 from strandline.readers.contents import Block, refused
@@ -157,20 +157,23 @@ def chains(edges: Int[np.ndarray, "edge 2"], points: Float[np.ndarray, "point 2"
     edges = edges[edges[:, 0] != edges[:, 1]]
     _, first = np.unique(np.sort(edges, axis=1), axis=0, return_index=True)
     edges = edges[np.sort(first)]
-    neighbours: dict[int, list[int]] = {}
-    for a, b in edges.tolist():
-        neighbours.setdefault(a, []).append(b)
-        neighbours.setdefault(b, []).append(a)
-    for node, others in neighbours.items():
-        if len(others) > 2:
-            raise refused(
-                f"{name}: the interface branches at {_place(points[node])} mm",
-                f"{len(others)} segments meet there",
-                "one line without branches",
-                "Choose a part of it with `block`, `cells`, `points` or `select`.",
-            )
-    forward = set(map(tuple, edges.tolist()))
-    return [_directed(chain, forward) for chain in _walked(neighbours)]
+    degrees = np.bincount(edges.ravel(), minlength=len(points))
+    if degrees.max(initial=0) > 2:
+        node = int(np.argmax(degrees > 2))
+        raise refused(
+            f"{name}: the interface branches at {_place(points[node])} mm",
+            f"{degrees[node]} segments meet there",
+            "one line without branches",
+            "Choose a part of it with `block`, `cells`, `points` or `select`.",
+        )
+    graph = coo_array((np.ones(len(edges)), edges.T), shape=(len(points), len(points))).tocsr()
+    forward, found, left = set(map(tuple, edges.tolist())), [], degrees > 0
+    for begin in [*np.flatnonzero(degrees == 1), *np.flatnonzero(degrees == 2)]:  # open ones from an end, closed ones
+        if left[begin]:
+            nodes = depth_first_order(graph, begin, directed=False, return_predecessors=False).astype(np.int64)
+            left[nodes] = False
+            found.append(_directed(Chain(nodes, closed=degrees[begin] == 2 and len(nodes) > 2), forward))
+    return found
 
 
 def chosen_chain(
@@ -198,24 +201,6 @@ def chosen_chain(
             "Choose a piece with `near: [x, y]` or `keep: longest`, or a part of the mesh with `select`.",
         )
     return found[0]
-
-
-def _walked(neighbours: dict[int, list[int]]) -> list[Chain]:
-    """Return the open chains, each from its end with the lower number, then the closed ones."""
-    left = dict.fromkeys(sorted(neighbours))
-    ends = [node for node in left if len(neighbours[node]) == 1]
-    result = []
-    for begin in [*ends, *left]:
-        if begin not in left:
-            continue
-        nodes, at = [begin], begin
-        del left[begin]
-        while (after := next((n for n in neighbours[at] if n in left), None)) is not None:
-            nodes.append(after)
-            del left[after]
-            at = after
-        result.append(Chain(np.array(nodes), closed=len(neighbours[begin]) == 2 and len(nodes) > 2))
-    return result
 
 
 def _directed(chain: Chain, forward: set[tuple[Any, ...]]) -> Chain:

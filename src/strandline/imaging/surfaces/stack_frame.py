@@ -108,23 +108,13 @@ class StatedRegion:
 
     def within(self, frame: StackFrame) -> Region:
         """Return the region in voxels of a stack in which the model lies as `frame` says."""
-        if self.voxels is not None:
-            return partial(_in_box, corners=np.array(self.voxels), frame=None)
-        mm = UNITS[str(self.unit)]
-        if self.box is not None:
-            return partial(_in_box, corners=mm * np.array(self.box), frame=frame)
-        return partial(_in_ball, centre=mm * np.array(self.ball), radius=mm * float(self.radius or 0.0), frame=frame)
+        return partial(self._holds, frame=frame)
 
-
-def _in_box(
-    points: Float[np.ndarray, "point 3"], corners: Float[np.ndarray, "2 3"], frame: StackFrame | None
-) -> Bool[np.ndarray, " point"]:
-    """Return which points lie between two opposite corners, in mm or, without a frame, in voxels."""
-    at = points if frame is None else frame.to_mm(points)
-    return np.asarray(((at >= corners.min(axis=0)) & (at <= corners.max(axis=0))).all(axis=1))
-
-
-def _in_ball(
-    points: Float[np.ndarray, "point 3"], centre: Float[np.ndarray, " 3"], radius: float, frame: StackFrame
-) -> Bool[np.ndarray, " point"]:
-    return np.asarray(np.linalg.norm(frame.to_mm(points) - centre, axis=1) <= radius)
+    def _holds(self, points: Float[np.ndarray, "point 3"], frame: StackFrame) -> Bool[np.ndarray, " point"]:
+        """Return which points, in voxels, lie in the region."""
+        mm = UNITS[self.unit] if self.unit else 1.0
+        at = points if self.voxels is not None else frame.to_mm(points)
+        if self.ball is not None:
+            return np.asarray(np.linalg.norm(at - mm * np.array(self.ball), axis=1) <= mm * float(self.radius or 0.0))
+        corners = mm * np.array(self.voxels or self.box)
+        return np.asarray(((at >= corners.min(axis=0)) & (at <= corners.max(axis=0))).all(axis=1))
