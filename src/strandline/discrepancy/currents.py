@@ -14,7 +14,7 @@ from strandline.discrepancy.kernel_integrals import (
     refined_product,
     refined_surface_product,
 )
-from strandline.discrepancy.many_currents import CurrentsRule, currents_of_many
+from strandline.discrepancy.many_currents import currents_of_many
 from strandline.discrepancy.protocol import Snapshot, require_alike, require_same_direction
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, PointErrors, spacings
@@ -95,9 +95,13 @@ class Currents:
             return None
         bound = _bound(self, Snapshot.of(observed))
         refined = self.quadrature == "refined"
-        rule = CurrentsRule((self.tolerance if refined else _FINEST) * bound.square, bound.share if refined else None)
-        polylines = points, template.cells, observed.points, observed.cells
-        return currents_of_many(*polylines, width=self.width, square=bound.square, rule=rule)
+        return currents_of_many(
+            *(points, template.cells, observed.points, observed.cells),
+            width=self.width,
+            square=bound.square,
+            tolerance=(self.tolerance if refined else _FINEST) * bound.square,
+            share=bound.share if refined else None,
+        )
 
     def of_offsets(
         self, offsets: Float[np.ndarray, "run seen"], observed: Interface, nodes: int

@@ -210,20 +210,6 @@ def _dot(a: Any, b: Any) -> Any:
     return a[0] * b[0] + a[1] * b[1]
 
 
-@dataclass(frozen=True)
-class CurrentsRule:
-    """Accuracy to which a batch is integrated.
-
-    Args:
-        tolerance: Largest error of d², mm².
-        share: Largest error of an inner product by the error bound (`gauss_order`), relative to its natural scale;
-            None for one point per segment.
-    """
-
-    tolerance: float
-    share: float | None
-
-
 def currents_of_many(
     points: Float[np.ndarray, "run point 2"],
     cells: Int[np.ndarray, "cell 2"],
@@ -232,21 +218,23 @@ def currents_of_many(
     *,
     width: float,
     square: float,
-    rule: CurrentsRule,
+    tolerance: float,
+    share: float | None,
 ) -> Float[np.ndarray, " run"] | None:
     """Return d² = ⟨S,S⟩ - 2⟨S,T⟩ + ⟨T,T⟩ of each polyline S, mm²; None for few runs, or with JAX in single precision.
 
     The Gauss rules have the lowest orders at which the error of some runs, as different as the batch contains, is at
     most a tenth of the tolerance. The orders never exceed those of the error bound.
 
-    Lengths are in mm; `square` is ⟨T,T⟩, mm².
+    Lengths are in mm; `square` is ⟨T,T⟩ and `tolerance` the largest error of d², mm². `share` is the largest error of
+    an inner product by the error bound (`gauss_order`), relative to its natural scale; None: one point per segment.
     """
     if len(points) < FEWEST or not double():
         return None
     unit, middle = _UNIT * width, observed.mean(axis=0)
     (order,) = similar(points, len(points))
     shapes, seen = np.moveaxis((points[order] - middle) / unit, 0, 2), (observed - middle) / unit
-    batch = _Batch.of(shapes, cells, seen, observed_cells, CurrentsRule(rule.tolerance / unit**2, rule.share))
+    batch = _Batch.of(shapes, cells, seen, observed_cells, tolerance / unit**2, share)
     orders = batch.orders()
     blocks = np.array_split(np.arange(len(points)), -(-len(points) // BLOCK))
     found = np.empty(len(points))
@@ -261,7 +249,8 @@ class _Batch:
     Args:
         longest: Longest piece of S and of T, in kernel widths.
         reach: Distance beyond which all pairs together contribute at most a tenth of the tolerance.
-        rule: Error allowed, in squares of the unit.
+        tolerance: Largest error of d², in squares of the unit.
+        share: That of an inner product, see `currents_of_many`.
     """
 
     points: Float[np.ndarray, "point 2 run"]
@@ -269,7 +258,8 @@ class _Batch:
     target: Pieces
     longest: tuple[float, float]
     reach: float
-    rule: CurrentsRule
+    tolerance: float
+    share: float | None
 
     @classmethod
     def of(
@@ -278,26 +268,27 @@ class _Batch:
         cells: Int[np.ndarray, "cell 2"],
         observed: Float[np.ndarray, "other 2"],
         observed_cells: Int[np.ndarray, "other_cell 2"],
-        rule: CurrentsRule,
+        tolerance: float,
+        share: float | None,
     ) -> "_Batch":
         """Divide the segments, in units of the width, and find the reach."""
         ours, theirs = lengths(points, cells), lengths(observed, observed_cells)
-        panel = PANEL / _UNIT if rule.share else math.inf
+        panel = PANEL / _UNIT if share else math.inf
         own, target = Division.of(cells, ours.max(axis=1), panel), Division.of(observed_cells, theirs, panel)
         whole = max(float(ours.sum(axis=0).max()), float(theirs.sum()))
-        reach = math.sqrt(math.log2(max(whole**2 / (MARGIN * rule.tolerance), 1.0)))
+        reach = math.sqrt(math.log2(max(whole**2 / (MARGIN * tolerance), 1.0)))
         longest = _UNIT * own.longest, _UNIT * target.longest
-        return cls(points, own, target.pieces(observed), longest, reach, rule)
+        return cls(points, own, target.pieces(observed), longest, reach, tolerance, share)
 
     def orders(self) -> Orders:
         """Return the lowest orders at which no probe's error exceeds a tenth of the tolerance."""
-        if self.rule.share is None:
+        if self.share is None:
             return 1, 1
         probes = np.unique(np.linspace(0, self.points.shape[2] - 1, PROBES).astype(int))
-        *coarser, finest = _ladder(self.longest, self.rule.share)
+        *coarser, finest = _ladder(self.longest, self.share)
         exact = self.in_numpy(probes, finest)
         for orders in coarser:
-            if abs(self.in_numpy(probes, orders) - exact).max() <= MARGIN * self.rule.tolerance:
+            if abs(self.in_numpy(probes, orders) - exact).max() <= MARGIN * self.tolerance:
                 return orders
         return finest
 

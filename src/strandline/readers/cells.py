@@ -167,7 +167,8 @@ def chains(edges: Int[np.ndarray, "edge 2"], points: Float[np.ndarray, "point 2"
             "Choose a part of it with `block`, `cells`, `points` or `select`.",
         )
     graph = coo_array((np.ones(len(edges)), edges.T), shape=(len(points), len(points))).tocsr()
-    forward, found, left = set(map(tuple, edges.tolist())), [], degrees > 0
+    found: list[Chain] = []
+    forward, left = set(map(tuple, edges.tolist())), degrees > 0
     for begin in [*np.flatnonzero(degrees == 1), *np.flatnonzero(degrees == 2)]:  # open ones from an end, closed ones
         if left[begin]:
             nodes = depth_first_order(graph, begin, directed=False, return_predecessors=False).astype(np.int64)

@@ -107,7 +107,7 @@ def test_a_measure_is_not_asked_for_no_interfaces():
 
 def test_few_runs_and_single_precision_are_left_to_the_way_run_by_run(monkeypatch):
     points, template, seen = runs("open", FEWEST)
-    given = {"width": 0.05, "square": 1.0, "rule": many_currents.CurrentsRule(1e-6, 1e-3)}
+    given = {"width": 0.05, "square": 1.0, "tolerance": 1e-6, "share": 1e-3}
 
     def done(some):
         return many_currents.currents_of_many(some, template.cells, seen.points, seen.cells, **given) is not None
@@ -124,8 +124,7 @@ def test_the_reach_is_that_of_the_longest_run():
 
     def reach(*heights):
         shapes = np.stack([graph(s, h * np.sin(20 * s)).points for h in heights], axis=2)
-        rule = many_currents.CurrentsRule(1e-8, 1e-3)
-        return many_currents._Batch.of(shapes, flat.cells, flat.points, flat.cells, rule).reach
+        return many_currents._Batch.of(shapes, flat.cells, flat.points, flat.cells, 1e-8, 1e-3).reach
 
     assert reach(0.0, 0.5) == reach(0.5) > reach(0.0)
 
