@@ -60,7 +60,7 @@ def _places(contents: Contents, how: Reading, name: str) -> tuple[Points, Points
         remedy = f"{say} to add them, or `field: none` if they are none or the points have moved."
         raise refused(f"{name} holds what may be displacements", moving[0], "`field`", remedy)
     if isinstance(how.field, str) and how.field != "none":
-        displacement = np.asarray(_data(contents.data, how.field, f"{name} has no point data", how.field), float)
+        displacement = np.asarray(_data(contents.data, how.field, f"{name} has no point data"), float)
         if displacement.ndim != 2 or not 2 <= displacement.shape[1] <= 3:
             raise refused(f"{name}: point data {how.field}", f"the shape {displacement.shape}", "one vector per point")
     if displacement is None:
@@ -221,15 +221,13 @@ def _chosen(contents: Contents, how: Reading, name: str) -> list[Block]:
 
 def _where(block: Block, key: str, wanted: Any, name: str) -> Block:
     """Return the cells of a block whose data have the requested value."""
-    chosen = _is_one_of(_data(block.data, key, f"{name} has no cell data", key), wanted)
+    chosen = _is_one_of(_data(block.data, key, f"{name} has no cell data"), wanted)
     return Block(block.kind, block.nodes[chosen], {k: values[chosen] for k, values in block.data.items()})
 
 
-def _data(
-    known: Mapping[str, Shaped[np.ndarray, "..."]], key: str, what: str, wanted: str
-) -> Shaped[np.ndarray, "..."]:
+def _data(known: Mapping[str, Shaped[np.ndarray, "..."]], key: str, what: str) -> Shaped[np.ndarray, "..."]:
     if key not in known:
-        raise refused(f"{what} {wanted}", ", ".join(known) or "none", "one of its names", "Correct the name.")
+        raise refused(f"{what} {key}", ", ".join(known) or "none", "one of its names", "Correct the name.")
     return known[key]
 
 
@@ -245,7 +243,7 @@ def _kept(
     """Return the edges or triangles all of whose nodes are in the box and have the requested point data."""
     good = np.ones(len(places), dtype=bool)
     for key, wanted in (how.points or {}).items():
-        good &= _is_one_of(_data(contents.data, key, f"{name} has no point data", key), wanted)
+        good &= _is_one_of(_data(contents.data, key, f"{name} has no point data"), wanted)
     if how.select is not None:
         good &= _inside(places, how.select)
     kept = np.asarray(parts[good[parts].all(axis=1)])

@@ -110,10 +110,6 @@ class Encoding:
         header = _dtype(root.get("header_type", "UInt32"), order)
         return cls(order, header, UNPACKERS.get(compressor), Allowance(size), appended, raw)
 
-    def dtype(self, name: str) -> np.dtype[Any]:
-        """Return the NumPy type of a VTK type in this file."""
-        return _dtype(name, self.order)
-
 
 def _dtype(name: str, order: str) -> np.dtype[Any]:
     if not re.fullmatch(r"U?Int(8|16|32|64)|Float(32|64)", name):
@@ -139,7 +135,7 @@ def split(content: bytes) -> tuple[ElementTree.Element, Encoding]:
 
 def numbers(array: ElementTree.Element, encoding: Encoding) -> Shaped[np.ndarray, "..."]:
     """Return the numbers of a DataArray; (row, component) if it has several components."""
-    dtype, form = encoding.dtype(array.attrib["type"]), array.get("format", "ascii")
+    dtype, form = _dtype(array.attrib["type"], encoding.order), array.get("format", "ascii")
     if form == "ascii":
         flat = np.array((array.text or "").split(), dtype=dtype.newbyteorder("="))
     elif form == "binary":
@@ -177,13 +173,8 @@ def _decoded(stream: bytes, encoding: Encoding, *, raw: bool) -> bytes:
     return b"".join(encoding.allowance.unpacked(encoding.unpacker(), block) for block in blocks)
 
 
-def read_vtk_xml(path: Path, how: Reading, name: str) -> Contents:
-    """Return the contents of a VTU, VTP, PVTU or PVTP file, its pieces joined."""
-    return _read(path, parallel=True)
-
-
-def _read(path: Path, *, parallel: bool) -> Contents:
-    """Return the contents of a file; one that lists other files is read only if `parallel`."""
+def read_vtk_xml(path: Path, how: Reading, name: str, *, parallel: bool = True) -> Contents:
+    """Return the contents of a VTU, VTP, PVTU or PVTP file, its pieces joined; one that lists files if `parallel`."""
     root, encoding = split(path.read_bytes())
     form = root.get("type", "")
     (data,) = [child for child in root if child.tag == form] or [root]
@@ -191,7 +182,7 @@ def _read(path: Path, *, parallel: bool) -> Contents:
     if parallel and form in ("PUnstructuredGrid", "PPolyData"):
         files = [piece.attrib["Source"] for piece in pieces]
         require_each_once(files)
-        parts = [_read(beside(path, file), parallel=False) for file in files]
+        parts = [read_vtk_xml(beside(path, file), how, name, parallel=False) for file in files]
     elif form in ("UnstructuredGrid", "PolyData"):
         parts = [_piece(piece, encoding, poly=form == "PolyData") for piece in pieces]
     else:
