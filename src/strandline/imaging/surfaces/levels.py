@@ -71,12 +71,11 @@ def field_of(
 def two_levels(values: Float32[np.ndarray, "z row column"]) -> tuple[float, float]:
     """Return the median grey values of the dark and of the bright part, told apart by Otsu's threshold (1979)."""
     some = _some(values)
+    if some.min() == some.max():
+        return float(some[0]), float(some[0])
     counts, edges = np.histogram(some, _BINS)
-    with np.errstate(invalid="ignore"):  # of a stack of one grey value
-        threshold = of_extra("skimage.filters", "image3d", _NEEDS).threshold_otsu(hist=(counts, edges[1:]))
+    threshold = of_extra("skimage.filters", "image3d", _NEEDS).threshold_otsu(hist=(counts, edges[1:]))
     dark, bright = some[some <= threshold], some[some > threshold]
-    if not dark.size or not bright.size:
-        return float(some.min()), float(some.max())
     return float(np.median(dark)), float(np.median(bright))
 
 

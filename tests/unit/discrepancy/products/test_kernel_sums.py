@@ -58,7 +58,7 @@ def test_only_pairs_out_of_reach_may_be_missing(compiled):
     with jax.enable_x64(compiled):
         taken = kernel_sum(*ones, 1e6, reach=reach, sizes=SMALL_TILES)
         assert kernel_sum(a, Nodes(b.points + 50.0, b.normals), 0.02, reach=0.2, sizes=SMALL_TILES) == 0.0
-    assert (distances <= reach).sum() <= round(taken) < 0.6 * distances.size
+    assert (distances <= reach).sum() <= round(taken) < (0.6 if compiled else 1.1) * distances.size
 
 
 @pytest.mark.parametrize("shift", [0.0, 1e6])
