@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import median_filter
 
 from strandline.errors import InvalidInput
-from strandline.imaging.course import SmoothPath, course_through, smoothed
 from strandline.imaging.edge_checks import (
     FEWEST,
     EdgeCheck,
@@ -23,7 +22,16 @@ from strandline.imaging.edge_checks import (
 )
 from strandline.imaging.edge_methods import EDGES, edge_method
 from strandline.imaging.located import EdgeMethod, Located
-from strandline.imaging.strip import GreyValues, Strip, grey_values, inside_polygon, strip_along
+from strandline.imaging.strip import (
+    GreyValues,
+    SmoothPath,
+    Strip,
+    course_through,
+    grey_values,
+    inside_polygon,
+    smoothed,
+    strip_along,
+)
 
 __all__ = ["EDGES", "Edge", "find_edge"]
 

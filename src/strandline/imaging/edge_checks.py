@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from strandline.imaging.course import SmoothPath
 from strandline.imaging.first_path import require_finite, require_inside, require_simple
 from strandline.imaging.located import Located
-from strandline.imaging.strip import GreyValues
+from strandline.imaging.strip import GreyValues, SmoothPath
 from strandline.readers.checked import unfit
 
 LEAST_SD = 0.01

@@ -13,10 +13,9 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import ndtr
 
-from strandline.imaging.course import SmoothPath
 from strandline.imaging.located import NO_SCATTER, Located
 from strandline.imaging.noise_covariance import noise_covariance, ratio, scatter_of
-from strandline.imaging.strip import GreyValues, Strip, strip_along
+from strandline.imaging.strip import GreyValues, SmoothPath, Strip, strip_along
 
 _STEPS = 12
 """Gauss–Newton steps."""

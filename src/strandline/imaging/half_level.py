@@ -7,10 +7,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d
 
-from strandline.imaging.course import SmoothPath
 from strandline.imaging.located import NO_SCATTER, Located
 from strandline.imaging.noise_covariance import noise_covariance, ratio, scatter_of
-from strandline.imaging.strip import GreyValues, Strip, strip_along
+from strandline.imaging.strip import GreyValues, SmoothPath, Strip, strip_along
 from strandline.imaging.template import PLATEAU, EdgeTemplate, learnt_template
 
 _LEVELS = 5.0

@@ -7,8 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from strandline.imaging.course import SmoothPath
-from strandline.imaging.strip import GreyValues, Strip
+from strandline.imaging.strip import GreyValues, SmoothPath, Strip
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter
 
-from strandline.imaging.course import SmoothPath
 from strandline.imaging.located import NO_SCATTER, Located, Scatter
 from strandline.imaging.noise_covariance import LEAST_LENGTH, autocovariance, sum_to_first_zero
-from strandline.imaging.strip import GreyValues, Strip, strip_along
+from strandline.imaging.strip import GreyValues, SmoothPath, Strip, strip_along
 from strandline.imaging.template import EdgeTemplate, columns_levelled, learnt_template, levelled
 from strandline.readers.checked import unfit
 

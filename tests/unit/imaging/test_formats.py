@@ -11,8 +11,8 @@ from tests.unit.imaging.files import of_size, read, refusal, scan
 
 from strandline.errors import InvalidInput
 from strandline.imaging.files.thorlabs import _size
-from strandline.imaging.linear import _of_decibels
 from strandline.imaging.picture import require_pixels
+from strandline.imaging.read import _of_decibels
 
 ROWS, COLUMNS = 23, 31
 RNG = np.random.default_rng(1)
