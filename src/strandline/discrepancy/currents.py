@@ -142,10 +142,6 @@ class Currents:
             return None
         return 2 * math.sqrt(2 * math.pi) * errors.sd**2 * errors.effective_length(observed) / self.width
 
-    def terms(self, observed: Interface) -> None:
-        """Return None: the norm is not a sum of independent distances."""
-        return
-
     def _product(self, a: Interface, b: Interface, share: float) -> float:
         if self.quadrature == "centre":
             return centre_product(a, b, self.width)

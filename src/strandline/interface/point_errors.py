@@ -73,21 +73,16 @@ class PointErrors:
 
     def __post_init__(self) -> None:
         for name in ("sd", "length", *GLOBAL):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and (value > 0 if name == "sd" else value >= 0)):
-                raise InvalidInput(
-                    f"{name} of the errors of points",
-                    value=value,
-                    expected="a finite number above 0" if name == "sd" else "a finite number, 0 or above",
-                    remedy=f"Correct {name}.",
-                )
-            if value > MOST.get(name, math.inf):
-                raise InvalidInput(
-                    f"{name} of the errors of points",
-                    value=value,
-                    expected=f"at most {MOST[name]:g}" + (" degrees" if name == "rotation" else ", a share"),
-                    remedy=f"Correct {name}.",
-                )
+            value, most = getattr(self, name), MOST.get(name, math.inf)
+            if math.isfinite(value) and (value > 0 if name == "sd" else 0 <= value <= most):
+                continue
+            limit = f", at most {most:g}" + (" degrees" if name == "rotation" else ", a share") if name in MOST else ""
+            raise InvalidInput(
+                f"{name} of the errors of points",
+                value=value,
+                expected="a finite number above 0" if name == "sd" else f"a finite number, 0 or above{limit}",
+                remedy=f"Correct {name}.",
+            )
 
     def reversed(self) -> "PointErrors":
         """Return the errors of the same points in the opposite order."""
