@@ -89,22 +89,16 @@ class MeasurementLines:
             object.__setattr__(self, "lines", _checked_lines(self.lines))
         elif not 1 <= self.lines <= MOST_LINES:
             _refuse_lines(f"{self.lines} lines")
-        if self.reach is not None and not (math.isfinite(self.reach) and self.reach > 0):
-            raise InvalidInput(
-                "reach of the measurement lines",
-                value=self.reach,
-                expected="a length in mm above 0",
-                remedy="Correct the reach, or leave it out for a quarter of the observed length.",
-            )
-        if self.smooth is not None:
-            self._require_smooth(self.smooth)
-        if self.trim is not None and not (isinstance(self.lines, int) and 0 <= self.trim <= MOST_TRIMMED):
-            raise InvalidInput(
-                "trim of the measurement lines",
-                value=self.trim if isinstance(self.lines, int) else f"{self.trim} with given lines",
-                expected=f"a share from 0 to {MOST_TRIMMED:g}, for a number of lines",
-                remedy="Correct the share; leave it out for given lines.",
-            )
+        if not _is_length(self.reach):
+            remedy = "Correct it, or leave it out for a quarter of the observed length."
+            _refuse("reach", self.reach, "a length in mm above 0", remedy)
+        given = "" if isinstance(self.lines, int) else " with given lines"
+        if self.smooth is not None and (given or not _is_length(self.smooth)):
+            remedy = "Correct it; leave it out for given lines, which have their own directions."
+            _refuse("smooth", f"{self.smooth}{given}", "a length in mm above 0, for a number of lines", remedy)
+        if self.trim is not None and (given or not 0 <= self.trim <= MOST_TRIMMED):
+            expected = f"a share from 0 to {MOST_TRIMMED:g}, for a number of lines"
+            _refuse("trim", f"{self.trim}{given}", expected, "Correct it; leave it out for given lines.")
 
     def __call__(self, simulated: Interface, observed: Interface) -> float:
         """Return d², mm²."""
@@ -190,15 +184,6 @@ class MeasurementLines:
     def _piece(self, observed: Interface) -> float:
         """Return the length of the piece whose direction a line takes, mm: at least that of a segment."""
         return max(self.smooth or 0.0, float(np.median(observed.lengths)))
-
-    def _require_smooth(self, smooth: float) -> None:
-        if not isinstance(self.lines, int) or not (math.isfinite(smooth) and smooth > 0):
-            raise InvalidInput(
-                "smooth of the measurement lines",
-                value=smooth if isinstance(self.lines, int) else f"{smooth} with given lines",
-                expected="a length in mm above 0, for a number of lines",
-                remedy="Correct the length; leave it out for given lines, which have their own directions.",
-            )
 
 
 @lru_cache(maxsize=64)
@@ -315,10 +300,14 @@ def _checked_lines(
     return rows
 
 
+def _is_length(value: float | None) -> bool:
+    return value is None or (math.isfinite(value) and value > 0)
+
+
 def _refuse_lines(value: object) -> None:
-    raise InvalidInput(
-        "measurement lines",
-        value=value,
-        expected=f"a number of lines from 1 to {MOST_LINES}, or rows (x, y, dx, dy) of finite numbers, dx or dy not 0",
-        remedy="Correct the lines.",
-    )
+    expected = f"a number of lines from 1 to {MOST_LINES}, or rows (x, y, dx, dy) of finite numbers, dx or dy not 0"
+    _refuse("number or rows", value, expected, "Correct the lines.")
+
+
+def _refuse(name: str, value: object, expected: str, remedy: str) -> None:
+    raise InvalidInput(f"{name} of the measurement lines", value=value, expected=expected, remedy=remedy)
