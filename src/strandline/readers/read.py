@@ -17,32 +17,18 @@ from strandline.readers.tables import require_end
 from strandline.registry import imported
 
 _TABLE = "strandline.readers.tables:read_text"
-_MESH = "strandline.readers.by_meshio:read_by_meshio"
-_VTK = "strandline.readers.vtk_xml:read_vtk_xml"
-_XDMF = "strandline.readers.by_meshio:read_xdmf"
-_JSON = "strandline.readers.tables:read_json"
-
 READERS: dict[str, str] = {
-    ".csv": _TABLE,
-    ".tsv": _TABLE,
-    ".txt": _TABLE,
-    ".dat": _TABLE,
+    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), _TABLE),
     ".npy": "strandline.readers.tables:read_npy",
-    ".vtu": _VTK,
-    ".vtp": _VTK,
-    ".pvtu": _VTK,
-    ".pvtp": _VTK,
+    **dict.fromkeys((".vtu", ".vtp", ".pvtu", ".pvtp"), "strandline.readers.vtk_xml:read_vtk_xml"),
     ".pvd": "strandline.readers.vtk_xml:read_pvd",
-    ".xdmf": _XDMF,
-    ".xmf": _XDMF,
-    ".stl": _MESH,
-    ".ply": _MESH,
+    **dict.fromkeys((".xdmf", ".xmf"), "strandline.readers.by_meshio:read_xdmf"),
+    **dict.fromkeys((".stl", ".ply"), "strandline.readers.by_meshio:read_by_meshio"),
     ".msh": "strandline.readers.by_meshio:read_msh",
     ".mesh": "strandline.readers.by_meshio:read_medit",
     ".vtk": "strandline.readers.by_meshio:read_legacy",
     ".frd": "strandline.readers.calculix:read_frd",
-    ".json": _JSON,
-    ".geojson": _JSON,
+    **dict.fromkeys((".json", ".geojson"), "strandline.readers.tables:read_json"),
 }
 """Suffixes of files → ``module:name`` of the function that reads them; others are read as text."""
 TEXTS: dict[str, str] = {
