@@ -53,10 +53,7 @@ class ClosestPoint:
     unit: ClassVar[str] = "mm²"
 
     def __post_init__(self) -> None:
-        for name, value, known in (
-            ("direction", self._way, DIRECTIONS),
-            ("weighting", self.weighting, WEIGHTINGS),
-        ):
+        for name, value, known in (("direction", self._way, DIRECTIONS), ("weighting", self.weighting, WEIGHTINGS)):
             if value not in known:
                 raise InvalidInput(
                     f"{name} of the closest point projection",

@@ -191,10 +191,7 @@ class Strip:
 
 
 def grey_values(
-    values: np.ndarray,
-    *,
-    pixel: tuple[float, float] = (1.0, 1.0),
-    exclude: Sequence[Float[np.ndarray, "_ 2"]] = (),
+    values: np.ndarray, *, pixel: tuple[float, float] = (1.0, 1.0), exclude: Sequence[Float[np.ndarray, "_ 2"]] = ()
 ) -> GreyValues:
     """Return grey values with the pixels that count.
 

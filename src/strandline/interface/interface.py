@@ -343,11 +343,7 @@ def _cross(a: Float[np.ndarray, "*#pair 2"], b: Float[np.ndarray, "*#pair 2"]) -
 
 
 def _meeting(
-    starts: Float[np.ndarray, "cell 2"],
-    ends: Float[np.ndarray, "cell 2"],
-    slack: float,
-    *,
-    closed: bool,
+    starts: Float[np.ndarray, "cell 2"], ends: Float[np.ndarray, "cell 2"], slack: float, *, closed: bool
 ) -> Iterator[tuple[int, int]]:
     """Yield the pairs of segments, except neighbours, that share a point: each crosses the line of the other.
 

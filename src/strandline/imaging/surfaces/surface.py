@@ -21,12 +21,7 @@ from strandline.imaging.surfaces.profiles import (
     profiles_at,
     shape_operators,
 )
-from strandline.imaging.surfaces.surface_errors import (
-    SurfaceErrors,
-    noise_beside,
-    require_surface,
-    surface_errors,
-)
+from strandline.imaging.surfaces.surface_errors import SurfaceErrors, noise_beside, require_surface, surface_errors
 from strandline.interface import Interface
 from strandline.interface.triangles import vector_areas
 from strandline.readers.checked import number, numbers, unfit
@@ -166,12 +161,7 @@ class Surface:
 
 
 def find_surface(
-    stack: Stack,
-    *,
-    solid: str,
-    triangles: int = 5000,
-    smooth: float | None = None,
-    exclude: Sequence[Region] = (),
+    stack: Stack, *, solid: str, triangles: int = 5000, smooth: float | None = None, exclude: Sequence[Region] = ()
 ) -> Surface:
     """Return the surface of the solid in a stack: the largest connected one.
 
