@@ -79,12 +79,12 @@ def signed_sums(
     centre, number = points[0].mean(axis=0), 0 if features is None else features.shape[1]
     squares, products = np.empty(runs), np.empty((runs, number))
 
-    def block(task: tuple[_SegmentPairs, Int[np.ndarray, " some"]]) -> tuple[Any, Any]:
+    def block(task: tuple[_SegmentPairs, Int[np.ndarray, " some"]]) -> list[Any]:
         """Return the sums of some runs, padded to a number of runs that is compiled already."""
         pairs, rows = task
         (x, y), ends = (_runs_last(_padded(array, rows) - centre) for array in (points, corners))
         (factors,) = _runs_last(_padded(weights, rows)[..., None])
-        return _loop()(x, y, factors, features, *ends, cells, pairs.rows)
+        return [np.asarray(one) for one in _loop()(x, y, factors, features, *ends, cells, pairs.rows)]
 
     (order,) = similar(points if len(points) > 1 else corners, runs)
     todo = [*tasks(points, corners, cells, order)]
