@@ -8,12 +8,9 @@ from jaxtyping import Float
 
 from strandline.discrepancy.many_distances import signed_sums
 from strandline.discrepancy.nearest import squared_distances
-from strandline.discrepancy.protocol import require_alike
+from strandline.discrepancy.protocol import ManyPoints, Offsets, Values, require_alike
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, PointErrors, spacings, steady_lengths
-
-Rows = Float[np.ndarray, "run point xyz"]
-Values = Float[np.ndarray, " run"]
 
 DIRECTIONS = ("to_observed", "to_simulated", "symmetric")
 WEIGHTINGS = ("sum", "length")
@@ -71,7 +68,7 @@ class ClosestPoint:
             return self._one_way(observed, simulated)
         return 0.5 * (self._one_way(simulated, observed) + self._one_way(observed, simulated))
 
-    def many(self, points: Rows, template: Interface, observed: Interface) -> Values | None:
+    def many(self, points: ManyPoints, template: Interface, observed: Interface) -> Values | None:
         """Return d² of many interfaces with the same cells.
 
         Return None if the observed nodes are projected onto surfaces, or onto only a few polylines.
@@ -84,7 +81,7 @@ class ClosestPoint:
         there, back = (way(points, template, observed) for way in (self._to_observed, self._to_simulated))
         return None if there is None or back is None else 0.5 * (there + back)
 
-    def of_offsets(self, offsets: Float[np.ndarray, "run seen"], observed: Interface, nodes: int) -> Values:
+    def of_offsets(self, offsets: Offsets, observed: Interface, nodes: int) -> Values:
         """Return the weighted sum of squares, for simulated nodes of the mean square along the observed interface."""
         lengths = node_weights(observed)
         mean = offsets**2 @ (lengths / lengths.sum())
@@ -119,7 +116,7 @@ class ClosestPoint:
     def _way(self) -> str:
         return "to_observed" if self.direction is None else self.direction
 
-    def _to_observed(self, points: Rows, template: Interface, observed: Interface) -> Values | None:
+    def _to_observed(self, points: ManyPoints, template: Interface, observed: Interface) -> Values | None:
         weights = self._weights(points, template)
         if observed.dim == 2:
             found = signed_sums(points, observed.points[None], observed.cells, weights)
@@ -128,14 +125,14 @@ class ClosestPoint:
         squares = squared_distances(np.ascontiguousarray(points.reshape(-1, template.dim)), observed)
         return np.asarray((weights * squares.reshape(points.shape[:2])).sum(axis=1))
 
-    def _to_simulated(self, points: Rows, template: Interface, observed: Interface) -> Values | None:
+    def _to_simulated(self, points: ManyPoints, template: Interface, observed: Interface) -> Values | None:
         if observed.dim != 2:
             return None
         seen = observed.points[None]
         found = signed_sums(seen, points, template.cells, self._weights(seen, observed))
         return None if found is None else found[0]
 
-    def _weights(self, points: Rows, template: Interface) -> Float[np.ndarray, "#run point"]:
+    def _weights(self, points: ManyPoints, template: Interface) -> Float[np.ndarray, "#run point"]:
         """Return the weight of each node's squared distance; one row if it is the same in all runs."""
         if self.weighting == "sum":
             return np.ones((1, points.shape[1]))
@@ -170,7 +167,7 @@ def node_weights(interface: Interface) -> Float[np.ndarray, " point"]:
     return np.bincount(interface.cells.ravel(), weights=shares, minlength=len(interface.points))
 
 
-def _weights_of_many(points: Rows, template: Interface) -> Float[np.ndarray, "run point"]:
+def _weights_of_many(points: ManyPoints, template: Interface) -> Float[np.ndarray, "run point"]:
     """Return `node_weights` of each interface with these points and the cells of `template`."""
     if template.dim == 3:
         return np.stack([node_weights(Interface(row, template.cells)) for row in points])

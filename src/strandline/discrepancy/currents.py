@@ -6,7 +6,6 @@ from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float
 
 from strandline.discrepancy.kernel_integrals import (
     centre_product,
@@ -15,7 +14,7 @@ from strandline.discrepancy.kernel_integrals import (
     refined_surface_product,
 )
 from strandline.discrepancy.many_currents import currents_of_many
-from strandline.discrepancy.protocol import Snapshot, require_alike, require_same_direction
+from strandline.discrepancy.protocol import ManyPoints, Offsets, Snapshot, Values, require_alike, require_same_direction
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, PointErrors, spacings
 
@@ -87,9 +86,7 @@ class Currents:
         require_alike(a, b)
         return self._product(a, b, _bound(self, Snapshot.of(b)).share)
 
-    def many(
-        self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
-    ) -> Float[np.ndarray, " run"] | None:
+    def many(self, points: ManyPoints, template: Interface, observed: Interface) -> Values | None:
         """Return d² of polylines with the same segments, mm², to `tolerance`; None for surfaces and for few runs."""
         if template.dim == 3:
             return None
@@ -103,9 +100,7 @@ class Currents:
             share=bound.share if refined else None,
         )
 
-    def of_offsets(
-        self, offsets: Float[np.ndarray, "run seen"], observed: Interface, nodes: int
-    ) -> Float[np.ndarray, " run"] | None:
+    def of_offsets(self, offsets: Offsets, observed: Interface, nodes: int) -> Values | None:
         """Return 2√(2π) σ_W ∫ (1 - exp(-δ²/2σ_W²)) dt, for curves that are the distance δ apart and nearly parallel.
 
         None for the quadrature ``centre``, which depends on where the nodes lie.

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from strandline.discrepancy.many_distances import motion, similar
-from strandline.discrepancy.protocol import Snapshot, require_polylines
+from strandline.discrepancy.protocol import ManyPoints, Snapshot, Values, require_polylines
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, PointErrors, normals_at, steady_lengths
 
@@ -112,9 +112,7 @@ class MeasurementLines:
         missed = ~(np.abs(found) <= reach)
         return LineReadings(np.where(missed, reach, found), missed)
 
-    def many(
-        self, points: Float[np.ndarray, "run point 2"], template: Interface, observed: Interface
-    ) -> Float[np.ndarray, " run"]:
+    def many(self, points: ManyPoints, template: Interface, observed: Interface) -> Values:
         """Return d² of polylines with the same segments, mm²."""
         require_polylines(template, observed)
         reach, lines = self.reach_on(observed), _placed(self, Snapshot.of(observed))

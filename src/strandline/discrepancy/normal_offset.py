@@ -23,7 +23,7 @@ from jaxtyping import Float, Int
 
 from strandline.discrepancy.many_distances import FEWEST, signed_sums
 from strandline.discrepancy.nearest import closest_points
-from strandline.discrepancy.protocol import Snapshot, require_alike, require_same_direction
+from strandline.discrepancy.protocol import ManyPoints, Offsets, Snapshot, Values, require_alike, require_same_direction
 from strandline.interface import ErrorModel, Interface, PointErrors, as_complex
 
 FEWEST_AVERAGED = 6
@@ -37,9 +37,9 @@ BESIDE = 2
 """Places on each side whose points help to find the course; near an end more on the other side."""
 MOST_GAPS = 0.02
 """Share of such gaps beyond which the points are not in order along a curve."""
-Rows = Mapping[str, Float[np.ndarray, "run point xyz"]]
+Rows = Mapping[str, ManyPoints]
 """Points of simulated interfaces by condition, one interface a row, mm."""
-Sums = tuple[Float[np.ndarray, " run"], Float[np.ndarray, "run error"]]
+Sums = tuple[Values, Float[np.ndarray, "run error"]]
 """rᵀ D⁻¹ r and Bᵀ D⁻¹ r of each run."""
 ROUGH = 64
 """Places along an observed polyline that estimate g, about."""
@@ -170,17 +170,13 @@ class NormalOffset:
         require_alike(simulated, observed)
         return float((signed_distances(observed.points, simulated) ** 2).sum())
 
-    def many(
-        self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
-    ) -> Float[np.ndarray, " run"]:
+    def many(self, points: ManyPoints, template: Interface, observed: Interface) -> Values:
         """Return d² of interfaces of the same cells."""
         require_alike(template, observed)
         seen = observed.points
         return weighted_sums(seen, points, template, np.ones(len(seen)), np.empty((len(seen), 0)))[0]
 
-    def of_offsets(
-        self, offsets: Float[np.ndarray, "run seen"], observed: Interface, nodes: int
-    ) -> Float[np.ndarray, " run"]:
+    def of_offsets(self, offsets: Offsets, observed: Interface, nodes: int) -> Values:
         """Return their sum of squares."""
         return np.asarray((offsets**2).sum(axis=1))
 
@@ -226,20 +222,18 @@ class WhitenedOffset:
         """Return the covariance of the residuals; kept for the interfaces used last."""
         return _model(self.errors, Snapshot.of(observed))
 
-    def many(
-        self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
-    ) -> Float[np.ndarray, " run"]:
+    def many(self, points: ManyPoints, template: Interface, observed: Interface) -> Values:
         """Return d² of interfaces of the same cells."""
         require_alike(template, observed)
         return self.model(observed).square_of(*self.sums(points, template, observed))
 
     def global_errors(
-        self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
+        self, points: ManyPoints, template: Interface, observed: Interface
     ) -> Float[np.ndarray, "run error"]:
         """Return the most probable global errors of the observation for each simulated interface, in their sds."""
         return self.model(observed).shared_errors(self.sums(points, template, observed)[1])
 
-    def sums(self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface) -> Sums:
+    def sums(self, points: ManyPoints, template: Interface, observed: Interface) -> Sums:
         """Return rᵀ D⁻¹ r and Bᵀ D⁻¹ r of each run, of residuals that are linear in the global errors."""
         model, seen = self.model(observed), observed.points
         moves, middle = self.errors.moves(observed.dim), seen.mean(axis=0)
@@ -279,7 +273,7 @@ def _signed(points: Float[np.ndarray, "point xyz"], interface: Interface) -> Flo
 
 def weighted_sums(
     seen: Float[np.ndarray, "seen xyz"],
-    points: Float[np.ndarray, "run point xyz"],
+    points: ManyPoints,
     template: Interface,
     weights: Float[np.ndarray, " seen"],
     features: Float[np.ndarray, "seen feature"],

@@ -9,6 +9,13 @@ from jaxtyping import Float
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface, PointErrors
 
+ManyPoints = Float[np.ndarray, "run point xyz"]
+"""Points of interfaces with the same cells, one interface a row, mm."""
+Offsets = Float[np.ndarray, "run seen"]
+"""Signed distances of the observed points from each interface, mm."""
+Values = Float[np.ndarray, " run"]
+"""A number for each interface."""
+
 
 @runtime_checkable
 class Discrepancy(Protocol):
@@ -43,9 +50,7 @@ class CountsDistances(Protocol):
 class ComparesMany(Protocol):
     """A measure that compares a batch of interfaces faster than one by one."""
 
-    def many(
-        self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
-    ) -> Float[np.ndarray, " run"] | None:
+    def many(self, points: ManyPoints, template: Interface, observed: Interface) -> Values | None:
         """Return d² of the interfaces with these points and the cells of `template`; None to be called one by one."""
 
 
@@ -85,9 +90,7 @@ class HasTolerance(Protocol):
 class FollowsOffsets(Protocol):
     """A measure whose d² nearly follows from signed distances if the two polylines are close to each other."""
 
-    def of_offsets(
-        self, offsets: Float[np.ndarray, "run seen"], observed: Interface, nodes: int
-    ) -> Float[np.ndarray, " run"] | None:
+    def of_offsets(self, offsets: Offsets, observed: Interface, nodes: int) -> Values | None:
         """Return about d² of simulated interfaces; None if it does not follow.
 
         Args:
@@ -147,9 +150,7 @@ def require_same_direction(simulated: Interface, observed: Interface) -> None:
         )
 
 
-def squared_discrepancies(
-    measure: Discrepancy, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
-) -> Float[np.ndarray, " run"]:
+def squared_discrepancies(measure: Discrepancy, points: ManyPoints, template: Interface, observed: Interface) -> Values:
     """Return d² of each interface with these points and the cells of `template`.
 
     The orientation is that of the template.

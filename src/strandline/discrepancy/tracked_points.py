@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float
 
+from strandline.discrepancy.protocol import ManyPoints, Values
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface, PointErrors
 
@@ -43,9 +43,7 @@ class TrackedPoints:
         """Return σ_N² = s² coth(h/2ℓ), mm²: a point errs along its normal and across as much."""
         return float(errors.local_variances(observed).mean())
 
-    def many(
-        self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface
-    ) -> Float[np.ndarray, " run"] | None:
+    def many(self, points: ManyPoints, template: Interface, observed: Interface) -> Values | None:
         """Return d² of interfaces with the same cells, mm²; None if the nodes do not correspond, which is refused."""
         if points.shape[1:] != observed.points.shape:
             return None
