@@ -20,6 +20,7 @@ from strandline.discrepancy.many_distances import FEWEST, similar
 from strandline.numerics.compiled import WHOLE, WIDEST, ample, exp2_of_minus
 from strandline.numerics.threads import double, side_by_side
 
+Cells = Int[np.ndarray, "cell 2"]
 Orders = tuple[int, int]
 """Number of Gauss points on a piece of one side and of the other."""
 _CHUNK = 1 << 15
@@ -38,9 +39,7 @@ _UNIT = math.sqrt(2 * math.log(2))
 """Unit of length, in kernel widths."""
 
 
-def lengths(
-    points: Float[np.ndarray, "point 2 *run"], cells: Int[np.ndarray, "cell 2"]
-) -> Float[np.ndarray, "cell *run"]:
+def lengths(points: Float[np.ndarray, "point 2 *run"], cells: Cells) -> Float[np.ndarray, "cell *run"]:
     """Return the lengths of the segments."""
     steps = points[cells[:, 1]] - points[cells[:, 0]]
     return np.asarray(np.hypot(steps[:, 0], steps[:, 1]))
@@ -76,7 +75,7 @@ class Division:
     longest: float
 
     @classmethod
-    def of(cls, cells: Int[np.ndarray, "cell 2"], most: Float[np.ndarray, " cell"], panel: float) -> "Division":
+    def of(cls, cells: Cells, most: Float[np.ndarray, " cell"], panel: float) -> "Division":
         """Divide segments with lengths of at most `most` into pieces no longer than `panel`."""
         parts = np.maximum(np.ceil(most / panel).astype(int), 1)
         share = 1 / np.repeat(parts, parts)
@@ -212,7 +211,7 @@ def _dot(a: Any, b: Any) -> Any:
 
 def currents_of_many(
     points: Float[np.ndarray, "run point 2"],
-    cells: Int[np.ndarray, "cell 2"],
+    cells: Cells,
     observed: Float[np.ndarray, "other 2"],
     observed_cells: Int[np.ndarray, "other_cell 2"],
     *,
@@ -265,7 +264,7 @@ class _Batch:
     def of(
         cls,
         points: Float[np.ndarray, "point 2 run"],
-        cells: Int[np.ndarray, "cell 2"],
+        cells: Cells,
         observed: Float[np.ndarray, "other 2"],
         observed_cells: Int[np.ndarray, "other_cell 2"],
         tolerance: float,

@@ -14,6 +14,7 @@ from strandline.discrepancy.protocol import ManyPoints, Snapshot, Values, requir
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, PointErrors, normals_at, steady_lengths
 
+Places = Float[np.ndarray, "*place"]
 REACH = 0.25
 """Default reach of a measurement line, as a share of the length of the observed interface."""
 
@@ -268,19 +269,14 @@ def _components(
     return x * dx + y * dy, dx * y - dy * x
 
 
-def _crossings(
-    along_i: Float[np.ndarray, "*place"],
-    along_j: Float[np.ndarray, "*place"],
-    side_i: Float[np.ndarray, "*place"],
-    side_j: Float[np.ndarray, "*place"],
-) -> Float[np.ndarray, "*place"]:
+def _crossings(along_i: Places, along_j: Places, side_i: Places, side_j: Places) -> Places:
     """Return where along a line the segment from i to j crosses it; inf if it does not."""
     span = side_i - side_j
     share = np.divide(side_i, span, out=_foot(along_i, along_j), where=span != 0)
     return np.where(side_i * side_j <= 0, along_i + share * (along_j - along_i), np.inf)
 
 
-def _foot(start: Float[np.ndarray, "*place"], end: Float[np.ndarray, "*place"]) -> Float[np.ndarray, "*place"]:
+def _foot(start: Places, end: Places) -> Places:
     """Return the share of a segment lying *in* the line at which it is nearest to the line's point."""
     span = end - start
     return np.asarray(np.clip(np.divide(-start, span, out=np.zeros_like(span), where=span != 0), 0.0, 1.0))

@@ -24,6 +24,8 @@ from strandline.interface import Interface
 from strandline.numerics.compiled import WIDEST, ample
 from strandline.numerics.threads import side_by_side
 
+Pairs = Int[np.ndarray, " pair"]
+Points = Float[np.ndarray, "point xyz"]
 BLOCK = 1 << 15
 """Pairs of a point and a cell processed at once; this bounds the memory."""
 SMALL = 1 << 14
@@ -60,17 +62,17 @@ class ClosestPoints:
         squares: squared distances, mm².
     """
 
-    points: Float[np.ndarray, "point xyz"]
+    points: Points
     cells: Int[np.ndarray, " point"]
     squares: Float[np.ndarray, " point"]
 
 
-def squared_distances(points: Float[np.ndarray, "point xyz"], target: Interface) -> Float[np.ndarray, " point"]:
+def squared_distances(points: Points, target: Interface) -> Float[np.ndarray, " point"]:
     """Return the squared distance, mm², of each point to the closest point of `target`, on its cells."""
     return closest_points(points, target).squares
 
 
-def closest_points(points: Float[np.ndarray, "point xyz"], target: Interface, *, once: bool = False) -> ClosestPoints:
+def closest_points(points: Points, target: Interface, *, once: bool = False) -> ClosestPoints:
     """Return the closest points of `target`, on its segments or triangles.
 
     The search trees are kept for the most recently searched interfaces.
@@ -93,7 +95,7 @@ def closest_points(points: Float[np.ndarray, "point xyz"], target: Interface, *,
     return best.found()
 
 
-def brute_force(points: Float[np.ndarray, "point xyz"], target: Interface) -> ClosestPoints:
+def brute_force(points: Points, target: Interface) -> ClosestPoints:
     """Return the closest points by trying every cell for every point."""
     best = _Best(points, target)
     size = max(1, BLOCK // len(target.cells))
@@ -127,18 +129,18 @@ def _go_down(best: "_Best", snapshot: Snapshot, rows: Int[np.ndarray, " point"])
 class _Best:
     """The closest cell found so far for each point, and its squared distance."""
 
-    def __init__(self, points: Float[np.ndarray, "point xyz"], target: Interface) -> None:
+    def __init__(self, points: Points, target: Interface) -> None:
         self.points, self.target = points, target
         self.columns = np.ascontiguousarray(points.T)
         self.cells = np.full(len(points), -1)
         self.squares = np.full(len(points), np.inf)
         self.rounding = _SLACK[1] * max(float(np.abs(x).max(initial=0.0)) for x in (points, target.points))
 
-    def reach(self, rows: Int[np.ndarray, " pair"]) -> Float[np.ndarray, " pair"]:
+    def reach(self, rows: Pairs) -> Float[np.ndarray, " pair"]:
         """Return the square of the distance within which a closer cell may lie, plus a margin for rounding."""
         return np.asarray((np.sqrt(self.squares.take(rows)) * (1 + _SLACK[0]) + self.rounding) ** 2)
 
-    def look_at(self, rows: Int[np.ndarray, " pair"], cells: Int[np.ndarray, " pair"]) -> None:
+    def look_at(self, rows: Pairs, cells: Pairs) -> None:
         """Try these pairs of a point and a cell, `rows` in ascending order; if cells tie, the first is kept."""
         if rows.size == 0:
             return
@@ -170,7 +172,7 @@ class _Tree:
     order: Int[np.ndarray, " place"]
     levels: list[Float[np.ndarray, "2 xyz _"]]
 
-    def look(self, best: _Best, rows: Int[np.ndarray, " pair"], boxes: Int[np.ndarray, " pair"], level: int) -> None:
+    def look(self, best: _Best, rows: Pairs, boxes: Pairs, level: int) -> None:
         """Improve the best with the cells in the boxes, each box paired with the point of its row."""
         if len(rows) > BLOCK:
             half = len(rows) // 2
@@ -264,9 +266,7 @@ def _dot(a: Vectors, b: Vectors) -> Float[np.ndarray, "..."]:
     return np.asarray(reduce(np.add, (x * y for x, y in zip(a, b, strict=True))))
 
 
-def near_groups(
-    points: Float[np.ndarray, "point 2"], snapshot: Snapshot
-) -> Iterator[tuple[Int[np.ndarray, " pair"], Int[np.ndarray, " pair"]]]:
+def near_groups(points: Float[np.ndarray, "point 2"], snapshot: Snapshot) -> Iterator[tuple[Pairs, Pairs]]:
     """Yield pairs of a point and a group of segments `GROUP * k` … `GROUP * k + GROUP - 1`, points in ascending order.
 
     A point's groups contain its closest segment, or all segments that share the least distance. Points very far away
@@ -314,7 +314,7 @@ def _let_through(
     scaled: Float[np.ndarray, "point 2"],
     slack: Float[np.ndarray, " point"],
     rows: Int[np.ndarray, " some"],
-) -> tuple[Int[np.ndarray, " pair"], Int[np.ndarray, " pair"]]:
+) -> tuple[Pairs, Pairs]:
     some = np.pad(scaled[rows], ((0, _POINTS - len(rows)), (0, 0)), mode="edge")
     squares = np.asarray(_least_squares()(some.T.astype(np.float32), polyline.segments))[:, : len(rows)]
     bounds = (np.sqrt(squares.min(axis=0).astype(float)) + slack[rows]) ** 2

@@ -20,6 +20,7 @@ from strandline.discrepancy.normal_offset import signed_distances
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, PointErrors, normals_at, oriented_like
 
+PerPlace = Float[np.ndarray, " place"]
 PARTS = ("shift_x", "shift_y", "rotation", "scale", "offset")
 """Errors that all points of a contour share: mm, mm, degrees, a share, mm."""
 PIECES = 16
@@ -102,13 +103,13 @@ class _Frame:
     """
 
     outline: Interface
-    places: Float[np.ndarray, " place"]
+    places: PerPlace
     step: float
     middle: Float[np.ndarray, "2"]
     estimate: Float[np.ndarray, "part place"]
     basis: Float[np.ndarray, "place column"]
 
-    def offsets(self, contour: Interface, most: float) -> Float[np.ndarray, " place"]:
+    def offsets(self, contour: Interface, most: float) -> PerPlace:
         """Return the signed distance of the contour's point next to each place, mm; nothing is interpolated."""
         path = path_of(contour)
         nearest = _nearest(_feet(path, self.outline), self.places, self.outline, most)
@@ -135,7 +136,7 @@ def _feet(path: Float[np.ndarray, "point 2"], outline: Interface) -> Float[np.nd
     return np.asarray(begin[found.cells] + np.linalg.norm(found.points - outline.starts[found.cells], axis=1))
 
 
-def _places(outline: Interface, feet: Sequence[Float[np.ndarray, " _"]]) -> tuple[Float[np.ndarray, " place"], float]:
+def _places(outline: Interface, feet: Sequence[Float[np.ndarray, " _"]]) -> tuple[PerPlace, float]:
     """Return places along the part of the outline that all contours show, as far apart as points of the coarsest."""
     whole = float(outline.lengths.sum())
     if outline.closed:
@@ -156,7 +157,7 @@ def _places(outline: Interface, feet: Sequence[Float[np.ndarray, " _"]]) -> tupl
 
 
 def _effects(
-    outline: Interface, places: Float[np.ndarray, " place"], step: float, middle: Float[np.ndarray, "2"]
+    outline: Interface, places: PerPlace, step: float, middle: Float[np.ndarray, "2"]
 ) -> tuple[Float[np.ndarray, "place part"], Float[np.ndarray, " part"]]:
     """Return what `PARTS` do to the offsets at the places, each in units that move the outline by about 1 mm.
 
@@ -174,7 +175,7 @@ def _effects(
 
 
 def _nearest(
-    feet: Float[np.ndarray, " point"], places: Float[np.ndarray, " place"], outline: Interface, most: float
+    feet: Float[np.ndarray, " point"], places: PerPlace, outline: Interface, most: float
 ) -> Int[np.ndarray, " place"]:
     """Return the number of the point whose foot is next to each place."""
     order, whole = np.argsort(feet), float(outline.lengths.sum())

@@ -15,7 +15,7 @@ from scipy.special import ndtr
 
 from strandline.imaging.located import NO_SCATTER, Located
 from strandline.imaging.noise_covariance import noise_covariance, ratio, scatter_of
-from strandline.imaging.strip import GreyValues, SmoothPath, Strip, strip_along
+from strandline.imaging.strip import GreyValues, PerNormal, PerPlace, Samples, SmoothPath, Strip, strip_along
 
 _STEPS = 12
 """Gauss–Newton steps."""
@@ -39,9 +39,9 @@ class FittedSteps:
         found: Normals with enough usable samples on both sides.
     """
 
-    places: Float[np.ndarray, " normal"]
-    low: Float[np.ndarray, " normal"]
-    high: Float[np.ndarray, " normal"]
+    places: PerNormal
+    low: PerNormal
+    high: PerNormal
     width: float
     found: Bool[np.ndarray, " normal"]
 
@@ -118,7 +118,7 @@ def fit_steps(strip: Strip, *, tolerance: float = 1e-5) -> FittedSteps:
     return FittedSteps(places, low, high, width, found)
 
 
-def _first_places(strip: Strip) -> tuple[Float[np.ndarray, " normal"], Bool[np.ndarray, " normal"]]:
+def _first_places(strip: Strip) -> tuple[PerNormal, Bool[np.ndarray, " normal"]]:
     """Return the sharp step on each normal that explains most, in the direction that most normals have."""
     weights = strip.usable.astype(float)
     mode = "wrap" if strip.course.closed else "nearest"
@@ -135,9 +135,7 @@ def _first_places(strip: Strip) -> tuple[Float[np.ndarray, " normal"], Bool[np.n
     return strip.places[:-1][gain.argmax(axis=1)] + 0.5 * strip.step, enough.any(axis=1)
 
 
-def _levels(
-    strip: Strip, weights: Float[np.ndarray, "normal place"], places: Float[np.ndarray, " normal"], width: float
-) -> tuple[Float[np.ndarray, " normal"], Float[np.ndarray, " normal"], Float[np.ndarray, " normal"]]:
+def _levels(strip: Strip, weights: Samples, places: PerNormal, width: float) -> tuple[PerNormal, PerNormal, PerNormal]:
     """Return the best lo and hi for given u₀ and w, and the sum of squares that is left."""
     phi, z = _phi(strip, places, width), strip.samples
     one, up, two = weights.sum(axis=1), (weights * phi).sum(axis=1), (weights * phi**2).sum(axis=1)
@@ -150,14 +148,8 @@ def _levels(
 
 
 def _newton(
-    strip: Strip,
-    weights: Float[np.ndarray, "normal place"],
-    places: Float[np.ndarray, " normal"],
-    low: Float[np.ndarray, " normal"],
-    high: Float[np.ndarray, " normal"],
-    width: float,
-    damping: Float[np.ndarray, " normal"],
-) -> tuple[Float[np.ndarray, " normal"], float]:
+    strip: Strip, weights: Samples, places: PerNormal, low: PerNormal, high: PerNormal, width: float, damping: PerNormal
+) -> tuple[PerNormal, float]:
     """Return the Gauss–Newton changes of u₀ and of w."""
     phi, slope, scaled = _phi(strip, places, width), *_slopes(strip, places, width)
     jump = (high - low)[:, None]
@@ -176,19 +168,17 @@ def _newton(
     return solved[:, 0, 0] - wider * solved[:, 0, 1], wider
 
 
-def _phi(strip: Strip, places: Float[np.ndarray, " normal"], width: float) -> Float[np.ndarray, "normal place"]:
+def _phi(strip: Strip, places: PerNormal, width: float) -> Samples:
     return np.asarray(ndtr((strip.places - places[:, None]) / width))
 
 
-def _slopes(
-    strip: Strip, places: Float[np.ndarray, " normal"], width: float
-) -> tuple[Float[np.ndarray, "normal place"], Float[np.ndarray, "normal place"]]:
+def _slopes(strip: Strip, places: PerNormal, width: float) -> tuple[Samples, Samples]:
     """Return the derivative of Φ((u - u₀)/w) with respect to u, and (u - u₀)/w."""
     scaled = (strip.places - places[:, None]) / width
     return np.exp(-0.5 * scaled**2) / (math.sqrt(2 * math.pi) * width), scaled
 
 
-def _values(strip: Strip, steps: FittedSteps) -> Float[np.ndarray, "normal place"]:
+def _values(strip: Strip, steps: FittedSteps) -> Samples:
     phi = _phi(strip, steps.places, steps.width)
     return np.asarray(steps.low[:, None] + (steps.high - steps.low)[:, None] * phi)
 
@@ -198,7 +188,7 @@ class _Influence:
     """What noise does to a typical normal: its basis (place, 3), and the change of u₀ per unit of noise, (place,)."""
 
     basis: Float[np.ndarray, "place 3"]
-    row: Float[np.ndarray, " place"]
+    row: PerPlace
 
 
 def _influence(strip: Strip, steps: FittedSteps, contrast: float) -> _Influence:

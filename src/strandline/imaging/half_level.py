@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from strandline.imaging.located import NO_SCATTER, Located
 from strandline.imaging.noise_covariance import noise_covariance, ratio, scatter_of
-from strandline.imaging.strip import GreyValues, SmoothPath, Strip, strip_along
+from strandline.imaging.strip import GreyValues, PerNormal, PerPlace, SmoothPath, Strip, strip_along
 from strandline.imaging.template import PLATEAU, EdgeTemplate, learnt_template
 
 _LEVELS = 5.0
@@ -68,8 +68,8 @@ class HalfLevel:
         )
 
     def _crossings(
-        self, strip: Strip, right: Float[np.ndarray, " normal"], left: Float[np.ndarray, " normal"], *, up: bool
-    ) -> tuple[Float[np.ndarray, " normal"], Bool[np.ndarray, " normal"]]:
+        self, strip: Strip, right: PerNormal, left: PerNormal, *, up: bool
+    ) -> tuple[PerNormal, Bool[np.ndarray, " normal"]]:
         """Return the crossing of the half level nearest to the course on each normal, and where there is one."""
         weight = gaussian_filter1d(strip.usable.astype(float), self.smooth / strip.step, axis=1)
         values = gaussian_filter1d(strip.samples, self.smooth / strip.step, axis=1) / np.maximum(weight, 1e-9)
@@ -82,8 +82,8 @@ class HalfLevel:
         return np.where(found, at[np.arange(len(at)), nearest], 0.0), found
 
     def _influence(
-        self, template: EdgeTemplate, places: Float[np.ndarray, " place"], contrast: float
-    ) -> tuple[Float[np.ndarray, " place"], Float[np.ndarray, "place 1"]]:
+        self, template: EdgeTemplate, places: PerPlace, contrast: float
+    ) -> tuple[PerPlace, Float[np.ndarray, "place 1"]]:
         """Return the change of the edge per unit of noise in each sample, and what alignment takes out of residuals."""
         step = float(places[1] - places[0])
         kernel = gaussian_filter1d((np.abs(places) < 0.5 * step).astype(float), self.smooth / step)
@@ -93,7 +93,7 @@ class HalfLevel:
         return -kernel / (contrast * slope or math.inf), np.gradient(profile, places)[:, None]
 
 
-def _levels(strip: Strip) -> tuple[Float[np.ndarray, " normal"], Float[np.ndarray, " normal"]]:
+def _levels(strip: Strip) -> tuple[PerNormal, PerNormal]:
     """Return the grey values on the right and on the left of the path, smoothed along it."""
     mode, out = "wrap" if strip.course.closed else "nearest", []
     for side in (-1.0, 1.0):

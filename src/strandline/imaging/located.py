@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from strandline.imaging.strip import GreyValues, SmoothPath, Strip
+from strandline.imaging.strip import GreyValues, PerNormal, SmoothPath, Strip
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,8 @@ class Located:
     """
 
     strip: Strip
-    offsets: Float[np.ndarray, " normal"]
-    sds: Float[np.ndarray, " normal"]
+    offsets: PerNormal
+    sds: PerNormal
     found: Bool[np.ndarray, " normal"]
     at_limit: Bool[np.ndarray, " normal"]
     scatter: Scatter

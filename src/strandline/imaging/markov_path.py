@@ -18,10 +18,12 @@ from scipy.ndimage import gaussian_filter
 
 from strandline.imaging.located import NO_SCATTER, Located, Scatter
 from strandline.imaging.noise_covariance import LEAST_LENGTH, autocovariance, sum_to_first_zero
-from strandline.imaging.strip import GreyValues, SmoothPath, Strip, strip_along
+from strandline.imaging.strip import GreyValues, PerNormal, Samples, SmoothPath, Strip, strip_along
 from strandline.imaging.template import EdgeTemplate, columns_levelled, learnt_template, levelled
 from strandline.readers.checked import unfit
 
+Table = Float[np.ndarray, "normal candidate"]
+Candidates = Float[np.ndarray, " candidate"]
 _SLOW = 7.5
 """Standard deviation of the Gaussian whose result is taken off residuals before they are correlated: what varies over
 more than 15 px is no speckle."""
@@ -110,9 +112,7 @@ class MarkovPath:
             facts={"kappa": speckle.kappa, "speckle_variance": speckle.variance, "skewness": speckle.skewness},
         )
 
-    def _table(
-        self, strip: Strip, template: EdgeTemplate, places: Float[np.ndarray, " candidate"], speckle: "_Speckle"
-    ) -> Float[np.ndarray, "normal candidate"]:
+    def _table(self, strip: Strip, template: EdgeTemplate, places: Candidates, speckle: "_Speckle") -> Table:
         """Return the log-likelihood of each candidate on each normal."""
         m = template.at(strip.places - places[:, None])
         usable, weight = strip.usable.astype(float), speckle.kappa / speckle.variance
@@ -141,7 +141,7 @@ class _Speckle:
     relative: bool
 
     @classmethod
-    def of(cls, strip: Strip, expected: Float[np.ndarray, "normal place"], *, relative: bool) -> "_Speckle":
+    def of(cls, strip: Strip, expected: Samples, *, relative: bool) -> "_Speckle":
         """Estimate them from a strip and what is expected of it."""
         usable = strip.usable.astype(float)
         scale = np.maximum(expected, 1e-6 * float(np.abs(expected).max())) if relative else 1.0
@@ -176,14 +176,14 @@ class Walk:
         draws: Paths drawn from it, shape (draw, normal).
     """
 
-    mean: Float[np.ndarray, " normal"]
-    sd: Float[np.ndarray, " normal"]
+    mean: PerNormal
+    sd: PerNormal
     draws: Float[np.ndarray, "draw normal"]
 
 
 def walk(
-    log_likelihood: Float[np.ndarray, "normal candidate"],
-    candidates: Float[np.ndarray, " candidate"],
+    log_likelihood: Table,
+    candidates: Candidates,
     drift: float,
     *,
     draws: int = 0,
@@ -221,10 +221,7 @@ def walk(
 
 
 def _drawn(
-    forward: Float[np.ndarray, "normal candidate"],
-    kernel: Float[np.ndarray, "candidate candidate"],
-    number: int,
-    random: np.random.Generator,
+    forward: Table, kernel: Float[np.ndarray, "candidate candidate"], number: int, random: np.random.Generator
 ) -> Int[np.ndarray, "draw normal"]:
     """Return candidates on paths drawn from the last normal to the first."""
     out = np.empty((number, len(forward)), dtype=int)
@@ -266,13 +263,7 @@ def _columns(picture: GreyValues, strip: Strip) -> Int[np.ndarray, "normal place
     return np.asarray(np.clip(at.round().astype(int), 0, picture.values.shape[1] - 1))
 
 
-def _walk(
-    table: Float[np.ndarray, "normal candidate"],
-    places: Float[np.ndarray, " candidate"],
-    drift: float,
-    closed: bool,
-    draws: int,
-) -> Walk:
+def _walk(table: Table, places: Candidates, drift: float, closed: bool, draws: int) -> Walk:
     """Return the path, of a closed one without the overlap that makes its ends meet."""
     random = np.random.default_rng(_SEED) if draws else None
     if not closed:

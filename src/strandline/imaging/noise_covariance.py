@@ -15,7 +15,9 @@ from scipy.linalg import toeplitz
 from scipy.ndimage import gaussian_filter1d
 
 from strandline.imaging.located import Scatter
+from strandline.imaging.strip import PerNormal, PerPlace, Samples
 
+Lags = Float[np.ndarray, "along across"]
 _ALONG, _ACROSS = 12, 10
 """Longest lags at which noise is taken as correlated: normals along the edge, samples across it."""
 _SMOOTH = 8.0
@@ -25,10 +27,8 @@ LEAST_LENGTH = 1.0
 
 
 def noise_covariance(
-    residuals: Float[np.ndarray, "normal place"],
-    usable: Bool[np.ndarray, "normal place"],
-    basis: Float[np.ndarray, "place column"],
-) -> Float[np.ndarray, "along across"]:
+    residuals: Samples, usable: Bool[np.ndarray, "normal place"], basis: Float[np.ndarray, "place column"]
+) -> Lags:
     """Return the autocovariance of the noise at lags (normals along the edge, samples across it), both from 0.
 
     Args:
@@ -45,11 +45,7 @@ def noise_covariance(
     return np.asarray(np.linalg.lstsq(response.T, found[:, :lags].T, rcond=1e-3)[0].T)
 
 
-def scatter_of(
-    places: Float[np.ndarray, " normal"],
-    covariance: Float[np.ndarray, "along across"],
-    influence: Float[np.ndarray, " place"],
-) -> Scatter:
+def scatter_of(places: PerNormal, covariance: Lags, influence: PerPlace) -> Scatter:
     """Return the random errors of points along an edge: the larger of two estimates of s.
 
     One carries the noise through the linearised fit, the other is the roughness of the edge.
@@ -70,7 +66,7 @@ def scatter_of(
     return Scatter(max(math.sqrt(through[0]), roughness(places, shares)), length)
 
 
-def roughness(places: Float[np.ndarray, " normal"], shares: Float[np.ndarray, " along"]) -> float:
+def roughness(places: PerNormal, shares: Float[np.ndarray, " along"]) -> float:
     """Return the standard deviation of points about a smooth line through them, corrected for what that line follows.
 
     Args:
@@ -103,14 +99,12 @@ def sum_to_first_zero(shares: Float[np.ndarray, " lag"]) -> float:
     return 0.5 + float(shares[1 : below[0] if below.size else None].sum())
 
 
-def autocovariance(
-    residuals: Float[np.ndarray, "normal place"], usable: Bool[np.ndarray, "normal place"]
-) -> Float[np.ndarray, "along across"]:
+def autocovariance(residuals: Samples, usable: Bool[np.ndarray, "normal place"]) -> Lags:
     """Return mean products of residuals at lags (along, across), means over both signs of the second."""
     along, across = min(_ALONG, residuals.shape[0] - 1) + 1, residuals.shape[1]
     shape = [next_fast_len(residuals.shape[0] + along, real=True), next_fast_len(2 * across, real=True)]
 
-    def products(values: Float[np.ndarray, "normal place"]) -> Float[np.ndarray, "along across"]:
+    def products(values: Samples) -> Lags:
         return np.asarray(np.fft.irfft2(np.abs(np.fft.rfft2(values, shape)) ** 2, shape))
 
     sums, counts = products(residuals), products(usable.astype(float))
@@ -120,5 +114,5 @@ def autocovariance(
     return np.asarray(total / np.maximum(number, 1.0))
 
 
-def _diagonals(matrix: Float[np.ndarray, "place place"]) -> Float[np.ndarray, " place"]:
+def _diagonals(matrix: Float[np.ndarray, "place place"]) -> PerPlace:
     return np.array([np.trace(matrix, k) / (len(matrix) - k) for k in range(len(matrix))])

@@ -19,6 +19,8 @@ from scipy.spatial import cKDTree
 from strandline.errors import InvalidInput
 from strandline.readers.checked import unfit
 
+PerPoint = Float[np.ndarray, " point"]
+Points = Float[np.ndarray, "point 2"]
 NODES = 400
 """Nodes of the outline."""
 MOST = 600
@@ -46,11 +48,11 @@ class Outlined:
         normals: Unit normals, shape (point, 2).
     """
 
-    points: Float[np.ndarray, "point 2"]
+    points: Points
     sd: float
     length: float
     root: Float[np.ndarray, "point point"]
-    normals: Float[np.ndarray, "point 2"]
+    normals: Points
 
     def draws(self, number: int, seed: int) -> Float[np.ndarray, "draw point 2"]:
         """Return outlines that the edge allows, shape (draw, point, 2), mm; their feet stay on the floor."""
@@ -60,9 +62,7 @@ class Outlined:
         return np.asarray(moved)
 
 
-def outline_of(
-    edge: Float[np.ndarray, "point 2"], path: Float[np.ndarray, "click 2"], *, sd: float, length: float
-) -> Outlined:
+def outline_of(edge: Points, path: Float[np.ndarray, "click 2"], *, sd: float, length: float) -> Outlined:
     """Return the outline of a body on the floor y = 0 from its edge.
 
     Args:
@@ -110,9 +110,7 @@ class _Base:
         tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
         return np.stack([-tangents[:, 1], tangents[:, 0]], axis=1)
 
-    def located(
-        self, edge: Float[np.ndarray, "point 2"]
-    ) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
+    def located(self, edge: Points) -> tuple[PerPoint, PerPoint]:
         """Return arc length and offset along the normal of the base's nearest points, in order of arc length."""
         at = np.linspace(0.0, self.arc[-1], _SUBDIVIDED * len(edge))
         nearest = cKDTree(self.points(at)).query(edge)[1]
@@ -126,13 +124,7 @@ class _Base:
 
 
 def _process(
-    places: Float[np.ndarray, " point"],
-    offsets: Float[np.ndarray, " point"],
-    variance: float,
-    at: Float[np.ndarray, " node"],
-    *,
-    reach: float,
-    least: float,
+    places: PerPoint, offsets: PerPoint, variance: float, at: Float[np.ndarray, " node"], *, reach: float, least: float
 ) -> tuple[Float[np.ndarray, " node"], Float[np.ndarray, "node node"]]:
     """Return mean and covariance, at the nodes, of the offsets as a Gaussian process; lengths in mm.
 
@@ -163,7 +155,7 @@ def _matern(
 
 
 def _averaged(
-    places: Float[np.ndarray, " point"], offsets: Float[np.ndarray, " point"], spacing: float
+    places: PerPoint, offsets: PerPoint, spacing: float
 ) -> tuple[Float[np.ndarray, " group"], Float[np.ndarray, " group"], float]:
     """Return means of groups of neighbours, few enough for a dense matrix, and the spacing of the groups."""
     size = -(-len(places) // MOST)
@@ -174,7 +166,7 @@ def _averaged(
     return *grouped, size * spacing
 
 
-def _on_floor(line: Float[np.ndarray, "point 2"]) -> tuple[Float[np.ndarray, "kept 2"], slice]:
+def _on_floor(line: Points) -> tuple[Float[np.ndarray, "kept 2"], slice]:
     """Return the part of a line above the floor with a foot at each end, and which of its points are in it."""
     above = line[:, 1] > 0
     if not above.any():

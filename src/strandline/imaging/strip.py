@@ -16,6 +16,13 @@ from scipy.spatial import cKDTree
 
 from strandline.readers.checked import unfit
 
+PathPoints = Float[np.ndarray, "point 2"]
+PerNormal = Float[np.ndarray, " normal"]
+"""A number for each normal of a path."""
+PerPlace = Float[np.ndarray, " place"]
+"""A number for each place on a normal."""
+Samples = Float[np.ndarray, "normal place"]
+"""A number for each place on each normal."""
 _NEARER, _SLACK = 0.85, 1.0
 """A place on a normal belongs to another part of the path if that is nearer than this share of its distance, minus
 this slack."""
@@ -30,7 +37,7 @@ class SmoothPath:
         closed: Whether the last point is followed by the first.
     """
 
-    points: Float[np.ndarray, "point 2"]
+    points: PathPoints
     closed: bool
 
     @cached_property
@@ -39,13 +46,13 @@ class SmoothPath:
         return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))])
 
     @cached_property
-    def tangents(self) -> Float[np.ndarray, "point 2"]:
+    def tangents(self) -> PathPoints:
         """Unit tangents: those of the chord between the two neighbours."""
         chord = _slope(self.points, self.closed)
         return np.asarray(chord / np.linalg.norm(chord, axis=1, keepdims=True))
 
     @property
-    def normals(self) -> Float[np.ndarray, "point 2"]:
+    def normals(self) -> PathPoints:
         """Unit normals to the left of the path as the picture is seen: those of `Interface` once y points up."""
         return np.stack([self.tangents[:, 1], -self.tangents[:, 0]], axis=1)
 
@@ -65,7 +72,7 @@ class SmoothPath:
         shape = (len(self.points), *([1] * (offsets.ndim - 1)), 2)
         return np.asarray(self.points.reshape(shape) + offsets[..., None] * self.normals.reshape(shape))
 
-    def own(self, offsets: Float[np.ndarray, " place"]) -> Bool[np.ndarray, "point place"]:
+    def own(self, offsets: PerPlace) -> Bool[np.ndarray, "point place"]:
         """Return which places along the normals are not clearly nearer to another part of the path.
 
         Beyond the others normals have crossed: inside a narrow bend, or across a thin part.
@@ -79,7 +86,7 @@ class SmoothPath:
         return out
 
 
-def course_through(points: Float[np.ndarray, "point 2"], *, closed: bool, sigma: float) -> SmoothPath:
+def course_through(points: PathPoints, *, closed: bool, sigma: float) -> SmoothPath:
     """Return the smooth path through points that may be few and far apart, e.g. clicks.
 
     Between two of them both coordinates are monotone: the path does not bulge.
@@ -102,7 +109,7 @@ def course_through(points: Float[np.ndarray, "point 2"], *, closed: bool, sigma:
     return smoothed(fine[:-1] if closed else fine, closed=closed, sigma=sigma)
 
 
-def smoothed(points: Float[np.ndarray, "point 2"], *, closed: bool, sigma: float) -> SmoothPath:
+def smoothed(points: PathPoints, *, closed: bool, sigma: float) -> SmoothPath:
     """Return the course along points, convolved with a Gaussian of this standard deviation along it.
 
     The ends of an open path stay in place.
@@ -112,7 +119,7 @@ def smoothed(points: Float[np.ndarray, "point 2"], *, closed: bool, sigma: float
     return _equally_spaced(points, closed=closed)
 
 
-def _equally_spaced(points: Float[np.ndarray, "point 2"], *, closed: bool) -> SmoothPath:
+def _equally_spaced(points: PathPoints, *, closed: bool) -> SmoothPath:
     """Return points one unit apart, as nearly as fits the length."""
     path = np.concatenate([points, points[:1]]) if closed else points
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
@@ -121,7 +128,7 @@ def _equally_spaced(points: Float[np.ndarray, "point 2"], *, closed: bool) -> Sm
     return SmoothPath(np.stack([np.interp(places, arc, path[:, k]) for k in (0, 1)], axis=1), closed)
 
 
-def _convolved(points: Float[np.ndarray, "point 2"], sigma: float, *, closed: bool) -> Float[np.ndarray, "point 2"]:
+def _convolved(points: PathPoints, sigma: float, *, closed: bool) -> PathPoints:
     if closed:
         return np.asarray(gaussian_filter1d(points, sigma, axis=0, mode="wrap"))
     pad = min(len(points) - 1, int(4 * sigma) + 1)  # reflected through the end points, which therefore stay
@@ -129,7 +136,7 @@ def _convolved(points: Float[np.ndarray, "point 2"], sigma: float, *, closed: bo
     return np.asarray(gaussian_filter1d(np.concatenate([before, points, after]), sigma, axis=0)[pad:-pad])
 
 
-def _slope(values: Float[np.ndarray, "point 2"], closed: bool) -> Float[np.ndarray, "point 2"]:
+def _slope(values: PathPoints, closed: bool) -> PathPoints:
     """Return half the difference between the two neighbours of each point, at the ends that to one."""
     if closed:
         return np.asarray(0.5 * (np.roll(values, -1, axis=0) - np.roll(values, 1, axis=0)))
@@ -178,9 +185,9 @@ class Strip:
         kept: Share of the variance of white noise that bilinear interpolation leaves in the samples.
     """
 
-    samples: Float[np.ndarray, "normal place"]
+    samples: Samples
     usable: Bool[np.ndarray, "normal place"]
-    places: Float[np.ndarray, " place"]
+    places: PerPlace
     course: SmoothPath
     kept: float = 1.0
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.ndimage import gaussian_filter1d
 
-from strandline.imaging.strip import Strip
+from strandline.imaging.strip import PerNormal, PerPlace, Samples, Strip
 
 PLATEAU = (3.0, 7.0)
 """Distances from the edge between which the grey value on either side of it is taken, px."""
@@ -31,8 +31,8 @@ class EdgeTemplate:
         right: Mean grey value on the right.
     """
 
-    values: Float[np.ndarray, " place"]
-    places: Float[np.ndarray, " place"]
+    values: PerPlace
+    places: PerPlace
     left: float
     right: float
 
@@ -49,10 +49,7 @@ class EdgeTemplate:
 
 
 def aligned(
-    values: Float[np.ndarray, "normal place"],
-    strip: Strip,
-    offsets: Float[np.ndarray, " normal"],
-    places: Float[np.ndarray, " wanted"],
+    values: Samples, strip: Strip, offsets: PerNormal, places: Float[np.ndarray, " wanted"]
 ) -> tuple[Float[np.ndarray, "normal wanted"], Float[np.ndarray, "normal wanted"]]:
     """Return values at distances from the edge instead of the course, and their weights: 0 where not usable."""
     index = (places[None] + offsets[:, None] - strip.places[0]) / strip.step
@@ -64,7 +61,7 @@ def aligned(
     return np.where(inside, found, 0.0), inside.astype(float)
 
 
-def learnt_template(strip: Strip, offsets: Float[np.ndarray, " normal"]) -> tuple[EdgeTemplate, float]:
+def learnt_template(strip: Strip, offsets: PerNormal) -> tuple[EdgeTemplate, float]:
     """Return the mean profile over all normals, and the distance from `offsets` to its half level.
 
     The samples are free of differences in brightness; `offsets` are the distances of the edge from the course.
@@ -83,10 +80,7 @@ def learnt_template(strip: Strip, offsets: Float[np.ndarray, " normal"]) -> tupl
 
 
 def columns_levelled(
-    strip: Strip,
-    expected: Float[np.ndarray, "normal place"],
-    offsets: Float[np.ndarray, " normal"],
-    columns: Int[np.ndarray, "normal place"],
+    strip: Strip, expected: Samples, offsets: PerNormal, columns: Int[np.ndarray, "normal place"]
 ) -> Strip:
     """Return a strip without the differences in brightness between columns of the picture.
 
@@ -110,7 +104,7 @@ def columns_levelled(
     return replace(strip, samples=np.where(strip.usable, strip.samples / light[columns], 0.0))
 
 
-def levelled(strip: Strip, expected: Float[np.ndarray, "normal place"], *, relative: bool) -> Strip:
+def levelled(strip: Strip, expected: Samples, *, relative: bool) -> Strip:
     """Return a strip without the differences in brightness between normals, smooth along the edge, due to light.
 
     Light multiplies grey values (`relative`), so that samples are divided by a gain, or adds to them, as to logarithms.
@@ -127,7 +121,7 @@ def levelled(strip: Strip, expected: Float[np.ndarray, "normal place"], *, relat
     return replace(strip, samples=np.where(strip.usable, samples, 0.0))
 
 
-def _half_level(mean: Float[np.ndarray, " place"], places: Float[np.ndarray, " place"]) -> float:
+def _half_level(mean: PerPlace, places: PerPlace) -> float:
     """Return where the profile crosses the mean of its two plateaux, next to the place found so far."""
     shift = 0.0
     for _ in range(10):
@@ -144,7 +138,7 @@ def _half_level(mean: Float[np.ndarray, " place"], places: Float[np.ndarray, " p
     return float(np.clip(shift, -3.0, 3.0))
 
 
-def _plateaux(mean: Float[np.ndarray, " place"], places: Float[np.ndarray, " place"]) -> tuple[float, float]:
+def _plateaux(mean: PerPlace, places: PerPlace) -> tuple[float, float]:
     left = (places >= PLATEAU[0]) & (places <= PLATEAU[1])
     right = (places <= -PLATEAU[0]) & (places >= -PLATEAU[1])
     return float(mean[left].mean()), float(mean[right].mean())

@@ -14,6 +14,8 @@ from strandline.interface import triangles
 
 __all__ = ["Interface", "Oriented", "oriented_like"]
 
+Point = Float[np.ndarray, "2"]
+Corners = Float[np.ndarray, "*#other 2"]
 _ROUNDING = 8 * float(np.finfo(float).eps)
 """Share of an interface's extent below which two of its points count as touching."""
 _PAIRS = 1 << 18
@@ -288,7 +290,7 @@ class Interface:
         origin = self.points[self.cells[0, 0]]
         return float(0.5 * _cross(self.starts - origin, self.ends - origin).sum())
 
-    def _first_crossing(self) -> tuple[int, int, Float[np.ndarray, "2"]] | None:
+    def _first_crossing(self) -> tuple[int, int, Point] | None:
         """Return (i, j, place) of the first pair of segments that share a point; of neighbours, more than a node."""
         fold = self._first_fold()
         if fold is not None:
@@ -300,7 +302,7 @@ class Interface:
         i, j = found
         return i, j, _shared_point(self.starts[i], self.ends[i], self.starts[j], self.ends[j])
 
-    def _first_fold(self) -> tuple[int, int, Float[np.ndarray, "2"]] | None:
+    def _first_fold(self) -> tuple[int, int, Point] | None:
         """Return (i, j, place) of the first segment j that runs back over the segment i before it."""
         d = (self.ends - self.starts) / self.lengths[:, None]
         onward = d if self.closed else d[:-1]
@@ -369,22 +371,14 @@ def _meeting(
         begin = end
 
 
-def _straddle(
-    a: Float[np.ndarray, "*#other 2"],
-    b: Float[np.ndarray, "*#other 2"],
-    p: Float[np.ndarray, "*#other 2"],
-    q: Float[np.ndarray, "*#other 2"],
-    slack: float,
-) -> Bool[np.ndarray, " other"]:
+def _straddle(a: Corners, b: Corners, p: Corners, q: Corners, slack: float) -> Bool[np.ndarray, " other"]:
     """Return whether p and q lie on different sides of the line through a and b, or on it."""
     d = (b - a) / np.linalg.norm(b - a, axis=-1, keepdims=True)
     one, two = _cross(d, p - a), _cross(d, q - a)
     return np.asarray((np.minimum(one, two) <= slack) & (np.maximum(one, two) >= -slack))
 
 
-def _shared_point(
-    a: Float[np.ndarray, "2"], b: Float[np.ndarray, "2"], p: Float[np.ndarray, "2"], q: Float[np.ndarray, "2"]
-) -> Float[np.ndarray, "2"]:
+def _shared_point(a: Point, b: Point, p: Point, q: Point) -> Point:
     """Return a common point of two segments that meet; if they overlap, the middle of the overlap."""
     d, e = b - a, q - p
     denominator = float(_cross(d, e))

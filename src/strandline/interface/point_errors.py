@@ -25,6 +25,11 @@ from strandline.errors import InvalidInput
 from strandline.interface.interface import Interface
 from strandline.interface.normals import as_complex, as_pairs, node_normals, rotations, spacings, steady_normals
 
+Draws = Float[np.ndarray, "draw point"]
+PerPoint = Float[np.ndarray, " point"]
+Errors = Float[np.ndarray, "run error"]
+Place = Float[np.ndarray, " xyz"]
+Nodes = Float[np.ndarray, "run node xyz"]
 GLOBAL = ("shift", "rotation", "scale", "offset")
 """Names of the errors that all points share."""
 MOST = {"rotation": 45.0, "scale": 0.5}
@@ -61,7 +66,7 @@ class PointErrors:
     shares: tuple[float, ...] = ()
 
     @classmethod
-    def of_each(cls, sds: Sequence[float] | Float[np.ndarray, " point"], **others: Any) -> "PointErrors":
+    def of_each(cls, sds: Sequence[float] | PerPoint, **others: Any) -> "PointErrors":
         """Return errors with a standard deviation for each point, mm; `sd` is their root mean square.
 
         Raises:
@@ -105,7 +110,7 @@ class PointErrors:
             others |= {"least_point_sd": self.sd * min(self.shares), "largest_point_sd": self.sd * max(self.shares)}
         return {"point_sd": float(self.sd), "correlation_length": float(self.length), **others}
 
-    def model(self, seen: Interface, *, middle: Float[np.ndarray, " xyz"] | None = None) -> "ErrorModel":
+    def model(self, seen: Interface, *, middle: Place | None = None) -> "ErrorModel":
         """Return the covariance of the signed distances of the points of `seen`.
 
         Args:
@@ -139,14 +144,14 @@ class PointErrors:
                 remedy="Correct it, its unit or that of the observation; or state a shift, rotation, scale or offset.",
             )
 
-    def local_variances(self, seen: Interface) -> Float[np.ndarray, " point"]:
+    def local_variances(self, seen: Interface) -> PerPoint:
         """Return D_ii, mm²."""
         own = spacings(seen, gaps=False)
         if seen.dim == 2:
             return np.asarray(self.sds(seen) ** 2 * 2 * summed_length(self.length, own) / own)
         return np.asarray(self.sds(seen) ** 2 * np.maximum(1.0, 2 * math.pi * self.length**2 / own))
 
-    def sds(self, seen: Interface) -> Float[np.ndarray, " point"]:
+    def sds(self, seen: Interface) -> PerPoint:
         """Return the standard deviation of each point, mm.
 
         Raises:
@@ -161,7 +166,7 @@ class PointErrors:
             )
         return np.asarray(np.full(len(seen.points), self.sd) * np.array(self.shares or 1.0))
 
-    def local_draws(self, true: Interface, number: int, random: np.random.Generator) -> Float[np.ndarray, "draw point"]:
+    def local_draws(self, true: Interface, number: int, random: np.random.Generator) -> Draws:
         """Return local errors, mm, correlated as exp(-t/ℓ) along the interface, one row per draw."""
         return np.asarray(self.sds(true) * correlated(true, self.length, number, random))
 
@@ -177,9 +182,7 @@ class PointErrors:
         points = true.points + local[:, None] * self._normals(true)
         return self.moved(Interface(points, true.cells), random.standard_normal(self.global_errors(true.dim)))
 
-    def moved(
-        self, seen: Interface, by: Float[np.ndarray, " error"], *, middle: Float[np.ndarray, " xyz"] | None = None
-    ) -> Interface:
+    def moved(self, seen: Interface, by: Float[np.ndarray, " error"], *, middle: Place | None = None) -> Interface:
         """Return `seen` with its global errors increased, in standard deviations, in the order of `ErrorModel`.
 
         It is turned and scaled about `middle`, by default the mean of its points.
@@ -189,14 +192,7 @@ class PointErrors:
         arm = (1 + scale) * (seen.points - middle) + offset * self._normals(seen)
         return Interface(middle + shift + arm @ rotations(rotation[None])[0].T, seen.cells)
 
-    def followed(
-        self,
-        points: Float[np.ndarray, "run node xyz"],
-        template: Interface,
-        by: Float[np.ndarray, "run error"],
-        *,
-        middle: Float[np.ndarray, " xyz"],
-    ) -> Float[np.ndarray, "run node xyz"]:
+    def followed(self, points: Nodes, template: Interface, by: Errors, *, middle: Place) -> Nodes:
         """Return simulated interfaces after the shift, rotation, scale and offset that the observation has.
 
         Args:
@@ -227,7 +223,7 @@ class PointErrors:
             stated["rotation"] = tuple(math.degrees(angle) for angle in stated["rotation"])
         return stated
 
-    def _sizes(self, by: Float[np.ndarray, "run error"], dim: int) -> list[Float[np.ndarray, "run _"]]:
+    def _sizes(self, by: Errors, dim: int) -> list[Float[np.ndarray, "run _"]]:
         """Return shift, rotation (radians), scale and offset for errors in standard deviations."""
         numbers, found, first = _numbers(dim), [], 0
         for name in GLOBAL:
@@ -252,7 +248,7 @@ class PointErrors:
         moved = self.shift + self.offset + (math.radians(self.rotation) + self.scale) * reach
         return steady_normals(seen, max(self.length, moved))
 
-    def _global(self, seen: Interface, middle: Float[np.ndarray, " xyz"]) -> Float[np.ndarray, "point error"]:
+    def _global(self, seen: Interface, middle: Place) -> Float[np.ndarray, "point error"]:
         """Return B: what one standard deviation of each global error does to the signed distances, mm."""
         normals, arm = self._normals(seen), seen.points - middle
         turns = _cross(arm, normals)
@@ -276,7 +272,7 @@ class ErrorModel:
         shared: B, shape (n, k), mm; k may be 0.
     """
 
-    local: Float[np.ndarray, " point"]
+    local: PerPoint
     shared: Float[np.ndarray, "point error"]
 
     @cached_property
@@ -312,14 +308,12 @@ class ErrorModel:
         """Return JᵀC⁻¹J."""
         return np.asarray(slopes.T @ self.solved(slopes.T).T)
 
-    def square_of(
-        self, squares: Float[np.ndarray, " run"], products: Float[np.ndarray, "run error"]
-    ) -> Float[np.ndarray, " run"]:
+    def square_of(self, squares: Float[np.ndarray, " run"], products: Errors) -> Float[np.ndarray, " run"]:
         """Return rᵀ C⁻¹ r from rᵀ D⁻¹ r and Bᵀ D⁻¹ r."""
         explained = solve_triangular(self._factor, products.T, lower=True)
         return np.asarray(np.maximum(squares - (explained**2).sum(axis=0), 0.0))
 
-    def shared_errors(self, products: Float[np.ndarray, "run error"]) -> Float[np.ndarray, "run error"]:
+    def shared_errors(self, products: Errors) -> Errors:
         """Return the most probable global errors, in their standard deviations: Bᵀ C⁻¹ r, from Bᵀ D⁻¹ r."""
         return np.asarray(cho_solve((self._factor, True), products.T).T)
 
@@ -329,7 +323,7 @@ class ErrorModel:
         return float(np.log(self.local).sum() + 2 * np.log(np.diag(self._factor)).sum())
 
 
-def _require_sds(sds: Sequence[float] | Float[np.ndarray, " point"]) -> None:
+def _require_sds(sds: Sequence[float] | PerPoint) -> None:
     if not len(sds):
         raise InvalidInput(
             "errors of the observed points",
@@ -370,9 +364,7 @@ def summed_length(length: Any, spacing: Any) -> Any:
         return 0.5 * spacing / np.tanh(np.divide(0.5 * spacing, length))
 
 
-def correlated(
-    interface: Interface, length: float, number: int, random: np.random.Generator
-) -> Float[np.ndarray, "draw point"]:
+def correlated(interface: Interface, length: float, number: int, random: np.random.Generator) -> Draws:
     """Return standard normal numbers at the points, correlated as exp(-t/ℓ) at distance t, one row per draw.
 
     On a polyline t is measured along it; the first and last point of a closed one are correlated the way round.
@@ -383,9 +375,7 @@ def correlated(
     return white if length == 0 else _along(interface, length, white)
 
 
-def _along(
-    polyline: Interface, length: float, white: Float[np.ndarray, "draw point"]
-) -> Float[np.ndarray, "draw point"]:
+def _along(polyline: Interface, length: float, white: Draws) -> Draws:
     keep = np.exp(-polyline.lengths / length)
     new = np.sqrt(1 - keep**2)
     corners = np.append(polyline.cells[:, 0], polyline.cells[-1, 1])
@@ -399,9 +389,7 @@ def _along(
     return out
 
 
-def _over(
-    surface: Interface, length: float, number: int, random: np.random.Generator
-) -> Float[np.ndarray, "draw point"]:
+def _over(surface: Interface, length: float, number: int, random: np.random.Generator) -> Draws:
     """Return sums of random waves (Rahimi and Recht 2007); the draws share the waves, not their amplitudes."""
     waves = random.standard_normal((_WAVES, 3)) / (length * np.abs(random.standard_normal((_WAVES, 1))))
     phases = surface.points @ waves.T

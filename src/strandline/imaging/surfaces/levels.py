@@ -13,6 +13,7 @@ from strandline.imaging.surfaces.mesh import Mesh
 from strandline.readers.checked import unfit
 from strandline.registry import of_extra
 
+Voxels = Float32[np.ndarray, "z row column"]
 _BINS = 256
 _NEEDS = "a surface from a stack needs scikit-image"
 _EVERY = 1 << 20
@@ -39,7 +40,7 @@ class Field:
         sigma: Standard deviation of the Gaussian that smoothed them.
     """
 
-    values: Float32[np.ndarray, "z row column"]
+    values: Voxels
     raw: Float[np.ndarray, "z row column"]
     stretch: Float[np.ndarray, " 3"]
     sigma: float
@@ -68,7 +69,7 @@ def field_of(
     return Field(smoothed, values, stretch, sigma)
 
 
-def two_levels(values: Float32[np.ndarray, "z row column"]) -> tuple[float, float]:
+def two_levels(values: Voxels) -> tuple[float, float]:
     """Return the median grey values of the dark and of the bright part, told apart by Otsu's threshold (1979)."""
     some = _some(values)
     if some.min() == some.max():
@@ -79,21 +80,19 @@ def two_levels(values: Float32[np.ndarray, "z row column"]) -> tuple[float, floa
     return float(np.median(dark)), float(np.median(bright))
 
 
-def _noise(values: Float32[np.ndarray, "z row column"]) -> float:
+def _noise(values: Voxels) -> float:
     """Return the standard deviation of white noise, from differences of neighbours along a row."""
     step = max(1, round((values.size / _EVERY) ** (1 / 2)))
     difference = np.diff(values[::step, ::step], axis=2)
     return float(np.median(np.abs(difference))) / (_NORMAL * math.sqrt(2))
 
 
-def _some(values: Float32[np.ndarray, "z row column"]) -> Float32[np.ndarray, " some"]:
+def _some(values: Voxels) -> Float32[np.ndarray, " some"]:
     step = max(1, round((values.size / _EVERY) ** (1 / 3)))
     return values[::step, ::step, ::step].ravel()
 
 
-def _blurred(
-    values: Float32[np.ndarray, "z row column"], sigma: float, stretch: Float[np.ndarray, " 3"]
-) -> Float32[np.ndarray, "z row column"]:
+def _blurred(values: Voxels, sigma: float, stretch: Float[np.ndarray, " 3"]) -> Voxels:
     return np.asarray(gaussian_filter(values, sigma / stretch[::-1], mode="nearest", truncate=_TRUNCATE))
 
 

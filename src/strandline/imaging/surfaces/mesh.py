@@ -14,6 +14,10 @@ from scipy.sparse import coo_array, csr_array
 
 from strandline.interface.triangles import vector_areas
 
+Points = Float[np.ndarray, "point 3"]
+PerPoint = Float[np.ndarray, " point"]
+Sides = Int[np.ndarray, "edge 2"]
+Places = Float[np.ndarray, "edge 3"]
 _ROUNDS, _CHEAPEST = 400, 0.4
 """Most rounds, and the share of the sides, the cheapest, of which some collapse in each."""
 _STUCK, _SIMPLEX = 5, 4
@@ -35,7 +39,7 @@ class Mesh:
         cells: Numbers of the corners of each triangle, counter-clockwise seen from the tip of the normal.
     """
 
-    points: Float[np.ndarray, "point 3"]
+    points: Points
     cells: Int[np.ndarray, "cell 3"]
 
     @property
@@ -49,7 +53,7 @@ class Mesh:
         return Mesh(self.points[used], cells.reshape(-1, 3))
 
     @cached_property
-    def edges(self) -> tuple[Int[np.ndarray, "edge 2"], Int[np.ndarray, " edge"]]:
+    def edges(self) -> tuple[Sides, Int[np.ndarray, " edge"]]:
         """Sides of triangles, the lower number first, and to how many triangles each belongs."""
         one, two = self.cells.ravel(), np.roll(self.cells, -1, axis=1).ravel()
         number = len(self.points)
@@ -71,9 +75,7 @@ class Mesh:
         out[edges[counts == 1].ravel()] = True
         return out
 
-    def averaged(
-        self, values: Float[np.ndarray, " point"], weights: Float[np.ndarray, " point"], *, rounds: int
-    ) -> Float[np.ndarray, " point"]:
+    def averaged(self, values: PerPoint, weights: PerPoint, *, rounds: int) -> PerPoint:
         """Return values averaged over each point and its neighbours, several times."""
         total, weight = values * weights, weights
         for _ in range(rounds):
@@ -123,7 +125,7 @@ def thinned(mesh: Mesh, target: int) -> Mesh:
     return mesh
 
 
-def _quadrics(mesh: Mesh) -> tuple[Float[np.ndarray, "point 3 3"], Float[np.ndarray, "point 3"]]:
+def _quadrics(mesh: Mesh) -> tuple[Float[np.ndarray, "point 3 3"], Points]:
     """Return A and b of the sum of squared distances xᵀAx - 2bᵀx + c to the planes at each point, weighted by area."""
     areas = vector_areas(mesh.points, mesh.cells)
     size = np.maximum(np.linalg.norm(areas, axis=1), 1e-30)
@@ -140,8 +142,8 @@ def _quadrics(mesh: Mesh) -> tuple[Float[np.ndarray, "point 3 3"], Float[np.ndar
 
 
 def _collapses(
-    mesh: Mesh, tensors: Float[np.ndarray, "point 3 3"], vectors: Float[np.ndarray, "point 3"]
-) -> tuple[Int[np.ndarray, "edge 2"], Float[np.ndarray, " edge"], Float[np.ndarray, "edge 3"]]:
+    mesh: Mesh, tensors: Float[np.ndarray, "point 3 3"], vectors: Points
+) -> tuple[Sides, Float[np.ndarray, " edge"], Places]:
     """Return the sides that may collapse, what each costs, and the point that it becomes.
 
     The surface keeps its rim: a side collapses onto it or along it, but none that joins two parts of it does.
@@ -165,7 +167,7 @@ def _collapses(
     return edges, np.maximum(lost + base, 0.0) + _EVEN * size * length, place
 
 
-def _apart(mesh: Mesh, edges: Int[np.ndarray, "edge 2"], random: np.random.Generator) -> Int[np.ndarray, " chosen"]:
+def _apart(mesh: Mesh, edges: Sides, random: np.random.Generator) -> Int[np.ndarray, " chosen"]:
     """Return sides of which no two have neighbouring ends, drawn at random."""
     keys, none = random.permutation(len(edges)), len(edges)
     least = np.full(len(mesh.points), none)
@@ -178,9 +180,7 @@ def _apart(mesh: Mesh, edges: Int[np.ndarray, "edge 2"], random: np.random.Gener
     return np.flatnonzero((around[edges] == keys[:, None]).all(axis=1))
 
 
-def _sound(
-    mesh: Mesh, edges: Int[np.ndarray, "edge 2"], places: Float[np.ndarray, "edge 3"]
-) -> Bool[np.ndarray, " edge"]:
+def _sound(mesh: Mesh, edges: Sides, places: Places) -> Bool[np.ndarray, " edge"]:
     """Return which collapses neither pinch nor fold the surface."""
     if not len(edges):
         return np.zeros(0, bool)
@@ -215,9 +215,7 @@ def _shape(corners: Float[np.ndarray, "cell 3 3"]) -> tuple[Float[np.ndarray, "c
     return area / np.maximum(size, 1e-30)[:, None], size / np.maximum(longest, 1e-30)
 
 
-def _collapsed(
-    mesh: Mesh, edges: Int[np.ndarray, "edge 2"], places: Float[np.ndarray, "edge 3"]
-) -> tuple[Mesh, Int[np.ndarray, " left"]]:
+def _collapsed(mesh: Mesh, edges: Sides, places: Places) -> tuple[Mesh, Int[np.ndarray, " left"]]:
     """Return the surface after the collapses, and the numbers that its points had before."""
     points, target = mesh.points.copy(), np.arange(len(mesh.points))
     points[edges[:, 0]], target[edges[:, 1]] = places, edges[:, 0]

@@ -14,7 +14,7 @@ from scipy.optimize import nnls
 from scipy.spatial import cKDTree
 
 from strandline.imaging.surfaces.levels import Field
-from strandline.imaging.surfaces.mesh import Mesh
+from strandline.imaging.surfaces.mesh import Mesh, PerPoint, Points
 
 REACH, STEP = 7.0, 0.5
 PLATEAU = 4.0
@@ -43,14 +43,14 @@ class Profiles:
         slopes: Fall of the grey value per length at the crossing, in the contrast of the two sides, averaged likewise.
     """
 
-    offsets: Float[np.ndarray, " point"]
+    offsets: PerPoint
     found: Bool[np.ndarray, " point"]
-    inside: Float[np.ndarray, " point"]
-    outside: Float[np.ndarray, " point"]
-    slopes: Float[np.ndarray, " point"]
+    inside: PerPoint
+    outside: PerPoint
+    slopes: PerPoint
 
     @property
-    def blurs(self) -> Float[np.ndarray, " point"]:
+    def blurs(self) -> PerPoint:
         """Standard deviation of the Gaussian whose step has this slope."""
         return np.asarray(1 / (np.maximum(self.slopes, 1e-3) * math.sqrt(2 * math.pi)))
 
@@ -68,7 +68,7 @@ def sampled(
     return map_coordinates(values, at, order=1, mode="nearest", output=np.float64), within
 
 
-def normals_of(field: Field, points: Float[np.ndarray, "point 3"], *, bright: bool) -> Float[np.ndarray, "point 3"]:
+def normals_of(field: Field, points: Points, *, bright: bool) -> Points:
     """Return unit normals out of the solid, against the gradient of a bright one."""
     moves = _GRADIENT * np.eye(3)
     ahead, behind = (sampled(field.values, field, points[:, None] + side * moves)[0] for side in (1.0, -1.0))
@@ -76,7 +76,7 @@ def normals_of(field: Field, points: Float[np.ndarray, "point 3"], *, bright: bo
     return np.asarray(gradient / np.maximum(np.linalg.norm(gradient, axis=1), 1e-30)[:, None])
 
 
-def profiles_at(field: Field, mesh: Mesh, normals: Float[np.ndarray, "point 3"], *, level: float) -> Profiles:
+def profiles_at(field: Field, mesh: Mesh, normals: Points, *, level: float) -> Profiles:
     """Return the profiles along the unit normals, out of the solid, at the points of a surface.
 
     `level` is the grey value half way between the two parts of the whole stack.
@@ -104,7 +104,7 @@ def _side(
     values: Float[np.ndarray, "point place"],
     usable: Bool[np.ndarray, "point place"],
     side: float,
-) -> Float[np.ndarray, " point"]:
+) -> PerPoint:
     """Return the grey value on one side of the surface: up to where the profile meets another part of it."""
     order = np.argsort(side * u)
     beyond = order[side * u[order] >= 0.5 * PLATEAU]
@@ -115,9 +115,7 @@ def _side(
     return mesh.averaged(np.where(number > 0, means, overall), number + 1e-6, rounds=_ROUNDS)
 
 
-def shape_operators(
-    points: Float[np.ndarray, "point 3"], normals: Float[np.ndarray, "point 3"]
-) -> Float[np.ndarray, "point 3 3"]:
+def shape_operators(points: Points, normals: Points) -> Float[np.ndarray, "point 3 3"]:
     """Return the curvatures of a surface as tensors in its tangent planes, positive where it is convex.
 
     They are those of a quadric through the points nearby, by least squares.
@@ -144,23 +142,19 @@ def shape_operators(
     return np.asarray(np.einsum("pai,pab,pbj->pij", tangents, plane, tangents))
 
 
-def blur_along_axes(
-    blurs: Float[np.ndarray, " point"], normals: Float[np.ndarray, "point 3"]
-) -> Float[np.ndarray, " 3"]:
+def blur_along_axes(blurs: PerPoint, normals: Points) -> Float[np.ndarray, " 3"]:
     """Return the variance of the blur along x, y and z from that along each normal."""
     directions = np.concatenate([normals**2, 0.1 * np.eye(3) * np.sqrt(len(normals))])
     seen = np.concatenate([blurs**2, np.full(3, 0.1 * np.sqrt(len(normals)) * float(np.median(blurs**2)))])
     return np.asarray(nnls(directions, seen)[0])
 
 
-def dislocation(
-    operators: Float[np.ndarray, "point 3 3"], variances: Float[np.ndarray, " 3"]
-) -> Float[np.ndarray, " point"]:
+def dislocation(operators: Float[np.ndarray, "point 3 3"], variances: Float[np.ndarray, " 3"]) -> PerPoint:
     """Return ½ tr(KΣ): how far blur has moved each point inwards."""
     return np.asarray(0.5 * np.einsum("pii,i->p", operators, variances))
 
 
-def frames(normals: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 2 3"]:
+def frames(normals: Points) -> Float[np.ndarray, "point 2 3"]:
     """Return two unit tangents at each point, at right angles."""
     axis = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
     first = np.cross(normals, axis)

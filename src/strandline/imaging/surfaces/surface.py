@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from strandline.imaging.picture import Stack
 from strandline.imaging.reading import UNITS
 from strandline.imaging.surfaces.levels import Field, field_of, largest_part, level_surface, two_levels
-from strandline.imaging.surfaces.mesh import Mesh, thinned
+from strandline.imaging.surfaces.mesh import Mesh, Points, thinned
 from strandline.imaging.surfaces.profiles import (
     Profiles,
     blur_along_axes,
@@ -34,7 +34,7 @@ SIGNS: dict[str, dict[str, float]] = {
 """Axis of the model → where it points in the stack → its sign."""
 ANGLES = "angles [x, y, z] from -360 to 360 degrees, about the axes of the model"
 Point = tuple[float, float, float]
-Region = Callable[[Float[np.ndarray, "point 3"]], Bool[np.ndarray, " point"]]
+Region = Callable[[Points], Bool[np.ndarray, " point"]]
 """Points (x, y, z) in voxel coordinates → which of them are left out."""
 REGIONS = (
     "{box: [[0, 0, 0], [10, 10, 5]], unit: um}, {ball: [5, 5, 0], radius: 2, unit: um} or {voxels: [[0, 0, 0], …]}"
@@ -79,7 +79,7 @@ class StackFrame:
         turned = Rotation.from_euler("xyz", self.rotation, degrees=True).as_matrix()
         return np.asarray(turned.T * (signs * self.voxel))
 
-    def to_mm(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 3"]:
+    def to_mm(self, points: Points) -> Points:
         """Return voxel coordinates (x, y, z), shape (point, 3), as points of the model, mm."""
         return np.asarray((points - np.array(self.origin)) @ self.matrix.T)
 
@@ -122,7 +122,7 @@ class StatedRegion:
         """Return the region in voxels of a stack in which the model lies as `frame` says."""
         return partial(self._holds, frame=frame)
 
-    def _holds(self, points: Float[np.ndarray, "point 3"], frame: StackFrame) -> Bool[np.ndarray, " point"]:
+    def _holds(self, points: Points, frame: StackFrame) -> Bool[np.ndarray, " point"]:
         """Return which points, in voxels, lie in the region."""
         mm = UNITS[self.unit] if self.unit else 1.0
         at = points if self.voxels is not None else frame.to_mm(points)
@@ -223,9 +223,7 @@ def _outside(
     return np.unique(mesh.cells[kept]), mesh.of_cells(kept)
 
 
-def _refined(
-    field: Field, mesh: Mesh, level: float, *, bright: bool
-) -> tuple[Mesh, Float[np.ndarray, "point 3"], Profiles]:
+def _refined(field: Field, mesh: Mesh, level: float, *, bright: bool) -> tuple[Mesh, Points, Profiles]:
     """Return the surface with its points at the half level, its normals out of the solid, and the last profiles."""
     for _ in range(PASSES):
         normals = normals_of(field, mesh.points, bright=bright)

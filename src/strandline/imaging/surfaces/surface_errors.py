@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from strandline.imaging.surfaces.levels import Field
-from strandline.imaging.surfaces.mesh import Mesh
+from strandline.imaging.surfaces.mesh import Mesh, PerPoint, Points
 from strandline.imaging.surfaces.profiles import PLATEAU, Profiles, frames, sampled
 from strandline.readers.checked import unfit
 
@@ -77,12 +77,12 @@ class StackNoise:
     voxel: float
 
 
-def noise_beside(field: Field, mesh: Mesh, normals: Float[np.ndarray, "point 3"], profiles: Profiles) -> StackNoise:
+def noise_beside(field: Field, mesh: Mesh, normals: Points, profiles: Profiles) -> StackNoise:
     """Return the noise on both sides of a surface, from differences along tangents of it."""
     tangents, contrast = frames(normals), np.abs(profiles.inside - profiles.outside)
     lags, tree = _LAGS * max(field.sigma, 1.0), cKDTree(mesh.points)
     products: list[Float[np.ndarray, "pair lag"]] = []
-    voxels: list[Float[np.ndarray, " point"]] = []
+    voxels: list[PerPoint] = []
     for side, level in ((1.0, profiles.outside), (-1.0, profiles.inside)):
         start = mesh.points + side * (PLATEAU + 2 * field.sigma) * normals
         for tangent in (tangents[:, 0], tangents[:, 1]):
@@ -115,9 +115,7 @@ def noise_beside(field: Field, mesh: Mesh, normals: Float[np.ndarray, "point 3"]
     return StackNoise(math.sqrt(sill), math.sqrt(integral), math.sqrt(variance))
 
 
-def _of_voxels(
-    field: Field, places: Float[np.ndarray, "point 3"], level: Float[np.ndarray, " point"], far: np.ndarray
-) -> Float[np.ndarray, " point"]:
+def _of_voxels(field: Field, places: Points, level: PerPoint, far: np.ndarray) -> PerPoint:
     """Return the grey values of single voxels about the smoothed ones; NaN where there is more than noise."""
     at = np.rint(places / field.stretch).astype(int)
     size = np.array(field.values.shape[::-1])
@@ -132,7 +130,7 @@ def surface_errors(
     mesh: Mesh,
     profiles: Profiles,
     noise: StackNoise,
-    moved: Float[np.ndarray, " point"],
+    moved: PerPoint,
     *,
     unit: float,
     open_share: float,
