@@ -24,6 +24,19 @@ AT_LIMIT = 0.02
 BLUR = 1 / 3
 """Largest blur, as a share of the smallest radius of the edge."""
 AT_LIMIT_REFUSED = "edge at the limit of the strip around the path"
+REFUSALS = {
+    "points": ("number of points of the edge", "Extend the path, exclude less, or use a picture with smaller pixels."),
+    "contrast over noise": (
+        "contrast over noise at the edge",
+        "Check that the path follows the edge, average several frames, or write `edge: path`.",
+    ),
+    "at the limit of the strip": (
+        AT_LIMIT_REFUSED,
+        "Put the path closer to the edge there, or end it before a place without an edge.",
+    ),
+    "blur": ("blur of the edge", "Use a sharper picture, or leave the sharpest bends out."),
+}
+"""Name of a check → what a message says was refused, and what to do about it."""
 NEAR = 1.5
 """Factor from the limit within which a number is worth a warning."""
 
@@ -142,48 +155,15 @@ def edge_checks(points: int, errors: EdgeErrors, *, unit: float) -> tuple[EdgeCh
         unit: Length of the smaller side of a pixel in the unit of the errors.
     """
     blur, radius = errors.blur / unit, errors.radius / unit
-    return (
-        EdgeCheck(
-            "points",
-            float(points),
-            float(FEWEST),
-            str(points),
-            f"at least {FEWEST}, one per pixel",
-            share=False,
-            refusal="number of points of the edge",
-            remedy="Extend the path, exclude less, or use a picture with smaller pixels.",
-        ),
-        EdgeCheck(
-            "contrast over noise",
-            errors.contrast_to_noise,
-            LEAST_CONTRAST,
-            f"{errors.contrast_to_noise:.3g}",
-            f"at least {LEAST_CONTRAST:g}",
-            share=False,
-            refusal="contrast over noise at the edge",
-            remedy="Check that the path follows the edge, average several frames, or write `edge: path`.",
-        ),
-        EdgeCheck(
-            "at the limit of the strip",
-            errors.limit_share,
-            AT_LIMIT,
-            f"{100 * errors.limit_share:.1f} % of it",
-            f"at most {100 * AT_LIMIT:g} %",
-            share=True,
-            refusal=AT_LIMIT_REFUSED,
-            remedy="Put the path closer to the edge there, or end it before a place without an edge.",
-        ),
-        EdgeCheck(
-            "blur",
-            blur / radius,
-            BLUR,
-            f"{blur:.3g} px where the smallest radius is {radius:.3g} px",
-            "at most a third of the smallest radius",
-            share=True,
-            refusal="blur of the edge",
-            remedy="Use a sharper picture, or leave the sharpest bends out.",
-        ),
+    ratio, share = f"{errors.contrast_to_noise:.3g}", f"{100 * errors.limit_share:.1f} % of it"
+    sizes = f"{blur:.3g} px where the smallest radius is {radius:.3g} px"
+    rows = (
+        ("points", float(points), float(FEWEST), str(points), f"at least {FEWEST}, one per pixel", False),
+        ("contrast over noise", errors.contrast_to_noise, LEAST_CONTRAST, ratio, f"at least {LEAST_CONTRAST:g}", False),
+        ("at the limit of the strip", errors.limit_share, AT_LIMIT, share, f"at most {100 * AT_LIMIT:g} %", True),
+        ("blur", blur / radius, BLUR, sizes, "at most a third of the smallest radius", True),
     )
+    return tuple(EdgeCheck(*row, *REFUSALS[row[0]]) for row in rows)
 
 
 def require_edge(
