@@ -1,6 +1,6 @@
 """Pictures → the interface in them, with its errors."""
 
-from strandline.imaging.clicks import Clicks, ScaleBar, read_clicks, write_clicks
+from strandline.imaging.clicks import Clicks, ScaleBar, read_clicks
 from strandline.imaging.edge import EDGES, Edge, find_edge
 from strandline.imaging.edge_checks import EdgeErrors
 from strandline.imaging.edge_methods import edge_method
@@ -47,5 +47,4 @@ __all__ = [
     "registered",
     "strip_along",
     "typed_path",
-    "write_clicks",
 ]

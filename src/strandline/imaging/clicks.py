@@ -129,7 +129,7 @@ class Clicks:
 
 
 def read_clicks(path: Path) -> Clicks:
-    """Return the clicks in a file that the page or `write_clicks` wrote.
+    """Return the clicks in a file that the page of clicks saved.
 
     Args:
         path: A file ``NAME.path.json``.
@@ -158,14 +158,6 @@ def read_clicks(path: Path) -> Clicks:
             exclude=_regions(found, "exclude"),
             fixed=_regions(found, "fixed"),
         )
-
-
-def write_clicks(clicks: Clicks, path: Path) -> None:
-    """Write a file that `read_clicks` reads, whole or not at all; coordinates keep all their digits."""
-    rows = ",\n".join(f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in as_json(clicks).items())
-    unfinished = path.with_name(f".{path.name}.partial")
-    unfinished.write_text(f"{{\n{rows}\n}}\n", encoding="utf-8")
-    unfinished.replace(path)
 
 
 def as_json(clicks: Clicks) -> dict[str, Any]:

@@ -16,7 +16,8 @@ from strandline.calibration import Observer
 from strandline.cli import main
 from strandline.cli.run import _doubting
 from strandline.discrepancy import ClosestPoint, Currents
-from strandline.imaging import Clicks, Frame, ScaleBar, write_clicks
+from strandline.imaging import Clicks, Frame, ScaleBar
+from strandline.imaging.clicks import as_json
 from strandline.interface import UnknownErrors
 from strandline.report.plots.picture import off_smooth
 from strandline.runs import RunRecord
@@ -139,7 +140,7 @@ def test_marks_of_a_file_stand_for_path_scale_and_origin(tmp_path, capsys):
     bar = ScaleBar((20.0, 150.0), (120.0, 150.0), 100 * PIXEL)
     box = np.array([[90.0, 30.0], [130.0, 30.0], [130.0, 70.0], [90.0, 70.0]])
     clicks = Clicks("hump.png", sha, SIZE, np.array(CLICKS, float), scale=bar, origin=ORIGIN, exclude=(box,))
-    write_clicks(clicks, tmp_path / "hump.path.json")
+    (tmp_path / "hump.path.json").write_text(json.dumps(as_json(clicks)))
     marked = {"path": "hump.path.json", "pixel": None, "frame": None}
     study = loaded(tmp_path, **marked)
     points = study.observed[""].points
@@ -256,7 +257,7 @@ def test_a_page_to_mark_the_picture_needs_no_path_and_no_scale(tmp_path, capsys)
     sha = hashlib.sha256((tmp_path / "bare.png").read_bytes()).hexdigest()
     region = np.array([[10.0, 60.0], [90.0, 40.0], [90.0, 110.0], [10.0, 130.0]])
     marks = Clicks("bare.png", sha, SIZE, np.zeros((0, 2)), origin=ORIGIN, fixed=(region,))
-    write_clicks(marks, tmp_path / "bare.path.json")
+    (tmp_path / "bare.path.json").write_text(json.dumps(as_json(marks)))
     study = loaded(tmp_path, registration=registration, frame=None)
     assert study.pictures[""].registration is not None
     assert abs(off(study).mean()) < 0.2
