@@ -3,6 +3,7 @@
 from strandline.discrepancy.closest_point import ClosestPoint
 from strandline.discrepancy.comparison import (
     apart,
+    axes_mistake,
     count_of_distances,
     extent,
     extent_ratio,
@@ -52,6 +53,7 @@ __all__ = [
     "WhitenedOffset",
     "Whitens",
     "apart",
+    "axes_mistake",
     "count_of_distances",
     "errors_from_repeats",
     "errors_from_roughness",

@@ -15,6 +15,8 @@ SHARES = 33
 LARGEST = 1e100
 LARGEST_RATIO = 10.0
 """An observed interface this many times larger or smaller than the model's is taken to have another unit."""
+FAR_SHARE, NEARER = 0.1, 0.5
+"""Other axes are suggested for an observation further away than this share of its extent if they halve the distance."""
 _FACTORS = {1: ("mm", "cm"), 3: ("µm", "mm"), 6: ("µm", "m")}
 """Decimal logarithm of a factor → two units that differ by this factor."""
 
@@ -98,3 +100,16 @@ def apart(one: Interface, other: Interface) -> tuple[float, float]:
     """
     squares = [squared_distances(a.points, b) for a, b in ((one, other), (other, one))]
     return math.sqrt(max(float(s.mean()) for s in squares)), math.sqrt(max(float(np.max(s)) for s in squares))
+
+
+def axes_mistake(observed: Interface, simulated: Interface) -> str:
+    """Return a question about the axes of an observed polyline that is far away if others would help; else nothing."""
+    if observed.dim == 3 or simulated.dim == 3 or (now := apart(observed, simulated)[0]) < FAR_SHARE * extent(observed):
+        return ""
+    x, y = observed.points.T
+    others = {"x and y exchanged": (y, x), "y turned over": (x, -y), "x turned over": (-x, y)}
+    found = {how: apart(Interface(np.stack(xy, axis=1), observed.cells), simulated)[0] for how, xy in others.items()}
+    how = min(found, key=lambda one: found[one])
+    if found[how] > NEARER * now:
+        return ""
+    return f"With {how} it would lie {found[how]:.3g} mm away, not {now:.3g} mm: are its axes those of the model?"

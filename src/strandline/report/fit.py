@@ -12,6 +12,7 @@ from strandline.calibration.misfit import ConditionMisfit, Region
 from strandline.discrepancy import (
     Discrepancy,
     apart,
+    axes_mistake,
     count_of_distances,
     extent,
     extent_ratio,
@@ -98,7 +99,8 @@ class Nearest:
     `residual` is √(d²/(n σ_N²)), n being the number of distances that d² sums, 1 for a norm. `distance`, mm, is the
     root mean square one of the two interfaces; `noise`, mm, is σ_N if d² sums distances, else the shift for which d² =
     σ_N², None if it was not needed. `offset` is the distance of the centres, mm; `extent_ratio` that of the observed
-    interface to that of the run. The run is near if it is so in any of these senses.
+    interface to that of the run; `axes` asks about those of the observation if others would help. The run is near if it
+    is so in any of these senses.
     """
 
     condition: str
@@ -110,6 +112,7 @@ class Nearest:
     offset: float
     extent: float
     extent_ratio: float
+    axes: str
     near: bool
 
     @property
@@ -123,6 +126,8 @@ class Nearest:
             reason = f"The observed interface has {number(self.extent_ratio, 3)} times the extent of the run's" + (
                 f": {mistake}." if mistake else "."
             )
+        elif self.axes:
+            reason = self.axes
         elif self.offset > self.extent:
             reason = f"Their centres lie {_length(self.offset)} apart: do both have the same origin and axes?"
         return (
@@ -177,6 +182,7 @@ def _nearest(seen: Observation, measure: Discrepancy, best: RunRecord, runs: lis
         offset=float(np.linalg.norm(centres[0] - centres[1])),
         extent=extent(seen.interface),
         extent_ratio=extent_ratio(seen.interface, simulated),
+        axes=axes_mistake(seen.interface, simulated) if far else "",
         near=not far,
     )
 

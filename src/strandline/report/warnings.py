@@ -366,7 +366,9 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
     certificate, surrogate = found.certificate, found.knowledge.surrogate
     if certificate is not None and not certificate.converged:
         advice = " Allow more runs: design.active.runs."
-        if 1.0 - found.feasible >= HALF:
+        if calibration.misfit is not None and calibration.misfit.flagged:
+            advice = " More runs do not help while the model does not explain the observation."
+        elif 1.0 - found.feasible >= HALF:
             advice = " More runs do not help: find out why they fail where the observation leads them."
         yield f"NOT CONVERGED: {'; '.join(certificate.reasons)}.{'' if certificate.scattered else advice}"
     if certificate is not None and certificate.overlooks:

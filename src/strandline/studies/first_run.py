@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.design.active import SLOW_BATCH, seconds_of_a_batch
-from strandline.discrepancy import Discrepancy, apart, extent, oriented_like_runs
+from strandline.discrepancy import Discrepancy, apart, axes_mistake, extent, oriented_like_runs
 from strandline.discrepancy.nearest import squared_distances
 from strandline.errors import ForwardModelError, InvalidInput, InvalidStudy, NumericsError
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
@@ -80,6 +80,18 @@ def require_ok(record: RunRecord, what: str) -> RunRecord:
         remedy="Look at the simulator, or move the priors to where it runs. It says: "
         + (record.message or "no message").partition("\n")[0],
     )
+
+
+def require_same_axes(study: Study, record: RunRecord) -> None:
+    """Refuse an observed interface that lies far from that of the run and would not with other axes."""
+    for condition, observed in study.observed.items():
+        if found := axes_mistake(observed, record.interfaces[condition]):
+            raise InvalidStudy(
+                f"axes of the observation{f' ({condition})' if condition else ''}",
+                value="points far from every one of the first runs",
+                expected="x and y as the model has them",
+                remedy=f"{found} Correct the observation or the model.",
+            )
 
 
 def require_same_size(study: Study, record: RunRecord) -> None:
@@ -186,10 +198,11 @@ def _doubts(observed: Interface, run: Interface, of: str, share: float = FAR_APA
         apart_by = max(off, missing if missing > SEEN_PART * float(run.lengths.sum()) else 0.0)
         what = "the ends of the observed interface and of this run lie"
     if apart_by > far:
-        yield (
-            f"warning{of}: {what} {apart_by:.3g} mm apart. Are x and y in this order, is y upwards, are origin, unit "
-            "and extent those of the model, and the inputs in its units?"
+        usual = (
+            "Are x and y in this order, is y upwards, are origin, unit and extent those of the model, and the inputs "
+            "in its units?"
         )
+        yield f"warning{of}: {what} {apart_by:.3g} mm apart. {axes_mistake(observed, run) or usual}"
 
 
 def _ends(interface: Interface) -> Float[np.ndarray, "end xyz"]:

@@ -28,7 +28,7 @@ from strandline.report.fit import nearest_runs, nothing_near
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.runs.failures import FailurePolicy
 from strandline.studies.check import read_check
-from strandline.studies.first_run import require_same_size
+from strandline.studies.first_run import require_same_axes, require_same_size
 from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY, require_writable
 from strandline.studies.noise import require_fits
 from strandline.studies.observed import noisy
@@ -40,7 +40,8 @@ from strandline.studies.widths import noting_widths
 from strandline.version import __version__
 
 TELLING_RUNS = 4
-"""A study ends if this many first successful runs are all ten times larger or smaller than the observation."""
+"""A study ends if this many first successful runs are all ten times larger or smaller than the observation, or lie far
+from it and would not if its axes were others."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +161,7 @@ def _noting_rounds(observer: Observer, study: Study, ledger: Ledger) -> Observer
 
 
 def _checking_sizes(observer: Observer, study: Study) -> Observer:
-    """Return an observer that ends the study if none of its first runs has the size of the observation."""
+    """Return an observer that ends the study if none of its first runs has size and axes of the observation."""
     found: list[InvalidStudy | None] = []
 
     def run(record: RunRecord, progress: Progress) -> None:
@@ -168,6 +169,7 @@ def _checking_sizes(observer: Observer, study: Study) -> Observer:
         if record.ok and len(found) < TELLING_RUNS:
             try:
                 require_same_size(study, record)
+                require_same_axes(study, record)
                 found.append(None)
             except InvalidStudy as error:
                 found.append(error)  # a single run of another size is set aside later

@@ -167,8 +167,11 @@ def test_each_doubt_about_a_surrogate_of_the_field_is_told_alone(field: Finished
     ):
         (line,) = told(**changes)
         assert words in line
-    stopped, _ = told(certificate=Certificate(False, reasons, (), (), None), feasible=0.5)
+    unsure = Certificate(False, reasons, (), (), None)
+    stopped, _ = told(certificate=unsure, feasible=0.5)
     assert "More runs do not help: find out why they fail" in stopped
+    flagged, stuck = put(calibration, "misfit", flagged=True), replace(calibration.field, certificate=unsure)
+    assert "More runs do not help while the model does not explain" in next(field_warnings(flagged, stuck))
     for fine in ({}, {"certificate": Certificate(True, reasons, (), (), None)}, {"feasible": 0.96}):
         assert told(**fine) == []
 

@@ -1,6 +1,7 @@
 """What is said of a model that fits, of one that does not, and of an observation that no run comes near."""
 
 import json
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -181,9 +182,12 @@ def test_planted_misfits_are_noticed_and_sound_studies_are_not_suspected(name: s
     away = nearest(arch(0.2, shift=500.0), measure, variance)
     assert "NOTHING IN THE BOX COMES NEAR the observation: the best run (h = " in away.message
     assert "Their centres lie 500 mm apart" in away.message
+    turned = nearest(Interface.polyline(arch(0.2).points[:, ::-1]), measure, variance)
+    assert re.search(r"With x and y exchanged it would lie 0\.\d+ mm away, not 0\.\d+ mm", turned.message)
     outside = nearest(arch(0.6), measure, variance)
     assert outside.inputs["h"] == 0.3
-    assert not any(one.near for one in (units, away, outside))
+    assert outside.axes == ""
+    assert not any(one.near for one in (units, away, turned, outside))
 
 
 def test_a_norm_that_no_longer_grows_does_not_hide_the_distance() -> None:

@@ -11,16 +11,18 @@ import pytest
 from matplotlib.figure import Figure
 from tests.study.studies.exact import softer
 
+from strandline.calibration import Observer
 from strandline.cli import main
 from strandline.discrepancy import Currents, MeasurementLines, NormalOffset, WhitenedOffset
 from strandline.errors import ForwardModelError, InvalidStudy
 from strandline.interface import Interface, PointErrors
 from strandline.models.fidelities import is_cheaper
 from strandline.report import plots
-from strandline.runs import RunRecord, RunRequest, attempt
+from strandline.runs import Progress, RunRecord, RunRequest, attempt
 from strandline.studies import first_run, load_study
 from strandline.studies.measure_doubts import _sagittas, measure_lines, node_lines
 from strandline.studies.models import cheaper_lines
+from strandline.studies.run import _checking_sizes
 from strandline.testing.studies import beam, write_study
 
 TRUTH = {"E": 430.0, "tilt": 0.02, "load": 1e-5}
@@ -94,7 +96,24 @@ def test_a_reversed_contour_is_no_upside_down_one(tmp_path):
     shown = told(observing(tmp_path, POINTS[::-1]))
     assert "y upwards" not in shown
     assert "the observed points run opposite to the model's interface and will be turned round" in shown
-    assert "y upwards" in told(observing(tmp_path, POINTS[:, ::-1]))
+    assert "y upwards" in told(observing(tmp_path, POINTS + np.array([0.5, 0.0])))
+
+
+def test_exchanged_columns_are_named_and_end_a_study_after_its_first_runs(tmp_path):
+    """Not if one of them comes near: here, the observation is its mirror image."""
+
+    def seen(study, records):
+        observer = _checking_sizes(Observer(), study)
+        for record in records:
+            observer.run(record, Progress(4, 1, 1, 0, 0, 0.0))
+
+    study = observing(tmp_path, POINTS[:, ::-1])
+    assert "With x and y exchanged it would lie " in told(study)
+    runs = [attempt(beam, RunRequest("key", {**TRUTH, "E": young}), Path()) for young in (300.0, 400.0, 500.0)]
+    with pytest.raises(InvalidStudy, match=r"axes of the observation: .*With x and y exchanged it would"):
+        seen(study, [*runs, runs[0]])
+    near = replace(runs[0], interfaces={"": Interface.polyline(POINTS[:, ::-1])})
+    seen(study, [*runs, near])
 
 
 def test_the_displacement_in_units_of_the_noise(tmp_path):
