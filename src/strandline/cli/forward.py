@@ -3,8 +3,10 @@
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from threading import Timer
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
     from strandline.runs import RunRecord
 
 LOG_LINES = 20
+SLOW = 10.0
+"""Seconds after which a command says what it waits for."""
 
 
 def _numbers(_context: click.Context, _option: click.Parameter, given: tuple[str, ...]) -> dict[str, float]:
@@ -118,8 +122,24 @@ def show_remains(record: "RunRecord") -> None:
         click.echo("\n".join(["last lines of the simulator's log:", *lines]), err=True)
 
 
+@contextmanager
+def told_if_slow(what: str, say: Callable[[str], None], timer: Callable[..., Timer] = Timer) -> Iterator[None]:
+    """Say after `SLOW` seconds what the block still waits for; `timer` calls a function after some seconds."""
+    told = (
+        f"still waiting for {what}, {SLOW:g} s after its start; Ctrl-C ends it. A `timeout` of the executor or of a "
+        "command in study.yaml, in seconds, lets `strandline run` end runs that hang."
+    )
+    waiting = timer(SLOW, say, [told])
+    waiting.daemon = True
+    waiting.start()
+    try:
+        yield
+    finally:
+        waiting.cancel()
+
+
 def attempted(model: "ForwardModel", inputs: Mapping[str, float]) -> "RunRecord":
-    """Return the record of one run in this process, in a temporary folder, with no ledger."""
+    """Return the record of one run in this process, in a temporary folder, with no ledger; if it is slow, say so."""
     import tempfile
 
     from strandline.runs import RunRequest, attempt
@@ -127,7 +147,11 @@ def attempted(model: "ForwardModel", inputs: Mapping[str, float]) -> "RunRecord"
     require_temporary()
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # one solve is too small to benefit from threads
 
-    with tempfile.TemporaryDirectory(prefix="strandline-") as folder:
+    what = f"the run at {', '.join(f'{name} = {value:.6g}' for name, value in inputs.items())}"
+    with (
+        tempfile.TemporaryDirectory(prefix="strandline-") as folder,
+        told_if_slow(what, lambda text: click.echo(text, err=True)),
+    ):
         return attempt(model, RunRequest("", dict(inputs)), Path(folder))
 
 

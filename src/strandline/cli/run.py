@@ -1,7 +1,7 @@
 """`strandline run`, `retry`, `report`: the whole study, failed runs again, the results again."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
@@ -90,29 +90,40 @@ def run(
         if detach:
             _submit(loaded, executor, observer)
             return
-        with _told_what_goes_on(loaded, executor):
-            outcome = run_study(loaded, executor=executor, observer=_doubting(loaded, observer))
+        with _told_what_goes_on(loaded, executor), _doubting(loaded, executor, observer) as told:
+            outcome = run_study(loaded, executor=executor, observer=told)
         if verbose:
             for line in set_aside_lines(outcome.summary):
                 observer.note(line)
     show(outcome.summary, outcome.report, as_json=as_json)
 
 
-def _doubting(study: "Study", observer: "Observer") -> "Observer":
-    """Return the observer, which also says what the first run that succeeds shows to be wrong."""
+@contextmanager
+def _doubting(study: "Study", executor: "Executor", observer: "Observer") -> Iterator["Observer"]:
+    """Yield the observer, which also says what the first run that succeeds shows to be wrong, and if none ends."""
+    from strandline.cli.forward import told_if_slow
     from strandline.studies.first_run import early_doubts
 
     first = True
+    endless = all(getattr(one, "timeout", None) is None for one in (executor, study.model))
+
+    def _stage(name: str) -> None:
+        observer.stage(name)
+        waiting.close()
+        if first and endless and name in ("observation", "forward"):
+            waiting.enter_context(told_if_slow("the first run to end", observer.note))
 
     def _run(record: "RunRecord", progress: "Progress") -> None:
         nonlocal first
+        waiting.close()
         if first and record.ok:
             first = False
             for line in early_doubts(study, record):
                 observer.note(line)
         observer.run(record, progress)
 
-    return replace(observer, run=_run)
+    with ExitStack() as waiting:
+        yield replace(observer, stage=_stage, run=_run)
 
 
 def _with_settings(study: Path, settings: tuple[str, ...], into: Path | None, *, quiet: bool) -> Path:

@@ -2,6 +2,7 @@
 
 import io
 import json
+from functools import partial
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -10,9 +11,13 @@ import pytest
 import yaml
 from tests.unit.cli.command_line import ALL_SET, contents, ends, printed, refused
 
+from strandline.calibration import Observer
 from strandline.cli import main
+from strandline.cli.forward import told_if_slow
+from strandline.cli.run import _doubting
 from strandline.interface import Interface, PointErrors, UnknownErrors
 from strandline.models.biofilm.model import Biofilm
+from strandline.runs import LocalProcesses
 from strandline.studies import load_study
 from strandline.studies.folder import is_result
 from strandline.studies.keys.observation import Noise
@@ -149,6 +154,29 @@ def test_it_makes_one_run_and_writes_nothing(tmp_path, capsys, monkeypatch):
     assert "64 forward runs planned, 0 of them known already" in shown
     assert "E [Pa]: Uniform(low=300.0, high=560.0)" in shown
     assert "add --widths to predict the widths of the posterior: 2 more runs" in shown
+
+
+def test_what_is_waited_for_is_said_after_ten_seconds(tmp_path, capsys, monkeypatch):
+    """By timers that have run down at once."""
+    timers = []
+
+    def timer(seconds, function, arguments):
+        assert seconds == 10.0
+        timers.append(Mock(start=lambda: function(*arguments)))
+        return timers[-1]
+
+    study = load_study(write_study(tmp_path / "study"))
+    monkeypatch.setattr("strandline.cli.forward.told_if_slow", partial(told_if_slow, timer=timer))
+    main(["check", str(study.folder)])
+    told = capsys.readouterr().err
+    assert told.startswith("still waiting for the run at load = 1e-05, E = 430, tilt = 0.02, 10 s after its start")
+    for timeout in (None, 60.0):
+        notes = []
+        with _doubting(study, LocalProcesses(timeout=timeout), Observer(note=notes.append)) as observer:
+            observer.stage("forward")
+            observer.stage("surrogate")
+        assert ["`timeout` of the executor" in one for one in notes] == [True] * (timeout is None)
+    assert [one.cancel.call_count for one in timers] == [1, 1]
 
 
 def test_a_check_as_json(tmp_path, capsys):
