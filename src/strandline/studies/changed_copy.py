@@ -12,7 +12,7 @@ from typing import Any
 
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.studies.folder import STUDY, is_result, told_if_unwritable
-from strandline.studies.load import load_study
+from strandline.studies.load import load_study, study_of
 from strandline.studies.parse import parse_study, parsed
 from strandline.studies.template import study_name
 from strandline.studies.text import Changes, changed_text, flow, load_yaml
@@ -35,7 +35,10 @@ def changed_study(folder: Path, settings: Sequence[str], into: Path | None = Non
         raise InvalidStudy(
             "--into", value=str(into), expected="a folder apart from the study's", remedy="Choose another one."
         )
-    reuse = reuse_from(present, target, changes.get(("reuse",), raw.get("reuse")))
+    if _same_model(present, changes, text):
+        reuse = reuse_from(present, target, changes.get(("reuse",), raw.get("reuse")))
+    else:
+        reuse = reuse_from(present, target, changes.get(("reuse",)))[1:]
     changed: Changes = {("name",): study_name(target), **changes, ("reuse",): reuse}
     shown = ", ".join(f"{'.'.join(keys)}={flow(value)}" for keys, value in changes.items())
     new = f"# {content.name} with {shown}\n{changed_text(text, changed)}"
@@ -47,6 +50,17 @@ def changed_study(folder: Path, settings: Sequence[str], into: Path | None = Non
     with _told_as_setting():
         write_copy(present, target, new)
     return target
+
+
+def _same_model(present: Path, changes: Changes, text: str) -> bool:
+    """Return whether runs of the study fit its copy: one with another model can take none over."""
+    if all(keys[0] != "model" for keys in changes):
+        return True
+    try:
+        other = changed_text(text, changes)
+        return study_of(present, parsed(other), other).runs.identity == load_study(present).runs.identity
+    except InvalidInput:  # of the copy: told when it is written
+        return False
 
 
 def write_copy(present: Path, target: Path, text: str) -> None:

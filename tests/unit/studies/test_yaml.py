@@ -253,6 +253,10 @@ def test_a_copy_lies_beside_the_study_and_keeps_comments_and_files(beam):
     assert contents(copy) == before
     with pytest.raises(InvalidStudy, match=r"where study\.yaml differs"):
         changed_study(beam, ["seed=4"], copy)
+    # No run of another model fits, but those of a function with the same fingerprint do.
+    for function, reuse in (("undeclared_beam", []), ("beam", ["../beam"])):
+        setting = f"model.python.function='strandline.testing.studies:{function}'"
+        assert content(changed_study(beam, [setting]))["reuse"] == reuse
 
 
 def test_a_long_name_is_shortened_the_same_way_each_time(beam):
