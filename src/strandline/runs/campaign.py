@@ -14,7 +14,7 @@ from strandline.runs.executors import Executor
 from strandline.runs.executors.shared import require_count
 from strandline.runs.failures import FailurePolicy, Outages, aborted
 from strandline.runs.ledger import Ledger
-from strandline.runs.ledger_schema import EXCLUDED, INTERRUPTED
+from strandline.runs.ledger_schema import EXCLUDED, INTERRUPTED, another_model
 from strandline.runs.record import NOT_NOW, RunRecord, RunRequest, run_key
 
 
@@ -101,12 +101,7 @@ class Campaign:
         self.maximum_attempts, self.began = maximum_attempts, time.monotonic()
         self.identity = fingerprint(model)
         if ledger.model != self.identity:
-            raise LedgerError(
-                f"{ledger.path} keeps the runs of another model",
-                value=f"{ledger.model} in the ledger, {self.identity} now",
-                expected="one and the same model",
-                remedy=f"Move {ledger.path.name} away or use a new study folder for the changed model.",
-            )
+            raise another_model(ledger.path, ledger.model, self.identity)
         self.order: list[str] = []
         self.requests: dict[str, RunRequest] = {}
         self.before: dict[str, tuple[int, int]] = {}

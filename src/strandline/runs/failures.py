@@ -167,11 +167,14 @@ def _mostly_failed(failed: Sequence[RunRecord], made: int) -> CampaignStopped:
     (commonest, _), *_ = kinds.most_common()
     example = next(record for record in failed if (record.failure_kind or record.state) == commonest)
     shown = counted(dict(kinds.most_common(4)))
+    advice = f"Fix the cause, then `strandline retry STUDY --kind {commonest}` repeats them and goes on."
+    if commonest in COMMON_KINDS[-2:]:  # these runs ended ok, so that the ledger cannot go on with another model
+        advice = "Correct the model and move ledger.sqlite away, then `strandline run STUDY` begins anew."
+    elif len(failed) < made:
+        advice += " A changed model needs another ledger: move ledger.sqlite away, then `strandline run STUDY`."
     return CampaignStopped(
         f"stopped because {len(failed)} of {made} runs failed ({shown})\n{_told(example)}\n"
-        f"All runs are kept. Fix the cause, then `strandline retry STUDY --kind {commonest}` repeats them and goes on. "
-        + ("A changed model needs another ledger: move ledger.sqlite away first. " if len(failed) < made else "")
-        + "`failures: {stop: never}` lets the study go on by itself."
+        f"All runs are kept. {advice} `failures: {{stop: never}}` lets the study go on by itself."
     )
 
 
@@ -187,7 +190,7 @@ def _last(lines: Iterable[str]) -> list[str]:
 
 
 def require_kinds(again: Iterable[str], known: Iterable[str]) -> None:
-    """Refuse to try again a kind of failure that no run ended with.
+    """Refuse a kind of failure that no run ended with.
 
     Raises:
         InvalidInput: No run ended with one of the kinds; the message lists those that occurred.
@@ -196,7 +199,7 @@ def require_kinds(again: Iterable[str], known: Iterable[str]) -> None:
     for kind in again:
         if kind not in present:
             raise InvalidInput(
-                "kind of failure to run again",
+                "--kind",
                 value=kind,
                 expected=f"one of {', '.join(present)}" if present else "a failed run; there is none",
                 remedy="`strandline status` lists the kinds and how many there are.",

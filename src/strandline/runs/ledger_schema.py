@@ -210,13 +210,18 @@ def require_model(path: Path, connection: sqlite3.Connection, model: str) -> Non
     kept = fact(path, connection, "model")
     kept_runs = "SELECT 1 FROM starts LEFT JOIN outcomes USING (attempt) WHERE ifnull(state, 'ok') = 'ok'"
     if model != kept and connection.execute(kept_runs).fetchone():
-        raise LedgerError(
-            f"{path} keeps the runs of another model",
-            value=f"{kept} in the ledger, {model} now",
-            expected="one and the same model",
-            remedy=f"Move {path.name} away or use a new study folder for the changed model; if the study names it in "
-            "`reuse`, remove it there. A further condition makes another model: each run returns all conditions.",
-        )
+        raise another_model(path, kept, model)
+
+
+def another_model(path: Path, kept: str, model: str) -> LedgerError:
+    """Return the error about a ledger of the model `kept` that is opened for `model`."""
+    return LedgerError(
+        f"{path} keeps the runs of another model",
+        value=f"{kept} in the ledger, {model} now",
+        expected="one and the same model",
+        remedy=f"Undo the change of the model, or move {path.name} away and run the study again; if the study names it "
+        "in `reuse`, remove it there. A further condition makes another model: each run returns all conditions.",
+    )
 
 
 def adopt(connection: sqlite3.Connection, model: str) -> None:

@@ -242,7 +242,7 @@ def test_a_campaign_most_of_whose_runs_fail_stops_early_and_says_why(path):
     some = [value for value in MANY if value % 4]
     for failing, options, said, made in (
         (MANY, {}, r"20 of 20 runs failed \(20 × licence\)(.|\n)*server busy", 20),
-        (some, {"stop_after": 12, "stop_share": 0.7}, "9 of 12 runs failed(.|\n)*move ledger.sqlite away first", 12),
+        (some, {"stop_after": 12, "stop_share": 0.7}, "9 of 12 runs failed(.|\n)*move ledger.sqlite away, then", 12),
     ):
         model = Moody(dict.fromkeys(failing, 1))
         with pytest.raises(CampaignStopped, match=said):
