@@ -169,7 +169,7 @@ def _mostly_failed(failed: Sequence[RunRecord], made: int) -> CampaignStopped:
     shown = counted(dict(kinds.most_common(4)))
     advice = f"Fix the cause, then `strandline retry STUDY --kind {commonest}` repeats them and goes on."
     if commonest in COMMON_KINDS[-2:]:  # these runs ended ok, so that the ledger cannot go on with another model
-        advice = "Correct the model and move ledger.sqlite away, then `strandline run STUDY` begins anew."
+        advice = "Correct the model and move ledger.sqlite away, then `strandline run STUDY` begins again."
     elif len(failed) < made:
         advice += " A changed model needs another ledger: move ledger.sqlite away, then `strandline run STUDY`."
     return CampaignStopped(

@@ -20,7 +20,7 @@ from strandline.imaging import Clicks, Frame, ScaleBar
 from strandline.imaging.clicks import as_json
 from strandline.interface import UnknownErrors
 from strandline.report.plots.picture import off_smooth
-from strandline.runs import RunRecord
+from strandline.runs import InProcess, RunRecord
 from strandline.studies import load_study
 from strandline.studies.measure_doubts import measure_lines
 from strandline.studies.pictures.photographed import frame_note
@@ -73,10 +73,10 @@ def test_the_first_run_of_a_campaign_shows_a_picture_that_lies_wrong(tmp_path, c
 
     def told(study, *shifts):
         notes.clear()
-        observer = _doubting(study, Observer(note=notes.append))
-        for shift in shifts:
-            line = replace(seen, points=seen.points + np.array([0.0, shift * seen.lengths.sum()]))
-            observer.run(RunRecord("key", {}, "ok", {"": line}), None)
+        with _doubting(study, InProcess(), Observer(note=notes.append)) as observer:
+            for shift in shifts:
+                line = replace(seen, points=seen.points + np.array([0.0, shift * seen.lengths.sum()]))
+                observer.run(RunRecord("key", {}, "ok", {"": line}), None)
         return notes
 
     assert told(study, 0.0) == told(study, 0.15) == []
