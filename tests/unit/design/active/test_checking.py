@@ -256,6 +256,19 @@ def test_the_effect_of_a_quadratic_error_is_the_exact_one(dim):
     assert found.shift_bounds[0] <= found.shift + 1e-9
 
 
+def test_a_quadratic_error_along_a_principal_axis_of_many_inputs_is_exact_in_any_units():
+    """Two of the inputs have a correlation of 0.5, and their difference a variance of 1: its sd is 0.6 times as large."""
+    draws, posterior, _ = drawn(5, fewest(5) + 3, 5, 20_000)
+    root, units = np.eye(5), np.logspace(3, -3, 5)
+    root[1, :2] = 0.5, np.sqrt(0.75)
+    found = smooth_effect(
+        alike(draws @ root.T * units, width(0.6)((draws @ root.T) @ [[1], [-1], [0], [0], [0]])),
+        posterior @ root.T * units,
+        0.05,
+    )
+    assert found.width == pytest.approx(-0.5 * np.log(1 - 0.25 * (1 - 0.6**2)), abs=0.02)
+
+
 def test_known_scatter_is_taken_out_of_the_effective_share_alone():
     draws, posterior, errors = drawn(3, 60, 2)
     plain, known, all_of_it = (
