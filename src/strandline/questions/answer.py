@@ -16,7 +16,7 @@ from strandline.calibration.source import FieldQuality
 from strandline.errors import InvalidStudy
 from strandline.files import write_json
 from strandline.posterior import Weighted
-from strandline.report import ANSWERS, write_answer
+from strandline.report import answer_figures, write_answer
 from strandline.studies.folder import told_if_unwritable
 from strandline.typeset import html_table, html_text, unit_text
 
@@ -107,7 +107,7 @@ class Answer(Generic[Found]):
 
     @property
     def figures(self) -> dict[str, Figure]:
-        return {one.name: one.figure for one in ANSWERS[self.name](self.content)}
+        return {one.name: one.figure for one in answer_figures(self.name, self.content)}
 
     def written(self, *, draft: bool) -> "Answer[Found]":
         """Write the page, its figures and the JSON file into the page's folder, and return the answer.

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from strandline.calibration import Calibration
+from strandline.design.active import KINDS
 from strandline.posterior.rank_tests import Band
 from strandline.report import plots
 from strandline.report.explore import explore
@@ -166,7 +167,7 @@ ANSWERS: dict[str, Callable[[Mapping[str, Any]], Iterable[Captioned]]] = {
     "specimens": draw_specimens,
     "what-if": draw_what_if,
 }
-"""What draws the figures of the answer to a question."""
+"""What draws the figures of the answer to a question, if it has any."""
 
 
 def write_report(
@@ -221,6 +222,7 @@ def write_report(
         check=check,
         picture=picture,
         explore=section,
+        batch_kinds=KINDS,
     )
     return write_page(folder / FILE_NAME, page)
 
@@ -269,9 +271,14 @@ def add_check(check: Mapping[str, Any], folder: Path, *, draft: bool = False) ->
         write_page(report, f"{before}{begin}{section}{end}{after}")
 
 
+def answer_figures(question: str, content: Mapping[str, Any]) -> Iterable[Captioned]:
+    """Return the figures of an answer, as its page shows them; `content` is that of its JSON file."""
+    return ANSWERS[question](content) if question in ANSWERS else ()
+
+
 def write_answer(answer: Any, question: str, content: Mapping[str, Any], page: Path, *, draft: bool = False) -> None:
     """Write the page of an `Answer`, and its figures into its folder; `content` is that of its JSON file."""
     figures = page.parent / FIGURES
     figures.mkdir(exist_ok=True)
-    pictures = [saved(captioned, figures, draft=draft) for captioned in ANSWERS[question](content)]
+    pictures = [saved(captioned, figures, draft=draft) for captioned in answer_figures(question, content)]
     write_page(page, template("answer.html.j2").render(a=answer, figures=pictures))

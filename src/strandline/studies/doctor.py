@@ -10,18 +10,14 @@ from strandline.files import read_json
 from strandline.models.python import PythonModel
 from strandline.runs.ledger_rows import outcome_digest, unsound
 from strandline.studies.folder import (
-    CHECK,
+    ANSWERS,
     CHECK_LEDGER,
-    COVERAGE,
     LEDGER,
-    NEXT,
     NEXT_LEDGER,
     POSTERIOR,
-    SPECIMENS,
     SPECIMENS_LEDGER,
     STUDY,
     SUMMARY,
-    WHAT_IF,
 )
 from strandline.studies.load import load_study
 from strandline.studies.progress import StudyProgress, progress_of
@@ -30,14 +26,6 @@ from strandline.studies.study import Study
 from strandline.version import __version__
 
 LEDGERS = (LEDGER, CHECK_LEDGER, NEXT_LEDGER, SPECIMENS_LEDGER)
-ANSWERS = {
-    CHECK: "Check again: strandline posterior check",
-    COVERAGE: "Test again: strandline coverage",
-    NEXT: "Ask again: strandline next",
-    WHAT_IF: "Ask again: strandline what-if",
-    SPECIMENS: "Analyse them again: strandline specimens",
-}
-"""Results of other commands, and how each is made again."""
 LEFTOVERS = ("*.partial", ".*.partial", "*.sqlite.new", "*.sqlite.new-*")
 
 
@@ -154,10 +142,10 @@ def _results(study: Study, state: StudyProgress) -> Iterator[Finding]:
     if digest is not None and digest != outcome_digest(study.ledger_path, frozenset(study.runs.needed_keys)):
         yield Finding("the ledger has changed since the results were made (runs made again, or excluded)", report)
     yield from _environment(summary, report)
-    for name, remedy in ANSWERS.items():
+    for name, command in ANSWERS.items():
         answer = read_json(study.folder / name)
         if answer and answer.get("study_sha256") != study.text_digest:
-            yield Finding(f"{name} is of another study.yaml", f"{remedy} {study.folder}")
+            yield Finding(f"{name} is of another study.yaml", f"Ask again: strandline {command} {study.folder}")
 
 
 def _environment(summary: Mapping[str, Any], report: str) -> Iterator[Finding]:

@@ -28,7 +28,15 @@ SPECIMENS = "specimens.json"
 SPECIMENS_LINES = "specimens.jsonl"
 SPECIMENS_TABLE = "specimens.csv"
 SPECIMENS_LEDGER = "specimens.sqlite"
-RESULTS = frozenset(value for key, value in globals().copy().items() if key.isupper() and isinstance(value, str))
+ANSWERS = {
+    CHECK: "posterior check",
+    COVERAGE: "coverage",
+    NEXT: "next",
+    WHAT_IF: "what-if",
+    SPECIMENS: "specimens",
+}
+"""Files that other commands than `run` write into a study folder, and the command that writes each again."""
+RESULTS = {value for key, value in globals().copy().items() if key.isupper() and isinstance(value, str)} | {*ANSWERS}
 """Names of result files, and that of the study file."""
 RESULT_FOLDERS = frozenset({"figures", "runs", "slurm", "comparison", "__pycache__"})
 RESULT_SUFFIXES = (".lock", "-wal", "-shm", ".html", ".log", ".sqlite")

@@ -1,6 +1,6 @@
 """Active designs on a surrogate of the field: what is known, what to run next, and when to stop."""
 
-from strandline.design.active.active_design import ActiveDesign, Batch, Step
+from strandline.design.active.active_design import KINDS, ActiveDesign, Batch, Step
 from strandline.design.active.campaign import ActiveRuns, BatchReport, Certificate, FieldOutcome, VarianceEffect
 from strandline.design.active.checking import BatchCheck
 from strandline.design.active.choice import CRITERIA, Criterion
@@ -11,6 +11,7 @@ from strandline.design.active.state import Knowledge, State, learn, training_of
 
 __all__ = [
     "CRITERIA",
+    "KINDS",
     "SLOW_BATCH",
     "Active",
     "ActiveDesign",

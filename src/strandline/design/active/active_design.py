@@ -23,7 +23,16 @@ from strandline.parameters import ParameterSpace
 from strandline.posterior import subset
 from strandline.runs import RunRecord
 
-Kind = Literal["initial", "given", "posterior", "check", "trial", "elsewhere"]
+Kind = Literal["given", "initial", "posterior", "elsewhere", "check", "trial"]
+KINDS: dict[Kind, str] = {
+    "given": "from an earlier analysis",
+    "initial": "to begin with",
+    "posterior": "chosen where the posterior lies",
+    "elsewhere": "where the surrogate was contradicted or no run had looked",
+    "check": "to check it",
+    "trial": "to try the correction of the cheaper model again",
+}
+"""Kinds of batches, with what a report says of their runs, in its order."""
 FEW_INPUTS, HARDLY = 3, 0.3
 """Number of inputs above which runs are chosen among draws of the posterior itself once it hardly moves: no mean by so
 many standard deviations, no logarithm of a standard deviation by as much."""

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -26,7 +26,6 @@ from strandline.smc import StepInfo
 from strandline.text import with_sd
 from strandline.typeset import html_table
 
-Next = Literal["batch", "check", "trial", "done", "stop"]
 NEXT = {
     "batch": "a batch",
     "check": "check",
@@ -132,7 +131,7 @@ class BatchReport:
     number: int
     posterior: tuple[str, ...]
     moved: float | None
-    next: Next
+    next: str
     objection: str = ""
     dropped: str = ""
 
@@ -152,10 +151,10 @@ def report_batch(design: ActiveDesign, space: ParameterSpace) -> BatchReport:
     """Return the report on the last step of `design`, which has decided what comes next."""
     step: Step = design.steps[-1]
     after = not design.converged and not design.reasons
-    coming: Next = "done" if design.converged else "stop"
+    coming = "done" if design.converged else "stop"
     if after:
         kind = design.batches[-1].kind
-        coming = kind if kind in ("check", "trial") else "batch"
+        coming = kind if kind in NEXT else "batch"
     posterior = tuple(
         f"{space.parameters[i].shown} {with_sd(float(step.mean[i]), float(step.sd[i]))}" for i in space.calibrated
     )

@@ -257,7 +257,7 @@ def test_the_effect_of_a_quadratic_error_is_the_exact_one(dim):
 
 
 def test_a_quadratic_error_along_a_principal_axis_of_many_inputs_is_exact_in_any_units():
-    """Two of the inputs have a correlation of 0.5, and their difference a variance of 1: its sd is 0.6 times as large."""
+    """Two of the inputs have a correlation of 0.5; the sd of their difference, 1, is 0.6 times as large."""
     draws, posterior, _ = drawn(5, fewest(5) + 3, 5, 20_000)
     root, units = np.eye(5), np.logspace(3, -3, 5)
     root[1, :2] = 0.5, np.sqrt(0.75)
