@@ -81,12 +81,12 @@ class Reading:
         block: Block of cells, by number from 0 or by kind.
         cells: Cell data, ``{name: value}``, of the cells that are read.
         points: Point data, ``{name: value}``, of all points of the cells that are read.
-        select: Box, ``{x: [low, high], y: …}``, that limits what is read.
-        hide: Boxes ``{x: [low, high], y: …}``; points of a table inside one of them are left out, as parts of the
+        select: Box, ``{x: [low, high], y: …}`` in mm, that limits what is read.
+        hide: Boxes ``{x: [low, high], y: …}``, mm; points of a table inside one of them are left out, as parts of the
             interface that cannot be seen.
-        near: Place; of several pieces, the one nearest to it is read.
+        near: Place ``[x, y]``, mm; of several pieces, the one nearest to it is read.
         keep: ``longest``: of several pieces, the longest is read; of a surface, the one of the largest area.
-        start: Place; an open polyline begins at its end nearest to it, a closed one at its nearest node.
+        start: Place ``[x, y]``, mm; an open polyline begins at its end nearest to it, a closed one at its nearest node.
         plane: The two coordinates of a polyline, ``xy``, ``xz`` or ``yz``.
         count: Required number of points.
         reader: Function that reads the file, ``module:name``; by default the suffix determines it.
