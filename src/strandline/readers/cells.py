@@ -173,7 +173,7 @@ def chains(edges: Int[np.ndarray, "edge 2"], points: Float[np.ndarray, "point 2"
         if left[begin]:
             nodes = depth_first_order(graph, begin, directed=False, return_predecessors=False).astype(np.int64)
             left[nodes] = False
-            found.append(_directed(Chain(nodes, closed=degrees[begin] == 2 and len(nodes) > 2), forward))
+            found.append(_directed(Chain(nodes, closed=bool(degrees[begin] == 2 and len(nodes) > 2)), forward))
     return found
 
 

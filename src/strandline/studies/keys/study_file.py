@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
 
 from strandline.design.candidates import FEWEST_POINTS
 from strandline.studies.keys.observation import Noise, Observed
@@ -174,14 +174,14 @@ class StudyFile(Section):
 
     @field_validator("design")
     @classmethod
-    def _chooses_the_model(cls, design: Design, before: ValidationInfo) -> Design:
+    def _chooses_the_model(cls, design: Design, before: Any) -> Design:
         if before.data.get("fidelities") and design.active is None:
             raise ValueError("`active: {runs: …}` beside `fidelities`: it decides which of the two models to run")
         return design
 
     @field_validator("surrogate")
     @classmethod
-    def _fits_the_design(cls, surrogate: Surrogate, before: ValidationInfo) -> Surrogate:
+    def _fits_the_design(cls, surrogate: Surrogate, before: Any) -> Surrogate:
         design = before.data.get("design", Design.model_construct())
         if design.active is not None and surrogate.log_likelihood is not None:
             raise ValueError("`field: {}` for an active design, or `design: {sobol: {runs: …}}`")
