@@ -110,7 +110,7 @@ def rod(height, *, points=41, of=41, floor=None, held=0, tilt=0.3):
 
 WHOLE = [rod(0.01 * k) for k in range(12)]
 S = np.linspace(0, 1, 41)
-ROUNDED = [{"": line(S, np.round(0.03 * k * np.sin(0.5 * np.pi * S), 2))} for k in range(1, 12)]
+ROUNDED = [{"": line(S, np.round(0.02 * k * np.sin(0.5 * np.pi * S), 2))} for k in range(1, 12)]
 FLAT = [{"": line(S, np.round(0.01 * k + 0.3 * np.exp(-9 * S), 3))} for k in range(6)]  # three digits of a decay
 
 
