@@ -47,6 +47,7 @@ class Registered:
         return float(self.many(simulated.points[None], simulated, observed)[0])
 
     def many(self, points: Float[np.ndarray, "run point xyz"], template: Interface, observed: Interface) -> Values:
+        """Return -2 log-likelihood of each run, shape (run,): the least over errors of the whole interface."""
         number = self.errors.global_errors(observed.dim)
         middle = observed.points.mean(axis=0)
 

@@ -308,6 +308,7 @@ class ActiveRuns:
 
     @property
     def certificate(self) -> Certificate:
+        """Grounds for trusting the posterior."""
         design = self.design
         checks = [step for step in design.steps if step.check is not None]
         return Certificate(

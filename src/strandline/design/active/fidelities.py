@@ -57,6 +57,7 @@ class FidelityReport:
 
     @property
     def statement(self) -> str:
+        """What the cheaper model was used for, and what it cost, in sentences."""
         cost = (
             f"{self.cheaper} runs by the cheaper model and {self.model} by the model itself cost as much as "
             f"{self.equivalents:.3g} runs of the model."

@@ -60,6 +60,7 @@ class Solution:
     figures: Mapping[str, float] = field(default_factory=dict)
 
     def diagnostics(self) -> dict[str, float]:
+        """Return the figures that go into a run's record; displacements in mm."""
         return {
             "max_displacement": float(np.linalg.norm(self.displacement, axis=1).max()),
             **self.bounds,

@@ -177,6 +177,7 @@ class Flow:
 
     @classmethod
     def of(cls, channel: Channel, inflow: str | Pairs, fluid: Fluid) -> "Flow":
+        """Return the loads for an inflow and a fluid."""
         x, y = (ng.Parameter(0.0) for _ in range(2))
         hydrostatic = ng.y - channel.height
         ends = "inlet|outlet" if inflow == PRESSURE else "outlet"

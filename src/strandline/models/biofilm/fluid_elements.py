@@ -86,6 +86,7 @@ class FluidElements:
         return np.concatenate([block.ravel() for block in (*momentum, *self._mass_blocks(at), *loads)])
 
     def places(self) -> tuple[Numbers, Numbers]:
+        """Return row and column of each entry of `jacobian`."""
         unknowns = (*self._v, *self._p, *self._d)
         momentum = [(rows, columns) for rows in self._v for columns in unknowns]
         mass = [(self._p[0], columns) for columns in (*self._v, *self._d)]

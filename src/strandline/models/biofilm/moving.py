@@ -137,6 +137,7 @@ class FluidInertia(FluidElements):
         self._products = np.ascontiguousarray(self._rule.by_velocity[:, : 3 * points])
 
     def jacobian(self, state: Any) -> Entries:
+        """Return entries of the Jacobian in the order of `places`; those of one place add up."""
         at = _Moving(self, state, self._density.Get())
         own = self._products @ np.concatenate(list(at.by_velocity()))
         blocks = [own, own]

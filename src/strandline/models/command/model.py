@@ -267,6 +267,7 @@ class _Parts:
 
     @classmethod
     def of(cls, model: CommandModel) -> "_Parts":
+        """Return the checked options of a model."""
         for name, value in (("timeout", model.timeout), ("grace", model.grace)):
             if value is not None and not 0 < value <= LONGEST_SECONDS:
                 raise refused(name, value, f"seconds above 0, at most {LONGEST_SECONDS} (a year)")
