@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from verification.reproduction.figures import plot_parts
-from verification.validation import analytic, biofilm_mesh, generality, sensitivities, turek_hron
+from verification.validation import analytic, biofilm_mesh, generality, turek_hron
 from verification.validation.tables import DOCS, Table, arguments, show
 
 from strandline.models.biofilm.geometry import Partition
@@ -24,7 +24,6 @@ PARTS = (
     turek_hron.tables,
     analytic.tables,
     biofilm_mesh.tables,
-    sensitivities.tables,
     biofilm_mesh.extremes,
     generality.tables,
 )

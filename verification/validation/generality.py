@@ -1,24 +1,58 @@
-"""Other flow cells: sensitivities by each parameter of law and fluid, against differences; developed flow."""
+"""Exact sensitivities against differences, and their cost; those of other flow cells; developed flow."""
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from verification.validation.energies import FURTHER
-from verification.validation.sensitivities import extrapolated
 from verification.validation.tables import Table, table
 
 from strandline.models.biofilm.flow import Fluid
+from strandline.models.biofilm.geometry import Partition
 from strandline.models.biofilm.materials import LAWS, further_parameters
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.biofilm.outline import Channel, Outline
 
+Points = Float[np.ndarray, "node 2"]
+SPECIMENS = (
+    {"E": 400.0, "nu": 0.3, "V_in": 100.0},
+    {"E": 600.0, "nu": 0.499, "V_in": 100.0},
+    {"E": 300.0, "nu": -0.5, "V_in": 80.0},
+    {"E": 2000.0, "nu": 0.0, "V_in": 150.0},
+    {"E1": 300.0, "E2": 500.0, "E3": 800.0, "nu1": 0.2, "nu2": 0.35, "nu3": -0.3, "V_in": 100.0},
+)
+"""Inputs of the study's specimens, the homogeneous one and the one with three parts."""
 BOTTOM = 0.2
 """Height of a flat layer, mm."""
 STEPS = (4e-2, 2e-2, 1e-2)
 """Steps, as shares of a value; see `_scale`."""
+
+
+def specimen(inputs: Mapping[str, float], mesh: str) -> Biofilm:
+    """Return the study's specimen that has these inputs."""
+    return Biofilm(mesh=mesh, partition=Partition.PRESETS["three_parts"] if "E1" in inputs else Partition())
+
+
+def extrapolated(function: Callable[[float], Points], at: float, steps: Sequence[float]) -> Points:
+    """Return the derivative to sixth order from central differences with three steps, each half of the one before."""
+    d = [(function(at + h) - function(at - h)) / (2 * h) for h in steps]
+    once = [(4 * d[i + 1] - d[i]) / 3 for i in range(2)]
+    return (16 * once[1] - once[0]) / 15
+
+
+def cost(model: Biofilm, inputs: Mapping[str, float], *, repeats: int = 5) -> float:
+    """Return the time by which all sensitivities prolong a run as a share of its time, by medians."""
+    seconds: dict[bool, list[float]] = {False: [], True: []}
+    for _ in range(repeats):
+        for sensitivities, found in seconds.items():
+            start = time.perf_counter()
+            replace(model, sensitivities=sensitivities)(inputs)
+            found.append(time.perf_counter() - start)
+    return float(np.median(seconds[True]) / np.median(seconds[False])) - 1.0
 
 
 def law_inputs(law: str) -> dict[str, float]:
@@ -44,12 +78,12 @@ def sensitivity_errors(model: Biofilm, inputs: Mapping[str, float]) -> dict[str,
 def _scale(name: str, value: float) -> float:
     """Return the size that steps of an input are shares of.
 
-    It is small for ν, which the interface depends on steeply, and large for inputs that change it little: Newton's
-    tolerance would show in small differences.
+    It is small for ν, which the interface depends on steeply, above all near ½, and large for inputs that change it
+    little: Newton's tolerance would show in small differences.
     """
-    if name == "nu":
-        return 0.05
-    return abs(value) if name in ("E", "V_in", "p_drop", "viscosity", "density") else 8 * abs(value)
+    if name.startswith("nu"):
+        return 0.05 * min(1.0, 200 * (0.5 - value))
+    return abs(value) if name.startswith(("E", "V_in", "p_drop", "viscosity", "density")) else 8 * abs(value)
 
 
 def layer(length: float = 2.0, **options: Any) -> Biofilm:
@@ -117,14 +151,28 @@ def _flow_cells(mesh: str) -> dict[str, tuple[Biofilm, dict[str, float]]]:
     }
 
 
-def tables(mesh: str = "coarse") -> list[Table]:
-    """Return the tables of sensitivities and of developed flow."""
+def _of_specimens() -> list[tuple]:
     rows = []
-    for name, (model, inputs) in _flow_cells(mesh).items():
+    for inputs in SPECIMENS:
+        model = specimen(inputs, "default")
+        young, poisson = (", ".join(f"{inputs[k]:g}" for k in inputs if k.startswith(kind)) for kind in ("E", "nu"))
+        share = 100 * cost(model, inputs)
+        for name, error in sensitivity_errors(model, inputs).items():
+            own = (name.replace("nu", "ν"), error, share if name == "V_in" else None)
+            rows.append((f"{young}; {poisson}", inputs["V_in"], *own))
+    return rows
+
+
+def tables() -> list[Table]:
+    """Return the tables of sensitivities, on the default mesh for the study's specimens, and of developed flow."""
+    studied = "E, Pa; ν | V_in, mm²/s {g} | derivative by | relative difference {.1e} | cost of all, % of a solve {.0f}"
+    rows = []
+    for name, (model, inputs) in _flow_cells("coarse").items():
         rows += [(name, key, inputs[key], error) for key, error in sensitivity_errors(model, inputs).items()]
     heading = "flow cell | derivative by | at {g} | relative difference {.1e}"
     developed = "flow above a stiff layer | error of the velocity / its maximum {.0e}"
     return [
+        table("sensitivities", "Exact sensitivities against central differences", studied, _of_specimens()),
         table("generality_sensitivities", "Sensitivities of other flow cells", heading, rows),
         table("generality_flow", "Developed flow", developed, developed_flow_errors().items()),
     ]

@@ -16,27 +16,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from verification.validation.tables import Table, arguments, show, table
-from verification.validation.turek_hron import (
-    BOUNDARIES,
-    COARSEST,
-    RIGID,
-    TIP,
-    Size,
-    force,
-    mesh_turek_hron,
-    norm_weights,
-    set_inflow,
-)
+from verification.validation.turek_hron import COARSEST, DENSITY, POISSON, Benchmark, Size, norm_weights, set_inflow
 
 from strandline.models.biofilm.moving import Moment, MovingSystem
 from strandline.models.biofilm.newton import NewtonSettings
 from strandline.models.biofilm.transient import March, StepSettings
 
-POISSON, RAMP = 0.4, 2.0
+RAMP = 2.0
 WAKE = Size(far=0.035, near=0.007, corner=0.004)
 MESHES = ((COARSEST, 0), (COARSEST, 1), (COARSEST, 2), (WAKE, 0))
 """Element sizes, and how often all elements are quartered; the last mesh is finer in the wake."""
-Published = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -50,20 +39,13 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class Case:
-    """A benchmark: published mean, amplitude and frequency (Hz) of displacement (m) and force (N/m), runs, and parts.
+class Case(Benchmark):
+    """A benchmark whose published values are mean, amplitude and frequency (Hz), and its runs.
 
-    Each run is a list of stages that go on from one another. Units are SI; without a mean inflow velocity there is no
-    fluid, without Young's modulus the beam is rigid; gravity points downwards.
+    Each run is a list of stages that go on from one another.
     """
 
-    name: str
-    reference: dict[str, Published]
-    runs: tuple[tuple[Stage, ...], ...]
-    velocity: float = 0.0
-    young: float | None = None
-    gravity: float = 0.0
-    density: float = 1e3
+    runs: tuple[tuple[Stage, ...], ...] = ()
 
 
 SHEDDING = (Stage(0, 0.005, 5.0, False), Stage(1, 0.005, 7.5, False), Stage(1, 0.0025, 8.5, False))
@@ -74,26 +56,28 @@ CASES = {
         Case(
             "CSM3",
             {"ux": (-14.305e-3, 14.305e-3, 1.0995), "uy": (-63.607e-3, 65.160e-3, 1.0995)},
-            tuple((Stage(*run),) for run in ((0, 0.01, 4.0), (1, 0.01, 4.0), (1, 0.005, 4.0), (2, 0.005, 2.0))),
             young=1.4e6,
             gravity=2.0,
+            runs=tuple((Stage(*run),) for run in ((0, 0.01, 4.0), (1, 0.01, 4.0), (1, 0.005, 4.0), (2, 0.005, 2.0))),
         ),
         Case(
             "CFD3",
             {"drag": (439.45, 5.6183, 4.3956), "lift": (-11.893, 437.81, 4.3956)},
-            (
+            velocity=2.0,
+            runs=(
                 (*SHEDDING, Stage(1, 0.005, 11.0), Stage(1, 0.00125, 11.95)),
                 (*SHEDDING, Stage(1, 0.005, 11.0, shown=False), Stage(3, 0.0025, 12.2)),
             ),
-            velocity=2.0,
         ),
         Case(
             "FSI3",
             {"ux": (-2.88e-3, 2.72e-3, 10.93), "uy": (1.47e-3, 34.99e-3, 5.46)}
             | {"drag": (460.5, 27.74, 10.93), "lift": (2.50, 153.91, 5.46)},
-            ((Stage(0, 0.005, 6.0, False), Stage(1, 0.0025, 8.8), Stage(2, 0.0025, 10.0), Stage(2, 0.00125, 11.2)),),
             velocity=2.0,
             young=5.6e6,
+            runs=(
+                (Stage(0, 0.005, 6.0, False), Stage(1, 0.0025, 8.8), Stage(2, 0.0025, 10.0), Stage(2, 0.00125, 11.2)),
+            ),
         ),
     )
 }
@@ -104,16 +88,12 @@ class Cylinder:
 
     def __init__(self, case: Case, level: int) -> None:
         self.case, self.level = case, level
-        fluid, solid = case.velocity > 0, case.young is not None
-        self.mesh = mesh_turek_hron(*MESHES[level], order=2, fluid=fluid, solid=solid)
-        parts = {"solids": ("solid",) if solid else (), "body_force": (0.0, -case.density * case.gravity)}
-        densities = {"solid_density": case.density, "density": 1e3, "viscosity": 1.0}
-        self.system = MovingSystem(self.mesh, BOUNDARIES if solid else RIGID, **densities, **parts)
-        if case.young is not None:
+        self.system = case.system(*MESHES[level], MovingSystem, solid_density=DENSITY)
+        if case.young:
             self.system.set_material([case.young], [POISSON])
         self.weights = norm_weights(self.system)
         self._inflow = np.zeros(self.system.space.ndof)
-        if fluid:
+        if case.velocity:
             set_inflow(self.system, case.velocity)
             self._inflow = np.array(self.system.values)
             self.system.values[:] = 0.0
@@ -122,15 +102,6 @@ class Cylinder:
         """Write the inflow, which grows smoothly to its final value in two seconds."""
         share = 0.5 * (1 - np.cos(np.pi * moment / RAMP)) if moment < RAMP else 1.0
         self.system.values[:] = share * self._inflow
-
-    def quantities(self) -> tuple[float, ...]:
-        """Return displacement of the beam's tip and force on cylinder and beam, as far as there are any."""
-        found: tuple[float, ...] = ()
-        if self.case.young:
-            found += tuple(self.system.state.components[2](self.mesh(*TIP)))
-        if self.case.velocity:
-            found += force(self.system)
-        return found
 
     def moved_from(self, other: "Cylinder", moment: Moment) -> Moment:
         """Return a moment of the same case on another mesh, interpolated to this one."""
@@ -145,7 +116,7 @@ class Cylinder:
 
 @dataclass
 class Run:
-    """The series of a run: times, and one row of `Cylinder.quantities` each."""
+    """The series of a run: times, and one row of `Benchmark.values` each."""
 
     cylinder: Cylinder
     last: Moment
@@ -161,7 +132,7 @@ class Run:
         for moment in march:
             self.last = moment
             self.times.append(moment.time)
-            self.rows.append(cylinder.quantities())
+            self.rows.append(cylinder.case.values(cylinder.system))
         self.jacobians += march.jacobians
         self.seconds += time.perf_counter() - began
 
@@ -206,7 +177,7 @@ def rows(case: Case, stage: Stage, run: Run) -> list[tuple]:
     window = min(3.2 * period, run.times[-1] - run.times[0])
     for k, (name, published) in enumerate(case.reference.items()):
         own = oscillation(times, series[:, k], window, period)
-        size = (run.cylinder.mesh.ne, len(run.cylinder.system.free), stage.step, run.jacobians, run.seconds)
+        size = (run.cylinder.system.mesh.ne, len(run.cylinder.system.free), stage.step, run.jacobians, run.seconds)
         found.append((name, *published, *size, *own))
     return found
 

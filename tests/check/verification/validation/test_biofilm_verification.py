@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 from verification.validation import analytic, biofilm_mesh
 from verification.validation.biofilm_mesh import flow_cell
-from verification.validation.sensitivities import POINTS, Inputs, partition_of, relative_differences
+from verification.validation.generality import SPECIMENS, sensitivity_errors, specimen
 from verification.validation.tables import observed_orders
 
 from strandline.models.biofilm.cell import Setting
-from strandline.models.biofilm.geometry import MESHES, MeshSize
+from strandline.models.biofilm.geometry import MESHES
 from strandline.models.biofilm.materials import LAWS, MixedStress
 
 CORNERS = [("uniaxial", "saint_venant_kirchhoff", 0.5), ("uniaxial", "neo_hookean", 0.5), ("shear", "yeoh", -0.9)]
-ROUGH = MeshSize(far=0.3, interface=0.09, foot=0.06, grading=0.6)
 
 
 def test_homogeneous_states_are_exact_and_a_wrong_law_is_noticed(monkeypatch):
@@ -50,25 +49,25 @@ def test_poiseuille_flow_is_exact_forces_and_mass_balance_and_those_of_an_unfini
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("at", [POINTS[1], POINTS[-1]], ids=["nearly incompressible", "three parts"])
-def test_sensitivities_agree_with_differences(at):
-    cell = flow_cell(ROUGH, partition=partition_of(len(at.young)), nodes=18)
-    assert max(relative_differences(cell, at)) < 1e-6
+@pytest.mark.parametrize("inputs", [SPECIMENS[1], SPECIMENS[-1]], ids=["nearly incompressible", "three parts"])
+def test_sensitivities_agree_with_differences(inputs):
+    assert max(sensitivity_errors(specimen(inputs, "coarse"), inputs).values()) < 1e-6
 
 
 def test_sensitivities_with_a_jacobian_from_elsewhere_do_not(monkeypatch):
     """The planted error: the Jacobian of a solution at E half a percent larger."""
-    cell = flow_cell(ROUGH, nodes=18)
+    model = specimen(SPECIMENS[0], "coarse")
+    cell, _ = model._cell()
     elsewhere = cell.system.factorise(cell.solve(Setting([402.0], [0.3], 100.0)).unknowns)
     exact = cell.sensitivities
 
-    def stale(solution):
+    def stale(solution, fluid):
         with monkeypatch.context() as patch:
             patch.setattr(cell.system, "factorise", lambda x: elsewhere)
-            return exact(solution)
+            return exact(solution, fluid)
 
     monkeypatch.setattr(cell, "sensitivities", stale)
-    assert max(relative_differences(cell, Inputs((400.0,), (0.3,), 100.0))) > 1e-5
+    assert max(sensitivity_errors(model, SPECIMENS[0]).values()) > 1e-5
 
 
 def test_extreme_inputs_are_solved():
