@@ -7,7 +7,6 @@ from typing import Any
 
 from strandline.errors import StrandlineError
 from strandline.files import read_json
-from strandline.models.python import PythonModel
 from strandline.runs.ledger_rows import outcome_digest, unsound
 from strandline.studies.folder import (
     ANSWERS,
@@ -57,7 +56,7 @@ def examine(folder: Path) -> list[Finding]:
     try:
         state = progress_of(study)
         found += [*_gaps(study, state), *_files(folder, at_work=bool(state.driver and state.driver.at_work))]
-        found += [*_model(study), *_results(study, state)]
+        found += _results(study)
     except StrandlineError as error:
         found.append(Finding(_line(error), "Do what it says; the other checks come after that."))
     return found
@@ -111,17 +110,7 @@ def _files(folder: Path, *, at_work: bool) -> Iterator[Finding]:
         yield Finding("results of a SLURM array are not collected", f"Collect them: strandline run {folder}")
 
 
-def _model(study: Study) -> Iterator[Finding]:
-    """Yield a doubt whether the model is the one that made the runs; `progress_of` refuses another one."""
-    if study.ledger_path.is_file() and isinstance(study.model, PythonModel) and study.model.function_alone:
-        yield Finding(
-            f"{LEDGER} was begun when a fingerprint covered {study.model.function} alone: "
-            "a change of what the function calls is not noticed",
-            "If any of that has changed, move the ledger away and run again.",
-        )
-
-
-def _results(study: Study, state: StudyProgress) -> Iterator[Finding]:
+def _results(study: Study) -> Iterator[Finding]:
     """Yield how the results differ from what study.yaml, ledger, model and packages would give now."""
     report = f"Make them again: strandline report {study.folder}"
     summary = read_json(study.folder / SUMMARY)

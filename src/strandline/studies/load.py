@@ -12,7 +12,7 @@ from strandline.studies.folder import LEDGER
 from strandline.studies.inputs import build_fixed, build_space, check_complete, read_candidates
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.observation import COLUMN, IMAGE, ConditionNoise
-from strandline.studies.models import as_in_ledgers, build_discrepancies, build_model, with_cheaper
+from strandline.studies.models import build_discrepancies, build_model, with_cheaper
 from strandline.studies.noise import (
     build_noise,
     require_fits,
@@ -42,8 +42,8 @@ def study_of(folder: Path, content: StudyFile, text: str) -> Study:
     """Return the study that a study file states."""
     undeformed = undeformed_in(content.model, folder)
     model = build_model(content.model, folder, sensitivities=content.sensitivities, undeformed=undeformed)
+    model = with_cheaper(model, content, folder, undeformed)
     reuse = tuple(_reused_ledger(folder, other) for other in content.reuse)
-    model = with_cheaper(as_in_ledgers(model, (folder / LEDGER, *reuse)), content, folder, undeformed)
     space, fixed = build_space(content.inputs, model), build_fixed(content, model)
     truth, synthetic_noise = None, None
     if not isinstance(content.observation, list) and content.observation.synthetic is not None:

@@ -1,8 +1,7 @@
 """The keys `model` and `fidelities` of study.yaml → forward models."""
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +10,13 @@ from pydantic import ConfigDict
 
 from strandline.discrepancy import DISCREPANCIES, Discrepancy
 from strandline.discrepancy.comparison import apart
-from strandline.errors import InvalidInput, InvalidStudy, LedgerError
+from strandline.errors import InvalidInput, InvalidStudy
 from strandline.files import read_json
 from strandline.models import MODELS
 from strandline.models.fidelities import CHEAPER, WithCheaper, by_cheaper
-from strandline.models.fingerprint import fingerprint
 from strandline.models.protocol import ForwardModel, UsesNames, with_sensitivities
-from strandline.models.python import PythonModel
 from strandline.readers.options import TO_MM
 from strandline.runs import RunRecord
-from strandline.runs.overview import Overview
 from strandline.studies.folder import SUMMARY
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.scalars import Choice, Number, Section
@@ -101,25 +97,6 @@ def differentiating(model: ForwardModel) -> ForwardModel | None:
     except InvalidInput:
         return None
     return asked
-
-
-def as_in_ledgers(model: ForwardModel, ledgers: Sequence[Path]) -> ForwardModel:
-    """Return `model`, identified by its function alone if the first existing ledger identifies it that way.
-
-    The function must not have changed since; a change of what it calls goes unnoticed, as before.
-    """
-    if not isinstance(model, PythonModel):
-        return model
-    path = next((path for path in ledgers if path.is_file()), None)
-    if path is None:
-        return model
-    try:
-        with Overview(path) as ledger:
-            kept = ledger.model()
-        earlier = replace(model, function_alone=True)
-        return earlier if kept not in (None, fingerprint(model)) and kept == fingerprint(earlier) else model
-    except LedgerError:  # damaged: reported when it is opened for use
-        return model
 
 
 COST = 0.3

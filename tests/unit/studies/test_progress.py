@@ -11,7 +11,7 @@ from strandline.models.fingerprint import fingerprint
 from strandline.runs import Ledger, RunRecord, RunRequest, attempt, run_key
 from strandline.runs.ledger_schema import ATTEMPTS
 from strandline.studies import load_study
-from strandline.studies.doctor import _gaps, examine
+from strandline.studies.doctor import _gaps
 from strandline.studies.progress import RATE_RUNS, _per_minute, progress_in, progress_of
 from strandline.studies.study import settled
 from strandline.testing.studies import write_study
@@ -174,19 +174,19 @@ def test_finished_means_the_observation_too(study):
 OLD = "def helper(a):\n    return a\n\ndef f(inputs, workdir):\n    return [[0.0, 0.0], [1.0, helper(inputs['a'])]]\n"
 
 
-def test_an_earlier_ledger_of_an_unchanged_function_is_accepted(tmp_path, monkeypatch):
+def test_an_earlier_ledger_of_an_unchanged_function_is_accepted_if_the_study_says_so(tmp_path, monkeypatch):
     (tmp_path / "old_ledger_model.py").write_text(OLD)
     monkeypatch.syspath_prepend(tmp_path)
-    model, inputs = {"python": {"function": "old_ledger_model:f"}}, {"a": {"prior": {"uniform": [0, 1]}}}
-    write_study(tmp_path, model=model, inputs=inputs, fixed=None, observation={"synthetic": {"a": 0.5}})
-    now = fingerprint(load_study(tmp_path).model)
-    earlier = fingerprint(replace(load_study(tmp_path).model, function_alone=True))
-    ledger = tmp_path / "ledger.sqlite"
-    Ledger.open(ledger, model=earlier).close()
-    assert fingerprint(load_study(tmp_path).model) == earlier
-    assert any("covered old_ledger_model:f alone" in finding.what for finding in examine(tmp_path))
-    ledger.rename(tmp_path / "away")
-    assert fingerprint(load_study(tmp_path).model) == now
+    model = {"function": "old_ledger_model:f"}
+    keys = {"inputs": {"a": {"prior": {"uniform": [0, 1]}}}, "fixed": None, "observation": {"synthetic": {"a": 0.5}}}
+    folder = write_study(tmp_path / "now", model={"python": model}, **keys)
+    earlier = replace(load_study(folder).model, function_alone=True)
+    with Ledger.open(folder / "ledger.sqlite", model=earlier) as ledger:
+        ledger.started(RunRequest("one", {"a": 0.5}))
+    with pytest.raises(LedgerError, match="function_alone: true"):
+        load_study(folder).runs.require_sound_ledgers()
+    folder = write_study(folder, model={"python": {**model, "function_alone": True}}, **keys)
+    load_study(folder).runs.require_sound_ledgers()
 
 
 @pytest.mark.stand_in

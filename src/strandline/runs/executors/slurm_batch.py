@@ -9,8 +9,8 @@
 ```
 """
 
+import base64
 import hashlib
-import io
 import json
 import os
 import re
@@ -22,20 +22,15 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-from zipfile import BadZipFile
 
-import numpy as np
-
-from strandline.errors import InvalidInput, StrandlineError
-from strandline.interface import Interface
+from strandline.errors import InvalidInput
 from strandline.models.fingerprint import fingerprint
 from strandline.models.protocol import ForwardModel, asks_sensitivities
+from strandline.runs.ledger_rows import inputs_text, record_of, rows_of
 from strandline.runs.ledger_schema import synchronise
 from strandline.runs.record import RunRecord, RunRequest
 
-HEADER = b"strandline run 1 "
-PLAIN = ("key", "inputs", "state", "diagnostics", "seconds", "failure_kind", "message", "log")
+HEADER = b"strandline run 2 "
 BATCH = "batch.json"
 VERSION = 1
 ANSWER_SECONDS = 120.0
@@ -43,19 +38,10 @@ DEFAULT_LARGEST_ARRAY = 1001
 
 
 def write_run(path: Path, record: RunRecord) -> None:
-    """Write `record` to `path`, durably."""
-    facts: dict[str, Any] = {name: getattr(record, name) for name in PLAIN}
-    facts |= {"inputs": dict(record.inputs), "diagnostics": dict(record.diagnostics)}
-    facts["interfaces"] = list(record.interfaces)
-    facts["sensitivities"] = [[of, name] for of, by_input in record.sensitivities.items() for name in by_input]
-    arrays = {"facts": np.frombuffer(json.dumps(facts).encode(), np.uint8)}
-    for number, interface in enumerate(record.interfaces.values()):
-        arrays |= {f"points{number}": interface.points, f"cells{number}": interface.cells}
-    for number, (of, name) in enumerate(facts["sensitivities"]):
-        arrays[f"sensitivity{number}"] = record.sensitivities[of][name]
-    stream = io.BytesIO()
-    np.savez(stream, allow_pickle=False, **arrays)
-    content = stream.getvalue()
+    """Write `record` to `path`, durably: its rows of a ledger as JSON, after their checksum."""
+    outcome, arrays = rows_of(record, None)
+    rows = (record.key, inputs_text(record.inputs), *outcome), arrays
+    content = json.dumps(rows, default=lambda data: {"base64": base64.b64encode(data).decode()}).encode()
     put_durably(path, HEADER + hashlib.sha256(content).hexdigest().encode() + b"\n" + content)
 
 
@@ -67,11 +53,14 @@ def read_run(path: Path) -> RunRecord:
     """
     header, _, content = path.read_bytes().partition(b"\n")
     if header != HEADER + hashlib.sha256(content).hexdigest().encode():
-        raise _damaged(path, "a checksum that does not match")
-    try:
-        return _read(content)
-    except (ValueError, KeyError, TypeError, BadZipFile, StrandlineError) as error:
-        raise _damaged(path, str(error)) from error
+        raise InvalidInput(
+            f"the result of a run in {path}",
+            value="a checksum that does not match",
+            expected="what was written",
+            remedy="The run is made again.",
+        )
+    row, arrays = json.loads(content, object_hook=lambda packed: base64.b64decode(packed["base64"]))
+    return record_of(path, tuple(row), arrays)
 
 
 def put_durably(path: Path, content: bytes) -> None:
@@ -83,25 +72,6 @@ def put_durably(path: Path, content: bytes) -> None:
         os.fsync(stream.fileno())
     partial.replace(path)
     synchronise(path.parent)
-
-
-def _read(content: bytes) -> RunRecord:
-    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-        facts = json.loads(arrays["facts"].tobytes())
-        interfaces = {
-            name: Interface(arrays[f"points{number}"], arrays[f"cells{number}"])
-            for number, name in enumerate(facts["interfaces"])
-        }
-        sensitivities: dict[str, dict[str, Any]] = {}
-        for number, (of, name) in enumerate(facts["sensitivities"]):
-            sensitivities.setdefault(of, {})[name] = arrays[f"sensitivity{number}"]
-    return RunRecord(**{name: facts[name] for name in PLAIN}, interfaces=interfaces, sensitivities=sensitivities)
-
-
-def _damaged(path: Path, how: str) -> InvalidInput:
-    return InvalidInput(
-        f"the result of a run in {path}", value=how, expected="what was written", remedy="The run is made again."
-    )
 
 
 @dataclass(frozen=True)
