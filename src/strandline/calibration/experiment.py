@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -14,7 +13,7 @@ from strandline.errors import InvalidInput
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors, steady_normals
 from strandline.likelihood import FieldLikelihood, compared
 from strandline.likelihood.compared import with_variance
-from strandline.likelihood.joint_errors import shared_errors
+from strandline.likelihood.joint_errors import JointErrors, shared_errors
 from strandline.likelihood.noise_rule import stated_errors
 from strandline.surrogate.field import FieldSurrogate
 
@@ -136,11 +135,11 @@ class Experiment:
 
     def observed(self, truths: Mapping[str, Interface], random: np.random.Generator) -> tuple[Observation, ...]:
         """Return the true interfaces as they might be observed, with the noise of the analysis."""
-        common = self._shared
-        if common is None:
+        joint = self._shared(truths)
+        if joint is None:
             drawn = {name: self.errors[name].draw(true, random) for name, true in truths.items()}
         else:
-            drawn = _drawn_together(common, truths, random)
+            drawn = _drawn_together(joint, random)
         return tuple(Observation(seen, self.noises[name], name) for name, seen in drawn.items())
 
     def likelihood(self, observations: tuple[Observation, ...]) -> FieldLikelihood:
@@ -148,14 +147,10 @@ class Experiment:
 
     def information(self, x: Point, truths: Mapping[str, Interface]) -> Matrix:
         """Return the Fisher information of the inputs at x by these errors, for small displacements."""
-        slopes = self._slopes(x)
-        common = self._shared
-        if common is not None:
-            seen = [Observation(true, common[name], name) for name, true in truths.items()]
-            joint = shared_errors(seen, NormalOffset())
-            if joint is not None:
-                rows = [_along_normals(slopes[name], true) for name, true in truths.items()]
-                return joint.model.information(np.concatenate(rows))
+        slopes, joint = self._slopes(x), self._shared(truths)
+        if joint is not None:
+            rows = [_along_normals(slopes[name], true) for name, true in truths.items()]
+            return joint.model.information(np.concatenate(rows))
         return np.asarray(sum(_of_one(self.errors[name], slopes[name], true) for name, true in truths.items()))
 
     def _slopes(self, x: Point) -> dict[str, Float[np.ndarray, "_ xyz dim"]]:
@@ -171,12 +166,11 @@ class Experiment:
             found[name] = np.stack([one.on(c) / s for c, s in zip(changes, spans, strict=True)], axis=2)
         return found
 
-    @cached_property
-    def _shared(self) -> Mapping[str, PointErrors] | None:
-        """The errors if shift, rotation and scale are the same in all conditions; None if there is nothing to share."""
-        known = {name: one for name, one in self.errors.items() if isinstance(one, PointErrors) and one.shared}
-        same = len({(one.shift, one.rotation, one.scale) for one in known.values()}) == 1
-        return known if same and len(known) == len(self.errors) > 1 else None
+    def _shared(self, truths: Mapping[str, Interface]) -> JointErrors | None:
+        """Return the errors if all conditions share shift, rotation and scale; None if there is nothing to share."""
+        known = ((name, one) for name, one in self.errors.items() if isinstance(one, PointErrors))
+        seen = [Observation(truths[name], one, name) for name, one in known]
+        return shared_errors(seen, NormalOffset()) if len(seen) == len(self.errors) else None
 
 
 def experiment_behind(likelihood: FieldLikelihood, near: Float[np.ndarray, " mode"]) -> Experiment:
@@ -221,16 +215,13 @@ def errors_behind(seen: Observation, measure: Discrepancy, nodes: int) -> Errors
         ) from error
 
 
-def _drawn_together(
-    errors: Mapping[str, PointErrors], truths: Mapping[str, Interface], random: np.random.Generator
-) -> dict[str, Interface]:
+def _drawn_together(joint: JointErrors, random: np.random.Generator) -> dict[str, Interface]:
     """Return observations with the same drawn shift, rotation and scale about their common middle."""
-    middle = np.concatenate([true.points for true in truths.values()]).mean(axis=0)
-    dim, out = len(middle), {}
-    by = random.standard_normal(replace(next(iter(errors.values())), offset=0.0).global_errors(dim))
-    for name, true in truths.items():
-        own = replace(errors[name], shift=0.0, rotation=0.0, scale=0.0).draw(true, random)
-        out[name] = replace(errors[name], offset=0.0).moved(own, by, middle=middle)
+    middle = np.concatenate([true.interface.points for true in joint.observations]).mean(axis=0)
+    by, out = random.standard_normal(replace(joint.errors[0], offset=0.0).global_errors(len(middle))), {}
+    for true, errors in zip(joint.observations, joint.errors, strict=True):
+        own = replace(errors, shift=0.0, rotation=0.0, scale=0.0).draw(true.interface, random)
+        out[true.condition] = replace(errors, offset=0.0).moved(own, by, middle=middle)
     return out
 
 

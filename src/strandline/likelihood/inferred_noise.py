@@ -214,27 +214,30 @@ def require_inferable(observations: Sequence[Observation], measure: Discrepancy,
     Raises:
         InvalidInput: Measure, surrogate or observations do not fit unknown noise.
     """
-    unknown = [one.unknown for one in observations if one.unknown]
-    if not unknown:
-        return
     for seen in observations:
         if seen.unknown:
             seen.unknown.require_fits(seen.interface)
-    value, expected = "", "the measure NormalOffset() and Settings(surrogate='field')"
+    require_inferable_noise([seen.noise for seen in observations], measure, by_field=by_field)
+
+
+def require_inferable_noise(noises: Sequence[object], measure: Discrepancy, *, by_field: bool) -> None:
+    """Refuse the same before the observations are known, from the noise of each."""
+    unknown = [one for one in noises if isinstance(one, UnknownErrors)]
+    value, expected = "", "the measure normal_offset and a surrogate of the field"
     if not isinstance(measure, NormalOffset):
         value = f"the measure {type(measure).__name__}"
     elif not by_field:
         value = "a surrogate of the log-likelihood"
-    elif len(unknown) < len(observations):
-        value, expected = "an observation without", "unknown noise in every observation, or in none"
+    elif len(unknown) < len(noises):
+        value, expected = "an observation without", "the same unknown noise, or model error, for every condition"
     elif len({(one.sd, one.length, one.model_error, one.spread) for one in unknown}) > 1:
-        value, expected = "different unknown noise", "the same sd, length, model_error and spread in all observations"
-    if value:
+        value, expected = "different unknown noise", "the same sd, length, model_error and spread for every condition"
+    if unknown and value:
         raise InvalidInput(
-            "unknown noise of the observed points, or a model error",
+            "noise: an unknown sd or length, or a model error",
             value=value,
             expected=expected,
-            remedy="Change it, or state the noise, e.g. PointErrors(sd=0.003).",
+            remedy="Change it (`discrepancy: {normal_offset: {}}`, `surrogate: {field: {}}`), or state all noise.",
         )
 
 

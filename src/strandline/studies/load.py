@@ -88,7 +88,7 @@ def study_of(folder: Path, content: StudyFile, text: str) -> Study:
     require_shared(stated)
     for given in (content.noise, *content.noise.conditions.values()):
         require_unit(given, study.discrepancies.values())
-    require_inferable(stated.values(), study.measure, by_field=study.settings.surrogate == "field")
+    require_inferable([*stated.values()], study.measure, by_field=study.settings.surrogate == "field")
     return replace(study, as_loaded=study)
 
 

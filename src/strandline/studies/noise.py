@@ -10,6 +10,7 @@ from jaxtyping import Float
 from strandline.discrepancy import Discrepancy, NormalOffset
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import GaussianNoise, Interface, Noise, PointErrors, UnknownErrors
+from strandline.likelihood.inferred_noise import require_inferable_noise
 from strandline.readers.options import TO_MM
 from strandline.studies.keys.observation import COLUMN, IMAGE, ConditionNoise, Unknown
 from strandline.studies.observed import Found
@@ -52,8 +53,6 @@ def build_noise(
     if given.sd == IMAGE:
         seen = _shown(given, found)
         sd, length, common["offset"] = seen.sd, seen.length, common["offset"] or seen.offset
-    else:
-        _require_ranges(given)
     with refused_at():
         if given.sd == COLUMN:
             return _of_each(sds, length, given, **common, shared=unknown.shared)
@@ -112,18 +111,6 @@ def require_unit(given: ConditionNoise, measures: Iterable[Discrepancy]) -> None
         )
 
 
-def _require_ranges(given: ConditionNoise) -> None:
-    """Refuse ranges without mass, in the unit in which they are written."""
-    for name, found in (("sd", given.sd), ("length", given.length)):
-        if isinstance(found, tuple) and not 0 < found[0] < found[1]:
-            raise InvalidStudy(
-                f"noise.{name}",
-                value=list(found),
-                expected="a range [low, high] with 0 < low < high",
-                remedy="Correct the range, or write `unknown`.",
-            )
-
-
 def _of_each(
     sds: Float[np.ndarray, " point"] | None, length: object, given: ConditionNoise, **others: Any
 ) -> PointErrors:
@@ -152,35 +139,14 @@ def require_fits(noise: Noise | PointErrors | UnknownErrors, seen: Interface) ->
             noise.require_fits(seen)
 
 
-def require_inferable(noises: Iterable[object], measure: Discrepancy, *, by_field: bool) -> None:
+def require_inferable(noises: Sequence[object], measure: Discrepancy, *, by_field: bool) -> None:
     """Refuse unknown noise where nothing can infer it."""
-    noises = list(noises)
     if len(noises) < 2 and any(isinstance(noise, UnknownErrors) and noise.spread for noise in noises):
         raise InvalidStudy(
             "noise.spread", value="one condition", expected="several, whose inputs may differ", remedy="Remove spread."
         )
-    if len({(n.sd, n.length, n.model_error, n.spread) for n in noises if isinstance(n, UnknownErrors)}) > 1:
-        raise InvalidStudy(
-            "noise.conditions",
-            value="different unknown noise",
-            expected="the same sd, length, model_error and spread in all conditions",
-            remedy="State them once, under noise.",
-        )
-    unknown = [isinstance(noise, UnknownErrors) for noise in noises]
-    if any(unknown) and not all(unknown):
-        raise InvalidStudy(
-            "noise: an unknown sd or length, or a model error",
-            value="a condition without",
-            expected="unknown noise, or a model error, in every condition",
-            remedy="State the same unknown sd, length or model_error for every condition, or for none.",
-        )
-    if any(unknown) and not (by_field and isinstance(measure, NormalOffset)):
-        raise InvalidStudy(
-            "noise: an unknown sd or length, or a model error",
-            value=f"the measure {type(measure).__name__}" if by_field else "a surrogate of the log-likelihood",
-            expected="the measure normal_offset" + ("" if by_field else " and a surrogate of the field"),
-            remedy="Write `discrepancy: {normal_offset: {}}` and `surrogate: {field: {}}`, or state the noise.",
-        )
+    with refused_at():
+        require_inferable_noise(noises, measure, by_field=by_field)
 
 
 def require_shared(noises: Mapping[str, object]) -> None:

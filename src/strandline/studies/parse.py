@@ -156,7 +156,7 @@ def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list
         if part not in current.model_fields:
             continue
         current = keys_within(annotation_of(current.model_fields[str(part)]))
-    return [name for name, field in current.model_fields.items() if not field.exclude] if current is not None else []
+    return [] if current is None else [*current.model_fields]
 
 
 def _is_internal(part: int | str) -> bool:

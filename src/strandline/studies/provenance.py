@@ -118,6 +118,11 @@ def facts_of(study: Study, seed: int) -> dict[str, Any]:
     }
 
 
+def named(one: object, *names: str) -> dict[str, Any]:
+    """Return these attributes by name."""
+    return {name: getattr(one, name) for name in names}
+
+
 def versions() -> dict[str, str]:
     """Return the versions of Python and of the installed packages that numbers depend on."""
     found = {"python": platform.python_version()}

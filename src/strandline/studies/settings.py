@@ -117,8 +117,7 @@ def build_refinement(given: Mapping[str, Any] | None, particles: int) -> Refinem
 
 def build_executor(choice: ExecutorChoice, folder: Path) -> Executor:
     """Return the executor of the study in `folder`; worker processes on this machine if it names none."""
-    if choice.other is not None:
-        ((name, options),) = choice.other.items()
+    for name, options in (choice.model_extra or {}).items():
         own: Executor = made(open_entry(EXECUTORS, name, "executor", "an executor"), options, f"executor.{name}")
         require_parts(own, ("__call__",), f"executor.{name}")
         return own

@@ -256,12 +256,13 @@ class StudyRuns:
 
     def take_over(self, ledger: Ledger) -> None:
         """Copy runs of other studies that this one needs and has not made itself."""
-        keys = self.needed_keys
+        keys, sensitivities = self.needed_keys, self.study.sensitivities
         for other in self.study.reuse:
-            known = ledger.latest(keys)
-            missing = [key for key in keys if key not in known or self._lacks_sensitivities(known[key])]
+            known = ledger.latest(keys).values()
+            here = {one.key for one in known if one.settles(sensitivities=sensitivities) or not one.final}
+            missing = [key for key in keys if key not in here]
             if missing and other.is_file():
-                ledger.copy_from(other, missing, sensitivities=self.study.sensitivities)
+                ledger.copy_from(other, missing, sensitivities=sensitivities)
 
     def begin_round(self, number: int, inputs: Sequence[Mapping[str, float]]) -> None:
         """Note the runs of round `number`, counted from 0; drop later rounds."""
@@ -311,9 +312,6 @@ class StudyRuns:
         box = zip(study.space.names, study.space.low, study.space.high, strict=True)
         useful = not study.sensitivities or not record.ok or bool(record.sensitivities)
         return known and useful and all(low <= record.inputs[name] <= high for name, low, high in box)
-
-    def _lacks_sensitivities(self, record: RunRecord) -> bool:
-        return record.final and not record.settles(sensitivities=self.study.sensitivities)
 
     @property
     def _noted(self) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from strandline.studies.check import outcomes
 from strandline.studies.measure_doubts import contradictions
 from strandline.studies.parse import in_words
 from strandline.studies.pictures.shown import read_how
-from strandline.studies.provenance import facts_of, observation_digest
+from strandline.studies.provenance import facts_of, named, observation_digest
 from strandline.studies.study import Study
 from strandline.studies.summary_field import certificate, comparison, field_surrogate, inferred_noise
 from strandline.studies.widths import outline_effect
@@ -67,8 +67,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "measures": {name: _surrogate(s) for name, s in calibration.surrogates.items()},
         "sampler": {
             "particles": study.settings.particles,
-            "rejuvenation_steps": study.settings.smc.rejuvenation_steps,
-            "zeta": study.settings.smc.zeta,
+            **named(study.settings.smc, "rejuvenation_steps", "zeta"),
             "tempering_steps": len(sampling.steps),
             "likelihood_evaluations": sampling.likelihood_evaluations,
             "ess": sampling.ess if calibration.field is None else posterior.ess,
@@ -99,9 +98,7 @@ def sampler_check(calibration: Calibration) -> dict[str, Any] | None:
         return None
     split = check.split
     return {
-        "agree": check.agree,
-        "verdict": check.verdict,
-        "p": check.p,
+        **named(check, "agree", "verdict", "p"),
         "effective": list(check.effective),
         "mean_difference_sd": dict(zip(check.names, check.mean_difference.tolist(), strict=True)),
         "sd_ratio": dict(zip(check.names, np.exp(check.log_sd_ratio).tolist(), strict=True)),
@@ -115,9 +112,7 @@ def _compared(names: Sequence[str], sampled: Posterior | Reading, exact: Quadrat
     return per_input | {
         "max_mean_error_sd": float(np.max(np.abs(sampled.mean - exact.mean) / exact.sd)),
         "max_sd_ratio_error": float(np.max(np.abs(sampled.sd / exact.sd - 1.0))),
-        "log_evidence": exact.log_evidence,
-        "converged": exact.converged,
-        "evaluations": exact.evaluations,
+        **named(exact, "log_evidence", "converged", "evaluations"),
     }
 
 
@@ -170,11 +165,7 @@ def _refinement(calibration: Calibration) -> list[dict[str, Any]]:
     posterior = calibration.posterior
     return [
         {
-            "n_train": r.n_train,
-            "runs": r.runs,
-            "failed": r.failed,
-            "error_rms": r.error_rms,
-            "error_rms_posterior": r.error_rms_posterior,
+            **named(r, "n_train", "runs", "failed", "error_rms", "error_rms_posterior"),
             "shift": dict(zip(posterior.space.names, shift.tolist(), strict=True)),
         }
         for r, shift in zip(calibration.rounds, shifts(calibration.rounds, posterior.mean, posterior.sd), strict=True)
@@ -228,9 +219,7 @@ def _surrogate(surrogate: LogLikelihoodSurrogate) -> dict[str, Any]:
     return {
         "kind": "log_likelihood",
         "n_train": len(validation.residuals),
-        "loo_rms": validation.loo_rms,
-        "loo_rms_near_mode": validation.loo_rms_near_mode,
-        "near_mode_count": validation.near_mode_count,
+        **named(validation, "loo_rms", "loo_rms_near_mode", "near_mode_count"),
         "hyperparameters": {
             "length_scale": np.asarray(process.length_scale).tolist(),
             "signal_variance": float(process.signal_variance),

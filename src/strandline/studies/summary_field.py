@@ -11,6 +11,7 @@ from strandline.design.active import BatchCheck, FieldOutcome, Step
 from strandline.design.active.fidelities import FidelityReport
 from strandline.interface import Observation, UnknownErrors, steady_lengths
 from strandline.likelihood.inferred_noise import NoisePosterior
+from strandline.studies.provenance import named
 
 TO_MICROMETRES = 1e3
 LEVELS = {"q05": 0.05, "median": 0.5, "q95": 0.95}
@@ -132,8 +133,7 @@ def _fidelities(found: FidelityReport) -> dict[str, Any]:
         "pairs": found.pairs,
         "error_um": None if found.error is None else TO_MICROMETRES * found.error,
         "hidden_um": TO_MICROMETRES * found.hidden,
-        "dropped": found.dropped,
-        "statement": found.statement,
+        **named(found, "dropped", "statement"),
     }
 
 
@@ -165,7 +165,7 @@ def _check(found: BatchCheck, step: Step | None, names: tuple[str, ...]) -> dict
         of |= {name: _by_name(names, getattr(weights, name)) for name in moments}
     return {
         "by": "left-out runs" if step is not None and step.kind == "given" else "runs at draws of the posterior",
-        **{name: getattr(found, name) for name in ("passed", "draws", "failed", "left_out", "early", "given_up")},
+        **named(found, "passed", "draws", "failed", "left_out", "early", "given_up"),
         "reasons": list(found.reasons),
         **of,
     }
@@ -173,9 +173,7 @@ def _check(found: BatchCheck, step: Step | None, names: tuple[str, ...]) -> dict
 
 def _step(step: Step, names: tuple[str, ...]) -> dict[str, Any]:
     return {
-        "runs": step.runs,
-        "ok": step.ok,
-        "kind": step.kind,
+        **named(step, "runs", "ok", "kind"),
         "mean": _by_name(names, step.mean),
         "sd": _by_name(names, step.sd),
         "error_um": TO_MICROMETRES * step.error,

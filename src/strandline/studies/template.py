@@ -11,6 +11,7 @@ from typing import Any
 
 from strandline.errors import InvalidStudy
 from strandline.studies.folder import STUDY, is_result
+from strandline.studies.text import flow
 
 MEASURED = """\
 # The observed interface: a file with a point x, y per line, in the coordinates of the model.
@@ -57,7 +58,7 @@ class Observed:
         place = Path(os.path.relpath(self.file.resolve(), folder.resolve())).as_posix()
         place = self.file.name if self._is_copied(folder) else place
         observation = f"{{file: {json.dumps(place, ensure_ascii=False)}, unit: {self.unit}}}"
-        return MEASURED.format(observation=observation, noise=_flow(noise))
+        return MEASURED.format(observation=observation, noise=flow(noise))
 
     def put_into(self, folder: Path) -> None:
         """Copy the file into the folder of the study, unless it is there or refers to further files."""
@@ -68,11 +69,6 @@ class Observed:
     def _is_copied(self, folder: Path) -> bool:
         inside = self.file.resolve().is_relative_to(folder.resolve())
         return not inside and self.file.suffix.lower() not in OF_SEVERAL_FILES
-
-
-def _flow(content: dict[str, Any]) -> str:
-    parts = [f"{key}: {_flow(one) if isinstance(one, dict) else one}" for key, one in content.items()]
-    return "{" + ", ".join(parts) + "}"
 
 
 def study_name(folder: Path) -> str:

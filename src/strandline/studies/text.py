@@ -1,7 +1,7 @@
 """The text of study.yaml → plain data, with the line of each mistake; the same text with other values."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from math import inf
 from typing import Any
 
@@ -31,6 +31,7 @@ def load_yaml(text: str) -> Any:
     Numbers with underscores are texts: YAML 1.1 would read ``1_0`` as 10.
     """
     try:
+        _require_bearable(text)
         return yaml.load(text, Loader=_Loader)
     except InvalidStudy:
         raise
@@ -40,47 +41,36 @@ def load_yaml(text: str) -> Any:
         raise _not_yaml(mark, f"a mistake in its syntax: {problem}") from None
 
 
+def _require_bearable(text: str) -> None:
+    """Refuse characters that cannot be used, and text that would take all memory: too deep, or too large.
+
+    Depth and number of values are those with all aliases expanded; an anchor cannot contain an alias of itself.
+    """
+    known: dict[str | None, list[Any]] = {}
+    begun: list[list[Any]] = [[None, 0, 0]]  # name, number of values and depth of what is being read
+    for event in yaml.parse(text, Loader=yaml.SafeLoader):
+        mark, found = event.start_mark, [getattr(event, "anchor", None), 1, 1]
+        if isinstance(event, yaml.AliasEvent):
+            if any(event.anchor == one[0] for one in begun):
+                name = event.anchor
+                raise _not_yaml(mark, f"*{name} within &{name} itself", "an alias of something before it")
+            found = known.get(event.anchor, found)
+        if isinstance(event, yaml.ScalarEvent) and (bad := UNUSABLE.search(event.value)):
+            raise _not_yaml(mark, repr(bad[0])[1:-1], "no control characters", "Remove the character.")
+        if isinstance(event, yaml.NodeEvent) and len(begun) + found[2] > DEEPEST + 1:
+            raise _not_yaml(mark, "lists or mappings within each other", f"at most {DEEPEST} of them")
+        if isinstance(event, yaml.CollectionStartEvent):
+            begun.append(found)
+        elif isinstance(event, yaml.NodeEvent | yaml.CollectionEndEvent):
+            found = begun.pop() if isinstance(event, yaml.CollectionEndEvent) else found
+            if found[1] > LARGEST:
+                raise _not_yaml(mark, "aliases (*name) that repeat each other", f"at most {LARGEST} values in all")
+            known[found[0]] = found
+            begun[-1][1:] = begun[-1][1] + found[1], max(begun[-1][2], 1 + found[2])
+
+
 class _Loader(yaml.SafeLoader):
-    """Safe YAML that refuses repeated keys, custom tags and text that would take all memory."""
-
-    def __init__(self, stream: str) -> None:
-        super().__init__(stream)
-        self.depth = 0
-        self.open_anchors: set[str] = set()
-        self.extents: dict[int, tuple[int, int]] = {}
-
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """Return the next node; its depth is bounded, and an anchor cannot contain an alias of itself."""
-        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
-        name: str | None = getattr(event, "anchor", None)
-        if self.depth >= DEEPEST:
-            raise _too_deep(event.start_mark)
-        if name in self.open_anchors and isinstance(event, yaml.AliasEvent):
-            raise _not_yaml(event.start_mark, f"*{name} within &{name} itself", "an alias of something before it")
-        opened = set() if name is None else {name} - self.open_anchors
-        self.depth += 1
-        self.open_anchors |= opened
-        try:
-            node = super().compose_node(parent, index)
-        finally:
-            self.depth -= 1
-            self.open_anchors -= opened
-        if isinstance(node, yaml.ScalarNode):
-            _require_usable(node)
-            self.extents[id(node)] = 1, 1
-        elif node is not None:
-            self._require_bearable(node, event.start_mark)
-        return node
-
-    def _require_bearable(self, node: yaml.Node, mark: Any) -> None:
-        """Refuse a node that is too deep or too large with its aliases expanded."""
-        below = [self.extents[id(child)] for child in _children(node)]
-        size, height = 1 + sum(size for size, _ in below), 1 + max((height for _, height in below), default=0)
-        if height > DEEPEST:
-            raise _too_deep(mark)
-        if size > LARGEST:
-            raise _not_yaml(mark, "aliases (*name) that repeat each other", f"at most {LARGEST} values in all")
-        self.extents[id(node)] = size, height
+    """Safe YAML that refuses repeated keys and custom tags."""
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
         """Return a mapping whose keys are texts or numbers, each present once."""
@@ -116,24 +106,6 @@ class _Loader(yaml.SafeLoader):
             why = f": {error}" if type(error) is ValueError else ""
             raise _not_yaml(node.start_mark, f"{node.value!r}, which is no {kind}{why}") from None
         return value
-
-
-def _require_usable(node: yaml.ScalarNode) -> None:
-    found = UNUSABLE.search(node.value)
-    if found:
-        raise _not_yaml(node.start_mark, repr(found[0])[1:-1], "no control characters", "Remove the character.")
-
-
-def _children(node: yaml.Node) -> Iterator[yaml.Node]:
-    if isinstance(node, yaml.MappingNode):
-        for pair in node.value:
-            yield from pair
-    elif isinstance(node, yaml.SequenceNode):
-        yield from node.value
-
-
-def _too_deep(mark: Any) -> InvalidStudy:
-    return _not_yaml(mark, "lists or mappings within each other", f"at most {DEEPEST} of them")
 
 
 def _not_yaml(

@@ -121,7 +121,7 @@ CHAIN = "\n".join(["a0: &a0 [x]", *(f"a{i}: &a{i} [*a{i - 1}]" for i in range(1,
 LAUGHS = "\n".join(["a0: &a0 [x]", *(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 9))])
 REFUSED = [
     ("a: " + "[" * 5000, "line 1", "at most 40"),
-    (CHAIN, "line 40", "at most 40"),
+    (CHAIN, "line 39", "at most 40"),
     (LAUGHS, "line 6", "repeat each other"),
     ("a: &a [*a]", "*a within &a itself"),
     ("a: !!bool maybe", "line 1, column 4", "'maybe', which is no bool"),

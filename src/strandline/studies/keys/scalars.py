@@ -49,12 +49,6 @@ def _label(value: str) -> str:
     return value
 
 
-def _seconds(value: float) -> float:
-    if value > LONGEST_SECONDS:
-        raise ValueError(f"at most {LONGEST_SECONDS} seconds, a year: left out, there is no limit")
-    return value
-
-
 Number = Annotated[float, BeforeValidator(_number), Field(allow_inf_nan=False)]
 Whole = Annotated[int, BeforeValidator(_whole)]
 Count = Annotated[Whole, Field(ge=1, le=MOST)]
@@ -63,7 +57,7 @@ Size = Annotated[Whole, Field(le=MOST)]
 Seed = Annotated[Whole, Field(ge=0, lt=2**32)]
 Name = Annotated[str, AfterValidator(_name)]
 Unit = Annotated[str, AfterValidator(_label)]
-Seconds = Annotated[Number, Field(gt=0), AfterValidator(_seconds)]
+Seconds = Annotated[Number, Field(gt=0, le=LONGEST_SECONDS)]
 Text = Annotated[str, Field(strict=True, min_length=1)]
 
 

@@ -185,8 +185,6 @@ def listed(section: type[BaseModel]) -> tuple[Key, ...]:
 
 def _keys(section: type[BaseModel], before: str) -> Iterator[Key]:
     for name, key in section.model_fields.items():
-        if key.exclude:
-            continue
         annotation = annotation_of(key)
         found = list(_sections_in(annotation))
         inner = [one for one in found if one.model_fields and not issubclass(section, one)]

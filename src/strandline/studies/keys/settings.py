@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from strandline.design.active import Active
 from strandline.design.refinement import Refinement
@@ -16,7 +16,6 @@ from strandline.studies.keys.scalars import (
     MOST,
     MOST_RETRIES,
     MOST_VALUES,
-    Choice,
     Count,
     Number,
     Seconds,
@@ -154,36 +153,21 @@ SLURM_ARRAY = Options(
 )
 
 
-def _others_apart(value: Any) -> Any:
-    """Return a mapping with its keys ``module:name`` moved under `other`."""
-    if not isinstance(value, dict):
-        return value
-    others = {name: options for name, options in value.items() if isinstance(name, str) and ":" in name}
-    rest = {name: options for name, options in value.items() if name not in others}
-    return rest | ({"other": others} if others else {})
-
-
 class ExecutorChoice(Section):
-    """Where forward runs are made: one place."""
+    """Where forward runs are made: one place; or an executor ``module:name`` with its options."""
 
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, dict[str, Any] | None]
     in_process: Annotated[Mapping[str, Any], Options(InProcess)] | None = None
     """one run after the other, in the process of strandline; it has no options"""
     local: Annotated[Mapping[str, Any], Options(LocalProcesses)] | None = None
     dask: Annotated[Mapping[str, Any], DASK] | None = None
     slurm_array: Annotated[Mapping[str, Any], SLURM_ARRAY] | None = None
-    other: Annotated[Choice | None, Field(exclude=True)] = None
-    """An executor that the study names by ``module:name``; no key of its own."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _by_module(cls, value: Any) -> Any:
-        return _others_apart(value)
 
     @model_validator(mode="after")
     def _one_place(self) -> "ExecutorChoice":
-        if len(self.model_fields_set) > 1:
-            known = [name for name, field in type(self).model_fields.items() if not field.exclude]
-            raise ValueError(f"one of {', '.join(known)}")
+        if len(self.model_fields_set) > 1 or not all(":" in name for name in self.model_extra or {}):
+            raise ValueError(f"one of {', '.join(type(self).model_fields)}, or module:name")
         return self
 
 

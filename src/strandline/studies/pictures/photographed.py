@@ -1,7 +1,7 @@
 """Pictures of a study: the edge in each, in the model's coordinates, with the errors that the picture itself shows."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -59,6 +59,7 @@ def frame_note(frame: Frame | StackFrame, options: object, origin: str = "the st
 PLACE = "observation.image"
 SAME_PLACE = 0.5
 """Distance in pixels up to which a marked origin is the stated one."""
+IGNORED = ", not the marked "
 MODEL = "model"
 """The path of a picture whose first path is the model's own outline."""
 
@@ -71,7 +72,7 @@ class Photographed:
     `interface` in the model's coordinates. `registration` says where the set-up is, if that was found from another
     picture of it. `repeated` are the errors that frames show whose mean the picture is; `doubts` say why they show
     none. `placed` says in a sentence where the model lies, and who said so. `trim` is the share of the edge that was
-    left out at either end. `ignored` says what was marked and does not count, because the study states something else.
+    left out at either end.
     """
 
     picture: Picture
@@ -84,7 +85,6 @@ class Photographed:
     doubts: tuple[str, ...] = ()
     placed: str = ""
     trim: float = 0.0
-    ignored: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -97,6 +97,11 @@ class Photographed:
         repeated = () if self.repeated is None else self.repeated.notes
         cut = (f"{100 * self.trim:.3g} % of the edge left out at either end (`trim`)",) if self.trim else ()
         return (*self.picture.notes, *placed, *cut, *self.doubts, *repeated)
+
+    @property
+    def ignored(self) -> list[str]:
+        """Those that say what was marked and does not count, because the study states something else."""
+        return [note for note in self.notes if IGNORED in note]
 
     @property
     def errors(self) -> PointErrors:
@@ -147,26 +152,7 @@ def photographed(folder: Path, given: ImageFile, undeformed: Interface | None) -
         doubts,
         placed,
         trim=0.0 if edge.closed else given.trim,
-        ignored=() if clicks is None else tuple(_ignored(given, clicks)),
     )
-
-
-def _ignored(given: ImageFile, clicks: Clicks) -> Iterator[str]:
-    """Yield a sentence on a scale bar, and on an origin, that were marked and differ from what the study states."""
-    size, stated = clicks.pixel_mm, picture_reading(given.reading).pixel
-    if size is not None and stated is not None and any(abs(one / size - 1) > SAME for one in (stated.x, stated.y)):
-        yield (
-            f"the scale bar in {given.path} gives pixels of {1e3 * size:.4g} µm, and is ignored, because the study "
-            f"states {1e3 * stated.x:.4g} × {1e3 * stated.y:.4g} µm"
-        )
-    origin = given.frame.get("origin") if isinstance(given.frame, Mapping) else None
-    if given.registration is None and origin is not None and clicks.origin is not None:
-        apart = math.dist(origin, clicks.origin)
-        if apart > SAME_PLACE:
-            yield (
-                f"the origin marked in {given.path} lies {apart:.3g} pixels from the one that the study states, and is "
-                "ignored"
-            )
 
 
 def _repeated(
@@ -260,7 +246,7 @@ def _reading(given: ImageFile, clicks: Clicks | None, name: str | None = None) -
         return replace(how, pixel=PixelSize(size, size, source=f"{bar}, as if pixels were square"))
     if all(abs(stated / size - 1) <= SAME for stated in (how.pixel.x, how.pixel.y)):
         return how
-    return replace(how, pixel=replace(how.pixel, source=f"{how.pixel.source}, not {1e3 * size:.4g} µm from {bar}"))
+    return replace(how, pixel=replace(how.pixel, source=f"{how.pixel.source}{IGNORED}{1e3 * size:.4g} µm of {bar}"))
 
 
 def _placed(
@@ -304,7 +290,7 @@ def _frame(given: ImageFile, clicks: Clicks | None, picture: Picture, marks: str
         return frame, f"the marks in {marks}"
     frame, source = made(Frame, options, f"{PLACE}.frame", pixel=picture.pixel), "the study"
     if marked is not None and math.dist(frame.origin, marked) > SAME_PLACE:
-        source += f", not ({marked[0]:.6g}, {marked[1]:.6g}) from the marks in {marks}"
+        source += f"{IGNORED}({marked[0]:.6g}, {marked[1]:.6g}) of {marks}"
     return frame, source
 
 

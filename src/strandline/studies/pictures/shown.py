@@ -26,6 +26,7 @@ from strandline.studies.parse import in_words, refused_at
 from strandline.studies.pictures.photographed import UNDEFORMED, Photographed, clicked, read_only_picture
 from strandline.studies.pictures.scanned import Scanned
 from strandline.studies.pictures.undeformed import Undeformed
+from strandline.studies.provenance import named
 from strandline.studies.study import Study
 
 
@@ -194,14 +195,12 @@ def described(one: Photographed, measures: Mapping[str, Discrepancy]) -> dict[st
         "notes": list(one.notes),
         "points": len(one.edge.points),
         "edge_length": float(one.interface.lengths.sum()),
-        **_named(e, "sd", "length", "offset", "spacing", "blur"),
+        **named(e, "sd", "length", "offset", "spacing", "blur"),
         "smallest_radius": e.radius,
-        **_named(e, "contrast_to_noise", "limit_share", "facts"),
+        **named(e, "contrast_to_noise", "limit_share", "facts"),
         "frames": None if one.repeated is None else _of_frames(one.repeated),
         "registration": None if one.registration is None else asdict(one.registration),
-        "checks": [
-            _named(check, "name", "value", "limit", "verdict", "shown", "expected") for check in one.edge.checks
-        ],
+        "checks": [named(check, "name", "value", "limit", "verdict", "shown", "expected") for check in one.edge.checks],
         "noise_variance": variances(one.interface, one.errors, measures),
     }
 
@@ -211,15 +210,11 @@ def _of_frames(found: FrameErrors) -> dict[str, Any]:
     return {
         "frames": found.frames,
         "compared": found.compared,
-        "one_frame": _named(found.one, *ERRORS),
-        "mean": _named(found.mean, *ERRORS),
+        "one_frame": named(found.one, *ERRORS),
+        "mean": named(found.mean, *ERRORS),
         "picture_alone": {"sd": found.picture_sd, "length": found.picture_length},
         "used": "frames" if found.larger else "picture",
     }
-
-
-def _named(one: object, *names: str) -> dict[str, Any]:
-    return {name: getattr(one, name) for name in names}
 
 
 def _along(one: Photographed) -> tuple[np.ndarray, np.ndarray]:
@@ -267,7 +262,7 @@ def described_stack(one: Scanned, measures: Mapping[str, Discrepancy]) -> dict[s
         "triangles": len(one.interface.cells),
         "points": len(one.interface.points),
         "closed": one.interface.closed,
-        **_named(e, "sd", "length", "offset", "blur", "contrast_to_noise", "open_share", "facts"),
+        **named(e, "sd", "length", "offset", "blur", "contrast_to_noise", "open_share", "facts"),
         "noise_variance": variances(one.interface, one.errors, measures),
     }
 
