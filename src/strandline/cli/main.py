@@ -13,6 +13,7 @@ from typing import Any
 
 import click
 
+from strandline.cli.questions import QUESTIONS
 from strandline.errors import InvalidInput, StrandlineError
 from strandline.registry import suggestion
 from strandline.version import __version__
@@ -33,16 +34,11 @@ COMMANDS = {
     "doctor": "Look for damage, gaps and drift in a study folder.",
     "backup": "Copy a study's ledger, while it may be running.",
     "report": "Write posterior, figures and report again from finished runs.",
-    "coverage": "Test by replicates whether the intervals are right.",
-    "what-if": "Ask how the posterior changes with prior, noise and measure.",
-    "compare": "Say which of several studies' models the data prefer.",
-    "specimens": "Analyse many specimens with the runs of one study.",
-    "posterior": "Check the posterior of a finished study with the true model.",
-    "next": "Rank the candidates for the next experiment.",
+    **QUESTIONS,
     "forward": "Make one forward run at chosen inputs.",
     "serve": "Serve a study's model to other programs, by UM-Bridge.",
 }
-FILES = dict.fromkeys(("coverage", "what-if", "compare", "specimens", "posterior", "next"), "questions")
+FILES = dict.fromkeys(QUESTIONS, "questions")
 FILES |= {"retry": "run", "report": "run", "doctor": "status", "backup": "status", "view": "serve"}
 """Modules of the commands that are not called like them."""
 

@@ -10,13 +10,25 @@ from strandline.cli import options
 from strandline.text import with_sd
 
 
+QUESTIONS = {
+    "coverage": "Test by replicates whether the intervals are right.",
+    "what-if": "Ask how the posterior changes with prior, noise and measure.",
+    "compare": "Say which of several studies' models the data prefer.",
+    "specimens": "Analyse many specimens with the runs of one study.",
+    "posterior": "Check the posterior of a finished study with the true model.",
+    "next": "Rank the candidates for the next experiment.",
+}
+"""The commands below, in the order in which the help lists them."""
+
+
 def _ask(question: str, study: Any, *given: Any, quiet: bool, **stated: Any) -> None:
-    """Print the answer of the public function `question`, with the progress meanwhile."""
+    """Print the answer of the public function `question` to a study, or to several, with the progress meanwhile."""
     import strandline
     from strandline.cli.progress import observing
 
+    asked = strandline.load_study(study) if isinstance(study, Path) else study
     with observing(quiet=quiet) as observer:
-        answer = getattr(strandline, question)(study, *given, observer=observer, **stated)
+        answer = getattr(strandline, question)(asked, *given, observer=observer, **stated)
     click.echo(answer)
 
 
@@ -39,9 +51,7 @@ def coverage(study: Path, **stated: Any) -> None:
 
     The surrogate of the interface stands in for the simulator: no forward run is made. Run it again to resume.
     """
-    from strandline.studies import load_study
-
-    _ask("coverage", load_study(study), **stated)
+    _ask("coverage", study, **stated)
 
 
 @click.command("next")
@@ -62,9 +72,7 @@ def next_experiment(study: Path, **stated: Any) -> None:
     If the study is finished, a candidate costs one forward run or none; without sensitivities, one more for each input.
     Otherwise it is run at a few draws of the prior.
     """
-    from strandline.studies import load_study
-
-    _ask("next_experiment", load_study(study), **stated)
+    _ask("next_experiment", study, **stated)
 
 
 @click.command("what-if")
@@ -83,10 +91,7 @@ def what_if(study: Path, asked: tuple[str, ...], **stated: Any) -> None:
 
     The draws of the posterior get other weights, or new ones come from the surrogate: no forward run is made.
     """
-    from strandline.studies import load_study
-
-    alternatives = [_change(text) for text in asked] or None
-    _ask("what_if", load_study(study), alternatives, **stated)
+    _ask("what_if", study, [_change(text) for text in asked] or None, **stated)
 
 
 def _change(text: str) -> dict[str, Any]:
@@ -136,29 +141,27 @@ def compare(studies: tuple[Path, ...], odds: str | None, **stated: Any) -> None:
 @options.measure
 @click.option("--processes", type=click.IntRange(min=1), help="Processes that share the work; by default one per core.")
 @options.quiet
-def specimens(
-    study: Path, refine: int, watch: bool, processes: int | None, seed: int, measure: str | None, quiet: bool
-) -> None:
+def specimens(study: Path, refine: int, watch: bool, processes: int | None, **stated: Any) -> None:
     """Analyse all specimens that STUDY names, through the surrogate of its finished runs, and their population.
 
     Without --refine, no forward run is made. Run it again to resume, or after adding specimens.
     """
-    from strandline.studies import load_study
-
-    loaded = load_study(study)
     if not watch:
-        _ask("specimens", loaded, refine=refine, processes=processes, seed=seed, measure=measure, quiet=quiet)
+        _ask("specimens", study, refine=refine, processes=processes, **stated)
         return
     if refine:
         raise click.UsageError("--watch makes no forward runs: run `strandline specimens --refine` first.")
     if processes is not None:
         raise click.UsageError("--watch analyses one file at a time: leave out --processes.")
-    _watch(loaded, seed, measure)
+    _watch(study, stated["seed"], stated["measure"])
 
 
-def _watch(study: Any, seed: int, measure: str | None) -> None:
+def _watch(folder: Path, seed: int, measure: str | None) -> None:
     from strandline.questions.many import RefusedSpecimen
     from strandline.questions.specimens import watch_specimens
+    from strandline.studies import load_study
+
+    study = load_study(folder)
 
     def ready(known: int) -> None:
         click.echo(f"{study.name}: {known} specimens known; waiting for new ones (Ctrl-C ends)")

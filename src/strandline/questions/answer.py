@@ -1,7 +1,7 @@
 """Answers to questions about a study: one form for the page, the notebook and the terminal, and their files."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,8 @@ from strandline.calibration.source import FieldQuality
 from strandline.errors import InvalidStudy
 from strandline.files import write_json
 from strandline.posterior import Weighted
-from strandline.report import answer_figures, write_answer
+from strandline.report import write_answer
+from strandline.report.figure_files import Captioned
 from strandline.studies.folder import told_if_unwritable
 from strandline.typeset import html_table, html_text, unit_text
 
@@ -72,10 +73,9 @@ class Answer(Generic[Found]):
 
     `lead` is what was asked, `sentence` the answer in one, `good` whether it is as one would wish. The most important
     one of its parts comes first. `content` is that of its JSON file (docs/reference/files.md), `found` the arrays
-    behind it, `page` the path of its page.
+    behind it, `page` the path of its page, which its JSON file lies beside; `drawn` draws figures of the content.
     """
 
-    name: str
     title: str
     lead: str
     sentence: str
@@ -85,6 +85,7 @@ class Answer(Generic[Found]):
     content: dict[str, Any]
     found: Found
     page: Path
+    drawn: Callable[[Mapping[str, Any]], Iterable[Captioned]] = lambda content: ()
 
     def __repr__(self) -> str:
         return f"<{self.title}: {self.sentence}>"
@@ -107,7 +108,7 @@ class Answer(Generic[Found]):
 
     @property
     def figures(self) -> dict[str, Figure]:
-        return {one.name: one.figure for one in answer_figures(self.name, self.content)}
+        return {one.name: one.figure for one in self.drawn(self.content)}
 
     def written(self, *, draft: bool) -> "Answer[Found]":
         """Write the page, its figures and the JSON file into the page's folder, and return the answer.
@@ -118,7 +119,7 @@ class Answer(Generic[Found]):
         folder = self.page.parent
         with told_if_unwritable(folder):
             folder.mkdir(parents=True, exist_ok=True)
-            write_answer(self, self.name, self.content, self.page, draft=draft)
+            write_answer(self, draft=draft)
             write_json(self.page.with_suffix(".json"), self.content)
         return self
 

@@ -31,6 +31,8 @@ from strandline.questions.comparable import (
 from strandline.questions.comparison import ComparedStudy, describe_comparison, not_flat
 from strandline.questions.information import Discrimination, expected_discrimination
 from strandline.questions.knowledge import field_knowledge, require, require_seed
+from strandline.report import plots
+from strandline.report.figure_files import Captioned
 from strandline.runs import Executor
 from strandline.studies.check import finished_posterior
 from strandline.studies.first_run import observations_of
@@ -214,7 +216,6 @@ def _separation(found: ModelComparison, shown: CandidateSignals, seed: int) -> D
 def _answer(content: dict[str, Any], found: Comparison, folder: Path) -> Answer[Comparison]:
     names = ", ".join(content["models"])
     return Answer(
-        name="compare",
         title=names,
         lead="Which of these models do the data prefer?",
         sentence=content["verdict"],
@@ -224,7 +225,32 @@ def _answer(content: dict[str, Any], found: Comparison, folder: Path) -> Answer[
         content=content,
         found=found,
         page=folder / "compare.html",
+        drawn=_drawn,
     )
+
+
+MARGINALS = (
+    "Posterior of the inputs that all models share, under each model, and averaged over the models with their "
+    "probabilities."
+)
+PREDICTIVE = (
+    "Predicted interfaces under each model and the observed one, as offsets along the normals of the median of the "
+    "predicted interfaces. The band holds 90 % of the draws of the posterior, without the noise of the observation."
+)
+
+
+def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
+    """Yield the figure of the inputs shared by the models of compare.json, and that of predictions of polylines."""
+    if content["averaged"]:
+        yield Captioned("compare_marginals", "compare", MARGINALS, plots.plot_averaged(content["averaged"]))
+    bands = {
+        (str(item["condition"]), str(name)): found
+        for item in content["predictive"]
+        for name, band in item["models"].items()
+        if (found := plots.OffsetBand.of(band)) is not None
+    }
+    if bands:
+        yield Captioned("compare_predictive", "compare", PREDICTIVE, plots.plot_predictions(bands))
 
 
 def _parts(content: Mapping[str, Any]) -> Iterator[Part]:

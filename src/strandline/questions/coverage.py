@@ -41,6 +41,8 @@ from strandline.questions.answer import (
     surrogate_note,
 )
 from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require, require_seed
+from strandline.report import plots
+from strandline.report.figure_files import Captioned
 from strandline.runs import Progress
 from strandline.studies.check import finished_posterior, posterior_digest
 from strandline.studies.first_run import observations_of
@@ -278,7 +280,6 @@ def _in_words(errors: PointErrors | CoordinateErrors, noise: Noise | PointErrors
 def _answer(content: dict[str, Any], found: CoverageFound, folder: Path) -> Answer[CoverageFound]:
     sentence, *remarks = content["remarks"]
     return Answer(
-        name="coverage",
         title=f"{content['study']}: coverage",
         lead=f"Would the intervals contain the truth as often as they say? {content['replicates']} replicates, truths "
         f"from the {content['source']}.",
@@ -289,7 +290,30 @@ def _answer(content: dict[str, Any], found: CoverageFound, folder: Path) -> Answ
         content=content,
         found=found,
         page=folder / "coverage.html",
+        drawn=_drawn,
     )
+
+
+RANKS = (
+    "Ranks of the truths in their posteriors: share of the ranks up to each place, minus the share that uniform ranks "
+    "would have. If the posteriors are right, all lines stay inside their bands together with a probability of 95 %. "
+    "A line that rises first and then falls below zero means posteriors that are too narrow; the reverse, too wide. "
+    "The last panel ranks the truth's log-likelihood among those of the draws: a line above zero means posteriors that "
+    "are too narrow in all inputs together, one below zero too wide."
+)
+COVERED = "Share of the central 50 % and 90 % intervals that contain the truth, with its 95 % interval (Wilson)."
+
+
+def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
+    """Yield the figure of the ranks of coverage.json, and that of the intervals."""
+    ranked = {**content["inputs"], "log-likelihood": content["log_likelihood"]}
+    bands = {
+        name: Band(**{key: np.array(values, float) for key, values in item["band"].items()}, p_value=item["p_value"])
+        for name, item in ranked.items()
+    }
+    yield Captioned("coverage_ranks", "coverage", RANKS, plots.plot_rank_bands(bands))
+    found = {name: item["intervals"] for name, item in content["inputs"].items()}
+    yield Captioned("coverage_intervals", "coverage", COVERED, plots.plot_intervals(found))
 
 
 def _of_inputs(content: Mapping[str, Any]) -> Part:

@@ -1,7 +1,7 @@
 """Which experiment to make next: candidates of a study ranked by what they can be expected to teach."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,8 @@ from strandline.questions.knowledge import require, require_seed
 from strandline.questions.next_from_posterior import answers_from_posterior
 from strandline.questions.next_from_prior import answers_from_prior
 from strandline.questions.next_runs import Answers, CandidateAnswer, ranked
+from strandline.report import plots
+from strandline.report.figure_files import Captioned
 from strandline.runs import Executor
 from strandline.studies.check import finished_posterior
 from strandline.studies.folder import POSTERIOR, require_writable
@@ -250,7 +252,6 @@ def _answer(content: dict[str, Any], found: Answers, folder: Path) -> Answer[Ans
     after, runs = content["source"] == "posterior", content["runs"]
     made = f"{runs['new']} new forward runs, {runs['reused']} known; {digits(content['seconds'], 3)} s"
     return Answer(
-        name="next",
         title=f"{content['study']}: the next experiment",
         lead="What further experiments would teach, given the posterior."
         if after
@@ -273,7 +274,40 @@ def _answer(content: dict[str, Any], found: Answers, folder: Path) -> Answer[Ans
         content=content,
         found=found,
         page=folder / "next.html",
+        drawn=_drawn,
     )
+
+
+MOST_CANDIDATES = 20
+"""Candidates that are drawn."""
+GAINS = (
+    "Left: expected information about the inputs from each candidate; the pale part is lost where the specimen folds "
+    "or the run fails. Right: expected standard deviation of each input, as a share of the present one."
+)
+DIRECTIONS = (
+    "Combinations of the inputs, in prior standard deviations, one in each column, from the least to the best known. "
+    "Below each column: the share of the prior's width that is left."
+)
+
+
+def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
+    """Yield the figure of the candidates of next.json, and that of the combinations of the inputs."""
+    drawn = [one for one in content["candidates"] if one["gain"] is not None][:MOST_CANDIDATES]
+    names = {name: item["label"] for name, item in content["inputs"].items()}
+    if drawn:
+        figure = plots.plot_candidates(
+            [one["label"] for one in drawn],
+            np.array([one["gain"] for one in drawn]),
+            np.array([one["error"] for one in drawn]),
+            np.array([one["failing"] or 0.0 for one in drawn]),
+            {label: np.array([one["sd_ratio"][name] for one in drawn]) for name, label in names.items()},
+        )
+        yield Captioned("next_candidates", "next", GAINS, figure)
+    if len(names) > 1:
+        weights = np.array([[one["weights"][name] for name in names] for one in content["directions"]])
+        left = np.array([one["left"] for one in content["directions"]])
+        axes = plots.plot_directions(list(names.values()), weights, left)
+        yield Captioned("next_directions", "next", DIRECTIONS, axes)
 
 
 def _of_candidates(content: Mapping[str, Any], *, after: bool) -> Part:

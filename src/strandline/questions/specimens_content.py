@@ -17,6 +17,9 @@ from strandline.questions.opened import Specimens
 from strandline.questions.population import FEWEST_SPECIMENS, Population, Shrunk
 from strandline.questions.specimen import SpecimenPosterior
 from strandline.questions.start import TOLERATED_SHIFT
+from strandline.report import plots
+from strandline.report.figure_files import Captioned
+from strandline.report.plots.answers import axis_label
 from strandline.studies.provenance import facts_of
 from strandline.text import with_sd
 
@@ -177,7 +180,6 @@ def answer_of(content: dict[str, Any], found: SpecimensFound, folder: Path) -> A
     counts, surrogate, population = content["counts"], content["surrogate"], content["population"]
     runs = f"{surrogate['runs']} runs, {surrogate['made'] or 'none'} of them new"
     return Answer(
-        name="specimens",
         title=f"{content['study']}: specimens",
         lead=f"{counts['analysed']} specimens ({content['files']}), analysed with {runs}.",
         sentence=f"{counts['analysed']} specimens: {counts['good']} good, {counts['refine']} to refine, "
@@ -188,7 +190,33 @@ def answer_of(content: dict[str, Any], found: SpecimensFound, folder: Path) -> A
         content=content,
         found=found,
         page=folder / "specimens.html",
+        drawn=_drawn,
     )
+
+
+OF_SPECIMENS = (
+    "90 % intervals of {} for each specimen, from its own outline alone (grey) and given all specimens (blue), with "
+    "their medians, in the order of the blue ones. The less certain specimens move most towards the population; as the "
+    "inputs of a specimen move together, a single one may move away."
+)
+ALONE = "90 % intervals of {} for each specimen, with their medians."
+DENSITY = (
+    "Density of {} over the population, median and 90 % band. Each stroke is the mean of a specimen given all of them."
+)
+
+
+def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
+    """Yield the intervals of each input of specimens.json, and its density in the population."""
+    specimens, population = content["specimens"], content["population"]
+    for name, item in content["inputs"].items() if specimens else ():
+        label, caption = axis_label(item), ALONE if population is None else OF_SPECIMENS
+        axes = plots.plot_caterpillar(specimens, name, label)
+        yield Captioned(f"specimens_intervals_{name}", "specimens", caption.format(item["label"]), axes)
+        if population is not None:
+            density = {key: np.array(some, float) for key, some in population["inputs"][name]["density"].items()}
+            means = np.array([one["inputs"][name]["shrunk"]["mean"] for one in specimens])
+            axes = plots.plot_population(density, means, label)
+            yield Captioned(f"specimens_population_{name}", "specimens", DENSITY.format(item["label"]), axes)
 
 
 def _parts(content: Mapping[str, Any]) -> Iterator[Part]:

@@ -28,12 +28,16 @@ from strandline.questions.answer import (
     surrogate_note,
 )
 from strandline.questions.knowledge import baseline_of, require, require_seed
+from strandline.report import plots
+from strandline.report.figure_files import Captioned
+from strandline.report.plots.answers import axis_label
 from strandline.runs import Progress
 from strandline.studies.check import finished_posterior
 from strandline.studies.folder import require_writable
 from strandline.studies.provenance import facts_of
 from strandline.studies.study import Study
 from strandline.text import listed
+from strandline.typeset import figure_text
 
 __all__ = ["what_if"]
 
@@ -220,7 +224,6 @@ def _answer(content: dict[str, Any], found: tuple[Changed, ...], folder: Path) -
         {digits(1 / limits["sd_ratio"], 2)} to {digits(limits["sd_ratio"], 3)}. The change of the log-evidence is
         given where data, noise and measure stay the same."""
     return Answer(
-        name="what-if",
         title=f"{content['study']}: what if",
         lead=f"How would the posterior change with other assumptions? {len(some)} alternative{'s' * (len(some) != 1)}, "
         "no forward run.",
@@ -231,7 +234,27 @@ def _answer(content: dict[str, Any], found: tuple[Changed, ...], folder: Path) -
         content=content,
         found=found,
         page=folder / "what-if.html",
+        drawn=_drawn,
     )
+
+
+ALTERNATIVES = (
+    "Mean and 90 % interval of each input under each alternative. The band and the line are the present posterior. "
+    "Orange: the mean moves by more than {shift:g} present standard deviations, or the standard deviation changes by "
+    "more than a factor of {sd_ratio:g}. An input that is taken as known has no mark."
+)
+
+
+def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
+    """Yield the figure of the intervals of what-if.json."""
+    inputs = content["present"]["inputs"]
+    alternatives = [
+        (figure_text(one["name"]), [one["inputs"].get(name) for name in inputs])
+        for one in content["alternatives"]
+        if one["by"] is not None
+    ]
+    figure = plots.plot_alternatives({axis_label(item): item for item in inputs.values()}, alternatives)
+    yield Captioned("what_if", "what_if", ALTERNATIVES.format(**content["limits"]), figure)
 
 
 def _row(one: Mapping[str, Any], names: Sequence[str]) -> tuple[str, ...]:

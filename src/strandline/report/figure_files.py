@@ -16,8 +16,6 @@ from strandline.report.plots.style import DOTS_PER_INCH, DRAFT_DOTS_PER_INCH, ma
 
 PAGE_PIXELS_PER_INCH = 138
 """Pixels on the page per inch of a figure: two columns of a journal fill the page."""
-ANSWERS = ("coverage_*", "next_*", "specimens_*", "what_if*")
-"""Figures that other commands draw; a new report leaves them in place."""
 OF_POSTERIOR = ("posterior", "uncertainty")
 """Sections whose figures show a posterior."""
 
@@ -71,15 +69,19 @@ def saved(captioned: Captioned, folder: Path, *, draft: bool = False) -> dict[st
 
 @contextmanager
 def whole_folder(target: Path) -> Iterator[Path]:
-    """Yield an empty folder that replaces `target` once it is filled, and is removed if that fails."""
+    """Yield an empty folder that replaces `target` once it is filled, and is removed if that fails.
+
+    Figures of the other pages beside `target`, such as what_if.png of what-if.html, stay.
+    """
     partial = target.with_name(f".{target.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir()
     try:
         yield partial
-        for pattern in ANSWERS:
-            for other in target.glob(pattern):
-                shutil.copy2(other, partial)
+        for page in target.parent.glob("*.html"):
+            for figure in target.glob(f"{page.stem.replace('-', '_')}*"):
+                if not (partial / figure.name).exists():
+                    shutil.copy2(figure, partial)
         shutil.rmtree(target, ignore_errors=True)
         partial.rename(target)
     finally:

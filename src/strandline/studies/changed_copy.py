@@ -73,7 +73,7 @@ def write_copy(present: Path, target: Path, text: str) -> None:
     partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
     with told_if_unwritable(target.parent):
         try:
-            shutil.copytree(present, partial, ignore=lambda _, names: {name for name in names if is_result(name)})
+            shutil.copytree(present, partial, ignore=lambda at, names: {n for n in names if is_result(Path(at, n))})
             (partial / STUDY).write_text(text, encoding="utf-8")
             load_study(partial)
             partial.rename(target)
@@ -172,10 +172,10 @@ def _differing(present: Path, target: Path, text: str) -> Iterator[str]:
     if not written.is_file() or written.read_text(encoding="utf-8") != text:
         yield STUDY
     for folder, folders, names in os.walk(present):
-        folders[:] = [name for name in folders if not is_result(name)]
+        folders[:] = [name for name in folders if not is_result(Path(folder, name))]
         for name in names:
             one = (Path(folder) / name).relative_to(present)
-            if is_result(name) or one == Path(STUDY):
+            if is_result(present / one) or one == Path(STUDY):
                 continue
             if not (target / one).is_file() or not filecmp.cmp(present / one, target / one):
                 yield str(one)

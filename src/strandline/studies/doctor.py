@@ -9,11 +9,13 @@ from strandline.errors import StrandlineError
 from strandline.files import read_json
 from strandline.runs.ledger_rows import outcome_digest, unsound
 from strandline.studies.folder import (
-    ANSWERS,
+    CHECK,
     CHECK_LEDGER,
     LEDGER,
     NEXT_LEDGER,
+    OF_STUDY,
     POSTERIOR,
+    REFINEMENT,
     SPECIMENS_LEDGER,
     STUDY,
     SUMMARY,
@@ -131,10 +133,10 @@ def _results(study: Study) -> Iterator[Finding]:
     if digest is not None and digest != outcome_digest(study.ledger_path, frozenset(study.runs.needed_keys)):
         yield Finding("the ledger has changed since the results were made (runs made again, or excluded)", report)
     yield from _environment(summary, report)
-    for name, command in ANSWERS.items():
-        answer = read_json(study.folder / name)
-        if answer and answer.get("study_sha256") != study.text_digest:
-            yield Finding(f"{name} is of another study.yaml", f"Ask again: strandline {command} {study.folder}")
+    for path in sorted({*study.folder.glob("*.json")} - {study.folder / REFINEMENT}):
+        if read_json(path).get(OF_STUDY, study.text_digest) != study.text_digest:
+            command = "posterior check" if path.name == CHECK else path.stem
+            yield Finding(f"{path.name} is of another study.yaml", f"Ask again: strandline {command} {study.folder}")
 
 
 def _environment(summary: Mapping[str, Any], report: str) -> Iterator[Finding]:

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from strandline.errors import InvalidStudy
+from strandline.files import read_json
 
 STUDY = "study.yaml"
 LEDGER = "ledger.sqlite"
@@ -18,33 +19,25 @@ REFINEMENT = "refinement.json"
 REPORT = "report.html"
 CHECK = "check.json"
 CHECK_LEDGER = "check.sqlite"
-COVERAGE = "coverage.json"
 COMPARISON = "compare.json"
 REPLICATES = "coverage.jsonl"
-NEXT = "next.json"
 NEXT_LEDGER = "next.sqlite"
-WHAT_IF = "what-if.json"
-SPECIMENS = "specimens.json"
 SPECIMENS_LINES = "specimens.jsonl"
 SPECIMENS_TABLE = "specimens.csv"
 SPECIMENS_LEDGER = "specimens.sqlite"
-ANSWERS = {
-    CHECK: "posterior check",
-    COVERAGE: "coverage",
-    NEXT: "next",
-    WHAT_IF: "what-if",
-    SPECIMENS: "specimens",
-}
-"""Files that other commands than `run` write into a study folder, and the command that writes each again."""
-RESULTS = {value for key, value in globals().copy().items() if key.isupper() and isinstance(value, str)} | {*ANSWERS}
+RESULTS = {value for key, value in globals().copy().items() if key.isupper() and isinstance(value, str)}
 """Names of result files, and that of the study file."""
 RESULT_FOLDERS = frozenset({"figures", "runs", "slurm", "comparison", "__pycache__"})
 RESULT_SUFFIXES = (".lock", "-wal", "-shm", ".html", ".log", ".sqlite")
+OF_STUDY = "study_sha256"
+"""Key by which each answer to a question, a JSON file, says of which study.yaml it is."""
 
 
-def is_result(name: str) -> bool:
-    """Return whether a file or folder of this name in a study folder holds results, which a copy leaves out."""
-    return name != STUDY and (name in RESULTS or name in RESULT_FOLDERS or name.endswith(RESULT_SUFFIXES))
+def is_result(path: Path) -> bool:
+    """Return whether a file or folder in a study folder holds results, which a copy leaves out."""
+    name = path.name
+    named = name in RESULTS or name in RESULT_FOLDERS or name.endswith(RESULT_SUFFIXES)
+    return name != STUDY and (named or (path.suffix == ".json" and OF_STUDY in read_json(path)))
 
 
 def require_writable(folder: Path) -> None:

@@ -161,4 +161,4 @@ def _source(name: str, package: Path) -> Path:
 
 
 def _belongs(path: Path) -> bool:
-    return path.suffix in SUFFIXES and not is_result(path.name)
+    return path.suffix in SUFFIXES and not is_result(path)

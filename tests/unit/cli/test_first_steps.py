@@ -87,7 +87,7 @@ def test_all_files_of_an_example_are_written(tmp_path, capsys, monkeypatch):
         assert "\nname: my-one\n" in text
         assert "strandline run my one" in text or "strandline check my one" in text
         source = ROOT / "examples" / FOLDERS.get(name, name)
-        files = (one for one in source.iterdir() if one.is_file() and not is_result(one.name))
+        files = (one for one in source.iterdir() if one.is_file() and not is_result(one))
         shipped = {one.name: one.read_bytes() for one in files}
         assert {**written, "study.yaml": shipped["study.yaml"]} == shipped
 

@@ -247,6 +247,14 @@ class OffsetBand:
     observed_arc_length: Float[np.ndarray, " observed"]
     observed: Float[np.ndarray, " observed"]
 
+    @classmethod
+    def of(cls, offset: Mapping[str, Any] | None) -> "OffsetBand | None":
+        """Return the band that check.json or compare.json describes; None if there is none."""
+        if offset is None:
+            return None
+        names = {"q05": "low", "q50": "median", "q95": "high"}
+        return cls(**{names.get(key, key): np.array(values) for key, values in offset.items()})
+
 
 def plot_check(
     true: Float[np.ndarray, " draw"],
