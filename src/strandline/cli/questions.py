@@ -9,7 +9,6 @@ import click
 from strandline.cli import options
 from strandline.text import with_sd
 
-
 QUESTIONS = {
     "coverage": "Test by replicates whether the intervals are right.",
     "what-if": "Ask how the posterior changes with prior, noise and measure.",

@@ -257,12 +257,12 @@ def _signals(
 ) -> list[Float[np.ndarray, "_ signal"]]:
     """Return the signals of one experiment under each model, about the mean interface of the first."""
     pairs = [(present, one, present.now.weights @ one.fields) for present, one in zip(presents, several, strict=True)]
-    along = presents[0].seen(pairs[0][2], candidate.look)
-    observing = [present.observing(field, candidate.look, along=along) for present, _, field in pairs]
+    whole = [present.observing(field, candidate.look) for present, _, field in pairs]
+    observing = [one.focused(candidate.look, along=whole[0].seen) for one in whole]
     first = observing[0]
     blocks = []
     for seen, (present, one, _) in zip(observing, pairs, strict=True):
-        nodes, rows = present.nodes(one.fields), []
+        nodes, rows = present.surrogate.by_condition(one.fields), []
         for name, view in first.views.items():
             reference = view.seen(first.reference[name])
             moves = seen.views[name].points(nodes[name]) - reference.points
@@ -275,5 +275,5 @@ def _signals(
 def _alike(presents: Sequence[AfterExperiment], candidate: Candidate, several: Sequence[Prospect]) -> bool:
     """Return whether the whole interfaces of all models have corresponding points."""
     pairs = zip(presents, several, strict=True)
-    seen = [present.seen(present.now.weights @ one.fields, candidate.look) for present, one in pairs]
+    seen = [present.observing(present.now.weights @ one.fields, candidate.look).seen for present, one in pairs]
     return all(len({one[name].points.shape for one in seen}) == 1 for name in seen[0])

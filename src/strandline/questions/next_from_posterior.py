@@ -14,7 +14,6 @@ from strandline.calibration.source import Source, posterior_source
 from strandline.design.active import Knowledge, training_of
 from strandline.design.candidates import Candidate, Look, Setting, key_of
 from strandline.errors import NoCommonPoints
-from strandline.interface import Interface
 from strandline.models.protocol import declared_conditions, undeformed_interface
 from strandline.posterior import Weighted, systematic_indices
 from strandline.questions.information import Direction, directions_of, expected_outlook, scale_of
@@ -23,12 +22,10 @@ from strandline.questions.next_runs import Answers, CandidateAnswer, PointRuns, 
 from strandline.questions.observing import (
     Fails,
     Fields,
-    Nodes,
     Observing,
     View,
     crossing_share,
     field_of,
-    focused,
     learn_failure_by_size,
     slopes_of_field,
     slopes_of_points,
@@ -69,7 +66,7 @@ def prospects_of(
     surrogate = _surrogate(study, knowledge, conditions)
     present = AfterExperiment(study, source, surrogate, repeatable(source), _drawn(source, draws, seed))
     for look in {candidate.look for candidate in candidates}:  # refuses a part with too few points before any run
-        present.observing(present.surrogate.modes.fields(present.surrogate.mean(present.now.mean[None]))[0], look)
+        present.observing(surrogate.modes.fields(surrogate.mean(present.now.mean[None]))[0], look).focused(look)
     observer.stage("candidates")
     settings = list({key_of(one): one for candidate in candidates for one in candidate.settings}.values())
     runs = _runs(present, settings, executor, observer)
@@ -179,34 +176,11 @@ class AfterExperiment:
         errors = errors_behind(self.study.observation(simulated, name), measure, len(nodes))
         return View(footprint(simulated, simulated), errors)
 
-    def nodes(self, fields: Float[np.ndarray, "draw value"]) -> Nodes:
-        return self.surrogate.by_condition(fields)
-
-    def observing(
-        self, field: Float[np.ndarray, " value"], look: Look, *, along: Mapping[str, Interface] | None = None
-    ) -> Observing:
-        """Return how interfaces near this field, mm, are observed.
-
-        `along` are whole interfaces of another model by condition whose arc lengths count; by default its own do.
-        """
-        reference = {name: one[0] for name, one in self.nodes(field[None]).items()}
-        views = {}
-        for name in look.conditions or self.experiment.footprints:
-            views[name] = focused(
-                self._whole(name, reference[name]),
-                reference[name],
-                part=look.part,
-                points=look.points,
-                sd=look.sd,
-                along=None if along is None else along[name],
-            )
-        return Observing(views, reference)
-
-    def seen(self, field: Float[np.ndarray, " value"], look: Look) -> dict[str, Interface]:
-        """Return what would be observed of the whole interfaces of this field, by condition of a look."""
-        nodes = self.nodes(field[None])
+    def observing(self, field: Float[np.ndarray, " value"], look: Look) -> Observing:
+        """Return how the whole interfaces near this field, mm, are observed in the conditions of a look."""
+        reference = {name: one[0] for name, one in self.surrogate.by_condition(field[None]).items()}
         names = look.conditions or self.experiment.footprints
-        return {name: self._whole(name, nodes[name][0]).seen(nodes[name][0]) for name in names}
+        return Observing({name: self._whole(name, reference[name]) for name in names}, reference)
 
 
 def _surrogate(study: Study, knowledge: Knowledge, conditions: Collection[str]) -> FieldSurrogate:
@@ -278,14 +252,15 @@ def _answer(present: AfterExperiment, candidate: Candidate, made: Sequence[Prosp
     if problem:
         return CandidateAnswer(candidate, None, None, None, problem)
     now = present.now
-    observing = [present.observing(now.weights @ one.fields, candidate.look) for one in made]
-    pairs = list(zip(observing, made, strict=True))
-    signals = np.hstack([seen.signals(present.nodes(one.fields)) for seen, one in pairs])
+    look, by_condition = candidate.look, present.surrogate.by_condition
+    observing = [present.observing(now.weights @ one.fields, look).focused(look) for one in made]
+    pairs = zip(observing, made, strict=True)
+    signals = np.hstack([seen.signals(by_condition(one.fields)) for seen, one in pairs])
 
     def information(one: Prospect, x: Float[np.ndarray, " dim"]) -> Float[np.ndarray, "dim dim"]:
         assert one.forecast is not None
         slopes = slopes_of_points(one.forecast, x, present.surrogate)
-        return present.observing(one.forecast(x[None])[0], candidate.look).fisher(slopes)
+        return present.observing(one.forecast(x[None])[0], look).focused(look).fisher(slopes)
 
     def informations() -> list[Float[np.ndarray, "dim dim"]]:
         some = now.draws[np.linspace(0, len(now.draws) - 1, INFORMATIONS).astype(int)]
@@ -295,7 +270,7 @@ def _answer(present: AfterExperiment, candidate: Candidate, made: Sequence[Prosp
     known = [1 - one.failing for one in made if one.failing is not None]
     sizes = []
     if present.undeformed is not None:
-        rest = {name: points[0] for name, points in present.nodes(present.undeformed[None]).items()}
+        rest = {name: points[0] for name, points in by_condition(present.undeformed[None]).items()}
         sizes = [seen.displacement(rest) for seen in observing]
     failing = 1 - float(np.prod(known)) if len(known) == len(made) else None
     return CandidateAnswer(candidate, outlook, failing, max(sizes, default=None))

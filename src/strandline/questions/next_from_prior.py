@@ -4,7 +4,6 @@ The interface is taken to be linear in the inputs near each draw, and the prior 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -19,7 +18,7 @@ from strandline.models.protocol import undeformed_interface
 from strandline.posterior import Weighted
 from strandline.questions.information import directions_left, linear_outlook, scale_of
 from strandline.questions.next_runs import Answers, CandidateAnswer, PointRuns, problem_of, runs_at
-from strandline.questions.observing import Observing, View, focused
+from strandline.questions.observing import Observing, View
 from strandline.runs import Executor, RunRecord
 from strandline.studies.study import Study
 from strandline.studies.widths import slopes_by_differences, slopes_by_sensitivities
@@ -64,11 +63,11 @@ def answers_from_prior(
             expected="a prior where the simulator runs",
             remedy="Look at the failures, or move the priors to where it runs.",
         )
-    before = _Before(study, _errors(study, good[0].run, asked))
+    errors = _errors(study, good[0].run, asked)
     now = Weighted(
         space.prior_quantiles(sobol(PRIOR_DRAWS, space.dim, scramble=SCRAMBLE)), np.full(PRIOR_DRAWS, 1 / PRIOR_DRAWS)
     )
-    planned = [information for _, information in before.experiments(good, PLANNED.look)]
+    planned = [information for _, information in _experiments(study, errors, good, PLANNED.look)]
     if not planned:
         raise InvalidInput(
             "slopes of the interface in the inputs",
@@ -79,40 +78,31 @@ def answers_from_prior(
     return Answers(
         source="prior",
         now=now,
-        errors=before.errors,
-        answers=tuple(_answer(before, candidate, at, now) for candidate in asked),
+        errors=errors,
+        answers=tuple(_answer(study, errors, candidate, at, now) for candidate in asked),
         directions=directions_left(scale_of(space), np.array([one.x for one in good]), planned),
         new=made.new,
         reused=made.reused,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Before:
-    """What is known before any data: the study, and the errors of the points by condition."""
+def _experiments(
+    study: Study, errors: Mapping[str, Errors], points: Sequence[PointRuns], look: Look
+) -> Iterator[_Experiment]:
+    """Yield how the experiment is observed at each point whose runs succeeded, and its Fisher information.
 
-    study: Study
-    errors: Mapping[str, Errors]
-
-    def experiments(self, points: Sequence[PointRuns], look: Look) -> Iterator[_Experiment]:
-        """Yield how the experiment is observed at each point whose runs succeeded, and its Fisher information."""
-        for one in points:
-            if one.failed is not None:
-                continue
-            slopes = slopes_by_sensitivities(one.run, self.study.space.names)
-            slopes = slopes or slopes_by_differences(one.run, one.others, one.x, one.beside)
-            if slopes is not None:
-                observing = self.observing(one.run, look)
-                yield observing, observing.fisher(slopes)
-
-    def observing(self, run: RunRecord, look: Look) -> Observing:
-        """Return how the interfaces of a run are observed: at the places of the study's observation if there is one."""
-        views, reference = {}, {}
-        for name in look.conditions or self.study.observed or run.interfaces:
-            reference[name] = run.interfaces[name].points
-            whole = View(_places(self.study, run, name), self.errors[name])
-            views[name] = focused(whole, reference[name], part=look.part, points=look.points, sd=look.sd)
-        return Observing(views, reference)
+    It is observed at the places of the study's observation if there is one; the errors of the points are by condition.
+    """
+    for one in points:
+        if one.failed is not None:
+            continue
+        slopes = slopes_by_sensitivities(one.run, study.space.names)
+        slopes = slopes or slopes_by_differences(one.run, one.others, one.x, one.beside)
+        if slopes is not None:
+            names = look.conditions or study.observed or one.run.interfaces
+            views = {name: View(_places(study, one.run, name), errors[name]) for name in names}
+            observing = Observing(views, {name: one.run.interfaces[name].points for name in names}).focused(look)
+            yield observing, observing.fisher(slopes)
 
 
 def _errors(study: Study, run: RunRecord, asked: Sequence[Candidate]) -> dict[str, Errors]:
@@ -132,7 +122,11 @@ def _places(study: Study, run: RunRecord, name: str) -> Footprint:
 
 
 def _answer(
-    before: _Before, candidate: Candidate, at: Mapping[str, Sequence[PointRuns]], now: Weighted
+    study: Study,
+    errors: Mapping[str, Errors],
+    candidate: Candidate,
+    at: Mapping[str, Sequence[PointRuns]],
+    now: Weighted,
 ) -> CandidateAnswer:
     """Return what one candidate can be expected to teach; experiments made together share the draws of the inputs."""
     several = [at[key_of(setting)] for setting in candidate.settings]
@@ -141,18 +135,18 @@ def _answer(
     if not good:
         failed = next(one.failed for points in several for one in points if one.failed is not None)
         return CandidateAnswer(candidate, None, failing, None, problem_of(failed))
-    found = [[*before.experiments([points[k] for k in good], candidate.look)] for points in several]
+    found = [[*_experiments(study, errors, [points[k] for k in good], candidate.look)] for points in several]
     if not all(len(one) == len(good) for one in found):
         return CandidateAnswer(
             candidate, None, failing, None, "the runs have different nodes, so that they give no slopes"
         )
     informations = [np.sum([one[k][1] for one in found], axis=0) for k in range(len(good))]
-    rest = undeformed_interface(before.study.model)
+    rest = undeformed_interface(study.model)
     sizes = [
         seen.displacement(dict.fromkeys(seen.reference, rest.points))
         for several in found
         for seen, _ in several
         if rest is not None and all(nodes.shape == rest.points.shape for nodes in seen.reference.values())
     ]
-    outlook = linear_outlook(now.covariance, informations, interest=before.study.space.calibrated)
+    outlook = linear_outlook(now.covariance, informations, interest=study.space.calibrated)
     return CandidateAnswer(candidate, outlook, failing, float(np.median(sizes)) if sizes else None)

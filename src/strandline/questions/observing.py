@@ -25,7 +25,7 @@ from scipy.optimize import minimize
 from scipy.special import expit, log_expit, logit
 
 from strandline.calibration.experiment import CoordinateErrors, Errors, Footprint
-from strandline.design.candidates import FEWEST_POINTS, WHOLE
+from strandline.design.candidates import FEWEST_POINTS, WHOLE, Look
 from strandline.discrepancy import NormalOffset
 from strandline.errors import InvalidInput, InvalidInterface
 from strandline.interface import ErrorModel, Interface, Observation, PointErrors, steady_normals
@@ -65,24 +65,16 @@ class View:
         return self.along(self.seen(reference), self.points(moves))
 
 
-def focused(
-    view: View,
-    nodes: Float[np.ndarray, "node xyz"],
-    *,
-    part: tuple[float, float] = WHOLE,
-    points: int | None = None,
-    sd: float | None = None,
-    along: Interface | None = None,
-) -> View:
+def focused(view: View, nodes: Float[np.ndarray, "node xyz"], look: Look, along: Interface | None = None) -> View:
     """Return the view of a part of the interface, with another number of points, or with another error of each.
 
     The part begins and ends at shares of the observed arc length, for which the nodes of a simulated interface count,
-    or the points of `along`, for views that must correspond. So many `points` lie at equal distances along it; by
-    default those of the view that lie in it, at least 3. `sd` is the standard deviation of each point, mm. Surfaces
-    have no parts.
+    or the points of `along`, for views that must correspond. The points of the look lie at equal distances along it; by
+    default they are those of the view that lie in it, at least 3. Surfaces have no parts.
     """
-    if sd is not None:
-        view = replace(view, errors=replace(view.errors, sd=sd))
+    part, points = look.part, look.points
+    if look.sd is not None:
+        view = replace(view, errors=replace(view.errors, sd=look.sd))
     if part == WHOLE and points is None:
         return view
     seen = view.seen(nodes) if along is None else along
@@ -93,9 +85,7 @@ def focused(
             expected="the whole surface, with its points",
             remedy="Remove `part` and `points`.",
         )
-    if points is not None:
-        return _resampled(view, seen, part, points)
-    return _cut(view, seen, part)
+    return _cut(view, seen, part) if points is None else _resampled(view, seen, part, points)
 
 
 def _cut(view: View, seen: Interface, part: tuple[float, float]) -> View:
@@ -182,6 +172,17 @@ class Observing:
     views: Mapping[str, View]
     reference: Mapping[str, Float[np.ndarray, "_ _"]]
 
+    def focused(self, look: Look, along: Mapping[str, Interface] | None = None) -> "Observing":
+        """Return `focused` views; `along` are whole interfaces by condition whose arc lengths count, not their own."""
+        along = along or {}
+        views = {n: focused(view, self.reference[n], look, along.get(n)) for n, view in self.views.items()}
+        return Observing(views, self.reference)
+
+    @cached_property
+    def seen(self) -> dict[str, Interface]:
+        """What would be observed of the reference without errors, by condition."""
+        return {name: view.seen(self.reference[name]) for name, view in self.views.items()}
+
     def signals(self, nodes: Nodes) -> Float[np.ndarray, "draw signal"]:
         """Return what would be observed of interfaces, in standard deviations of independent errors."""
         rows = [view.rows(self.reference[n], nodes[n] - self.reference[n]) for n, view in self.views.items()]
@@ -205,28 +206,26 @@ class Observing:
                 total += rows.T @ rows / errors.sd**2
             else:
                 rows = directions[first : first + number]
-                total += errors.model(view.seen(self.reference[name])).information(rows)
+                total += errors.model(self.seen[name]).information(rows)
             first += len(rows)
         return total
 
     @cached_property
     def _model(self) -> ErrorModel | None:
         """Covariance of all errors together; None if an interface has errors of coordinates."""
-        seen, known = [], []
-        for name, view in self.views.items():
-            if not isinstance(view.errors, PointErrors):
-                return None
-            seen.append(Observation(view.seen(self.reference[name]), view.errors, name))
-            known.append(view.errors)
-        return (shared_errors(seen, NormalOffset()) or JointErrors(tuple(seen), tuple(known))).model
+        known = {name: view.errors for name, view in self.views.items() if isinstance(view.errors, PointErrors)}
+        if len(known) < len(self.views):
+            return None
+        seen = tuple(Observation(self.seen[name], errors, name) for name, errors in known.items())
+        return (shared_errors(seen, NormalOffset()) or JointErrors(seen, tuple(known.values()))).model
 
     def displacement(self, undeformed: Mapping[str, Float[np.ndarray, "_ _"]]) -> float:
         """Return the root mean square displacement of the reference from undeformed nodes, mm, in their errors."""
         squares = []
         for name, view in self.views.items():
-            here = view.seen(self.reference[name])
             rows = view.rows(self.reference[name], (self.reference[name] - undeformed[name])[None])[0]
-            sds = view.errors.sds(here) if isinstance(view.errors, PointErrors) else np.array(view.errors.sd)
+            errors = view.errors
+            sds = errors.sds(self.seen[name]) if isinstance(errors, PointErrors) else np.array(errors.sd)
             squares.append((rows / sds) ** 2)
         return float(np.sqrt(np.concatenate(squares).mean()))
 

@@ -31,10 +31,10 @@ def test_candidates_are_all_combinations_alone_and_together_in_words():
     assert other.label() == "V_in 50 h 0.5, 20 points"
 
 
-def view(errors=EVEN, line=LINE, **part):
+def view(errors=EVEN, line=LINE, along=None, **part):
     """Return a view of a line, or of a part of it."""
     whole = View(footprint(LINE, LINE), errors)
-    return focused(whole, line.points, **part) if part else whole
+    return focused(whole, line.points, Look(**part), along) if part else whole
 
 
 def fisher(one):
@@ -88,11 +88,11 @@ def test_part_of_a_closed_outline_is_open_and_a_surface_is_whole():
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     surface = Interface(corners, np.array([[0, 1, 2], [0, 2, 3]]))
     whole, all_of_it = (View(footprint(one, one), EVEN) for one in (ring, surface))
-    assert focused(whole, ring.points, points=20).seen(ring.points).closed
-    part = focused(whole, ring.points, part=(0.0, 0.5)).seen(ring.points)
+    assert focused(whole, ring.points, Look(points=20)).seen(ring.points).closed
+    part = focused(whole, ring.points, Look(part=(0.0, 0.5))).seen(ring.points)
     assert (part.closed, len(part.points)) == (False, 21)
     with pytest.raises(InvalidInput, match="the whole surface"):
-        focused(all_of_it, corners, points=10)
+        focused(all_of_it, corners, Look(points=10))
 
 
 S = np.linspace(0.0, 1.0, 21)
