@@ -2,11 +2,12 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from strandline.calibration.alternative import Alternative, Baseline
 from strandline.calibration.usual_alternatives import scaled_noise, with_prior
@@ -18,29 +19,31 @@ from strandline.priors import Prior
 from strandline.questions.knowledge import require
 from strandline.studies.changed_copy import reuse_from, write_copy
 from strandline.studies.inputs import build_prior
+from strandline.studies.keys.scalars import Number, Section
+from strandline.studies.parse import checked
 from strandline.studies.study import Study
 from strandline.studies.text import REMOVED, changed_text, load_yaml
 
 NOISE, LENGTH = (0.2, 5.0), (0.0, 200.0)
 """Range of the factor on the noise's standard deviation, and of the correlation length, µm."""
-LARGEST = 1e300
 SEED = 1
 TO_UM = 1e3
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,62}")
 
 
-@dataclass(frozen=True)
-class Asked:
-    """Other assumptions: a factor on the standard deviation of the noise, the correlation length of the points' errors,
-    µm, and a measure of the study, each None as stated; other priors by input, as study.yaml has them; and inputs taken
-    as known.
-    """
+class Asked(Section):
+    """Other assumptions, as the page sends them; what it leaves out is as the study states it."""
 
-    noise: float
-    length_um: float | None
-    measure: str | None
-    priors: Mapping[str, Mapping[str, list[float]]]
-    fixed: Mapping[str, float]
+    noise: Annotated[Number, Field(ge=NOISE[0], le=NOISE[1])] = 1.0
+    """factor on the standard deviation of the noise"""
+    length_um: Annotated[Number, Field(ge=LENGTH[0], le=LENGTH[1])] | None = None
+    """correlation length of the points' errors, µm"""
+    measure: str | None = None
+    """name of a measure of the study"""
+    priors: dict[str, Annotated[dict[str, list[Number]], Field(min_length=1, max_length=1)]] = Field({})
+    """other priors by input, as study.yaml has them"""
+    fixed: dict[str, Number] = Field({})
+    """inputs taken as known"""
 
 
 def knobs_of(study: Study, now: Baseline | None) -> dict[str, Any]:
@@ -71,24 +74,14 @@ def _in_words(noise: object) -> dict[str, Any]:
 
 def asked_by(given: Mapping[str, Any], study: Study) -> Asked:
     """Return what the page asks; refuse values that make no sense."""
-    known = ["fixed", "length_um", "measure", "noise", "priors"]
-    names, measures = ", ".join(study.space.names), ", ".join(study.discrepancies)
-    for key in given:
-        require(key in known, "assumptions", key, f"some of {', '.join(known)}")
-    length, measure = given.get("length_um"), given.get("measure")
-    require(measure in (None, *study.discrepancies), "measure", measure, f"one of {measures}")
-    priors, fixed = (given.get(name) or {} for name in ("priors", "fixed"))
-    objects = isinstance(priors, dict) and isinstance(fixed, dict)
-    require(objects, "priors and fixed", "something else", "JSON objects by name of the input")
-    for name in (*priors, *fixed):
-        require(name in study.space.names, "input", name, f"one of {names}")
-    return Asked(
-        number_in("noise", given.get("noise", 1.0), *NOISE),
-        None if length is None else number_in("length_um", length, *LENGTH),
-        measure,
-        {name: _prior(name, prior) for name, prior in priors.items()},
-        {name: number_in(name, one, *study.space[name].interval) for name, one in fixed.items()},
-    )
+    asked = checked(Asked, given, "assumptions")
+    known = asked.measure in (None, *study.discrepancies)
+    require(known, "measure", asked.measure, f"one of {', '.join(study.discrepancies)}")
+    for name in (*asked.priors, *asked.fixed):
+        require(name in study.space.names, "input", name, f"one of {', '.join(study.space.names)}")
+    for name, value in asked.fixed.items():
+        number_in(name, value, *study.space[name].interval)
+    return asked
 
 
 def answer_to(asked: Asked, study: Study, now: Baseline, *, again: bool) -> Answer:
@@ -132,14 +125,6 @@ def _likelihood(asked: Asked, study: Study, present: FieldLikelihood) -> FieldLi
             noise = replace(noise, length=asked.length_um / TO_UM)
         seen.append(replace(one, noise=noise))
     return replace(present, observations=tuple(seen), discrepancy=measure)
-
-
-def _prior(name: str, given: Any) -> dict[str, list[float]]:
-    if isinstance(given, dict) and len(given) == 1:
-        ((kind, numbers),) = given.items()
-        if isinstance(numbers, list):
-            return {kind: [number_in(f"prior of {name}", one, -LARGEST, LARGEST) for one in numbers]}
-    raise _refused(f"prior of {name}", given, "a prior with its numbers, {normal: [400, 50]}")
 
 
 def number_in(name: str, given: Any, low: float, high: float) -> float:

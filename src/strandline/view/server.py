@@ -9,7 +9,6 @@ import asyncio
 import atexit
 import hmac
 import html
-import ipaddress
 import json
 import os
 import secrets
@@ -17,11 +16,12 @@ import socket
 import threading
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from strandline.errors import InvalidInput, StrandlineError
+from strandline.models.umbridge.server import Access
 from strandline.questions.knowledge import require
 from strandline.report import PANELS, template
 from strandline.studies.pictures.shown import picture_png
@@ -61,38 +61,22 @@ ERRORS = {
 PAGE = Path(__file__).parent / "page"
 
 
-@dataclass(frozen=True)
-class Access:
-    """Lets requests in, or refuses them; each address must contain the token."""
-
-    token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
-
-    def refusal(self, host: str, origin: str | None, token: str) -> str:
-        """Return why a request is refused, by its headers and the token in its address; empty if it is let in."""
-        if not _is_loopback(host):
-            return "this page is called by localhost or 127.0.0.1 only"
-        if origin is not None and origin.partition("//")[2] != host:
-            return "other web pages may not ask"
-        if not hmac.compare_digest(token.encode(), self.token.encode()):
-            return "this page needs the whole address that strandline view printed"
-        return ""
-
-
-def _is_loopback(host: str) -> bool:
-    """Return whether the name in a header `Host`, which may have a port, is that of this machine."""
-    host = host.strip().lower()
-    name = host[1:].partition("]")[0] if host.startswith("[") else host.partition(":")[0]
-    try:
-        return ipaddress.ip_address(name).is_loopback
-    except ValueError:
-        return name.rstrip(".") == "localhost"
+def refusal(host: str, origin: str | None, given: str, token: str) -> str:
+    """Return why a request is refused, by its headers and the token that its address gives; empty if it is let in."""
+    if not Access().is_called(host):
+        return "this page is called by localhost or 127.0.0.1 only"
+    if origin is not None and origin.partition("//")[2] != host:
+        return "other web pages may not ask"
+    if not hmac.compare_digest(given.encode(), token.encode()):
+        return "this page needs the whole address that strandline view printed"
+    return ""
 
 
 class _Guarded(RequestHandler):
     """A request that is answered only to whoever has the token."""
 
-    def initialize(self, session: Session, access: Access) -> None:
-        self.session, self.access = session, access
+    def initialize(self, session: Session, token: str) -> None:
+        self.session, self.token = session, token
 
     def set_default_headers(self) -> None:
         for name, value in HEADERS.items():
@@ -102,7 +86,7 @@ class _Guarded(RequestHandler):
     def prepare(self) -> None:
         """Refuse a request from another host or page, or without the page's token."""
         request = self.request
-        why = self.access.refusal(request.host, request.headers.get("Origin"), request.path.split("/")[1])
+        why = refusal(request.host, request.headers.get("Origin"), request.path.split("/")[1], self.token)
         if why:
             self.set_status(403)
             self.finish({"error": why})
@@ -239,9 +223,9 @@ def _part(given: dict[str, Any], name: str) -> dict[str, Any]:
     return found or {}
 
 
-def application(session: Session, access: Access) -> Application:
+def application(session: Session, token: str) -> Application:
     """Return the web application."""
-    shared = {"session": session, "access": access}
+    shared = {"session": session, "token": token}
     return Application(
         [
             (r"/[^/]+/?", _Page, shared),
@@ -272,7 +256,7 @@ class Server:
     """
 
     def __init__(self, study: Study, *, port: int = 0, patience: float = PATIENCE) -> None:
-        self.viewed, self.access, self._patience = ViewedStudy(study), Access(), patience
+        self.viewed, self.token, self._patience = ViewedStudy(study), secrets.token_urlsafe(24), patience
         try:
             self._socket = socket.create_server((ADDRESS, port))
         except (OSError, OverflowError) as error:
@@ -291,7 +275,7 @@ class Server:
     @property
     def url(self) -> str:
         """Address of the page, with its token."""
-        return f"http://{ADDRESS}:{self.port}/{self.access.token}/"
+        return f"http://{ADDRESS}:{self.port}/{self.token}/"
 
     def run(self, started: Callable[[], None] = lambda: None) -> None:
         """Serve until `stop` is called, or Ctrl-C."""
@@ -315,7 +299,7 @@ class Server:
         ended, loop = asyncio.Event(), asyncio.get_running_loop()
         self._stop = lambda: loop.call_soon_threadsafe(ended.set)
         session = Session(self.viewed, self._patience)
-        server = HTTPServer(application(session, self.access), max_body_size=LARGEST_BODY)
+        server = HTTPServer(application(session, self.token), max_body_size=LARGEST_BODY)
         server.add_socket(self._socket)
         watching = [asyncio.create_task(session.watch_runs()), asyncio.create_task(session.watch_posterior())]
         self.is_serving = True

@@ -70,7 +70,7 @@ def test_each_path_is_answered_or_refused(quick: httpx.Client) -> None:
 @pytest.mark.smoke
 def test_nobody_gets_in_without_the_token(unrun: Server) -> None:
     for path in ("/", "/api/study", "/events", "/page/app.js", "/panels/shared.js", "/api/picture", "/nothing"):
-        for token in ("", "/wrong", "/" + unrun.access.token + "x"):
+        for token in ("", "/wrong", "/" + unrun.token + "x"):
             assert httpx.get(f"http://127.0.0.1:{unrun.port}{token}{path}").status_code == 403
         whole = unrun.url.rstrip("/") + path
         assert httpx.get(whole, headers={"Host": "example.org"}).status_code == 403
@@ -88,6 +88,7 @@ def test_a_notebook_shows_the_page(unrun: Server) -> None:
     try:
         assert f'<iframe src="{shown.server.url}" title="beam" width="100%" height="500"' in shown._repr_html_()
         assert httpx.get(shown.server.url).status_code == 200
+        assert shown.server.token != unrun.token
     finally:
         shown.close()
     assert "closed" in repr(shown)

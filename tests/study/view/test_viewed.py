@@ -82,7 +82,7 @@ def test_other_assumptions_are_those_of_what_if(viewed: ViewedStudy, field: Fini
 
 REFUSED = [
     ("predict", {"E": 430}, "tilt: got nothing; expected a number from 0 to 0.04"),
-    ("ask", {"noise": 0}, "noise: got 0; expected a number from 0.2 to 5"),
+    ("ask", {"noise": 0}, "noise: got 0; expected a number greater than or equal to 0.2"),
     ("ask", {"measure": "currents"}, "measure: got currents; expected one of normal_offset, tracked"),
     ("ask", {"fixed": {"E": 400}}, "at least one calibrated input left"),
     ("ask", {"fixed": {"tilt": 0.05}}, "tilt: got 0.05; expected a number from 0 to 0.04"),
@@ -158,9 +158,9 @@ def test_what_cannot_be_saved_leaves_nothing_and_other_inputs_can(field: Finishe
     before, study = sorted(folder.parent.iterdir()), sl.load_study(folder)
     for name in ("", "../there", ".hidden", "a" * 64, "a\nb", folder.name):
         with pytest.raises(InvalidInput, match="name of the new study"):
-            save_as(study, name, Asked(1.0, None, None, {}, {}))
+            save_as(study, name, Asked())
     with pytest.raises(InvalidInput):
-        save_as(study, "wrong", Asked(1.0, None, None, {"E": {"uniform": [0.0, 1000.0]}}, {}))
+        save_as(study, "wrong", Asked(priors={"E": {"uniform": [0.0, 1000.0]}}))
     assert sorted(folder.parent.iterdir()) == before
     asked = asked_by({"fixed": {"tilt": 0.02}, "measure": "tracked_points"}, study)
     other = sl.load_study(save_as(study, "known", asked))

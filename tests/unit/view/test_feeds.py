@@ -12,10 +12,10 @@ from strandline.report.explore import rounded
 from strandline.runs import Ledger, RunRecord, RunRequest
 from strandline.runs.overview import Overview
 from strandline.view.feeds import RunsFeed
-from strandline.view.server import Access
+from strandline.view.server import refusal
 
 LINE = Interface.polyline(np.arange(8.0).reshape(4, 2))
-ACCESS = Access("secret-of-sixteen-letters")
+TOKEN = "secret-of-sixteen-letters"
 
 
 def end(ledger: Ledger, key: str, random: np.random.Generator) -> None:
@@ -75,11 +75,10 @@ def test_numbers_keep_six_digits_and_those_that_json_has_not_are_left_out() -> N
 def test_this_machine_may_and_other_names_and_pages_and_those_without_the_token_may_not() -> None:
     """A page whose domain points here calls it by that domain."""
     for host in ("127.0.0.1:80", "localhost:8123", "LOCALHOST", "[::1]:90", "127.1.2.3"):
-        assert ACCESS.refusal(host, None, ACCESS.token) == ACCESS.refusal(host, f"http://{host}", ACCESS.token) == ""
+        assert refusal(host, None, TOKEN, TOKEN) == refusal(host, f"http://{host}", TOKEN, TOKEN) == ""
     for host in ("example.org", "127.0.0.1.example.org", "192.168.0.3:80", ""):
-        assert "127.0.0.1 only" in ACCESS.refusal(host, None, ACCESS.token)
+        assert "127.0.0.1 only" in refusal(host, None, TOKEN, TOKEN)
     for origin in ("http://example.org", "null", "http://localhost:81", "https://localhost:80.example.org"):
-        assert "other web pages" in ACCESS.refusal("localhost:80", origin, ACCESS.token)
-    for given_token in ("", ACCESS.token + "x", ACCESS.token.upper()):
-        assert "whole address" in ACCESS.refusal("localhost:80", None, given_token)
-    assert Access().token != Access().token
+        assert "other web pages" in refusal("localhost:80", origin, TOKEN, TOKEN)
+    for given in ("", TOKEN + "x", TOKEN.upper()):
+        assert "whole address" in refusal("localhost:80", None, given, TOKEN)

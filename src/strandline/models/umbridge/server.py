@@ -81,7 +81,7 @@ class Access:
     def check(self, method: str, headers: Message) -> None:
         """Refuse (HTTP 401, 403 or 415) a request that may come from a web page, or that lacks the token."""
         hosts, origin = headers.get_all("Host", []), headers.get("Origin")
-        if len(hosts) != 1 or not self._is_called(hosts[0]):
+        if len(hosts) != 1 or not self.is_called(hosts[0]):
             found = ", ".join(hosts) or "none"
             expected = "this machine's numeric address or name" if self.any_address else "localhost or 127.0.0.1"
             told = (
@@ -97,7 +97,7 @@ class Access:
         if self.token is not None and not _carries(headers.get("Authorization", ""), self.token):
             raise Rejected("Unauthorized", "this server needs its token: send `Authorization: Bearer TOKEN`", 401)
 
-    def _is_called(self, host: str) -> bool:
+    def is_called(self, host: str) -> bool:
         """Return whether `host`, with or without a port, is a name or address of this server."""
         name = host.strip().lower()
         name = name[1:].partition("]")[0] if name.startswith("[") else name.partition(":")[0]
