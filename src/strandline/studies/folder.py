@@ -92,7 +92,7 @@ def told_if_unwritable(folder: Path) -> Iterator[None]:
 
 
 QUESTIONS = frozenset({"next", "what_if", "specimens"})
-"""Keys that no forward run and no posterior depends on."""
+"""Keys of study.yaml that no forward run and no posterior depends on."""
 QUESTION = re.compile(
     rf"""(?:^[^\S\n]*\n)*(?:^\#.*\n)*                                     # blank lines and comments above its key
     ^['"]?(?:{"|".join(sorted(QUESTIONS))})['"]?\s*:.*(?:\n|\Z)

@@ -131,17 +131,18 @@ def test_what_fails_is_left_out_where_someone_hears_of_it(beam: Finished, tmp_pa
     (tmp_path / "figures").mkdir()
     for old in ("old", "next_1"):
         (tmp_path / "figures" / f"{old}.png").touch()
+    (tmp_path / "next.html").touch()
     with monkeypatch.context() as patch:
         patch.setattr("strandline.report.plots.plot_interfaces", planted)
         with pytest.raises(RuntimeError, match="no ink"):
             write_report(beam.outcome.calibration, beam.outcome.summary, **given)
-    assert sorted(p.name for p in tmp_path.rglob("*")) == ["figures", "next_1.png", "old.png"]
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["figures", "next.html", "next_1.png", "old.png"]
     (tmp_path / ".figures.partial").mkdir()
     monkeypatch.setattr("strandline.report.plots.plot_tempering", planted)
     monkeypatch.setattr("strandline.report.page.explore", planted)
     heard: dict[str, Exception] = {}
     path = write_report(beam.outcome.calibration, beam.outcome.summary, **given, on_failure=heard.__setitem__)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["figures", "report.html"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["figures", "next.html", "report.html"]
     assert set(heard) == {"the section Explore", "figures (sampler)"}
     page = Page(path.read_text("utf-8"))
     for name in heard:

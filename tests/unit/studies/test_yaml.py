@@ -234,8 +234,11 @@ def content(folder):
 
 
 def test_a_copy_lies_beside_the_study_and_keeps_comments_and_files(beam):
+    (beam / "mine.json").write_text('{"study": "beam"}')
+    (beam / "new-question.json").write_text('{"study": "beam", "study_sha256": "its digest"}')
     before = contents(beam)
     copy = changed_study(beam, ["seed=3", "noise={variance: 1.0e-4}"])
+    assert sorted(contents(copy)) == ["mine.json", "notes.txt", "study.yaml"]
     assert copy == beam.with_name("beam-noise-variance-0.0001-seed-3")
     assert copy == changed_study(beam, ["noise={variance: 1.0e-4}", "seed=3"]), "the order does not matter"
     text = (copy / "study.yaml").read_text()
