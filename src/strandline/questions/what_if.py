@@ -17,16 +17,7 @@ from strandline.calibration.what_if import Answer as Changed
 from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import Weighted
 from strandline.questions.alternatives import alternative_of, asked_in, require_asked
-from strandline.questions.answer import (
-    Answer,
-    Part,
-    Symbol,
-    Table,
-    digits,
-    facts_of_surrogate,
-    moments,
-    surrogate_note,
-)
+from strandline.questions.answer import Answer, Part, Symbol, Table, digits, facts_of_surrogate, moments, surrogate_note
 from strandline.questions.knowledge import baseline_of, require, require_seed
 from strandline.report import plots
 from strandline.report.figure_files import Captioned
