@@ -14,9 +14,8 @@ import os
 import secrets
 import socket
 import threading
-from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -246,7 +245,7 @@ ADDRESS = "127.0.0.1"
 
 
 class Server:
-    """A study served to a browser on this machine.
+    """A study served to a browser on this machine; in a notebook it shows as its page, `height` pixels high.
 
     Port 0 takes any free one. The first counts and the first posterior wait for some seconds until a page has got the
     runs.
@@ -255,8 +254,9 @@ class Server:
         InvalidInput: The port cannot be used.
     """
 
-    def __init__(self, study: Study, *, port: int = 0, patience: float = PATIENCE) -> None:
-        self.viewed, self.token, self._patience = ViewedStudy(study), secrets.token_urlsafe(24), patience
+    def __init__(self, study: Study, *, port: int = 0, patience: float = PATIENCE, height: int = 900) -> None:
+        self.viewed, self.token = ViewedStudy(study), secrets.token_urlsafe(24)
+        self._patience, self._height = patience, height
         try:
             self._socket = socket.create_server((ADDRESS, port))
         except (OSError, OverflowError) as error:
@@ -272,23 +272,34 @@ class Server:
         self._stop: Callable[[], object] = lambda: None
         self._thread: threading.Thread | None = None
 
+    def __repr__(self) -> str:
+        return f"<page of {self.viewed.study.name}{f': {self.url}' if self.is_serving else ', closed'}>"
+
+    def _repr_html_(self) -> str:
+        if not self.is_serving:
+            return f"<p>{html.escape(repr(self))}</p>"
+        place = f'src="{html.escape(self.url)}" title="{html.escape(self.viewed.study.name)}"'
+        style = "border: 1px solid #8884; border-radius: 8px"
+        return f'<iframe {place} width="100%" height="{self._height}" style="{style}"></iframe>'
+
     @property
     def url(self) -> str:
         """Address of the page, with its token."""
         return f"http://{ADDRESS}:{self.port}/{self.token}/"
 
     def run(self, started: Callable[[], None] = lambda: None) -> None:
-        """Serve until `stop` is called, or Ctrl-C."""
+        """Serve until `close` is called, or Ctrl-C."""
         asyncio.run(self._serve(started))
 
-    def start(self) -> None:
-        """Serve in a thread of its own, until `stop` is called."""
+    def start(self) -> "Server":
+        """Serve in a thread of its own, until `close` is called."""
         ready = threading.Event()
         self._thread = threading.Thread(target=self.run, args=(ready.set,), daemon=True)
         self._thread.start()
         ready.wait()
+        return self
 
-    def stop(self) -> None:
+    def close(self) -> None:
         """End `run` from another thread, and wait for the thread of `start`."""
         self.is_serving = False
         self._stop()
@@ -315,44 +326,13 @@ class Server:
             await server.close_all_connections()
 
 
-@contextmanager
-def serving(study: Study, *, port: int = 0, patience: float = PATIENCE) -> Iterator[Server]:
-    """Serve a study in a thread of its own, and stop at the end."""
-    server = Server(study, port=port, patience=patience)
-    server.start()
-    try:
-        yield server
-    finally:
-        server.stop()
+def serving(study: Study, *, port: int = 0, patience: float = PATIENCE) -> closing[Server]:
+    """Serve a study in a thread of its own, and stop at the end of a ``with`` block."""
+    return closing(Server(study, port=port, patience=patience).start())
 
 
-@dataclass(frozen=True, eq=False)
-class NotebookPage:
-    """A page that is served as long as the notebook's kernel lives, or until `close`, with its height in pixels."""
-
-    server: Server
-    height: int
-
-    def __repr__(self) -> str:
-        address = f": {self.server.url}" if self.server.is_serving else ", closed"
-        return f"<page of {self.server.viewed.study.name}{address}>"
-
-    def _repr_html_(self) -> str:
-        if not self.server.is_serving:
-            return f"<p>{html.escape(repr(self))}</p>"
-        url, name = html.escape(self.server.url), html.escape(self.server.viewed.study.name)
-        style = "border: 1px solid #8884; border-radius: 8px"
-        return f'<iframe src="{url}" title="{name}" width="100%" height="{self.height}" style="{style}"></iframe>'
-
-    def close(self) -> None:
-        """Stop serving the page."""
-        self.server.stop()
-        atexit.unregister(self.server.stop)
-
-
-def show(study: Study, *, height: int = 900) -> NotebookPage:
-    """Show the page of a study below a cell of a notebook, so many pixels high, until the kernel ends."""
-    server = Server(study)
-    server.start()
-    atexit.register(server.stop)
-    return NotebookPage(server, height)
+def show(study: Study, *, height: int = 900) -> Server:
+    """Show the page of a study below a cell of a notebook, so many pixels high, until the kernel ends or `close`."""
+    server = Server(study, height=height).start()
+    atexit.register(server.close)
+    return server

@@ -13,7 +13,7 @@ import pytest
 
 import strandline as sl
 from strandline.testing.studies import write_study
-from strandline.view import NotebookPage, Server, serving, show
+from strandline.view import Server, serving, show
 from strandline.view.session import Session
 
 
@@ -84,11 +84,11 @@ def test_it_listens_on_this_machine_alone(unrun: Server) -> None:
 
 
 def test_a_notebook_shows_the_page(unrun: Server) -> None:
-    shown: NotebookPage = show(unrun.viewed.study, height=500)
+    shown = show(unrun.viewed.study, height=500)
     try:
-        assert f'<iframe src="{shown.server.url}" title="beam" width="100%" height="500"' in shown._repr_html_()
-        assert httpx.get(shown.server.url).status_code == 200
-        assert shown.server.token != unrun.token
+        assert f'<iframe src="{shown.url}" title="beam" width="100%" height="500"' in shown._repr_html_()
+        assert httpx.get(shown.url).status_code == 200
+        assert shown.token != unrun.token
     finally:
         shown.close()
     assert "closed" in repr(shown)
@@ -106,7 +106,7 @@ def test_a_stream_that_is_still_open_when_the_server_stops_ends_in_silence(
     study = sl.load_study(write_study(tmp_path / "beam"))
     with serving(study) as server, httpx.stream("GET", f"{server.url}events", timeout=60) as stream:
         assert next(told(stream))["problem"] == ""
-        server.stop()
+        server.close()
     assert caplog.messages == []
 
 
