@@ -18,7 +18,7 @@ from strandline.models.protocol import declared_conditions, undeformed_interface
 from strandline.posterior import Weighted, systematic_indices
 from strandline.questions.information import Direction, directions_of, expected_outlook, scale_of
 from strandline.questions.knowledge import field_knowledge, runs_to_learn_from
-from strandline.questions.next_runs import Answers, CandidateAnswer, PointRuns, Runs, problem_of, runs_at
+from strandline.questions.next_runs import Answers, CandidateAnswer, PointRuns, problem_of, runs_at
 from strandline.questions.observing import (
     Fails,
     Fields,
@@ -32,7 +32,7 @@ from strandline.questions.observing import (
     transfer,
     with_known,
 )
-from strandline.runs import Executor, RunRecord
+from strandline.runs import Executor
 from strandline.studies.check import finished_posterior
 from strandline.studies.study import Study
 from strandline.surrogate.field import FieldSurrogate, fit_field
@@ -69,7 +69,15 @@ def prospects_of(
         present.observing(surrogate.modes.fields(surrogate.mean(present.now.mean[None]))[0], look).focused(look)
     observer.stage("candidates")
     settings = list({key_of(one): one for candidate in candidates for one in candidate.settings}.values())
-    runs = _runs(present, settings, executor, observer)
+    wanted = [(one, present.now.mean) for one in settings if present.unknown(one)]
+    runs = runs_at(
+        study,
+        wanted,
+        STEP * present.now.sd,
+        usable=lambda record: slopes_of_field(surrogate, record.sensitivities, study.space.names) is not None,
+        executor=executor,
+        observer=observer,
+    )
     good = [record for one in runs.points for record in (one.run, *one.others) if record.ok]
     fields = [field_of(surrogate, record.interfaces) for record in good]
     present = replace(present, succeeded=np.array(fields) if fields else None)
@@ -162,9 +170,14 @@ class AfterExperiment:
         return Prospect(forecast, fields, 1 - (1 - float(self.now.weights @ failing)) * (1 - crossing))
 
     def _carried(self, runs: PointRuns, known: Mapping[int, float]) -> Fields:
-        field = field_of(self.surrogate, runs.run.interfaces)
-        at = with_known(runs.x[None], known)[0]
-        return transfer(self.surrogate, at, field, _slopes(self, runs, field), self.now.covariance)
+        """Return the field of an experiment, from its sensitivities at a point or from the runs beside it."""
+        surrogate, names, at = self.surrogate, self.study.space.names, with_known(runs.x[None], known)[0]
+        field = field_of(surrogate, runs.run.interfaces)
+        slopes = None if runs.others else slopes_of_field(surrogate, runs.run.sensitivities, names)
+        if slopes is None:
+            moved = np.array([field_of(surrogate, one.interfaces) for one in runs.others])
+            slopes = np.asarray(((moved - field) / np.diag(runs.beside - runs.x)[:, None]).T)
+        return transfer(surrogate, at, field, slopes, self.now.covariance)
 
     def _whole(self, name: str, nodes: Float[np.ndarray, "node xyz"]) -> View:
         """Return how a condition is observed; of one that was not observed yet, all nodes are."""
@@ -190,32 +203,6 @@ def _surrogate(study: Study, knowledge: Knowledge, conditions: Collection[str]) 
     records = runs_to_learn_from(study)
     x = np.array([[record.inputs[name] for name in study.space.names] for record in records], float)
     return fit_field(training_of(x, records, study.space, declared_conditions(study.model)))
-
-
-def _runs(present: AfterExperiment, settings: Sequence[Setting], executor: Executor, observer: Observer) -> Runs:
-    """Return the runs of all experiments that the surrogate does not cover, at the posterior mean."""
-    wanted = [(one, present.now.mean) for one in settings if present.unknown(one)]
-    surrogate, names = present.surrogate, present.study.space.names
-
-    def usable(record: RunRecord) -> bool:
-        return slopes_of_field(surrogate, record.sensitivities, names) is not None
-
-    if not wanted:
-        return Runs((), 0, 0)
-    return runs_at(present.study, wanted, STEP * present.now.sd, usable=usable, executor=executor, observer=observer)
-
-
-def _slopes(
-    present: AfterExperiment, runs: PointRuns, field: Float[np.ndarray, " value"]
-) -> Float[np.ndarray, "value dim"]:
-    """Return the derivatives of the field at the point, from sensitivities or from the runs beside it."""
-    surrogate = present.surrogate
-    if not runs.others:
-        found = slopes_of_field(surrogate, runs.run.sensitivities, present.study.space.names)
-        assert found is not None
-        return found
-    moved = np.array([field_of(surrogate, one.interfaces) for one in runs.others])
-    return np.asarray(((moved - field) / np.diag(runs.beside - runs.x)[:, None]).T)
 
 
 def _drawn(source: Source, number: int, seed: int) -> Weighted:

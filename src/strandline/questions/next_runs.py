@@ -53,11 +53,13 @@ def runs_at(
     executor: Executor,
     observer: Observer,
 ) -> Runs:
-    """Return the runs at points; a run that next.sqlite holds is not made again.
+    """Return the runs at points, none for no points; a run that next.sqlite holds is not made again.
 
     Each point has the quantities that differ from the study's, and the inputs. If the sensitivities of its run are not
     `usable`, further runs are made at a distance of `steps` in one input each, inside the box.
     """
+    if not points:
+        return Runs((), 0, 0)
     plain = study.model.model if isinstance(study.model, WithCheaper) else study.model
     model, identity, counts = _sensitive(plain), study.runs.identity, Counter[str]()
     beside = [np.asarray(x + np.diag(np.where(x + steps > study.space.high, -steps, steps))) for _, x in points]
