@@ -49,7 +49,8 @@ def _require_bearable(text: str) -> None:
     known: dict[str | None, list[Any]] = {}
     begun: list[list[Any]] = [[None, 0, 0]]  # name, number of values and depth of what is being read
     for event in yaml.parse(text, Loader=yaml.SafeLoader):
-        mark, found = event.start_mark, [getattr(event, "anchor", None), 1, 1]
+        mark = event.start_mark
+        found: list[Any] = [getattr(event, "anchor", None), 1, 1]
         if isinstance(event, yaml.AliasEvent):
             if any(event.anchor == one[0] for one in begun):
                 name = event.anchor
