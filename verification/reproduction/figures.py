@@ -19,7 +19,7 @@ from strandline.models.biofilm.geometry import MESHES, mesh_flow_cell
 from strandline.report.figure_files import PAGE_PIXELS_PER_INCH
 from strandline.report.plots import style
 from strandline.report.plots.field import FieldGrid, plot_field
-from strandline.report.plots.style import CYCLE, DASHES, DOTS_PER_INCH, axes_or_new, styled
+from strandline.report.plots.style import CYCLE, DASHES, DOTS_PER_INCH, new_axes, styled
 
 WINDOW_SDS, POINTS = 5.0, (121, 101)
 LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
@@ -79,7 +79,7 @@ def draw(evidence: Evidence) -> Iterator[Picture]:
     caption = "S2: total variation to the true posterior and leave-one-out error, which a user sees, against the runs."
     yield Picture("8, errors", caption, _png(plot_convergence(evidence.nested).figure))
     with styled():
-        ax = axes_or_new(None, (style.DOUBLE, 3.8))
+        ax = new_axes(style.DOUBLE, 3.8)
         plot_parts(evidence.studies["biofilm-parts"].model, ax)
     yield Picture("11", "S6: the three parts of the specimen.", _png(ax.figure))
     for key, words in (("log_likelihood", "log-likelihood"), ("likelihood", "likelihood")):
@@ -110,7 +110,7 @@ def plot_nested_likelihoods(evidence: Evidence, rule: str) -> Figure:
     points = np.stack(np.meshgrid(e, nu, indexing="ij"), axis=-1).reshape(-1, 2)
     contours = {"levels": LEVELS, "colors": "black", "linewidths": 0.6, "linestyles": "dashed"}
     with styled():
-        figure, panels = style.panel_grid(None, len(steps), 1.8, margin=0.6, sharex=True, sharey=True)
+        figure, panels = style.panel_grid(len(steps), 1.8, margin=0.6, sharex=True, sharey=True)
         for ax, step in zip(panels, steps, strict=True):
             values = step.surrogate.process.mean(points).reshape(POINTS)
             grid = FieldGrid(*space.parameters, e, nu, values, truth=at)
@@ -142,7 +142,7 @@ def plot_convergence(steps: Mapping[str, Sequence[NestedStep]]) -> Axes:
 def plot_surrogate_errors(sizes: Sequence[int], errors: Mapping[str, Sequence[float]], *, quantity: str) -> Axes:
     """Draw the errors of each case against the number of training runs, both on logarithmic scales."""
     with styled():
-        ax = axes_or_new(None, (style.SINGLE, 2.8))
+        ax = new_axes(style.SINGLE, 2.8)
         for (case, values), colour in zip(errors.items(), CYCLE, strict=False):
             ax.loglog(sizes, values, "o-", markersize=4, color=colour, label=case)
         ax.set(xlabel="training runs", ylabel=quantity)

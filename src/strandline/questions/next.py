@@ -295,19 +295,9 @@ def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
     drawn = [one for one in content["candidates"] if one["gain"] is not None][:MOST_CANDIDATES]
     names = {name: item["label"] for name, item in content["inputs"].items()}
     if drawn:
-        figure = plots.plot_candidates(
-            [one["label"] for one in drawn],
-            np.array([one["gain"] for one in drawn]),
-            np.array([one["error"] for one in drawn]),
-            np.array([one["failing"] or 0.0 for one in drawn]),
-            {label: np.array([one["sd_ratio"][name] for one in drawn]) for name, label in names.items()},
-        )
-        yield Captioned("next_candidates", "next", GAINS, figure)
+        yield Captioned("next_candidates", "next", GAINS, plots.plot_candidates(drawn, names))
     if len(names) > 1:
-        weights = np.array([[one["weights"][name] for name in names] for one in content["directions"]])
-        left = np.array([one["left"] for one in content["directions"]])
-        axes = plots.plot_directions(list(names.values()), weights, left)
-        yield Captioned("next_directions", "next", DIRECTIONS, axes)
+        yield Captioned("next_directions", "next", DIRECTIONS, plots.plot_directions(content["directions"], names))
 
 
 def _of_candidates(content: Mapping[str, Any], *, after: bool) -> Part:

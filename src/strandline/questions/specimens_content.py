@@ -213,9 +213,8 @@ def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
         axes = plots.plot_caterpillar(specimens, name, label)
         yield Captioned(f"specimens_intervals_{name}", "specimens", caption.format(item["label"]), axes)
         if population is not None:
-            density = {key: np.array(some, float) for key, some in population["inputs"][name]["density"].items()}
-            means = np.array([one["inputs"][name]["shrunk"]["mean"] for one in specimens])
-            axes = plots.plot_population(density, means, label)
+            means = [one["inputs"][name]["shrunk"]["mean"] for one in specimens]
+            axes = plots.plot_population(population["inputs"][name]["density"], means, label)
             yield Captioned(f"specimens_population_{name}", "specimens", DENSITY.format(item["label"]), axes)
 
 

@@ -15,27 +15,6 @@ from strandline.imaging.clicks import Clicks, as_json
 from strandline.report.html import embedded, script_hash, template
 
 SCRIPTS = ("marks.js", "view.js", "editing.js", "panel.js")
-TOOLS = (
-    ("move", "Move the picture", False),
-    ("scale", "Scale bar", True),
-    ("origin", "Origin", True),
-    ("path", "Path", True),
-    ("exclude", "Leave out", True),
-    ("fixed", "Fixed region", True),
-)
-"""Value, label, and whether the page shows what has been marked with it."""
-SHORTCUTS = (
-    (("1 – 6",), "choose what to mark"),
-    (("Wheel", "+", "−", "0"), "zoom; whole picture"),
-    (("Space",), "hold and drag to move the picture"),
-    (("Arrows",), "move the selected point by a pixel of the screen (Shift: 10), or the picture"),
-    (("A",), "add a point at the pointer"),
-    (("Enter",), "finish a region"),
-    (("Delete",), "delete the selected point"),
-    (("Esc",), "select nothing"),
-    (("Ctrl Z", "Ctrl Y"), "undo, redo"),
-    (("Ctrl S",), "save"),
-)
 MOST_PIXELS, LONGEST_SIDE = 6_000_000, 8192
 """Largest picture that is shown as it is, in pixels."""
 ENDS = (0.2, 99.8)
@@ -92,8 +71,6 @@ def click_page(
             width=width,
             height=height,
             factor=factor,
-            tools=TOOLS,
-            shortcuts=SHORTCUTS,
             given=embedded(given),
             script=Markup(script),
             script_hash=Markup(script_hash(script)),

@@ -165,7 +165,7 @@ def explore(
         "interfaces": outlines,
         "posterior": _posterior(calibration, observed),
     }
-    plotly, script = PLOTLY.read_bytes(), bundled("explore")
+    plotly, script = PLOTLY.read_bytes(), bundled()
     large = {
         "data": embedded(data),
         "plotly": base64.b64encode(gzip.compress(plotly, mtime=0)).decode("ascii"),

@@ -4,7 +4,7 @@ import base64
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -12,13 +12,15 @@ from typing import Any
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
-from strandline.text import with_sd
+from strandline.text import listed, with_sd
 from strandline.typeset import RAISED, html_text, unit_text
 
 PANELS = Path(__file__).parent / "panels"
 """Scripts and style of the panels that the report and the page of `strandline view` share."""
 PLOTLY = PANELS / "vendor" / "plotly-cartesian.min.js"
-IMPORT = re.compile(r'^import \{ (\w+(?:, \w+)*) \} from "\./([\w-]+)\.js";$', re.MULTILINE)
+MODULES = ("shared", "inputs", "posterior", "run", "shapes", "explore")
+"""Those of a report; each comes after those that it imports from."""
+IMPORT = re.compile(r'^import \{ \w+(?:, \w+)* \} from "\./[\w-]+\.js";$', re.MULTILINE)
 EXPORT = re.compile(r"^export (?=(?:async )?function (\w+)|const (\w+))", re.MULTILINE)
 LEFT = re.compile(r"^\s*(?:import|export)\b.*", re.MULTILINE)
 NUMBER = re.compile(r"(?<![^\s(])[-+]?\d[\d.]*(e[-+]\d+)?(?![^\s,;)])")
@@ -42,7 +44,7 @@ def write_page(path: Path, page: str) -> Path:
 def _environment(package: str) -> Environment:
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(package), PackageLoader("strandline.report")]),
-        autoescape=select_autoescape(default=True, default_for_string=True),
+        autoescape=select_autoescape(disabled_extensions=["txt.j2"], default=True, default_for_string=True),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -56,6 +58,7 @@ def _environment(package: str) -> Environment:
         "symbol": lambda symbol: Markup(html_text(symbol)),
         "percent": lambda value: f"{value:.1%}",
         "small_share": small_share,
+        "listed": listed,
     }
     return environment
 
@@ -108,36 +111,19 @@ def embedded(data: Mapping[str, Any]) -> Markup:
 
 
 @lru_cache(maxsize=2)
-def bundled(entry: str, folder: Path = PANELS) -> str:
-    """Return modules as one script: each in a function of its own that returns what it exports.
+def bundled(names: tuple[str, ...] = MODULES, folder: Path = PANELS) -> str:
+    """Return modules as one script: each in a function of its own, of which the later ones see what it exports.
 
-    They import from their folder alone, and not in a circle; imports and exports of another form are refused.
+    A module must come after those that it imports from; imports and exports of another form are refused.
     """
-    order: dict[str, str] = {}
-    for name in _in_order(entry, folder, ()):
-        order.setdefault(name, _as_function(name, (folder / f"{name}.js").read_text(encoding="utf-8")))
-    script = '\n"use strict";\n' + "\n".join(order.values())
+    script = '\n"use strict";\n'
+    for name in names:
+        text = IMPORT.sub("", (folder / f"{name}.js").read_text(encoding="utf-8"))
+        exported = ", ".join(function or constant for function, constant in EXPORT.findall(text))
+        text = EXPORT.sub("", text)
+        if left := LEFT.search(text):
+            raise ValueError(f"{name}.js has an import or export of another form: {left[0]}")
+        script += f"const {{ {exported} }} = (() => {{\n{text}return {{ {exported} }};\n}})();\n"
     if "</script" in script.lower() or "<!--" in script:
-        raise ValueError(f"the scripts of {entry} would end their element")
+        raise ValueError(f"the scripts {', '.join(names)} would end their element")
     return script
-
-
-def _in_order(name: str, folder: Path, above: tuple[str, ...]) -> Iterator[str]:
-    """Yield the modules that one needs, each after those that it imports, and then itself."""
-    if name in above:
-        raise ValueError(f"modules import each other: {' → '.join((*above, name))}")
-    for _, needed in IMPORT.findall((folder / f"{name}.js").read_text(encoding="utf-8")):
-        yield from _in_order(needed, folder, (*above, name))
-    yield name
-
-
-def _as_function(name: str, text: str) -> str:
-    exported = [function or constant for function, constant in EXPORT.findall(text)]
-    text = EXPORT.sub("", IMPORT.sub(lambda found: f"const {{ {found[1]} }} = {_variable(found[2])};", text))
-    if left := LEFT.search(text):
-        raise ValueError(f"{name}.js has an import or export of another form: {left[0]}")
-    return f"const {_variable(name)} = (() => {{\n{text}return {{ {', '.join(exported)} }};\n}})();"
-
-
-def _variable(name: str) -> str:
-    return f"module_{name.replace('-', '_')}"

@@ -1,5 +1,6 @@
 """A finished study as one self-contained HTML page, and its figures as files; the pages of answers."""
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
@@ -14,7 +15,6 @@ from strandline.report.explore import explore
 from strandline.report.figure_files import Captioned, fitted, marked, saved, whole_folder
 from strandline.report.figures import figure_groups
 from strandline.report.html import template, write_page
-from strandline.report.methods import BIBTEX, methods_paragraph
 from strandline.report.warnings import LOO_LIMIT, reason_to_doubt
 
 CHECK = (
@@ -86,7 +86,6 @@ def write_report(
         figures=[item for item in shown if item is not picture],
         study_text=study_text,
         methods=methods_paragraph(summary),
-        bibtex=BIBTEX.format(version=summary["version"]),
         fit=calibration.settings.fit,
         check=check,
         picture=picture,
@@ -94,6 +93,16 @@ def write_report(
         batch_kinds=KINDS,
     )
     return write_page(folder / FILE_NAME, page)
+
+
+def methods_paragraph(summary: Mapping[str, Any]) -> str:
+    """Return a paragraph for the methods section of a paper, with the numbers of a study, from the content of
+    summary.json.
+
+    It also says what speaks against the result: runs that failed, a design that did not converge, a model that does not
+    explain the observation.
+    """
+    return re.sub("[ \n]+", " ", template("methods.txt.j2").render(s=summary)).strip()
 
 
 def _without_bad_comparison(summary: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -29,7 +29,7 @@ from strandline.report.explore import explore
 from strandline.report.figures import BEST, _data, failed_runs, fit_figures
 from strandline.report.fit import fit_as_json
 from strandline.report.html import PLOTLY, script_hash
-from strandline.report.methods import methods_paragraph
+from strandline.report.page import methods_paragraph
 from strandline.report.plots.style import DOUBLE, SINGLE
 from strandline.report.warnings import find_warnings
 from strandline.runs.ledger_schema import LOG_TITLE

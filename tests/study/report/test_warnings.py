@@ -17,7 +17,7 @@ from strandline.calibration.sampler_check import SamplerCheck, Split
 from strandline.cli import main
 from strandline.design.active import BatchCheck, Certificate, Step, VarianceEffect
 from strandline.posterior import laplace
-from strandline.report.methods import methods_paragraph
+from strandline.report.page import methods_paragraph
 from strandline.report.warnings import LOO_LIMIT, field_warnings, find_warnings, reason_to_doubt
 
 

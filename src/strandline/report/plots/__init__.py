@@ -1,4 +1,4 @@
-"""Figures: each function draws data in given Axes (or a Figure, for several panels) or new ones, and returns them.
+"""Figures: each function draws data in given Axes or new ones, and returns them; several panels are a new Figure.
 
 True values are by name; `names` are inputs, by default all.
 """

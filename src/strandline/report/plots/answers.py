@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from strandline.posterior.rank_tests import Band
@@ -28,131 +28,116 @@ STROKE = 0.025
 QUANTILES = ("q05", "q50", "q95")
 
 
-def plot_candidates(
-    labels: Sequence[str],
-    gains: Float[np.ndarray, " candidate"],
-    errors: Float[np.ndarray, " candidate"],
-    failing: Float[np.ndarray, " candidate"],
-    ratios: Mapping[str, Float[np.ndarray, " candidate"]],
-    *,
-    figure: Figure | SubFigure | None = None,
-) -> Figure | SubFigure:
-    """Draw the gain of each candidate for the next experiment, nats, with its error as a bar, and beside it the
-    expected widths.
+@style.drawn()
+def plot_candidates(candidates: Sequence[Mapping[str, Any]], names: Mapping[str, str]) -> Figure:
+    """Draw the gain of each candidate of next.json, nats, with its error as a bar, and beside it the expected widths.
 
-    `failing` are the probabilities that the experiment fails; the part of the gain that this costs is drawn pale.
-    `ratios` are the expected standard deviations over the present ones, by input.
+    The part of the gain that is lost because the experiment may fail is drawn pale. The widths are expected standard
+    deviations over the present ones; `names` are the labels of the inputs.
     """
-    place = np.arange(len(labels))
-    with style.styled():
-        figure = style.figure_or_new(figure, (style.DOUBLE, 1.3 + 0.24 * len(labels)))
-        left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.2, 1))
-        bars = {"ecolor": style.BLACK, "elinewidth": 0.9, "capsize": 2.0}
-        left.barh(place, gains, 0.6, color=style.SKY, alpha=0.45, label="lost where it fails")
-        left.barh(place, gains * (1 - failing), 0.6, xerr=errors, color=style.BLUE, label="gain", error_kw=bars)
-        left.set(xlabel="expected information gain [nats]", yticks=place, yticklabels=[figure_text(a) for a in labels])
-        left.set_xlim(left=0.0)
-        for k, (name, ratio) in enumerate(ratios.items()):
-            look = {"marker": MARKERS[k % len(MARKERS)], "color": style.CYCLE[k % len(style.CYCLE)], "linestyle": ""}
-            shift = CANDIDATES_APART * (k - 0.5 * (len(ratios) - 1))
-            right.plot(ratio, place + shift, markersize=4, label=figure_text(name), **look)
-        right.axvline(1.0, color=style.GREY, linewidth=0.8, linestyle=":")
-        right.set(xlabel="expected sd / present sd", xlim=(0.0, 1.08))
-        left.invert_yaxis()
-        style.legend_under(figure, style.labelled(left, right))
+    rows = [(one["gain"], one["error"], one["failing"] or 0.0) for one in candidates]
+    gains, errors, failing = np.array(rows).T
+    place = np.arange(len(rows))
+    figure = style.new_figure(style.DOUBLE, 1.3 + 0.24 * len(rows))
+    left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.2, 1))
+    bars = {"ecolor": style.BLACK, "elinewidth": 0.9, "capsize": 2.0}
+    left.barh(place, gains, 0.6, color=style.SKY, alpha=0.45, label="lost where it fails")
+    left.barh(place, gains * (1 - failing), 0.6, xerr=errors, color=style.BLUE, label="gain", error_kw=bars)
+    left.set_yticks(place, [figure_text(one["label"]) for one in candidates])
+    left.set_xlabel("expected information gain [nats]")
+    left.set_xlim(left=0.0)
+    for k, (name, label) in enumerate(names.items()):
+        look = {"marker": MARKERS[k % len(MARKERS)], "color": style.CYCLE[k % len(style.CYCLE)], "linestyle": ""}
+        shift = CANDIDATES_APART * (k - 0.5 * (len(names) - 1))
+        ratio = [one["sd_ratio"][name] for one in candidates]
+        right.plot(ratio, place + shift, markersize=4, label=figure_text(label), **look)
+    right.axvline(1.0, color=style.GREY, linewidth=0.8, linestyle=":")
+    right.set(xlabel="expected sd / present sd", xlim=(0.0, 1.08))
+    left.invert_yaxis()
+    style.legend_under(figure, style.labelled(left, right))
     return figure
 
 
+@style.drawn()
 def plot_directions(
-    names: Sequence[str],
-    weights: Float[np.ndarray, "direction dim"],
-    left: Float[np.ndarray, " direction"],
-    *,
-    ax: Axes | None = None,
+    directions: Sequence[Mapping[str, Any]], names: Mapping[str, str], *, ax: Axes | None = None
 ) -> Axes:
-    """Draw the combinations of the inputs as columns of a matrix, with what is left of the prior's width in each.
+    """Draw the combinations of the inputs in next.json as columns of a matrix, with what is left of the prior's width.
 
-    `weights` are unit vectors in prior standard deviations, one combination a row.
+    Weights are in prior standard deviations; `names` are the labels of the inputs.
     """
-    number = len(names)
-    with style.styled():
-        ax = style.axes_or_new(ax, (1.6 + 0.5 * number, 1.2 + 0.36 * number))
-        picture = ax.imshow(weights.T, cmap="RdBu_r", vmin=-1, vmax=1, aspect="auto")
-        for (row, column), value in np.ndenumerate(weights.T):
-            text, colour = f"{value:+.2f}".replace("-", "−"), "white" if abs(value) > 0.6 else style.BLACK
-            ax.text(column, row, text, ha="center", va="center", fontsize=6.5, color=colour)
-        ax.set_xticks(range(len(left)), [f"{100 * share:.0f} %" for share in left])
-        ax.set_yticks(range(number), [figure_text(name) for name in names])
-        ax.set(xlabel="prior width left in each combination")
-        ax.figure.colorbar(picture, ax=ax, label="weight", shrink=0.9)
+    weights = np.array([[one["weights"][name] for one in directions] for name in names])
+    ax = ax or style.new_axes(1.6 + 0.5 * len(names), 1.2 + 0.36 * len(names))
+    picture = ax.imshow(weights, cmap="RdBu_r", vmin=-1, vmax=1, aspect="auto")
+    for (row, column), value in np.ndenumerate(weights):
+        text, colour = f"{value:+.2f}".replace("-", "−"), "white" if abs(value) > 0.6 else style.BLACK
+        ax.text(column, row, text, ha="center", va="center", fontsize=6.5, color=colour)
+    ax.set_xticks(range(len(directions)), [f"{100 * one['left']:.0f} %" for one in directions])
+    ax.set_yticks(range(len(names)), [figure_text(label) for label in names.values()])
+    ax.set(xlabel="prior width left in each combination")
+    ax.figure.colorbar(picture, ax=ax, label="weight", shrink=0.9)
     return ax
 
 
-def plot_rank_bands(bands: Mapping[str, Band], *, figure: Figure | SubFigure | None = None) -> Figure | SubFigure:
+@style.drawn()
+def plot_rank_bands(bands: Mapping[str, Band]) -> Figure:
     """Draw `plot_rank_band` for each input, three in a row."""
-    with style.styled():
-        figure, panels = style.panel_grid(figure, len(bands), 2.2)
-        for ax, (name, band) in zip(panels, bands.items(), strict=True):
-            plot_rank_band(band, legend=False, ax=ax).set_title(figure_text(name))
-        style.legend_under(figure, style.labelled(*panels))
+    figure, panels = style.panel_grid(len(bands), 2.2)
+    for ax, (name, band) in zip(panels, bands.items(), strict=True):
+        plot_rank_band(band, legend=False, ax=ax).set_title(figure_text(name))
+    style.legend_under(figure, style.labelled(*panels))
     return figure
 
 
-def plot_rank_band(band: Band, *, legend: bool = True, ax: Axes | None = None) -> Axes:
+@style.drawn(style.SINGLE, 2.7)
+def plot_rank_band(band: Band, *, legend: bool = True, ax: Axes = style.NEW) -> Axes:
     """Draw how far the distribution of the ranks is from uniform, and the band that it must stay inside."""
-    with style.styled():
-        ax, places = style.axes_or_new(ax, (style.SINGLE, 2.7)), band.places
-        low, high = band.low - places, band.high - places
-        ax.fill_between(places, low, high, color=style.SKY, alpha=0.6, linewidth=0, label="95 % band")
-        ax.axhline(0.0, color=style.GREY, linewidth=0.8)
-        colour, label = (style.BLUE, "ranks") if band.inside else (style.RED, "ranks that leave it")
-        ax.plot(places, band.found - places, color=colour, label=label)
-        ax.set(xlabel="rank of the truth", ylabel="share below minus rank", xlim=(0, 1))
-        if legend:
-            style.below(ax)
-    return ax
-
-
-def plot_intervals(found: Mapping[str, Sequence[Mapping[str, float]]], *, ax: Axes | None = None) -> Axes:
-    """Draw the share of intervals that contain the truth, for each input and probability, as coverage.json has them."""
-    with style.styled():
-        ax = style.axes_or_new(ax, (style.SINGLE, 2.7))
-        levels = [one["level"] for one in next(iter(found.values()))]
-        for k, (level, colour) in enumerate(zip(levels, style.CYCLE, strict=False)):
-            share, low, high = (np.array([each[k][key] for each in found.values()]) for key in ("found", "low", "high"))
-            places = np.arange(len(share)) + LEVELS_APART * (k - 0.5 * (len(levels) - 1))
-            ax.axhline(level, color=colour, linewidth=0.8, linestyle=":")
-            reach = np.maximum([share - low, high - share], 0.0)
-            label = f"{100 * level:.0f} % intervals"
-            ax.errorbar(places, share, reach, fmt="o", color=colour, markersize=4, label=label)
-        ax.set_xticks(range(len(found)), [figure_text(name) for name in found])
-        ax.set(ylabel="share that contain the truth", xlim=(-0.5, len(found) - 0.5), ylim=(0, 1.02))
+    places = band.places
+    low, high = band.low - places, band.high - places
+    ax.fill_between(places, low, high, color=style.SKY, alpha=0.6, linewidth=0, label="95 % band")
+    ax.axhline(0.0, color=style.GREY, linewidth=0.8)
+    colour, label = (style.BLUE, "ranks") if band.inside else (style.RED, "ranks that leave it")
+    ax.plot(places, band.found - places, color=colour, label=label)
+    ax.set(xlabel="rank of the truth", ylabel="share below minus rank", xlim=(0, 1))
+    if legend:
         style.below(ax)
     return ax
 
 
+@style.drawn(style.SINGLE, 2.7)
+def plot_intervals(found: Mapping[str, Sequence[Mapping[str, float]]], *, ax: Axes = style.NEW) -> Axes:
+    """Draw the share of intervals that contain the truth, for each input and probability, as coverage.json has them."""
+    levels = [one["level"] for one in next(iter(found.values()))]
+    for k, (level, colour) in enumerate(zip(levels, style.CYCLE, strict=False)):
+        share, low, high = (np.array([each[k][key] for each in found.values()]) for key in ("found", "low", "high"))
+        places = np.arange(len(share)) + LEVELS_APART * (k - 0.5 * (len(levels) - 1))
+        ax.axhline(level, color=colour, linewidth=0.8, linestyle=":")
+        reach = np.maximum([share - low, high - share], 0.0)
+        label = f"{100 * level:.0f} % intervals"
+        ax.errorbar(places, share, reach, fmt="o", color=colour, markersize=4, label=label)
+    ax.set_xticks(range(len(found)), [figure_text(name) for name in found])
+    ax.set(ylabel="share that contain the truth", xlim=(-0.5, len(found) - 0.5), ylim=(0, 1.02))
+    style.below(ax)
+    return ax
+
+
+@style.drawn()
 def plot_alternatives(
-    present: Mapping[str, Mapping[str, float]],
-    alternatives: Sequence[tuple[str, Sequence[Mapping[str, float] | None]]],
-    *,
-    figure: Figure | SubFigure | None = None,
-) -> Figure | SubFigure:
+    present: Mapping[str, Mapping[str, float]], alternatives: Sequence[tuple[str, Sequence[Mapping[str, float] | None]]]
+) -> Figure:
     """Draw mean and interval of each input under each alternative, over a band for the present posterior.
 
     `present` has the `mean`, and the ends of the 90 % interval, `low` and `high`, by the label of the input;
     alternatives have the same of each input and whether it `moves` by more than what counts, or None if it is fixed.
     """
-    with style.styled():
-        height, sharing = ROW * (len(alternatives) + 1) + AROUND, {"sharey": True}
-        figure, panels = style.panel_grid(
-            figure, len(present), height, margin=0.3, single=style.SINGLE + LABELLED, **sharing
-        )
-        for i, (ax, (label, band)) in enumerate(zip(panels, present.items(), strict=True)):
-            _whiskers(ax, band, [some[i] for _, some in alternatives])
-            ax.set_xlabel(label)
-        panels[0].set_yticks(range(len(alternatives)), [name for name, _ in alternatives])
-        panels[0].set_ylim(len(alternatives) - 0.4, -0.6)
-        style.legend_under(figure, style.labelled(*panels))
+    height, sharing = ROW * (len(alternatives) + 1) + AROUND, {"sharey": True}
+    figure, panels = style.panel_grid(len(present), height, margin=0.3, single=style.SINGLE + LABELLED, **sharing)
+    for i, (ax, (label, band)) in enumerate(zip(panels, present.items(), strict=True)):
+        _whiskers(ax, band, [some[i] for _, some in alternatives])
+        ax.set_xlabel(label)
+    panels[0].set_yticks(range(len(alternatives)), [name for name, _ in alternatives])
+    panels[0].set_ylim(len(alternatives) - 0.4, -0.6)
+    style.legend_under(figure, style.labelled(*panels))
     return figure
 
 
@@ -171,7 +156,8 @@ def _whiskers(ax: Axes, band: Mapping[str, float], some: Sequence[Mapping[str, f
     ax.tick_params(axis="y", length=0)
 
 
-def plot_caterpillar(specimens: Sequence[Mapping[str, Any]], name: str, label: str, *, ax: Axes | None = None) -> Axes:
+@style.drawn(style.DOUBLE, 2.9)
+def plot_caterpillar(specimens: Sequence[Mapping[str, Any]], name: str, label: str, *, ax: Axes = style.NEW) -> Axes:
     """Draw the 90 % intervals of an input for all specimens of specimens.json, sorted by their medians.
 
     `label` is the symbol of the input with its unit, for Matplotlib.
@@ -183,50 +169,43 @@ def plot_caterpillar(specimens: Sequence[Mapping[str, Any]], name: str, label: s
     odd = np.array([bool(one.get("outlier")) for one in specimens])[order]
     places, many = np.arange(len(order)), len(order) > MOST_NAMED
     apart, width, size = (0.0, 0.6, 2) if many else (0.15, 1.2, 4)
-    with style.styled():
-        ax = style.axes_or_new(ax, (style.DOUBLE, 2.9))
-        for values, shift, colour, words in (
-            (own, -apart, style.GREY, "own outline alone"),
-            (given_all, apart, style.BLUE, "given all specimens"),
-        ):
-            if len(values):
-                low, median, high = values[order].T
-                ax.vlines(places + shift, low, high, color=colour, linewidth=width, label=words)
-                ax.plot(places + shift, median, ".", color=colour, markersize=size)
-        if odd.any():
-            look: Any = {"color": style.RED, "fillstyle": "none", "markersize": 7, "label": "outlier"}
-            ax.plot(places[odd], own[order][odd, 1], "o", **look)
-        if many:
-            ax.set(xlabel="specimens, sorted", xticks=[])
-        else:
-            ax.set_xticks(places, [specimens[i]["specimen"] for i in order], rotation=90, fontsize=6)
-        ax.set(ylabel=label, xlim=(-1, len(order)))
-        ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)  # above: names of any length stand below
+    for values, shift, colour, words in (
+        (own, -apart, style.GREY, "own outline alone"),
+        (given_all, apart, style.BLUE, "given all specimens"),
+    ):
+        if len(values):
+            low, median, high = values[order].T
+            ax.vlines(places + shift, low, high, color=colour, linewidth=width, label=words)
+            ax.plot(places + shift, median, ".", color=colour, markersize=size)
+    if odd.any():
+        look: Any = {"color": style.RED, "fillstyle": "none", "markersize": 7, "label": "outlier"}
+        ax.plot(places[odd], own[order][odd, 1], "o", **look)
+    if many:
+        ax.set(xlabel="specimens, sorted", xticks=[])
+    else:
+        ax.set_xticks(places, [specimens[i]["specimen"] for i in order], rotation=90, fontsize=6)
+    ax.set(ylabel=label, xlim=(-1, len(order)))
+    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)  # above: names of any length stand below
     return ax
 
 
+@style.drawn(style.SINGLE, 2.7)
 def plot_population(
-    density: Mapping[str, Float[np.ndarray, " place"]],
-    specimens: Float[np.ndarray, " specimen"],
-    label: str,
-    *,
-    ax: Axes | None = None,
+    density: Mapping[str, Sequence[float]], means: Sequence[float], label: str, *, ax: Axes = style.NEW
 ) -> Axes:
     """Draw the density of an input in the population, above a stroke for the mean of each specimen given all of them.
 
     `density` has values `x` of the input, and the `median` and the quantiles of 5 % (`low`) and 95 % (`high`) of the
     density there, per unit of the input; `label` is its symbol with its unit, for Matplotlib.
     """
-    x, high = density["x"], density["high"]
-    with style.styled():
-        ax = style.axes_or_new(ax, (style.SINGLE, 2.7))
-        ax.fill_between(x, density["low"], high, color=style.SKY, alpha=0.6, linewidth=0, label="90 % band")
-        ax.plot(x, density["median"], color=style.BLUE, label="population")
-        top = float(high.max())
-        ax.vlines(specimens, -2 * STROKE * top, -STROKE * top, color=style.GREY, linewidth=0.6, label="specimens")
-        ends = np.concatenate([x[high > 1e-3 * top], specimens])
-        ax.set(xlabel=label, ylabel="density", xlim=(ends.min(), ends.max()))
-        style.below(ax)
+    x, low, median, high = (np.array(density[key], float) for key in ("x", "low", "median", "high"))
+    ax.fill_between(x, low, high, color=style.SKY, alpha=0.6, linewidth=0, label="90 % band")
+    ax.plot(x, median, color=style.BLUE, label="population")
+    top = float(high.max())
+    ax.vlines(means, -2 * STROKE * top, -STROKE * top, color=style.GREY, linewidth=0.6, label="specimens")
+    ends = np.concatenate([x[high > 1e-3 * top], means])
+    ax.set(xlabel=label, ylabel="density", xlim=(ends.min(), ends.max()))
+    style.below(ax)
     return ax
 
 
@@ -256,24 +235,20 @@ class OffsetBand:
         return cls(**{names.get(key, key): np.array(values) for key, values in offset.items()})
 
 
+@style.drawn()
 def plot_check(
-    true: Float[np.ndarray, " draw"],
-    surrogate: Float[np.ndarray, " draw"],
-    bands: Mapping[str, OffsetBand | None],
-    *,
-    figure: Figure | SubFigure | None = None,
-) -> Figure | SubFigure:
+    true: Float[np.ndarray, " draw"], surrogate: Float[np.ndarray, " draw"], bands: Mapping[str, OffsetBand | None]
+) -> Figure:
     """Draw true against surrogate log-likelihoods and, for each condition, `plot_offsets`.
 
     True ones are not finite if the run failed; a band is None if there is none to draw.
     """
-    with style.styled():
-        figure = style.figure_or_new(figure, (style.DOUBLE, 3.6 if len(bands) < 2 else 3.0))
-        first, *others = figure.subplots(1, 1 + len(bands), squeeze=False)[0]
-        _likelihoods(first, true, surrogate)
-        for ax, (condition, band) in zip(others, bands.items(), strict=True):
-            plot_offsets(band, ax=ax)
-            ax.set_title(condition)
+    figure = style.new_figure(style.DOUBLE, 3.6 if len(bands) < 2 else 3.0)
+    first, *others = figure.subplots(1, 1 + len(bands), squeeze=False)[0]
+    _likelihoods(first, true, surrogate)
+    for ax, (condition, band) in zip(others, bands.items(), strict=True):
+        plot_offsets(band, ax=ax)
+        ax.set_title(condition)
     return figure
 
 
@@ -294,50 +269,46 @@ def _likelihoods(ax: Axes, true: Float[np.ndarray, " draw"], surrogate: Float[np
     style.below(ax, columns=2)
 
 
-def plot_offsets(band: OffsetBand | None, *, legend: bool = True, ax: Axes | None = None) -> Axes:
+@style.drawn(style.SINGLE, 3.6)
+def plot_offsets(band: OffsetBand | None, *, legend: bool = True, ax: Axes = style.NEW) -> Axes:
     """Draw the band of the interfaces and the observation over the arc length; a note if there is no band."""
-    with style.styled():
-        ax = style.axes_or_new(ax, (style.SINGLE, 3.6))
-        if band is None:
-            ax.set_axis_off()
-            ax.text(0.5, 0.5, "no band: see the note\nin check.json", ha="center", va="center", color=style.GREY)
-            return ax
-        order = np.argsort(band.arc_length, kind="stable")
-        middle = np.interp(band.observed_arc_length, band.arc_length[order], band.median[order])
-        low, high = (style.TO_MICROMETRES * (end - band.median) for end in (band.low, band.high))
-        ax.fill_between(band.arc_length, low, high, color=style.SKY, alpha=0.6, linewidth=0, label="draws, 5 to 95 %")
-        ax.plot(band.arc_length, 0.0 * band.median, color=style.BLACK, linewidth=0.8, label="draws, median")
-        observed = style.TO_MICROMETRES * (band.observed - middle)
-        ax.plot(band.observed_arc_length, observed, color=style.GREEN, linewidth=2.0, label="observed")
-        ax.set(xlabel="arc length [mm]", ylabel="normal offset from the median [µm]", box_aspect=1.0)
-        if legend:
-            style.below(ax, columns=2)
+    if band is None:
+        ax.set_axis_off()
+        ax.text(0.5, 0.5, "no band: see the note\nin check.json", ha="center", va="center", color=style.GREY)
+        return ax
+    order = np.argsort(band.arc_length, kind="stable")
+    middle = np.interp(band.observed_arc_length, band.arc_length[order], band.median[order])
+    low, high = (style.TO_MICROMETRES * (end - band.median) for end in (band.low, band.high))
+    ax.fill_between(band.arc_length, low, high, color=style.SKY, alpha=0.6, linewidth=0, label="draws, 5 to 95 %")
+    ax.plot(band.arc_length, 0.0 * band.median, color=style.BLACK, linewidth=0.8, label="draws, median")
+    observed = style.TO_MICROMETRES * (band.observed - middle)
+    ax.plot(band.observed_arc_length, observed, color=style.GREEN, linewidth=2.0, label="observed")
+    ax.set(xlabel="arc length [mm]", ylabel="normal offset from the median [µm]", box_aspect=1.0)
+    if legend:
+        style.below(ax, columns=2)
     return ax
 
 
-def plot_averaged(
-    inputs: Mapping[str, Mapping[str, Any]], *, figure: Figure | SubFigure | None = None
-) -> Figure | SubFigure:
+@style.drawn()
+def plot_averaged(inputs: Mapping[str, Mapping[str, Any]]) -> Figure:
     """Draw `plot_model_marginals` for each input, three in a row."""
-    with style.styled():
-        figure, panels = style.panel_grid(figure, len(inputs), 2.3)
-        for ax, one in zip(panels, inputs.values(), strict=True):
-            plot_model_marginals(one, ax=ax)
-        style.legend_under(figure, style.labelled(panels[0]))
+    figure, panels = style.panel_grid(len(inputs), 2.3)
+    for ax, one in zip(panels, inputs.values(), strict=True):
+        plot_model_marginals(one, ax=ax)
+    style.legend_under(figure, style.labelled(panels[0]))
     return figure
 
 
-def plot_model_marginals(one: Mapping[str, Any], *, ax: Axes | None = None) -> Axes:
+@style.drawn(style.SINGLE, 2.6)
+def plot_model_marginals(one: Mapping[str, Any], *, ax: Axes = style.NEW) -> Axes:
     """Draw the histograms of an input under each model, as compare.json has it, and their average on top."""
     histogram, models = one["histogram"], one["histogram"]["models"]
     edges = np.array(histogram["edges"], float)
-    with style.styled():
-        ax = style.axes_or_new(ax, (style.SINGLE, 2.6))
-        for (name, density), colour in zip(models.items(), np.resize(style.CYCLE, len(models)), strict=True):
-            ax.stairs(density, edges, color=colour, linewidth=1.4, label=name.replace("$", r"\$"))
-        ax.stairs(histogram["averaged"], edges, color=style.BLACK, linewidth=1.6, linestyle="--", label="averaged")
-        around = MARGIN * (edges[-1] - edges[0])  # a step at an end would seem to be cut off
-        ax.set(xlabel=axis_label(one), ylabel="density", xlim=(edges[0] - around, edges[-1] + around), ylim=(0, None))
+    for (name, density), colour in zip(models.items(), np.resize(style.CYCLE, len(models)), strict=True):
+        ax.stairs(density, edges, color=colour, linewidth=1.4, label=name.replace("$", r"\$"))
+    ax.stairs(histogram["averaged"], edges, color=style.BLACK, linewidth=1.6, linestyle="--", label="averaged")
+    around = MARGIN * (edges[-1] - edges[0])  # a step at an end would seem to be cut off
+    ax.set(xlabel=axis_label(one), ylabel="density", xlim=(edges[0] - around, edges[-1] + around), ylim=(0, None))
     return ax
 
 
@@ -347,19 +318,17 @@ def axis_label(item: Mapping[str, Any]) -> str:
     return f"{figure_text(item['label'])} [{unit}]" if unit else figure_text(item["label"])
 
 
-def plot_predictions(
-    bands: Mapping[tuple[str, str], OffsetBand], *, figure: Figure | SubFigure | None = None
-) -> Figure | SubFigure:
+@style.drawn()
+def plot_predictions(bands: Mapping[tuple[str, str], OffsetBand]) -> Figure:
     """Draw the predicted interfaces with the observed one: a row for each condition, a column for each model."""
     conditions, models = (list(dict.fromkeys(key[k] for key in bands)) for k in (0, 1))
-    with style.styled():
-        figure = style.figure_or_new(figure, (style.DOUBLE, 3.0 * len(conditions) + 0.3))
-        panels = figure.subplots(len(conditions), len(models), squeeze=False, sharey="row")
-        for row, condition in zip(panels, conditions, strict=True):
-            for ax, model in zip(row, models, strict=True):
-                plot_offsets(bands.get((condition, model)), ax=ax, legend=False)
-                ax.set_title((f"{model}, {condition}" if condition else model).replace("$", r"\$"))
-                ax.set_box_aspect(None)
-                ax.set_ylabel("" if ax is not row[0] else "offset from the median [µm]")
-        style.legend_under(figure, style.labelled(panels[0][0]))
+    figure = style.new_figure(style.DOUBLE, 3.0 * len(conditions) + 0.3)
+    panels = figure.subplots(len(conditions), len(models), squeeze=False, sharey="row")
+    for row, condition in zip(panels, conditions, strict=True):
+        for ax, model in zip(row, models, strict=True):
+            plot_offsets(bands.get((condition, model)), ax=ax, legend=False)
+            ax.set_title((f"{model}, {condition}" if condition else model).replace("$", r"\$"))
+            ax.set_box_aspect(None)
+            ax.set_ylabel("" if ax is not row[0] else "offset from the median [µm]")
+    style.legend_under(figure, style.labelled(panels[0][0]))
     return figure

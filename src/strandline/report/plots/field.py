@@ -9,7 +9,7 @@ from jaxtyping import Float
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.colors import FuncNorm, Normalize
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import Figure
 
 from strandline.parameters import Parameter
 from strandline.report.plots import style
@@ -43,13 +43,14 @@ class FieldGrid:
     detail: "FieldGrid | None" = None
 
 
+@style.drawn(style.SINGLE, 2.8)
 def plot_field(
     grid: FieldGrid,
     *,
     kind: Kind = "log_likelihood",
     colour_bar: bool = True,
     legend: bool = True,
-    ax: Axes | None = None,
+    ax: Axes = style.NEW,
 ) -> Axes:
     """Draw a field in colours with contour lines.
 
@@ -61,57 +62,54 @@ def plot_field(
     top = max(float(g.values.max()) for g in (grid, detail) if g is not None)
     values = np.exp(grid.values - top) if kind == "likelihood" else grid.values
     norm = _norm(values, kind)
-    with style.styled():
-        ax = style.axes_or_new(ax, (style.SINGLE, 2.8))
-        colours: Any = {"cmap": _COLOURS[kind], "norm": norm, "shading": "gouraud", "rasterized": True}
-        drawn = ax.pcolormesh(grid.x_values, grid.y_values, values.T, **colours)
-        steps = np.unique(norm.inverse(np.linspace(0.0, 1.0, STEPS + 1)[1:-1]))
-        lines: Any = {"levels": steps, "colors": "white", "linewidths": 0.5, "linestyles": "solid", "alpha": 0.8}
-        ax.contour(grid.x_values, grid.y_values, values.T, **lines)
-        if grid.failed is not None and len(grid.failed):
-            rim: Any = [patheffects.withStroke(linewidth=2.0, foreground="#303030")]
-            look: Any = {"color": "#c8c8c8", "markersize": 4.5, "markeredgewidth": 1.2, "path_effects": rim}
-            ax.plot(*grid.failed.T, "x", label="failed run", **look)
-        if detail is not None:
-            ax.set(xlim=grid.x.interval, ylim=grid.y.interval)
-            _draw_detail(ax, detail, np.exp(detail.values - top), lines)
-        elif grid.truth is not None:
-            style.mark(ax, grid.truth, style.RED, "ground truth", marker="o")
-        ax.set(xlabel=grid.x.figure_label(), ylabel=grid.y.figure_label(), xlim=grid.x.interval, ylim=grid.y.interval)
-        if colour_bar:
-            bar = style.figure_of(ax).colorbar(drawn, ax=ax, label=_LABELS[kind])
-            if isinstance(norm, FuncNorm):
-                places, labels = style.root_ticks(norm.inverse(0.0), norm.inverse(1.0))
-                bar.set_ticks(places, labels=labels)
-        if legend:
-            style.below(ax)
+    colours: Any = {"cmap": _COLOURS[kind], "norm": norm, "shading": "gouraud", "rasterized": True}
+    drawn = ax.pcolormesh(grid.x_values, grid.y_values, values.T, **colours)
+    steps = np.unique(norm.inverse(np.linspace(0.0, 1.0, STEPS + 1)[1:-1]))
+    lines: Any = {"levels": steps, "colors": "white", "linewidths": 0.5, "linestyles": "solid", "alpha": 0.8}
+    ax.contour(grid.x_values, grid.y_values, values.T, **lines)
+    if grid.failed is not None and len(grid.failed):
+        rim: Any = [patheffects.withStroke(linewidth=2.0, foreground="#303030")]
+        look: Any = {"color": "#c8c8c8", "markersize": 4.5, "markeredgewidth": 1.2, "path_effects": rim}
+        ax.plot(*grid.failed.T, "x", label="failed run", **look)
+    if detail is not None:
+        ax.set(xlim=grid.x.interval, ylim=grid.y.interval)
+        _draw_detail(ax, detail, np.exp(detail.values - top), lines)
+    elif grid.truth is not None:
+        style.mark(ax, grid.truth, style.RED, "ground truth", marker="o")
+    ax.set(xlabel=grid.x.figure_label(), ylabel=grid.y.figure_label(), xlim=grid.x.interval, ylim=grid.y.interval)
+    if colour_bar:
+        bar = style.figure_of(ax).colorbar(drawn, ax=ax, label=_LABELS[kind])
+        if isinstance(norm, FuncNorm):
+            places, labels = style.root_ticks(norm.inverse(0.0), norm.inverse(1.0))
+            bar.set_ticks(places, labels=labels)
+    if legend:
+        style.below(ax)
     return ax
 
 
-def three_measures(
-    fields: Mapping[str, FieldGrid], *, kind: Kind = "likelihood", figure: Figure | SubFigure | None = None
-) -> Figure | SubFigure:
+@style.drawn()
+def three_measures(fields: Mapping[str, FieldGrid], *, kind: Kind = "likelihood") -> Figure:
     """Draw fields side by side, titled by their keys: (a), (b), (c).
 
     Normalised likelihoods share one colour bar; other fields have one each, since discrepancies differ in scale.
     """
     shared = kind == "likelihood"
-    with style.styled():
-        width, height = style.SINGLE if len(fields) == 1 else style.DOUBLE, 2.9 if len(fields) < 3 else 2.4
-        figure = style.figure_or_new(figure, (width, height))
-        panels = figure.subplots(1, len(fields), sharey=True, squeeze=False)[0]
-        for letter, ax, (title, grid) in zip("abcdefgh", panels, fields.items(), strict=False):
-            plot_field(grid, kind=kind, colour_bar=not shared, legend=False, ax=ax)
-            ax.set_title(f"({letter}) {title}" if len(fields) > 1 else title)
-            ax.label_outer()
-        for bar in [ax for ax in figure.axes if ax not in panels][:-1]:
-            bar.set_ylabel("")  # that of the rightmost one is enough
-        if shared:
-            figure.colorbar(panels[0].collections[0], ax=list(panels), label=_LABELS[kind], pad=0.01)
-        style.legend_under(figure, style.labelled(panels[0]))
+    width, height = style.SINGLE if len(fields) == 1 else style.DOUBLE, 2.9 if len(fields) < 3 else 2.4
+    figure = style.new_figure(width, height)
+    panels = figure.subplots(1, len(fields), sharey=True, squeeze=False)[0]
+    for letter, ax, (title, grid) in zip("abcdefgh", panels, fields.items(), strict=False):
+        plot_field(grid, kind=kind, colour_bar=not shared, legend=False, ax=ax)
+        ax.set_title(f"({letter}) {title}" if len(fields) > 1 else title)
+        ax.label_outer()
+    for bar in [ax for ax in figure.axes if ax not in panels][:-1]:
+        bar.set_ylabel("")  # that of the rightmost one is enough
+    if shared:
+        figure.colorbar(panels[0].collections[0], ax=list(panels), label=_LABELS[kind], pad=0.01)
+    style.legend_under(figure, style.labelled(panels[0]))
     return figure
 
 
+@style.drawn(style.SINGLE, 2.7)
 def plot_profile(
     x: Parameter,
     x_values: Float[np.ndarray, " x"],
@@ -119,19 +117,17 @@ def plot_profile(
     *,
     sd: Float[np.ndarray, " x"] | None = None,
     truth: float | None = None,
-    ax: Axes | None = None,
+    ax: Axes = style.NEW,
 ) -> Axes:
     """Draw a log-likelihood over a single input, with a band of two standard deviations."""
-    with style.styled():
-        ax = style.axes_or_new(ax)
-        ax.plot(x_values, values, color=style.BLACK)
-        if sd is not None:
-            ax.fill_between(x_values, values - 2 * sd, values + 2 * sd, color=style.GREY, alpha=0.4, label="± 2 sd")
-        if truth is not None:
-            ax.axvline(truth, color=style.RED, linestyle=":", label="ground truth")
-        ax.set(xlabel=x.figure_label(), ylabel="log-likelihood", xlim=x.interval)
-        if ax.get_legend_handles_labels()[0]:
-            ax.legend()
+    ax.plot(x_values, values, color=style.BLACK)
+    if sd is not None:
+        ax.fill_between(x_values, values - 2 * sd, values + 2 * sd, color=style.GREY, alpha=0.4, label="± 2 sd")
+    if truth is not None:
+        ax.axvline(truth, color=style.RED, linestyle=":", label="ground truth")
+    ax.set(xlabel=x.figure_label(), ylabel="log-likelihood", xlim=x.interval)
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend()
     return ax
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
 from strandline.errors import InvalidInput
@@ -23,6 +23,7 @@ _FLAT = 0.3
 """Least height of the drawn interfaces, relative to their width; flatter ones are stretched."""
 
 
+@style.drawn()
 def plot_interfaces(
     observed: Interface | None = None,
     *,
@@ -38,45 +39,43 @@ def plot_interfaces(
     labels = {label: _wrapped(label) for label in simulated or {}}
     long = any(len(label) > _HALF_LINE for label in labels)
     lines = sum(label.count("\n") + 1 for label in labels.values()) if long else 0
-    with style.styled():
-        ax = style.axes_or_new(ax, (style.DOUBLE, 3.9 + 0.14 * lines))
-        if reference is not None:
-            _draw(ax, reference, style.GREY, "undeformed", width=1.2, dashes=(0, (4, 2)))
-        if observed is not None:
-            _draw(ax, observed, style.GREEN, "observed", width=3.5)
-        for k, (label, interface) in enumerate((simulated or {}).items()):
-            colour, dashes = (style.BLACK, *style.CYCLE)[k % 6], (*style.DASHES, "-")[k % 6]
-            _draw(ax, interface, colour, labels[label], width=1.2, dashes=dashes)
-        ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
-        width, height = ax.dataLim.size
-        if 0 < height < _FLAT * width:
-            stretch = max(round(_FLAT * width / height), 2)
-            ax.set(aspect=stretch, ylabel=f"y [mm], {stretch} × stretched")
-        style.below(ax, columns=1 if long else 2, handlelength=3.2)
+    ax = ax or style.new_axes(style.DOUBLE, 3.9 + 0.14 * lines)
+    if reference is not None:
+        _draw(ax, reference, style.GREY, "undeformed", width=1.2, dashes=(0, (4, 2)))
+    if observed is not None:
+        _draw(ax, observed, style.GREEN, "observed", width=3.5)
+    for k, (label, interface) in enumerate((simulated or {}).items()):
+        colour, dashes = (style.BLACK, *style.CYCLE)[k % 6], (*style.DASHES, "-")[k % 6]
+        _draw(ax, interface, colour, labels[label], width=1.2, dashes=dashes)
+    ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
+    width, height = ax.dataLim.size
+    if 0 < height < _FLAT * width:
+        stretch = max(round(_FLAT * width / height), 2)
+        ax.set(aspect=stretch, ylabel=f"y [mm], {stretch} × stretched")
+    style.below(ax, columns=1 if long else 2, handlelength=3.2)
     return ax
 
 
+@style.drawn()
 def plot_conditions(
     observed: Mapping[str, Interface | None],
     *,
     reference: Interface | None = None,
     simulated: Mapping[str, Mapping[str, Interface]] | None = None,
-    figure: Figure | SubFigure | None = None,
-) -> Figure | SubFigure:
+) -> Figure:
     """Draw the interfaces of several conditions, one panel each, as `plot_interfaces` does for one.
 
     Each condition has simulated interfaces with the same labels, since one legend under the last panel explains all.
     """
-    with style.styled():
-        figure = style.figure_or_new(figure, (style.DOUBLE, 1.2 + 2.6 * len(observed)))
-        panels = figure.subplots(len(observed), 1, sharex=True, squeeze=False)[:, 0]
-        for ax, (condition, interface) in zip(panels, observed.items(), strict=True):
-            plot_interfaces(interface, reference=reference, simulated=(simulated or {}).get(condition), ax=ax)
-            ax.set_title(condition)
-            if ax is not panels[-1]:
-                ax.set_xlabel("")
-                if (legend := ax.get_legend()) is not None:
-                    legend.remove()
+    figure = style.new_figure(style.DOUBLE, 1.2 + 2.6 * len(observed))
+    panels = figure.subplots(len(observed), 1, sharex=True, squeeze=False)[:, 0]
+    for ax, (condition, interface) in zip(panels, observed.items(), strict=True):
+        plot_interfaces(interface, reference=reference, simulated=(simulated or {}).get(condition), ax=ax)
+        ax.set_title(condition)
+        if ax is not panels[-1]:
+            ax.set_xlabel("")
+            if (legend := ax.get_legend()) is not None:
+                legend.remove()
     return figure
 
 
@@ -108,19 +107,18 @@ def _draw(
     ax.plot(*chain.T, color=colour, linewidth=width, linestyle=dashes, label=label)
 
 
-def plot_run_offsets(observed: Offsets, runs: Mapping[str, Offsets], *, ax: Axes | None = None) -> Axes:
+@style.drawn(style.DOUBLE, 3.2)
+def plot_run_offsets(observed: Offsets, runs: Mapping[str, Offsets], *, ax: Axes = style.NEW) -> Axes:
     """Draw the normal offsets, mm, of the observed interface and of some runs from the best run, the zero line."""
-    with style.styled():
-        ax = style.axes_or_new(ax, (style.DOUBLE, 3.2))
-        for k, (label, found) in enumerate(runs.items()):
-            colour, dashes = style.CYCLE[k % len(style.CYCLE)], style.DASHES[(k + 1) % len(style.DASHES)]
-            offset = style.TO_MICROMETRES * found.offset
-            ax.plot(found.arc_length, offset, color=colour, linestyle=dashes, linewidth=0.9, label=label)
-        ax.axhline(0.0, color=style.BLACK, linewidth=0.9, label="best run")
-        offset = style.TO_MICROMETRES * observed.offset
-        ax.plot(observed.arc_length, offset, color=style.GREEN, linewidth=1.8, label="observed")
-        ax.set(xlabel="arc length [mm]", ylabel="normal offset from the best run [µm]")
-        style.below(ax, columns=2)
+    for k, (label, found) in enumerate(runs.items()):
+        colour, dashes = style.CYCLE[k % len(style.CYCLE)], style.DASHES[(k + 1) % len(style.DASHES)]
+        offset = style.TO_MICROMETRES * found.offset
+        ax.plot(found.arc_length, offset, color=colour, linestyle=dashes, linewidth=0.9, label=label)
+    ax.axhline(0.0, color=style.BLACK, linewidth=0.9, label="best run")
+    offset = style.TO_MICROMETRES * observed.offset
+    ax.plot(observed.arc_length, offset, color=style.GREEN, linewidth=1.8, label="observed")
+    ax.set(xlabel="arc length [mm]", ylabel="normal offset from the best run [µm]")
+    style.below(ax, columns=2)
     return ax
 
 
@@ -137,46 +135,44 @@ class ResidualsAlong:
     conspicuous: tuple[tuple[float, float], ...] = ()
 
 
-def plot_residuals(
-    residuals: Mapping[str, ResidualsAlong], *, figure: Figure | SubFigure | None = None
-) -> Figure | SubFigure:
+@style.drawn()
+def plot_residuals(residuals: Mapping[str, ResidualsAlong]) -> Figure:
     """Draw the residuals in µm over the arc length with a band of ± 2 standard deviations, one panel a condition."""
-    with style.styled():
-        figure = style.figure_or_new(figure, (style.DOUBLE, 0.9 + 1.9 * len(residuals)))
-        panels = figure.subplots(len(residuals), 1, squeeze=False)[:, 0]
-        for ax, (condition, along) in zip(panels, residuals.items(), strict=True):
-            order, band = np.argsort(along.arc_length, kind="stable"), 2 * style.TO_MICROMETRES * along.sd
-            values = style.TO_MICROMETRES * along.residual[order]
-            ax.axhspan(-band, band, color=style.SKY, alpha=0.35, linewidth=0, label="noise, ± 2 sd")
-            for k, (begin, end) in enumerate(along.conspicuous):
-                label = "more than the noise allows" if k == 0 else None
-                ax.axvspan(begin, end, color=style.RED, alpha=0.15, linewidth=0, label=label)
-            ax.axhline(0.0, color=style.BLACK, linewidth=0.8, label="best fit")
-            ax.plot(along.arc_length[order], values, color=style.GREEN, marker=".", markersize=3.0, label="observed")
-            ax.set(ylabel="residual [µm]", title=condition)
-        panels[-1].set_xlabel("arc length of the observed interface [mm]")
-        style.legend_under(figure, style.labelled(*panels))
+    figure = style.new_figure(style.DOUBLE, 0.9 + 1.9 * len(residuals))
+    panels = figure.subplots(len(residuals), 1, squeeze=False)[:, 0]
+    for ax, (condition, along) in zip(panels, residuals.items(), strict=True):
+        order, band = np.argsort(along.arc_length, kind="stable"), 2 * style.TO_MICROMETRES * along.sd
+        values = style.TO_MICROMETRES * along.residual[order]
+        ax.axhspan(-band, band, color=style.SKY, alpha=0.35, linewidth=0, label="noise, ± 2 sd")
+        for k, (begin, end) in enumerate(along.conspicuous):
+            label = "more than the noise allows" if k == 0 else None
+            ax.axvspan(begin, end, color=style.RED, alpha=0.15, linewidth=0, label=label)
+        ax.axhline(0.0, color=style.BLACK, linewidth=0.8, label="best fit")
+        ax.plot(along.arc_length[order], values, color=style.GREEN, marker=".", markersize=3.0, label="observed")
+        ax.set(ylabel="residual [µm]", title=condition)
+    panels[-1].set_xlabel("arc length of the observed interface [mm]")
+    style.legend_under(figure, style.labelled(*panels))
     return figure
 
 
-def plot_flow(fields: Any, *, title: str = "", figure: Figure | SubFigure | None = None) -> Figure | SubFigure:
+@style.drawn()
+def plot_flow(fields: Any, *, title: str = "") -> Figure:
     """Draw speed and pressure in the fluid and displacement magnitude in the solid, one below the other.
 
     The undeformed interface is grey; thin lines in the solid divide its parts. `fields` have the form of
     `strandline.models.biofilm.fields.FlowFields`.
     """
+    figure = style.new_figure(style.SINGLE, 5.4)
     speed = np.linalg.norm(fields.velocity, axis=1)
     length = np.linalg.norm(fields.displacement, axis=1)
     fluid, solid = fields.cell_part == 0, fields.cell_part > 0
-    with style.styled():
-        figure = style.figure_or_new(figure, (style.SINGLE, 5.4))
-        panels = figure.subplots(3, 1, sharex=True, sharey=True)
-        _panel(panels[0], fields, speed, fluid, "velocity magnitude [mm/s]", "viridis")
-        _panel(panels[1], fields, fields.pressure, fluid, "pressure [Pa]", "cividis")
-        _panel(panels[2], fields, length, solid, "displacement magnitude [mm]", "viridis")
-        panels[-1].set_xlabel("x [mm]")
-        if title:
-            panels[0].set_title(title)
+    panels = figure.subplots(3, 1, sharex=True, sharey=True)
+    _panel(panels[0], fields, speed, fluid, "velocity magnitude [mm/s]", "viridis")
+    _panel(panels[1], fields, fields.pressure, fluid, "pressure [Pa]", "cividis")
+    _panel(panels[2], fields, length, solid, "displacement magnitude [mm]", "viridis")
+    panels[-1].set_xlabel("x [mm]")
+    if title:
+        panels[0].set_title(title)
     return figure
 
 

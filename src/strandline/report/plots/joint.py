@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
@@ -32,6 +32,7 @@ NEGLIGIBLE = 1e-3
 """Hexagons with less than this share of the fullest one's mass are left out."""
 
 
+@style.drawn()
 def plot_joint(
     posterior: Posterior,
     names: tuple[str, str],
@@ -41,8 +42,7 @@ def plot_joint(
     mode: Float[np.ndarray, "2"] | None = None,
     percentiles: Sequence[float] = PERCENTILES,
     bins: int = 30,
-    figure: Figure | SubFigure | None = None,
-) -> Figure | SubFigure:
+) -> Figure:
     """Draw hexagons of weight, percentile lines of three approximations, point estimates, marginals and priors.
 
     The Laplace approximation is that of all inputs of the posterior; an indefinite one is noted, not drawn. `mode` is
@@ -50,23 +50,23 @@ def plot_joint(
     8). `percentiles` are the probabilities that the lines enclose, as fractions; `bins` count hexagons across, and bins
     of the marginals.
     """
+    figure = style.new_figure(style.DOUBLE, 6.2)
     x, y = (posterior.space[name] for name in names)
     values = posterior.columns(names)
-    with style.styled():
-        figure = style.figure_or_new(figure, (style.DOUBLE, 6.2))
-        main, top, right = _layout(figure)
-        plot_hexagons(posterior, names, percentiles=percentiles, bins=bins, colour_bar=False, ax=main)
-        _draw_gaussian(main, posterior, names, percentiles)
-        note = _draw_laplace(main, posterior, names, laplace, percentiles)
-        _draw_points(main, posterior, names, mode, truth)
-        across, up = (axis_limits(posterior, name) for name in names)
-        draw_marginal(top, x, values[:, 0], posterior.weights, shown=across, bins=bins)
-        draw_marginal(right, y, values[:, 1], posterior.weights, shown=up, bins=bins, upright=True)
-        figure.colorbar(main.collections[0], ax=right, label="probability of a hexagon", location="right", shrink=0.9)
-        _legend(figure, main, top, percentiles, note)
+    main, top, right = _layout(figure)
+    plot_hexagons(posterior, names, percentiles=percentiles, bins=bins, colour_bar=False, ax=main)
+    _draw_gaussian(main, posterior, names, percentiles)
+    note = _draw_laplace(main, posterior, names, laplace, percentiles)
+    _draw_points(main, posterior, names, mode, truth)
+    across, up = (axis_limits(posterior, name) for name in names)
+    draw_marginal(top, x, values[:, 0], posterior.weights, shown=across, bins=bins)
+    draw_marginal(right, y, values[:, 1], posterior.weights, shown=up, bins=bins, upright=True)
+    figure.colorbar(main.collections[0], ax=right, label="probability of a hexagon", location="right", shrink=0.9)
+    _legend(figure, main, top, percentiles, note)
     return figure
 
 
+@style.drawn(style.SINGLE, 2.8)
 def plot_hexagons(
     posterior: Posterior,
     names: tuple[str, str],
@@ -75,7 +75,7 @@ def plot_hexagons(
     bins: int = 30,
     colour_bar: bool = True,
     particles: int = 5000,
-    ax: Axes | None = None,
+    ax: Axes = style.NEW,
 ) -> Axes:
     """Draw the weighted hexagonal histogram of two inputs with percentile lines of a kernel density estimate.
 
@@ -86,24 +86,22 @@ def plot_hexagons(
     x, y = (posterior.space[name] for name in names)
     across, up = (axis_limits(posterior, name) for name in names)
     values = posterior.columns(names)
-    with style.styled():
-        ax = style.axes_or_new(ax, (style.SINGLE, 2.8))
-        sums: Any = {"C": posterior.weights, "reduce_C_function": np.sum, "extent": (*across, *up)}
-        drawn = ax.hexbin(*values.T, gridsize=bins, cmap="Blues", linewidths=0.1, **sums)
-        mass: Any = drawn.get_array()
-        drawn.set_array(np.ma.masked_less(mass, NEGLIGIBLE * mass.max()))
-        drawn.set_clim(vmin=0.0)
-        few = thinned(values, posterior.weights, particles)
-        bounds = x.interval, y.interval
-        judged = max(particles // 5, 200)
-        _draw_kde(ax, *few, bounds=bounds, shown=(across, up), percentiles=percentiles, loo_points=judged)
-        ax.set(xlabel=x.figure_label(), ylabel=y.figure_label(), xlim=across, ylim=up)
-        if colour_bar:
-            style.figure_of(ax).colorbar(drawn, ax=ax, label="probability of a hexagon")
+    sums: Any = {"C": posterior.weights, "reduce_C_function": np.sum, "extent": (*across, *up)}
+    drawn = ax.hexbin(*values.T, gridsize=bins, cmap="Blues", linewidths=0.1, **sums)
+    mass: Any = drawn.get_array()
+    drawn.set_array(np.ma.masked_less(mass, NEGLIGIBLE * mass.max()))
+    drawn.set_clim(vmin=0.0)
+    few = thinned(values, posterior.weights, particles)
+    bounds = x.interval, y.interval
+    judged = max(particles // 5, 200)
+    _draw_kde(ax, *few, bounds=bounds, shown=(across, up), percentiles=percentiles, loo_points=judged)
+    ax.set(xlabel=x.figure_label(), ylabel=y.figure_label(), xlim=across, ylim=up)
+    if colour_bar:
+        style.figure_of(ax).colorbar(drawn, ax=ax, label="probability of a hexagon")
     return ax
 
 
-def _layout(figure: Figure | SubFigure) -> tuple[Axes, Axes, Axes]:
+def _layout(figure: Figure) -> tuple[Axes, Axes, Axes]:
     """Return the axes in the middle, above and to the right."""
     grid = figure.add_gridspec(2, 2, width_ratios=(4, 1.1), height_ratios=(1.1, 4))
     main = figure.add_subplot(grid[1, 0])
@@ -201,7 +199,7 @@ def _indices(posterior: Posterior, names: Sequence[str]) -> list[int]:
     return [posterior.space.names.index(name) for name in names]
 
 
-def _legend(figure: Figure | SubFigure, main: Axes, top: Axes, percentiles: Sequence[float], note: str) -> None:
+def _legend(figure: Figure, main: Axes, top: Axes, percentiles: Sequence[float], note: str) -> None:
     """Put one entry for each kind of artist below the figure."""
     entries: dict[str, Any] = {f"KDE {style.percent(percentiles)}": Line2D([], [], color=style.BLACK)}
     for label, handle in style.labelled(main).items():
@@ -212,8 +210,9 @@ def _legend(figure: Figure | SubFigure, main: Axes, top: Axes, percentiles: Sequ
     style.legend_under(figure, entries)
 
 
+@style.drawn(style.SINGLE, 2.8)
 def plot_particles(
-    posterior: Posterior, names: tuple[str, str], *, largest: float = 16.0, ax: Axes | None = None
+    posterior: Posterior, names: tuple[str, str], *, largest: float = 16.0, ax: Axes = style.NEW
 ) -> Axes:
     """Draw the particles in the plane of two inputs; the area of a circle is proportional to its weight.
 
@@ -223,13 +222,11 @@ def plot_particles(
     weights, points = posterior.weights[order], posterior.columns(names)[order]
     x, y = posterior.space[names[0]], posterior.space[names[1]]
     across, up = (axis_limits(posterior, name) for name in names)
-    with style.styled():
-        ax = style.axes_or_new(ax, (style.SINGLE, 2.8))
-        area = largest * weights / weights.max()
-        drawn = ax.scatter(points[:, 0], points[:, 1], s=area, c=weights, cmap="viridis_r", vmin=0.0, rasterized=True)
-        drawn.set(edgecolors="white", linewidths=0.15)
-        ax.set(xlabel=x.figure_label(), ylabel=y.figure_label(), xlim=across, ylim=up)
-        style.figure_of(ax).colorbar(drawn, ax=ax, label="weight of the particle")
+    area = largest * weights / weights.max()
+    drawn = ax.scatter(points[:, 0], points[:, 1], s=area, c=weights, cmap="viridis_r", vmin=0.0, rasterized=True)
+    drawn.set(edgecolors="white", linewidths=0.15)
+    ax.set(xlabel=x.figure_label(), ylabel=y.figure_label(), xlim=across, ylim=up)
+    style.figure_of(ax).colorbar(drawn, ax=ax, label="weight of the particle")
     return ax
 
 
@@ -248,6 +245,7 @@ class Curve:
     label: str = "quadrature"
 
 
+@style.drawn(style.SINGLE, 2.6)
 def plot_marginal(
     posterior: Posterior,
     name: str,
@@ -257,24 +255,23 @@ def plot_marginal(
     truth: float | None = None,
     legend: bool = True,
     whole_box: bool = False,
-    ax: Axes | None = None,
+    ax: Axes = style.NEW,
 ) -> Axes:
     """Draw the marginal posterior of one input with its prior; `whole_box` shows all of the prior (Fig. 10)."""
     parameter = posterior.space[name]
-    with style.styled():
-        ax = style.axes_or_new(ax, (style.SINGLE, 2.6))
-        shown = parameter.interval if whole_box else axis_limits(posterior, name)
-        draw_marginal(ax, parameter, posterior.columns([name])[:, 0], posterior.weights, shown=shown, bins=bins)
-        if overlay is not None:
-            ax.plot(overlay.x, overlay.density, color=style.PURPLE, linestyle="-.", linewidth=1.6, label=overlay.label)
-        if truth is not None:
-            ax.axvline(truth, color=style.BLUE, linestyle=":", label="ground truth")
-        ax.set(xlabel=parameter.figure_label(), ylabel=density_label(parameter), xlim=shown)
-        if legend:
-            ax.legend()
+    shown = parameter.interval if whole_box else axis_limits(posterior, name)
+    draw_marginal(ax, parameter, posterior.columns([name])[:, 0], posterior.weights, shown=shown, bins=bins)
+    if overlay is not None:
+        ax.plot(overlay.x, overlay.density, color=style.PURPLE, linestyle="-.", linewidth=1.6, label=overlay.label)
+    if truth is not None:
+        ax.axvline(truth, color=style.BLUE, linestyle=":", label="ground truth")
+    ax.set(xlabel=parameter.figure_label(), ylabel=density_label(parameter), xlim=shown)
+    if legend:
+        ax.legend()
     return ax
 
 
+@style.drawn()
 def plot_marginals(
     posterior: Posterior,
     names: Sequence[str] | None = None,
@@ -283,17 +280,15 @@ def plot_marginals(
     overlays: Mapping[str, Curve] | None = None,
     truth: Mapping[str, float] | None = None,
     whole_box: bool = False,
-    figure: Figure | SubFigure | None = None,
-) -> Figure | SubFigure:
+) -> Figure:
     """Draw the marginals of several inputs (by default of all of them), three or four in a row."""
     chosen = posterior.space.names if names is None else tuple(names)
     height, columns = 2.2 if len(chosen) < 3 else 1.8, 3 if len(chosen) <= 6 else 4
-    with style.styled():
-        figure, panels = style.panel_grid(figure, len(chosen), height, columns=columns)
-        for ax, name in zip(panels, chosen, strict=True):
-            own: Any = {"overlay": (overlays or {}).get(name), "truth": (truth or {}).get(name)}
-            plot_marginal(posterior, name, bins=bins, **own, legend=False, whole_box=whole_box, ax=ax)
-        style.legend_under(figure, style.labelled(*panels))
+    figure, panels = style.panel_grid(len(chosen), height, columns=columns)
+    for ax, name in zip(panels, chosen, strict=True):
+        own: Any = {"overlay": (overlays or {}).get(name), "truth": (truth or {}).get(name)}
+        plot_marginal(posterior, name, bins=bins, **own, legend=False, whole_box=whole_box, ax=ax)
+    style.legend_under(figure, style.labelled(*panels))
     return figure
 
 

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
@@ -39,6 +39,7 @@ MANY = 4
 """Number of inputs above which the panels of pairs have few ticks."""
 
 
+@style.drawn()
 def plot_corner(
     posterior: Posterior,
     names: Sequence[str] | None = None,
@@ -46,8 +47,7 @@ def plot_corner(
     masses: Sequence[float] = MASSES,
     prior: bool = True,
     truth: Mapping[str, float] | None = None,
-    figure: Figure | SubFigure | None = None,
-) -> Figure | SubFigure:
+) -> Figure:
     """Draw the marginal density of each input, and for each pair the smallest regions that hold some probabilities.
 
     `masses` are these probabilities, as fractions; the first region is the darkest. `truth` may have some inputs only.
@@ -69,23 +69,22 @@ def plot_corner(
         else:
             _regions(ax, posterior, (across, up), levels, truth)
 
-    with style.styled():
-        figure, panels = _triangle(figure, posterior, chosen, (width, width + 0.2), panel, few_ticks=True)
-        entries = style.labelled(panels[0, 0])
-        if len(chosen) > 1:
-            entries |= {f"{100 * mass:.3g} %": _patch(k, len(levels)) for k, mass in enumerate(levels)}
-        style.legend_under(figure, entries)
+    figure, panels = _triangle(posterior, chosen, (width, width + 0.2), panel, few_ticks=True)
+    entries = style.labelled(panels[0, 0])
+    if len(chosen) > 1:
+        entries |= {f"{100 * mass:.3g} %": _patch(k, len(levels)) for k, mass in enumerate(levels)}
+    style.legend_under(figure, entries)
     return figure
 
 
+@style.drawn()
 def plot_pairs(
     posterior: Posterior,
     names: Sequence[str] | None = None,
     *,
     bins: int = 20,
     truth: Mapping[str, float] | None = None,
-    figure: Figure | SubFigure | None = None,
-) -> Figure | SubFigure:
+) -> Figure:
     """Draw the joint marginals of all pairs of inputs below a diagonal of their marginals; one input or more."""
     chosen = posterior.space.names if names is None else tuple(names)
     count = len(chosen)
@@ -101,23 +100,21 @@ def plot_pairs(
             if truth is not None and across in truth and up in truth:
                 style.mark(ax, [truth[across], truth[up]], style.BLUE, "ground truth", marker="o", size=11.0)
 
-    with style.styled():
-        figure, panels = _triangle(figure, posterior, chosen, size, panel, few_ticks=count > MANY)
-        style.legend_under(figure, style.labelled(*panels[:2, 0]))
+    figure, panels = _triangle(posterior, chosen, size, panel, few_ticks=count > MANY)
+    style.legend_under(figure, style.labelled(*panels[:2, 0]))
     return figure
 
 
 def _triangle(
-    figure: Figure | SubFigure | None,
     posterior: Posterior,
     names: Sequence[str],
     size: tuple[float, float],
     panel: Callable[[Axes, str, str], None],
     *,
     few_ticks: bool,
-) -> tuple[Figure | SubFigure, Any]:
+) -> tuple[Figure, Any]:
     """Return a figure and its panels, on the diagonal and below it, drawn by `panel` and labelled at the outside."""
-    figure = style.figure_or_new(figure, size)
+    figure = style.new_figure(*size)
     panels: Any = figure.subplots(len(names), len(names), squeeze=False)
     for row, column in np.ndindex(panels.shape):
         ax, left, last = panels[row, column], column == 0 and row > 0, row == len(names) - 1
@@ -247,7 +244,8 @@ LOWEST = 0.02
 TICKS = 5
 
 
-def plot_parallel(posterior: Posterior, *, truth: Mapping[str, float] | None = None, ax: Axes | None = None) -> Axes:
+@style.drawn(style.DOUBLE, 3.5)
+def plot_parallel(posterior: Posterior, *, truth: Mapping[str, float] | None = None, ax: Axes = style.NEW) -> Axes:
     """Draw each particle as a line over parallel axes, coloured by its extended log posterior density.
 
     Lines of low density are drawn first and those of high density on top of them. Particles without weight are left
@@ -264,48 +262,43 @@ def plot_parallel(posterior: Posterior, *, truth: Mapping[str, float] | None = N
     kept = np.flatnonzero(posterior.weights > 0)
     ranked = kept[np.argsort(density[kept], kind="stable")]
     norm = Normalize(*limits)
-    with style.styled():
-        ax = style.axes_or_new(ax, (style.DOUBLE, 3.5))
-        look = {"cmap": "turbo", "norm": norm, "linewidths": 0.35, "alpha": 0.55, "rasterized": True}
-        _add_lines(ax, np.stack(heights, axis=1)[ranked], **look).set_array(density[ranked])
-        labels = [DENSITY.replace(" ", "\n", 1) if name == DENSITY else space[name].figure_label() for name in order]
-        _draw_axes(ax, labels, list(ends.values()))
-        for name, value in (truth or {}).items():
-            if name in ends:
-                a, b = ends[name]
-                label = "ground truth" if not ax.get_legend_handles_labels()[1] else None
-                ax.plot(
-                    [order.index(name)], [(value - a) / (b - a)], "o", color="white", markeredgecolor=style.BLUE,
-                    markeredgewidth=2.0, markersize=7, zorder=6, label=label, clip_on=False,
-                )  # fmt: skip
-        style.figure_of(ax).colorbar(
-            ScalarMappable(norm, "turbo"), ax=ax, label=DENSITY, extend="min", pad=0.02, aspect=30
-        )
-        if ax.get_legend_handles_labels()[0]:
-            ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    look = {"cmap": "turbo", "norm": norm, "linewidths": 0.35, "alpha": 0.55, "rasterized": True}
+    _add_lines(ax, np.stack(heights, axis=1)[ranked], **look).set_array(density[ranked])
+    labels = [DENSITY.replace(" ", "\n", 1) if name == DENSITY else space[name].figure_label() for name in order]
+    _draw_axes(ax, labels, list(ends.values()))
+    for name, value in (truth or {}).items():
+        if name in ends:
+            a, b = ends[name]
+            label = "ground truth" if not ax.get_legend_handles_labels()[1] else None
+            ax.plot(
+                [order.index(name)], [(value - a) / (b - a)], "o", color="white", markeredgecolor=style.BLUE,
+                markeredgewidth=2.0, markersize=7, zorder=6, label=label, clip_on=False,
+            )  # fmt: skip
+    style.figure_of(ax).colorbar(ScalarMappable(norm, "turbo"), ax=ax, label=DENSITY, extend="min", pad=0.02, aspect=30)
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0))
     return ax
 
 
+@style.drawn(style.DOUBLE, 3.2)
 def plot_failed_runs(
     space: ParameterSpace,
     ok: Float[np.ndarray, "run dim"],
     failed: Mapping[str, Float[np.ndarray, "_ dim"]],
     *,
-    ax: Axes | None = None,
+    ax: Axes = style.NEW,
 ) -> Axes:
     """Draw each run as a line across one axis per input: grey if it succeeded, coloured by kind if it failed.
 
     Each axis spans the box; the commonest kind comes first.
     """
-    with style.styled():
-        ax = style.axes_or_new(ax, (style.DOUBLE, 3.2))
-        _add_lines(ax, space.to_unit(ok), colors=style.GREY, linewidths=0.4, alpha=0.35, label=f"ok: {len(ok)}")
-        for k, (kind, points) in enumerate(failed.items()):
-            colour, dashes = style.CYCLE[(k + 1) % len(style.CYCLE)], style.DASHES[k % len(style.DASHES)]
-            look = {"colors": colour, "linestyles": [dashes], "linewidths": 0.9, "alpha": 0.9}
-            _add_lines(ax, space.to_unit(points), label=f"{kind}: {len(points)}", **look)
-        _draw_axes(ax, [one.figure_label() for one in space], [one.interval for one in space])
-        style.below(ax)
+    _add_lines(ax, space.to_unit(ok), colors=style.GREY, linewidths=0.4, alpha=0.35, label=f"ok: {len(ok)}")
+    for k, (kind, points) in enumerate(failed.items()):
+        colour, dashes = style.CYCLE[(k + 1) % len(style.CYCLE)], style.DASHES[k % len(style.DASHES)]
+        look = {"colors": colour, "linestyles": [dashes], "linewidths": 0.9, "alpha": 0.9}
+        _add_lines(ax, space.to_unit(points), label=f"{kind}: {len(points)}", **look)
+    _draw_axes(ax, [one.figure_label() for one in space], [one.interval for one in space])
+    style.below(ax)
     return ax
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from scipy.ndimage import gaussian_filter1d
 
@@ -27,24 +27,22 @@ SMOOTH, LENGTHS = 5.0, 2.0
 many correlation lengths of the errors, which would else be smoothed away."""
 
 
-def plot_picture(
-    picture: Picture, path: Float[np.ndarray, "click 2"], edge: Edge, *, figure: Figure | SubFigure | None = None
-) -> Figure | SubFigure:
+@style.drawn()
+def plot_picture(picture: Picture, path: Float[np.ndarray, "click 2"], edge: Edge) -> Figure:
     """Draw the edge in the picture, a part of it enlarged, the strip along its normals, and its residuals.
 
     The bands are ± 2 standard deviations of a point. They are too narrow to be seen in the whole picture, so a part of
     it is enlarged, around the middle of the edge. The first path is in pixels; lengths of the edge are in mm.
     """
-    with style.styled():
-        figure = style.figure_or_new(figure, (style.DOUBLE, 5.8))
-        (whole, near), (strip, residual) = figure.subplots(2, 2, height_ratios=(1.25, 1.0))
-        black, white = np.percentile(picture.values, DARKEST)
-        grey = {"cmap": "gray", "vmin": black, "vmax": white, "interpolation": "nearest"}
-        _whole(whole, picture, path, edge, grey)
-        _near(near, whole, picture, edge, grey)
-        _strip(strip, picture, edge, grey)
-        _residual(residual, edge)
-        style.legend_under(figure, style.labelled(whole, near, strip, residual))
+    figure = style.new_figure(style.DOUBLE, 5.8)
+    (whole, near), (strip, residual) = figure.subplots(2, 2, height_ratios=(1.25, 1.0))
+    black, white = np.percentile(picture.values, DARKEST)
+    grey = {"cmap": "gray", "vmin": black, "vmax": white, "interpolation": "nearest"}
+    _whole(whole, picture, path, edge, grey)
+    _near(near, whole, picture, edge, grey)
+    _strip(strip, picture, edge, grey)
+    _residual(residual, edge)
+    style.legend_under(figure, style.labelled(whole, near, strip, residual))
     return figure
 
 
@@ -118,41 +116,39 @@ def _residual(ax: Axes, edge: Edge) -> None:
 AXES = "xyz"
 
 
-def plot_surfaces(
-    observed: Interface, simulated: Mapping[str, Interface], *, figure: Figure | SubFigure | None = None
-) -> Figure | SubFigure:
+@style.drawn()
+def plot_surfaces(observed: Interface, simulated: Mapping[str, Interface]) -> Figure:
     """Draw an observed surface and simulated ones, mm, cut through its middle at right angles to the axes."""
+    figure = style.new_figure(style.DOUBLE, 2.9)
     middle = 0.5 * (observed.points.min(axis=0) + observed.points.max(axis=0))
     shown = {"observed": (observed, style.BLACK, 1.6)}
     shown |= {label: (one, style.CYCLE[k % len(style.CYCLE)], 0.9) for k, (label, one) in enumerate(simulated.items())}
-    with style.styled():
-        figure = style.figure_or_new(figure, (style.DOUBLE, 2.9))
-        lines = {}
-        for ax, (normal, across, up) in zip(figure.subplots(1, 3), ((2, 0, 1), (1, 0, 2), (0, 1, 2)), strict=True):
-            for label, (surface, colour, width) in shown.items():
-                segments = cut(Mesh(surface.points, surface.cells), normal, float(middle[normal]))[:, :, [across, up]]
-                lines[label] = LineCollection(list(segments), colors=colour, linewidths=width, label=label)
-                ax.add_collection(lines[label])
-            ax.autoscale()
-            ax.set(xlabel=f"{AXES[across]} [mm]", ylabel=f"{AXES[up]} [mm]", aspect="equal")
-            ax.set_title(f"{AXES[normal]} = {middle[normal]:.3g} mm")
-        style.legend_under(figure, lines)
+    lines = {}
+    for ax, (normal, across, up) in zip(figure.subplots(1, 3), ((2, 0, 1), (1, 0, 2), (0, 1, 2)), strict=True):
+        for label, (surface, colour, width) in shown.items():
+            segments = cut(Mesh(surface.points, surface.cells), normal, float(middle[normal]))[:, :, [across, up]]
+            lines[label] = LineCollection(list(segments), colors=colour, linewidths=width, label=label)
+            ax.add_collection(lines[label])
+        ax.autoscale()
+        ax.set(xlabel=f"{AXES[across]} [mm]", ylabel=f"{AXES[up]} [mm]", aspect="equal")
+        ax.set_title(f"{AXES[normal]} = {middle[normal]:.3g} mm")
+    style.legend_under(figure, lines)
     return figure
 
 
-def plot_stack(stack: Stack, mesh: Mesh, *, figure: Figure | SubFigure | None = None) -> Figure | SubFigure:
+@style.drawn()
+def plot_stack(stack: Stack, mesh: Mesh) -> Figure:
     """Draw three slices of a stack through the middle of a surface, in voxels, at right angles to each axis."""
+    figure = style.new_figure(style.DOUBLE, 2.6)
     middle = np.rint(0.5 * (mesh.points.min(axis=0) + mesh.points.max(axis=0))).astype(int)
-    with style.styled():
-        figure = style.figure_or_new(figure, (style.DOUBLE, 2.6))
-        for ax, (normal, across, down) in zip(figure.subplots(1, 3), ((2, 0, 1), (1, 0, 2), (0, 2, 1)), strict=True):
-            place = int(np.clip(middle[normal], 0, stack.values.shape[2 - normal] - 1))
-            grey = stack.values.take(place, axis=2 - normal)
-            grey = grey if across < down else grey.T
-            black, white = np.percentile(grey, DARKEST)
-            ax.imshow(grey, cmap="gray", vmin=black, vmax=white, interpolation="nearest")
-            segments = cut(mesh, normal, place + 1e-6)[:, :, [across, down]]
-            ax.add_collection(LineCollection(list(segments), colors=style.GREEN, linewidths=0.8))
-            ax.set(xlabel=f"{AXES[across]} [voxels]", ylabel=f"{AXES[down]} [voxels]")
-            ax.set(title=f"{AXES[normal]} = {place}", aspect=stack.voxel[down] / stack.voxel[across])
+    for ax, (normal, across, down) in zip(figure.subplots(1, 3), ((2, 0, 1), (1, 0, 2), (0, 2, 1)), strict=True):
+        place = int(np.clip(middle[normal], 0, stack.values.shape[2 - normal] - 1))
+        grey = stack.values.take(place, axis=2 - normal)
+        grey = grey if across < down else grey.T
+        black, white = np.percentile(grey, DARKEST)
+        ax.imshow(grey, cmap="gray", vmin=black, vmax=white, interpolation="nearest")
+        segments = cut(mesh, normal, place + 1e-6)[:, :, [across, down]]
+        ax.add_collection(LineCollection(list(segments), colors=style.GREEN, linewidths=0.8))
+        ax.set(xlabel=f"{AXES[across]} [voxels]", ylabel=f"{AXES[down]} [voxels]")
+        ax.set(title=f"{AXES[normal]} = {place}", aspect=stack.voxel[down] / stack.voxel[across])
     return figure

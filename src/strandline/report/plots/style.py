@@ -7,7 +7,8 @@ import io
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from typing import Any
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
 
 import matplotlib as mpl
 import numpy as np
@@ -72,14 +73,38 @@ def styled() -> AbstractContextManager[None]:
     return mpl.rc_context(_STYLE)
 
 
-def axes_or_new(ax: Axes | None, size: tuple[float, float] = (SINGLE, 2.7)) -> Axes:
-    """Return `ax`, or the axes of a new figure of `size` inches."""
-    return figure_or_new(None, size).add_subplot(axes_class=ShownAxes) if ax is None else ax
+NEW: Any = None
+"""Default of the `ax` of a function that is `drawn`: new ones."""
+P, R = ParamSpec("P"), TypeVar("R")
 
 
-def figure_or_new(figure: Figure | SubFigure | None, size: tuple[float, float]) -> Figure | SubFigure:
-    """Return `figure`, or a new one of `size` inches whose parts are laid out so that nothing overlaps."""
-    return ShownFigure(figsize=size, layout="constrained") if figure is None else figure
+def drawn(*size: float) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Return a decorator: the function draws in this style.
+
+    With a size, width and height in inches, its `ax` are the axes of a new figure of that size if it is given none.
+    """
+
+    def decorated(draw: Callable[P, R]) -> Callable[P, R]:
+        @wraps(draw)
+        def in_style(*args: P.args, **kwargs: P.kwargs) -> R:
+            with styled():
+                if size and kwargs.get("ax") is None:
+                    kwargs["ax"] = new_axes(*size)
+                return draw(*args, **kwargs)
+
+        return in_style
+
+    return decorated
+
+
+def new_axes(width: float, height: float) -> Axes:
+    """Return the axes of a new figure; its size is in inches."""
+    return new_figure(width, height).add_subplot(axes_class=ShownAxes)
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return a new figure whose parts are laid out so that nothing overlaps; its size is in inches."""
+    return ShownFigure(figsize=(width, height), layout="constrained")
 
 
 def figure_of(ax: Axes) -> Figure | SubFigure:
@@ -119,15 +144,8 @@ def below(ax: Axes, *, columns: int = 3, **options: Any) -> None:
 
 
 def panel_grid(
-    figure: Figure | SubFigure | None,
-    number: int,
-    height: float,
-    *,
-    columns: int = 3,
-    margin: float = 0.5,
-    single: float = SINGLE,
-    **options: Any,
-) -> tuple[Figure | SubFigure, list[Axes]]:
+    number: int, height: float, *, columns: int = 3, margin: float = 0.5, single: float = SINGLE, **options: Any
+) -> tuple[Figure, list[Axes]]:
     """Return a figure with so many panels, and the panels, in rows of at most `columns`.
 
     `height` of a row, `margin`, added to that of all rows, and the width of a figure with a `single` column are in
@@ -135,7 +153,7 @@ def panel_grid(
     """
     columns = min(columns, number)
     rows = -(-number // columns)
-    figure = figure_or_new(figure, (single if columns == 1 else DOUBLE, height * rows + margin))
+    figure = new_figure(single if columns == 1 else DOUBLE, height * rows + margin)
     panels: list[Axes] = figure.subplots(rows, columns, squeeze=False, **options).ravel().tolist()
     for ax in panels[number:]:
         ax.remove()
