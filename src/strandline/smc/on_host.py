@@ -55,7 +55,7 @@ def advance_on_host(
     now = begun.start
     for step in range(moves):
         proposal, prior = _propose(for_moves, step, now.positions, begun.factor, log_prior=log_prior)
-        likelihood = _inside(log_likelihood, np.asarray(proposal), np.asarray(prior))
+        likelihood = _inside(log_likelihood, ~np.isneginf(np.asarray(prior)), np.asarray(proposal))
         now = _accept(for_moves, step, now, proposal, likelihood, prior, begun.temperature, steps=moves)
     return end(begun, now, state.narrowest)
 
@@ -89,33 +89,20 @@ def advance_each_on_host(
     now = begun.start
     for step in range(moves):
         proposal, prior = _propose_each(pairs[:, 1], step, now.positions, begun.factor, log_prior=log_prior)
-        likelihood = _inside_each(log_likelihood, np.asarray(proposal), np.asarray(prior), given, active)
+        inside = ~np.isneginf(np.asarray(prior)) & active[:, None]
+        theta = np.broadcast_to(given[:, None], (*inside.shape, given.shape[1]))
+        likelihood = _inside(log_likelihood, inside, np.asarray(proposal), theta)
         now = _accept_each(pairs[:, 1], step, now, proposal, likelihood, prior, begun.temperature, steps=moves)
     after, info = jax.vmap(end)(begun, now, states.narrowest)
     kept: Particles = jax.tree.map(partial(jax.vmap(jnp.where), active), after, states)
     return kept, info
 
 
-def _inside(
-    log_likelihood: HostDensity, x: Float[np.ndarray, "particle dim"], prior: Float[np.ndarray, " particle"]
-) -> Float[np.ndarray, " particle"]:
-    out, inside = np.full(len(x), -np.inf), ~np.isneginf(prior)
+def _inside(function: Callable[..., Any], inside: Bool[np.ndarray, "*case"], *arguments: Any) -> Any:
+    """Return the function's values where `inside` is true, and -inf elsewhere; arguments have these axes first."""
+    out = np.full(inside.shape, -np.inf)
     if inside.any():
-        out[inside] = log_likelihood(x[inside])
-    return out
-
-
-def _inside_each(
-    log_likelihood: Callable[..., Any],
-    x: Float[np.ndarray, "case particle dim"],
-    prior: Float[np.ndarray, "case particle"],
-    given: Float[np.ndarray, "case given"],
-    active: Bool[np.ndarray, " case"],
-) -> Float[np.ndarray, "case particle"]:
-    out, inside = np.full(prior.shape, -np.inf), ~np.isneginf(prior) & active[:, None]
-    if inside.any():
-        theta = np.broadcast_to(given[:, None], (*prior.shape, given.shape[1]))
-        out[inside] = log_likelihood(x[inside], theta[inside])
+        out[inside] = function(*(one[inside] for one in arguments))
     return out
 
 

@@ -78,7 +78,7 @@ def plot_field(
         style.mark(ax, grid.truth, style.RED, "ground truth", marker="o")
     ax.set(xlabel=grid.x.figure_label(), ylabel=grid.y.figure_label(), xlim=grid.x.interval, ylim=grid.y.interval)
     if colour_bar:
-        bar = style.figure_of(ax).colorbar(drawn, ax=ax, label=_LABELS[kind])
+        bar = ax.figure.colorbar(drawn, ax=ax, label=_LABELS[kind])
         if isinstance(norm, FuncNorm):
             places, labels = style.root_ticks(norm.inverse(0.0), norm.inverse(1.0))
             bar.set_ticks(places, labels=labels)

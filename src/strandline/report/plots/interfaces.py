@@ -205,7 +205,7 @@ def _panel(
         low, high = float(used.min()), float(used.max())
         high = high if high > low else low + 1.0  # nothing moves: the lowest colour, not the middle one
         drawn = ax.tripcolor(mesh, values, shading="gouraud", cmap=colours, vmin=low, vmax=high)
-        style.figure_of(ax).colorbar(drawn, ax=ax, label=label, shrink=0.95, pad=0.02)
+        ax.figure.colorbar(drawn, ax=ax, label=label, shrink=0.95, pad=0.02)
     interface = _edges_above(fields, 0)
     inner = set[tuple[int, int]]().union(*(_edges_above(fields, k) for k in range(1, int(fields.cell_part.max()) + 1)))
     rest = fields.points - fields.displacement

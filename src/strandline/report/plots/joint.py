@@ -39,29 +39,38 @@ def plot_joint(
     *,
     laplace: LaplaceApproximation | None = None,
     truth: Mapping[str, float] | None = None,
-    mode: Float[np.ndarray, "2"] | None = None,
     percentiles: Sequence[float] = PERCENTILES,
     bins: int = 30,
 ) -> Figure:
     """Draw hexagons of weight, percentile lines of three approximations, point estimates, marginals and priors.
 
-    The Laplace approximation is that of all inputs of the posterior; an indefinite one is noted, not drawn. `mode` is
-    by default the best particle if the two inputs are all there are, else the centre of the fullest bin (paper, Remark
-    8). `percentiles` are the probabilities that the lines enclose, as fractions; `bins` count hexagons across, and bins
-    of the marginals.
+    The Laplace approximation is that of all inputs of the posterior; an indefinite one is noted, not drawn. The MAP is
+    the best particle if the two inputs are all there are, else the centre of the fullest bin (paper, Remark 8).
+    `percentiles` are the probabilities that the lines enclose, as fractions; `bins` count hexagons across, and bins of
+    the marginals.
     """
     figure = style.new_figure(style.DOUBLE, 6.2)
     x, y = (posterior.space[name] for name in names)
-    values = posterior.columns(names)
+    pair = (posterior.space.names.index(names[0]), posterior.space.names.index(names[1]))
+    values, mean = posterior.columns(names), posterior.mean
     main, top, right = _layout(figure)
     plot_hexagons(posterior, names, percentiles=percentiles, bins=bins, colour_bar=False, ax=main)
-    _draw_gaussian(main, posterior, names, percentiles)
-    note = _draw_laplace(main, posterior, names, laplace, percentiles)
-    _draw_points(main, posterior, names, mode, truth)
+    _ellipses(main, GaussianApproximation(mean, posterior.covariance), pair, percentiles, style.ORANGE, "Gaussian")
+    style.mark(main, mean[list(pair)], style.ORANGE, "mean")
+    if laplace is not None and laplace.definite:
+        _ellipses(main, laplace.gaussian, pair, percentiles, style.GREEN, "Laplace")
+    if posterior.space.dim == 2:
+        style.mark(main, posterior.map_estimate[list(pair)], style.GREEN, "MAP")
+    else:
+        mode = histogram_mode(values, posterior.weights, bounds=[x.interval, y.interval])
+        style.mark(main, mode, style.GREEN, "MAP (fullest bin)")
+    if truth is not None and all(name in truth for name in names):
+        style.mark(main, [truth[name] for name in names], style.BLUE, "ground truth", marker="o", size=11.0)
     across, up = (axis_limits(posterior, name) for name in names)
     draw_marginal(top, x, values[:, 0], posterior.weights, shown=across, bins=bins)
     draw_marginal(right, y, values[:, 1], posterior.weights, shown=up, bins=bins, upright=True)
     figure.colorbar(main.collections[0], ax=right, label="probability of a hexagon", location="right", shrink=0.9)
+    note = "" if laplace is None or laplace.definite else "Laplace: none, Hessian indefinite"
     _legend(figure, main, top, percentiles, note)
     return figure
 
@@ -97,7 +106,7 @@ def plot_hexagons(
     _draw_kde(ax, *few, bounds=bounds, shown=(across, up), percentiles=percentiles, loo_points=judged)
     ax.set(xlabel=x.figure_label(), ylabel=y.figure_label(), xlim=across, ylim=up)
     if colour_bar:
-        style.figure_of(ax).colorbar(drawn, ax=ax, label="probability of a hexagon")
+        ax.figure.colorbar(drawn, ax=ax, label="probability of a hexagon")
     return ax
 
 
@@ -145,58 +154,17 @@ def _draw_kde(
     )
 
 
-def _draw_gaussian(ax: Axes, posterior: Posterior, names: tuple[str, str], percentiles: Sequence[float]) -> None:
-    indices = _indices(posterior, names)
-    approximation = GaussianApproximation(posterior.mean, posterior.covariance).marginal(indices)
-    _ellipses(ax, approximation, percentiles, style.ORANGE, "Gaussian")
-    style.mark(ax, approximation.mean, style.ORANGE, "mean")
-
-
-def _draw_laplace(
-    ax: Axes,
-    posterior: Posterior,
-    names: tuple[str, str],
-    laplace: LaplaceApproximation | None,
-    percentiles: Sequence[float],
-) -> str:
-    """Draw the Laplace approximation; return a note if that is impossible."""
-    if laplace is None:
-        return ""
-    if not laplace.definite:
-        return "Laplace: none, Hessian indefinite"
-    _ellipses(ax, laplace.gaussian.marginal(_indices(posterior, names)), percentiles, style.GREEN, "Laplace")
-    return ""
-
-
 def _ellipses(
-    ax: Axes, approximation: GaussianApproximation, percentiles: Sequence[float], colour: str, label: str
+    ax: Axes,
+    gaussian: GaussianApproximation,
+    pair: tuple[int, int],
+    percentiles: Sequence[float],
+    colour: str,
+    label: str,
 ) -> None:
     for p in percentiles:
-        curve = approximation.ellipse(p)
+        curve = gaussian.ellipse(p, pair=pair)
         ax.plot(*curve.T, color=colour, linewidth=1.2, label=label, scalex=False, scaley=False)
-
-
-def _draw_points(
-    ax: Axes,
-    posterior: Posterior,
-    names: tuple[str, str],
-    mode: Float[np.ndarray, "2"] | None,
-    truth: Mapping[str, float] | None,
-) -> None:
-    if mode is None and posterior.space.dim == 2:
-        mode = posterior.map_estimate[_indices(posterior, names)]
-    label = "MAP"
-    if mode is None:
-        label = "MAP (fullest bin)"
-        bounds = [posterior.space[name].interval for name in names]
-        mode = histogram_mode(posterior.columns(names), posterior.weights, bounds=bounds)
-    style.mark(ax, mode, style.GREEN, label)
-    if truth is not None and all(name in truth for name in names):
-        style.mark(ax, [truth[name] for name in names], style.BLUE, "ground truth", marker="o", size=11.0)
-
-
-def _indices(posterior: Posterior, names: Sequence[str]) -> list[int]:
-    return [posterior.space.names.index(name) for name in names]
 
 
 def _legend(figure: Figure, main: Axes, top: Axes, percentiles: Sequence[float], note: str) -> None:
@@ -226,7 +194,7 @@ def plot_particles(
     drawn = ax.scatter(points[:, 0], points[:, 1], s=area, c=weights, cmap="viridis_r", vmin=0.0, rasterized=True)
     drawn.set(edgecolors="white", linewidths=0.15)
     ax.set(xlabel=x.figure_label(), ylabel=y.figure_label(), xlim=across, ylim=up)
-    style.figure_of(ax).colorbar(drawn, ax=ax, label="weight of the particle")
+    ax.figure.colorbar(drawn, ax=ax, label="weight of the particle")
     return ax
 
 

@@ -31,6 +31,8 @@ from strandline.report.plots.joint import (
 
 MASSES = (0.68, 0.95)
 """Probabilities of the two regions."""
+INNER, OUTER = 0.5, 0.2
+"""Opacities of the regions; the inner one is drawn over the outer one."""
 GRID, PARTICLES, JUDGED = 61, 2000, 400
 """Grid points along an input, draws behind a region, and draws that its bandwidth is judged by."""
 PANEL = 1.35
@@ -44,22 +46,13 @@ def plot_corner(
     posterior: Posterior,
     names: Sequence[str] | None = None,
     *,
-    masses: Sequence[float] = MASSES,
     prior: bool = True,
     truth: Mapping[str, float] | None = None,
 ) -> Figure:
-    """Draw the marginal density of each input, and for each pair the smallest regions that hold some probabilities.
+    """Draw the marginal density of each input, and for each pair the smallest regions that hold 68 and 95 %.
 
-    `masses` are these probabilities, as fractions; the first region is the darkest. `truth` may have some inputs only.
-
-    Raises:
-        InvalidInput: A probability that is not between 0 and 1, or not at least one of them.
+    `truth` may have some inputs only.
     """
-    levels = sorted(masses)
-    if not levels or not 0 < levels[0] <= levels[-1] < 1:
-        raise InvalidInput(
-            "probabilities of the regions", value=masses, expected="numbers between 0 and 1", remedy="Use (0.68, 0.95)."
-        )
     chosen = posterior.space.names if names is None else tuple(names)
     width = max(style.SINGLE, 0.5 + PANEL * len(chosen))
 
@@ -67,12 +60,13 @@ def plot_corner(
         if across == up:
             _density(ax, posterior, across, prior=prior, truth=truth)
         else:
-            _regions(ax, posterior, (across, up), levels, truth)
+            _regions(ax, posterior, (across, up), truth)
 
     figure, panels = _triangle(posterior, chosen, (width, width + 0.2), panel, few_ticks=True)
     entries = style.labelled(panels[0, 0])
     if len(chosen) > 1:
-        entries |= {f"{100 * mass:.3g} %": _patch(k, len(levels)) for k, mass in enumerate(levels)}
+        for mass, alpha in zip(MASSES, (1 - (1 - INNER) * (1 - OUTER), OUTER), strict=True):
+            entries[f"{100 * mass:g} %"] = Patch(facecolor=style.BLUE, alpha=alpha, edgecolor=style.BLUE)
     style.legend_under(figure, entries)
     return figure
 
@@ -150,10 +144,8 @@ def _density(ax: Axes, posterior: Posterior, name: str, *, prior: bool, truth: M
     ax.spines["left"].set_visible(False)
 
 
-def _regions(
-    ax: Axes, posterior: Posterior, pair: tuple[str, str], levels: Sequence[float], truth: Mapping[str, float] | None
-) -> None:
-    """Draw the smallest regions of two inputs that hold these probabilities."""
+def _regions(ax: Axes, posterior: Posterior, pair: tuple[str, str], truth: Mapping[str, float] | None) -> None:
+    """Draw the smallest regions of two inputs that hold 68 and 95 %."""
     across, up = (axis_limits(posterior, name) for name in pair)
     draws, weights = thinned(posterior.columns(pair), posterior.weights, PARTICLES)
     bounds = [posterior.space[name].interval for name in pair]
@@ -165,30 +157,15 @@ def _regions(
         x, y = np.linspace(*across, GRID), np.linspace(*up, GRID)
         points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         density = estimate.density(points).reshape(GRID, GRID)
-        edges = sorted({float(one) for one in estimate.percentile_levels(levels)})
+        edges = sorted({float(one) for one in estimate.percentile_levels(MASSES)})
         top = max(float(density.max()), edges[-1]) * 1.001
-        for k, edge in enumerate(edges):
-            ax.contourf(
-                x, y, density, levels=[edge, top], colors=[style.BLUE], alpha=_alpha(len(edges) - 1 - k, len(edges))
-            )
+        for edge, alpha in zip(edges, (OUTER, INNER), strict=False):
+            ax.contourf(x, y, density, levels=[edge, top], colors=[style.BLUE], alpha=alpha)
         ax.contour(x, y, density, levels=edges, colors=style.BLUE, linewidths=0.8)
     for name, line in zip(pair, (ax.axvline, ax.axhline), strict=True):
         if truth is not None and name in truth:
             line(truth[name], color=style.RED, linewidth=1.0)
     ax.set(xlim=across, ylim=up)
-
-
-def _alpha(place: int, count: int) -> float:
-    """Return the opacity of a region, the inner ones last: drawn over each other they darken."""
-    return 0.2 + 0.3 * (count - 1 - place) / max(count - 1, 1)
-
-
-def _patch(place: int, count: int) -> Patch:
-    """Return a patch for the legend in the colour that a region has in the figure."""
-    opacity = 1.0
-    for k in range(place, count):
-        opacity *= 1.0 - _alpha(k, count)
-    return Patch(facecolor=style.BLUE, alpha=1.0 - opacity, edgecolor=style.BLUE)
 
 
 @dataclass(frozen=True, repr=False)
@@ -274,7 +251,7 @@ def plot_parallel(posterior: Posterior, *, truth: Mapping[str, float] | None = N
                 [order.index(name)], [(value - a) / (b - a)], "o", color="white", markeredgecolor=style.BLUE,
                 markeredgewidth=2.0, markersize=7, zorder=6, label=label, clip_on=False,
             )  # fmt: skip
-    style.figure_of(ax).colorbar(ScalarMappable(norm, "turbo"), ax=ax, label=DENSITY, extend="min", pad=0.02, aspect=30)
+    ax.figure.colorbar(ScalarMappable(norm, "turbo"), ax=ax, label=DENSITY, extend="min", pad=0.02, aspect=30)
     if ax.get_legend_handles_labels()[0]:
         ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0))
     return ax

@@ -107,13 +107,6 @@ def new_figure(width: float, height: float) -> Figure:
     return ShownFigure(figsize=(width, height), layout="constrained")
 
 
-def figure_of(ax: Axes) -> Figure | SubFigure:
-    """Return the figure or sub-figure that holds `ax`."""
-    figure = ax.get_figure()
-    assert figure is not None
-    return figure
-
-
 def mark(
     ax: Axes,
     point: Sequence[float] | Float[np.ndarray, "2"],
@@ -135,7 +128,7 @@ def below(ax: Axes, *, columns: int = 3, **options: Any) -> None:
         return
     place = ax.get_subplotspec()
     beside = 1 if place is None else place.get_gridspec().ncols
-    width = figure_of(ax).bbox.width / beside
+    width = ax.figure.bbox.width / beside
 
     def legend(ncols: int) -> Legend:
         return ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=ncols, **options)

@@ -89,7 +89,7 @@ def plot_field_error(errors: Mapping[str, ErrorsAlong], *, ax: Axes = style.NEW)
     if highest > 0:
         ax.set_ylim(bottom=max(ax.get_ylim()[0], DECADES * highest))
     ax.set(xlabel="arc length [mm]", ylabel="error of the interface [µm]")
-    style.legend_under(style.figure_of(ax), kinds if len(errors) == 1 else kinds | conditions, columns=4)
+    style.legend_under(ax.figure, kinds if len(errors) == 1 else kinds | conditions, columns=4)
     return ax
 
 
