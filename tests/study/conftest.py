@@ -43,6 +43,10 @@ class Finished:
     study: Study
     outcome: Outcome
 
+    def copied(self, folder: Path) -> Path:
+        """Copy the study to a new folder, without what SQLite keeps beside a ledger while another test reads it."""
+        return Path(shutil.copytree(self.folder, folder, ignore=shutil.ignore_patterns("*-wal", "*-shm")))
+
 
 Share = Callable[..., Finished]
 
@@ -92,7 +96,4 @@ def active(share: Share) -> Finished:
 def copy_of(tmp_path: Path) -> Callable[[Finished], Path]:
     """A copy of a finished study's folder, which the test may change."""
 
-    def copied(finished: Finished) -> Path:
-        return Path(shutil.copytree(finished.folder, tmp_path / "study"))
-
-    return copied
+    return lambda finished: finished.copied(tmp_path / "study")

@@ -30,7 +30,7 @@ def folder(answered, tmp_path):
 
 def line_by_line(finished, folder):
     """Copy a finished study, whose study.yaml then has a key a line, as a user writes it; its results stay current."""
-    shutil.copytree(finished.folder, folder)
+    finished.copied(folder)
     content = json.loads((folder / "study.yaml").read_text("utf-8"))
     (folder / "study.yaml").write_text("".join(f"{key}: {json.dumps(value)}\n" for key, value in content.items()))
     text = (folder / "summary.json").read_text("utf-8")

@@ -1,9 +1,7 @@
 """Coverage of a study: files, resumption to the bit, the command, and what is refused."""
 
 import json
-import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from tests.study.questions.conftest import Stopped, content_of, lines_of, stops_at
@@ -23,7 +21,7 @@ FEWEST = "strandline.questions.coverage.FEWEST_REPLICATES"
 @pytest.fixture(scope="module")
 def answered(beam, tmp_path_factory):
     """A study with 20 replicates of its experiment."""
-    folder = Path(shutil.copytree(beam.folder, tmp_path_factory.mktemp("coverage") / "beam"))
+    folder = beam.copied(tmp_path_factory.mktemp("coverage") / "beam")
     return folder, sl.coverage(sl.load_study(folder), replicates=20)
 
 

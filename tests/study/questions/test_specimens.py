@@ -56,7 +56,7 @@ def asked(folder, **options):
 @pytest.fixture(scope="module")
 def answered(field, tmp_path_factory):
     """A finished study, five specimens and a file that is none, with an answer for each."""
-    folder = Path(shutil.copytree(field.folder, tmp_path_factory.mktemp("specimens") / "beam"))
+    folder = field.copied(tmp_path_factory.mktemp("specimens") / "beam")
     changed(folder)
     (folder / "all").mkdir()
     for k, (name, truth) in enumerate(TRUTHS.items()):

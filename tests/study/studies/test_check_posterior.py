@@ -3,7 +3,6 @@
 import json
 import shutil
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import ClassVar
 from unittest.mock import Mock
 
@@ -144,7 +143,7 @@ def test_what_is_refused(beam, tmp_path):
             (20, lambda folder: write_study(folder, **content | {"seed": 2}), "of an earlier study.yaml"),
         )
     ):
-        folder = Path(shutil.copytree(beam.folder, tmp_path / str(number)))
+        folder = beam.copied(tmp_path / str(number))
         spoil(folder)
         before = sorted(path.name for path in folder.iterdir())
         with pytest.raises(InvalidInput, match=words):

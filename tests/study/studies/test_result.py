@@ -1,9 +1,7 @@
 """Results read back, other posteriors from the same runs, and what `doctor` and `backup` make of a finished study."""
 
-import shutil
 import sqlite3
 from contextlib import closing
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -95,7 +93,7 @@ WRONG = (
 
 def test_what_is_wrong_is_found_and_has_a_remedy(beam, tmp_path, capsys):
     for number, (spoil, *words) in enumerate(WRONG):
-        folder = Path(shutil.copytree(beam.folder, tmp_path / str(number)))
+        folder = beam.copied(tmp_path / str(number))
         spoil(folder)
         assert ends("doctor", str(folder)) == 1
         shown = capsys.readouterr().out

@@ -3,7 +3,6 @@
 import json
 import shutil
 from dataclasses import replace
-from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
@@ -171,7 +170,7 @@ def test_what_has_changed_is_noticed(beam, tmp_path):
         reworded(missing={"figures": "no room"}),
     ]
     for number, change in enumerate([lambda folder: None, *changes]):
-        folder = Path(shutil.copytree(beam.folder, tmp_path / str(number)))
+        folder = beam.copied(tmp_path / str(number))
         change(folder)
         assert (results_at_hand(load_study(folder)) is None) == (number > 0), number
     assert [progress_of(load_study(tmp_path / one)).results for one in "065"] == ["current", "outdated", "none"]
