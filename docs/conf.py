@@ -25,6 +25,7 @@ release = metadata.version("strandline")
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_gallery.gen_gallery"]
 exclude_patterns = ["_build", "gallery", "built/gallery/**/*.ipynb"]
 html_theme = "furo"
+smartquotes_action = "qe"  # options keep their dashes
 html_title = f"strandline {release}"
 html_copy_source = False
 html_static_path = ["_static"]

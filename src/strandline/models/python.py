@@ -125,7 +125,7 @@ class PythonModel:
     calls can change unnoticed.
 
     Args:
-        function: ``module:name``; the module must be in `folder`, installed, or on PYTHONPATH.
+        function: ``module:name``; the module must be in the study folder, installed, or on PYTHONPATH.
         sensitivities: Whether to compute sensitivities too; the callable is then a dataclass with a field of that name.
         function_alone: Whether the fingerprint covers only the function's own source, as in ledgers of version 0.1.
         folder: Folder of the study. If the module lies there, it and the modules beside it are imported from there;

@@ -44,8 +44,8 @@ def content_of(found, pictures, *words):
     folder, content = found.page.parent, json.loads(found.page.with_suffix(".json").read_text("utf-8"))
     assert content == json.loads(json.dumps(found.content))
     page = (ROOT / "docs" / "reference" / "files.md").read_text("utf-8")
-    common, *sections = page.partition("\n## Answers\n")[2].split("\n### ")
-    described = common + next(one for one in sections if one.startswith(f"{found.page.stem}.json\n"))
+    everywhere, (answers, *sections) = page.partition("\n## ")[0], page.partition("\n## Answers\n")[2].split("\n### ")
+    described = everywhere + answers + next(one for one in sections if one.startswith(f"{found.page.stem}.json\n"))
     assert [key for key in content if f"`{key}" not in described] == []
     if "study_sha256" in content:
         assert content["study_sha256"] == load_study(folder).text_digest

@@ -67,29 +67,30 @@ class Biofilm:
 
     Args:
         mesh: ``coarse`` (488 elements with the study's outline), ``default`` (1194) or ``fine`` (3454).
-        material: A law of `LAWS`: ``saint_venant_kirchhoff``, ``neo_hookean``, ``mooney_rivlin``, ``yeoh`` or ``fung``;
+        material: Law of the solid: ``saint_venant_kirchhoff``, ``neo_hookean``, ``mooney_rivlin``, ``yeoh`` or ``fung``;
             or ``module:name`` of your own.
         channel: A `Channel`; by default 2 mm × 1 mm, inlet left, horizontal outflow.
         outline: An `Outline`; the study's by default.
         partition: A `Partition` of the solid into parts, each with its own E and ν.
         fluid: A `Fluid`, water by default; its ``unknown`` quantities are inputs.
         inflow: Profile of the inflow over the inlet, scaled to V_in: ``parabola``, ``plug``, ``module:name`` or pairs
-            (y, v), y in mm; or ``pressure``: the pressure drop `p_drop` is an input in place of V_in.
+            (y, v), y in mm, in a study ``{table: [[y, v], …]}``; or ``pressure``: the pressure drop `p_drop` is an
+            input in place of V_in.
         clamped: Stretches (from, to) of the floor, mm, where the base is held; elsewhere it slides along the floor
-            without friction and does not lift. None: all of the base is held.
+            without friction and does not lift. By default all of the base is held.
         inflow_rates: Inflow rate of each of several experiments with the same specimen, mm²/s, by the name of the
-            condition. Each experiment gives one interface, and V_in is no longer an input.
+            condition, in a study ``{slow: 50, fast: 100}``; V_in is no longer an input.
         pressure_drops: Likewise with ``inflow: pressure``: the drop of each experiment, Pa, in place of p_drop.
         course: A `Course` of the inflow with time: V_in is scaled by it, and each time observed is a condition.
-        branches: Number of Maxwell branches of a solid that creeps, 0 to 3, see `memory`; E is then the modulus
-            of the relaxed solid, and each branch adds the inputs ratio and tau. Needs a quasi-static course.
+        branches: Number of Maxwell branches of a solid that creeps, 0 to 3; E is then the modulus of the relaxed
+            solid, and each branch adds the inputs ratio and tau. Needs a quasi-static course.
         sensitivities: Whether runs return d(interface)/d(input) as well.
         failure_budget: Number of Jacobians after which a run gives up its search for a steady state, so that a failure
             costs about three median runs; 0: no limit, every failed run is followed around its limit point (about
             five).
-        anchors: (name, lowest, highest value) of each input; Runs in the box start from
-            states that are solved beforehand, see `anchors`, and most need no Jacobian. The states are kept on
-            disk for later campaigns.
+        anchors: (name, lowest, highest value) of each input, in a study ``{E: [100, 800], V_in: 100}``. Runs in this
+            box start from states that are solved beforehand, and most need no Jacobian. The states are kept on disk
+            for later campaigns.
 
     Raises:
         InvalidInput: an option that cannot be used; a degenerate outline, with the place; a linear solver that the

@@ -93,7 +93,7 @@ class CommandModel:
         command: Program and arguments as a list; with `shell`, one text.
         result: File that holds the interface and how to read it, see `strandline.readers.Reading`.
         results: One such mapping for each condition, instead of `result`.
-        templates: Files in the study folder → names in the folder of the run.
+        templates: Files in the study folder → names in the folder of the run; values of inputs replace ``{{ NAME }}``.
         files: Names of files in the study folder, copied into the folder of the run.
         shell: Whether the command is a text for /bin/sh.
         post: A command, or a list of commands, to run afterwards.
@@ -105,7 +105,8 @@ class CommandModel:
         errors: ``{KIND: TEXT}``: a failed run that prints the text fails with this kind, and that line says why.
         keep: Which run folders are kept in the study's folder `runs`: ``all``, ``failed`` or ``none``.
         version: Version of the simulator; runs of different versions are different runs.
-        inputs: Declared inputs; empty if units and ranges are unknown.
+        inputs: Declared inputs, ``{E: {unit: Pa, low: 0, high: 1000, meaning: …}}``; empty if units and ranges are
+            unknown.
         folder: Folder of the study.
 
     Raises:

@@ -100,7 +100,7 @@ class UMBridge:
         unit: Unit of the coordinates: mm, um, µm or m.
         config: Configuration sent with every call.
         timeout: Largest duration of a call, seconds.
-        version: Any text that distinguishes this server's model from its earlier versions, see `UMBridgeModel`.
+        version: Any text that distinguishes this server's model from its earlier versions; another one needs new runs.
         sensitivities: Whether the server computes derivatives too.
         at_once: Number of evaluations that the server makes at a time.
     """
