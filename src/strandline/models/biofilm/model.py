@@ -67,8 +67,8 @@ class Biofilm:
 
     Args:
         mesh: ``coarse`` (488 elements with the study's outline), ``default`` (1194) or ``fine`` (3454).
-        material: Law of the solid: ``saint_venant_kirchhoff``, ``neo_hookean``, ``mooney_rivlin``, ``yeoh`` or ``fung``;
-            or ``module:name`` of your own.
+        material: Law of the solid: ``saint_venant_kirchhoff``, ``neo_hookean``, ``mooney_rivlin``, ``yeoh`` or
+            ``fung``; or ``module:name`` of your own.
         channel: A `Channel`; by default 2 mm × 1 mm, inlet left, horizontal outflow.
         outline: An `Outline`; the study's by default.
         partition: A `Partition` of the solid into parts, each with its own E and ν.
