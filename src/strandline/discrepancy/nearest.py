@@ -3,16 +3,11 @@
 The distance to the cell with the nearest centre is an upper bound on the distance to the interface. A tree of boxes
 around the cells is then searched for all points at once; a box farther away than the bound contains nothing closer. The
 remaining cells are tried, so the result is that of trying every cell, to the last bit, whatever the sizes of the cells.
-
-If a polyline is not very long, a sieve is faster: all its segments are tried, compiled and in single precision. It lets
-through a few segments for each point. The closest one is always among them, because an error bound for single precision
-is added to the distances. The exact formula then decides which of them is the closest.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache, partial, reduce
-from typing import Any
+from functools import lru_cache, reduce
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -21,8 +16,6 @@ from scipy.spatial import cKDTree
 from strandline.discrepancy.protocol import Snapshot
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface
-from strandline.numerics.compiled import WIDEST, ample
-from strandline.numerics.threads import side_by_side
 
 Pairs = Int[np.ndarray, " pair"]
 Points = Float[np.ndarray, "point xyz"]
@@ -32,8 +25,6 @@ SMALL = 1 << 14
 """Number of pairs of a point and a cell up to which trying all of them is faster than the tree."""
 ONCE = 1 << 17
 """The same if the interface is searched only once, so that its tree is not kept."""
-MANY, SHORT = 1 << 20, 1 << 14
-"""Pairs of a point and a segment from which compiling the sieve pays off; segments up to which it beats the tree."""
 _LEAF = 3
 """Smallest number of cells in the lowest boxes of the tree; the largest is less than twice that."""
 _GUESS = 0.02
@@ -42,14 +33,6 @@ _SLACK = 1e-9, 1e-14
 """How much farther than the bound a box may be: far more than rounding, as a share of the bound and of the extent."""
 
 Vectors = Float[np.ndarray, "xyz *#pair"]
-GROUP = 8
-"""Consecutive segments that are let through or held back together."""
-_POINTS = 1024
-"""Points in one compiled call."""
-_SINGLE_SLACK = 1e-5
-"""Bound on the errors of two distances, 30 · 2⁻²⁴ each, relative to the polyline's plus the point's extent."""
-_FARTHEST = 100.0
-"""Distance of a point from the polyline's middle, in its extents, from which single precision is useless."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,11 +71,7 @@ def closest_points(points: Points, target: Interface, *, once: bool = False) -> 
         )
     if len(points) * len(target.cells) <= (ONCE if once else SMALL):
         return brute_force(points, target)
-    best, snapshot = _Best(points, target), Snapshot.of(target)
-    if target.dim == 2 and len(target.cells) <= SHORT and len(points) * len(target.cells) >= MANY:
-        _sift(best, snapshot)
-    _go_down(best, snapshot, np.flatnonzero(best.cells < 0))
-    return best.found()
+    return by_tree(points, target)
 
 
 def brute_force(points: Points, target: Interface) -> ClosestPoints:
@@ -108,22 +87,13 @@ def brute_force(points: Points, target: Interface) -> ClosestPoints:
     return best.found()
 
 
-def _sift(best: "_Best", snapshot: Snapshot) -> None:
-    """Try the segments that the sieve lets through; points too far away for it get none."""
-    size = max(1, BLOCK // GROUP)
-    for rows, groups in near_groups(best.points, snapshot):
-        for k in range(0, len(rows), size):
-            cells = GROUP * groups[k : k + size, None] + np.arange(GROUP)
-            best.look_at(np.repeat(rows[k : k + size], GROUP), np.minimum(cells.ravel(), len(best.target.cells) - 1))
-
-
-def _go_down(best: "_Best", snapshot: Snapshot, rows: Int[np.ndarray, " point"]) -> None:
-    """Search the tree for the points of these rows."""
-    for some in np.split(rows, range(BLOCK, len(rows), BLOCK)):
-        if some.size:
-            tree = _tree(snapshot)
-            best.look_at(some, tree.centres.query(best.points[some], eps=_GUESS)[1])
-            tree.look(best, some, np.zeros_like(some), 0)
+def by_tree(points: Points, target: Interface) -> ClosestPoints:
+    """Return the closest points by searching the tree."""
+    best, tree = _Best(points, target), _tree(Snapshot.of(target))
+    for rows in np.split(np.arange(len(points)), range(BLOCK, len(points), BLOCK)):
+        best.look_at(rows, tree.centres.query(points[rows], eps=_GUESS)[1])
+        tree.look(best, rows, np.zeros_like(rows), 0)
+    return best.found()
 
 
 class _Best:
@@ -264,83 +234,3 @@ def _off_inside(p: Vectors, a: Vectors, b: Vectors, c: Vectors) -> Vectors:
 def _dot(a: Vectors, b: Vectors) -> Float[np.ndarray, "..."]:
     """Return dot products, summed in a fixed order so that a pair always gives the same result to the last bit."""
     return np.asarray(reduce(np.add, (x * y for x, y in zip(a, b, strict=True))))
-
-
-def near_groups(points: Float[np.ndarray, "point 2"], snapshot: Snapshot) -> Iterator[tuple[Pairs, Pairs]]:
-    """Yield pairs of a point and a group of segments `GROUP * k` … `GROUP * k + GROUP - 1`, points in ascending order.
-
-    A point's groups contain its closest segment, or all segments that share the least distance. Points very far away
-    are left out.
-    """
-    polyline = _polyline(snapshot)
-    scaled = (points - polyline.middle) / polyline.extent
-    size = np.abs(scaled).max(axis=1)
-    useful = np.flatnonzero(size <= _FARTHEST)
-    parts = (useful[k : k + _POINTS] for k in range(0, len(useful), _POINTS))
-    return side_by_side(partial(_let_through, polyline, scaled, _SINGLE_SLACK * (1 + size)), parts)
-
-
-@dataclass(frozen=True, eq=False)
-class _Polyline:
-    """Segments in their own frames, lengths relative to the extent: (constant, segment of the group, group).
-
-    The constants are the unit tangent u (2), the middle m as m·u and m×u, and half the length.
-    """
-
-    middle: Float[np.ndarray, " 2"]
-    extent: float
-    segments: Float[np.ndarray, "5 segment group"]
-
-
-@lru_cache(maxsize=8)
-def _polyline(snapshot: Snapshot) -> _Polyline:
-    target = snapshot.interface
-    middle = 0.5 * (target.points.min(axis=0) + target.points.max(axis=0))
-    extent = float(np.abs(target.points - middle).max())
-    start, end = np.moveaxis(((target.points - middle) / extent)[target.cells], (1, 2), (0, 1))
-    lengths, centres = np.hypot(*(end - start)), 0.5 * (start + end)
-    tangents = (end - start) / np.where(lengths > 0, lengths, 1.0)
-    tangents[0] += lengths == 0  # a segment too short to differ from a point may have any direction
-    along, across = (centres * tangents).sum(axis=0), _cross(centres, tangents)
-    constants = np.stack([*tangents, along, across, 0.5 * lengths])
-    number = len(target.cells)
-    groups = ample(-(-number // GROUP))
-    padded = np.pad(constants, ((0, 0), (0, groups * GROUP - number)), mode="edge").reshape(5, groups, GROUP)
-    return _Polyline(middle, extent, np.ascontiguousarray(padded.transpose(0, 2, 1), dtype=np.float32))
-
-
-def _let_through(
-    polyline: _Polyline,
-    scaled: Float[np.ndarray, "point 2"],
-    slack: Float[np.ndarray, " point"],
-    rows: Int[np.ndarray, " some"],
-) -> tuple[Pairs, Pairs]:
-    some = np.pad(scaled[rows], ((0, _POINTS - len(rows)), (0, 0)), mode="edge")
-    squares = np.asarray(_least_squares()(some.T.astype(np.float32), polyline.segments))[:, : len(rows)]
-    bounds = (np.sqrt(squares.min(axis=0).astype(float)) + slack[rows]) ** 2
-    group, row = np.divmod(np.flatnonzero(squares <= bounds.astype(np.float32)), len(rows))
-    order = np.argsort(row, kind="stable")
-    return rows[row[order]], group[order]
-
-
-@lru_cache(maxsize=1)
-def _least_squares() -> Callable[..., Any]:
-    """Return the compiled squared distance of points (2, point) to the closest segment of each group."""
-    import jax
-    import jax.numpy as jnp
-
-    def square(p: jax.Array, segment: jax.Array) -> Any:
-        *tangent, along, across, half = segment[..., None]
-        beyond = jnp.maximum(jnp.abs(p[0] * tangent[0] + p[1] * tangent[1] - along) - half, 0.0)
-        off = _cross(p, tangent) - across
-        return beyond * beyond + off * off
-
-    @partial(jax.jit, compiler_options=WIDEST)
-    def least_squares(p: jax.Array, segments: jax.Array) -> Any:
-        return reduce(jnp.minimum, (square(p, segments[:, j]) for j in range(GROUP)))
-
-    return least_squares
-
-
-def _cross(p: Any, u: Any) -> Any:
-    return p[0] * u[1] - p[1] * u[0]

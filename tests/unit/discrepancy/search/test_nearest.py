@@ -8,8 +8,7 @@ from tests.unit.discrepancy.curves import graph, line, ring
 from tests.unit.discrepancy.surfaces import sheet, sphere, turned
 
 from strandline.discrepancy import nearest
-from strandline.discrepancy.nearest import BLOCK, SMALL, brute_force, closest_points, squared_distances
-from strandline.discrepancy.protocol import Snapshot
+from strandline.discrepancy.nearest import BLOCK, SMALL, brute_force, by_tree, closest_points, squared_distances
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface
 
@@ -52,21 +51,6 @@ def around(target: Interface, number: int, seed: int) -> np.ndarray:
     return np.concatenate([on, on + scale * rng.normal(size=on.shape)])
 
 
-def by_tree(points, target):
-    best = nearest._Best(points, target)
-    nearest._go_down(best, Snapshot.of(target), np.arange(len(points)))
-    return best.found()
-
-
-def by_sieve(points, target):
-    """Let the sieve do all but the points that it leaves to the tree; return their number, too."""
-    best, snapshot = nearest._Best(points, target), Snapshot.of(target)
-    nearest._sift(best, snapshot)
-    rows = np.flatnonzero(best.cells < 0)
-    nearest._go_down(best, snapshot, rows)
-    return best.found(), len(rows)
-
-
 def is_exact(found, points, target) -> bool:
     """Tell whether all is as by trying every cell, to the last bit."""
     expected = brute_force(points, target)
@@ -86,7 +70,7 @@ def test_an_interface_that_is_searched_once_gets_no_tree(monkeypatch):
     points = around(target, 100, seed=3)
     assert SMALL < len(points) * len(target.cells) < nearest.ONCE
     assert is_exact(by_tree(points, target), points, target)
-    monkeypatch.setattr(nearest, "_go_down", lambda *arguments: pytest.fail("searched by a tree"))
+    monkeypatch.setattr(nearest, "by_tree", lambda *arguments: pytest.fail("searched by a tree"))
     assert is_exact(closest_points(points, target, once=True), points, target)
 
 
@@ -132,23 +116,11 @@ POLYLINES = {
 
 
 @pytest.mark.parametrize("target", POLYLINES.values(), ids=POLYLINES)
-def test_the_sieve_gives_what_trying_every_segment_gives_to_the_last_bit(monkeypatch, target):
+def test_the_tree_is_exact_for_odd_polylines_and_for_points_near_and_far(target):
     extent = np.ptp(target.points, axis=0).max()
     offsets = extent * np.random.default_rng(1).normal(size=(300, 2)) * np.geomspace(1e-12, 1e5, 300)[:, None]
     points = np.concatenate([around(target, 150, 0), target.points[:1] + offsets])
-    for threads in ("1", "3"):
-        monkeypatch.setenv("OMP_NUM_THREADS", threads)
-        found, left = by_sieve(points, target)
-        assert is_exact(found, points, target)
-        assert 0 < left < len(points)
-
-
-def test_large_tasks_in_the_plane_go_through_the_sieve(monkeypatch):
-    calls, sift, target = [], nearest._sift, wave(1000, 1)
-    monkeypatch.setattr(nearest, "_sift", lambda *found: calls.append(1) or sift(*found))
-    points = np.random.default_rng(3).random((1100, 2))
-    assert is_exact(closest_points(points, target), points, target)
-    assert calls == [1]
+    assert is_exact(by_tree(points, target), points, target)
 
 
 def test_what_is_kept_of_a_target_follows_its_content_and_points_of_another_dimension_are_refused():
