@@ -20,13 +20,7 @@ from strandline.models.biofilm.geometry import Partition
 from strandline.models.biofilm.model import Biofilm
 
 PAGE = DOCS / "results" / "forward-model.md"
-PARTS = (
-    turek_hron.tables,
-    analytic.tables,
-    biofilm_mesh.tables,
-    biofilm_mesh.extremes,
-    generality.tables,
-)
+PARTS = (turek_hron.tables, analytic.tables, biofilm_mesh.tables, biofilm_mesh.extremes, generality.tables)
 
 
 def draw(tables: Sequence[Table], folder: Path) -> None:

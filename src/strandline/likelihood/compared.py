@@ -14,11 +14,10 @@ from jaxtyping import Float
 
 from strandline.discrepancy import AdaptsToErrors, Discrepancy, Whitens, squared_discrepancies
 from strandline.discrepancy.normal_offset import WhitenedOffset
-from strandline.discrepancy.protocol import MeasureKey, Snapshot
+from strandline.discrepancy.protocol import MeasureKey, Snapshot, Values
 from strandline.interface import GaussianNoise, Interface, Noise, Observation, PointErrors, UnknownErrors
 from strandline.likelihood.noise_rule import differences, noise_variance, second_differences
 
-Values = Float[np.ndarray, " run"]
 STEP = 0.5
 """Step of the finite differences, in standard deviations of the global errors."""
 NEWTON = 2

@@ -17,7 +17,7 @@ from strandline.interface import Interface, Noise, Observation, PointErrors
 from strandline.likelihood.compared import compared
 from strandline.likelihood.inferred_noise import InferredNoise, infer_noise
 from strandline.likelihood.joint_errors import JointErrors, shared_errors
-from strandline.likelihood.local_likelihood import Nearby, OfMixture, nearby
+from strandline.likelihood.local_likelihood import Nearby, OfMixture, Values, nearby
 from strandline.likelihood.parabolas import FittedParabola, NearParabola, log_gain, mean_of_draws, numbers, share_gained
 from strandline.smc import BatchedLogDensity, OnHost, is_on_host
 from strandline.surrogate import GaussianProcess, Predictor, batched_mean
@@ -35,7 +35,6 @@ ROUNDS, SHIFTS = 6, 16
 LEAST_SHIFT = 1e-12
 """Least shift of an interface that is tried, as a share of its extent."""
 _BLOCK = 8192  # interfaces predicted together
-Values = Float[np.ndarray, " point"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,11 +17,9 @@ from strandline.interface import ErrorModel, Interface, Observation, PointErrors
 from strandline.likelihood.compared import Compared, compared
 from strandline.likelihood.joint_errors import JointErrors, Points, places_of, sums_of
 from strandline.likelihood.linearised_residuals import NearField, linearise
-from strandline.likelihood.parabolas import NearParabola
+from strandline.likelihood.parabolas import Modes, NearParabola, Values
 from strandline.surrogate.field import FieldSurrogate
 
-Values = Float[np.ndarray, " point"]
-Modes = Float[np.ndarray, "point mode"]
 Tail = Float[np.ndarray, "point rest"]
 BLOCK = 1 << 22
 """Residuals computed together."""

@@ -31,12 +31,10 @@ from strandline.errors import InvalidInput
 from strandline.numerics.compiled import WHOLE, assembled
 from strandline.numerics.linear_algebra import distances
 from strandline.registry import lookup
-from strandline.surrogate.tiles import TiledPairs, differences
+from strandline.surrogate.tiles import Lengths, Matrix, TiledPairs, differences
 
-Lengths = Float[np.ndarray, " length"]
 Offsets = Float[np.ndarray, "point run dim"]
 Values = Float[np.ndarray, " run"]
-Matrix = Float[np.ndarray, "run run"]
 
 Array = Any  # a NumPy or a JAX array of any shape
 LengthScale = float | Float[np.ndarray, " dim"]
@@ -52,23 +50,10 @@ class Pairs(Protocol):
     Only lower triangles of column-major matrices are read and written.
     """
 
-    def fill(
-        self,
-        out: Matrix,
-        *,
-        inverse_lengths: Lengths,
-        variance: float,
-        diagonal: float,
-    ) -> None:
+    def fill(self, out: Matrix, *, inverse_lengths: Lengths, variance: float, diagonal: float) -> None:
         """Write variance · c + diagonal · I into the lower triangle of `out`."""
 
-    def by_log_lengths(
-        self,
-        alpha: Values,
-        precision: Matrix,
-        *,
-        inverse_lengths: Lengths,
-    ) -> Lengths:
+    def by_log_lengths(self, alpha: Values, precision: Matrix, *, inverse_lengths: Lengths) -> Lengths:
         """Return Σ_i>j (α_i α_j - P_ij) ∂c_ij / ∂log l for each length."""
 
 

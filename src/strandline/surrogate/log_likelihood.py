@@ -11,12 +11,9 @@ from jaxtyping import Bool, Float
 from strandline.errors import InvalidInput
 from strandline.numerics.linear_algebra import invert
 from strandline.registry import imported
-from strandline.surrogate.gaussian_process import GaussianProcess, condition, standardisation
+from strandline.surrogate.gaussian_process import GaussianProcess, Inputs, Targets, condition, standardisation
 from strandline.surrogate.hyperparameters import FittedHyperparameters, fit_hyperparameters, require_runs
 from strandline.surrogate.kernels import kernel_named
-
-Inputs = Float[np.ndarray, "run dim"]
-Values = Float[np.ndarray, " run"]
 
 NEAR_MODE_WINDOW = 10.0
 NEAR_MODE_COUNT = 10
@@ -46,7 +43,7 @@ class HasHessian(Protocol):
         """Return the Hessian of the mean."""
 
 
-Fit = Callable[[Inputs, Values], Predictor]
+Fit = Callable[[Inputs, Targets], Predictor]
 """A function that learns from inputs (run, dim) and values (run,)."""
 
 
@@ -78,8 +75,8 @@ class Validation:
     posterior.
     """
 
-    residuals: Values
-    standardised_residuals: Values
+    residuals: Targets
+    standardised_residuals: Targets
     near_mode: Bool[np.ndarray, " run"]
     loo_rms: float
     loo_rms_near_mode: float
@@ -88,7 +85,7 @@ class Validation:
     standardised_rms_near_mode: float
 
 
-def validate(gp: GaussianProcess, y: Values) -> Validation:
+def validate(gp: GaussianProcess, y: Targets) -> Validation:
     """Return the leave-one-out residuals r_i = α_i / (K⁻¹)_ii of `gp`, whose training targets were `y`."""
     inverse = gp.cholesky.copy(order="F")
     invert(inverse)
@@ -96,11 +93,7 @@ def validate(gp: GaussianProcess, y: Values) -> Validation:
     return _validation(gp.alpha / precision, gp.alpha / np.sqrt(precision), y)
 
 
-def cross_validate(
-    fit: Callable[[Inputs, Values], Predictor],
-    x: Inputs,
-    y: Values,
-) -> Validation:
+def cross_validate(fit: Callable[[Inputs, Targets], Predictor], x: Inputs, y: Targets) -> Validation:
     """Return the residuals of every tenth run, learnt from the others, for all ten tenths."""
     residuals, variances = np.empty(len(y)), np.empty(len(y))
     for k in range(min(FOLDS, len(y))):
@@ -111,7 +104,7 @@ def cross_validate(
     return _validation(residuals, residuals / np.sqrt(np.maximum(variances, np.finfo(float).tiny)), y)
 
 
-def _validation(residuals: Values, standardised: Values, y: Values) -> Validation:
+def _validation(residuals: Targets, standardised: Targets, y: Targets) -> Validation:
     tenth_best = np.sort(y)[-min(NEAR_MODE_COUNT, len(y))]
     near = np.asarray(y >= min(tenth_best, y.max() - NEAR_MODE_WINDOW))
     return Validation(
@@ -188,7 +181,7 @@ def fit_of_the_user(x: Inputs, log_likelihood: Float[np.ndarray, " target"], fit
     return LogLikelihoodSurrogate(learn(x, log_likelihood), cross_validate(learn, x, log_likelihood), None)
 
 
-def _learnt(fit: Fit, x: Inputs, y: Values) -> Predictor:
+def _learnt(fit: Fit, x: Inputs, y: Targets) -> Predictor:
     found = fit(x, y)
     if not isinstance(found, Predictor):
         raise InvalidInput(

@@ -184,33 +184,37 @@ class ActiveDesign:
         found, self._odd = self.check.verdict(x, records)
         return found
 
+    @property
+    def _posterior(self) -> State:
+        """The posterior so far, after the first call of `next`."""
+        assert self.state is not None
+        return self.state
+
     def _judged(self, check: BatchCheck | None, records: Sequence[RunRecord]) -> tuple[BatchCheck | None, bool]:
         """Return the check that the new posterior has passed or not, and whether only doubts speak against it."""
-        assert self.state is not None
         kind = self.batches[-1].kind
         if kind == "trial" or (kind == "elsewhere" and not self._odd):
             check = self._still_passed()
         if check is not None and check.passed:
             chosen = {row.tobytes() for batch in self.batches if batch.kind == "posterior" for row in batch.points}
-            self._odd = self.check.left_out(self.state, self._looked_around, chosen)
+            self._odd = self.check.left_out(self._posterior, self._looked_around, chosen)
             if self._odd:
-                self._passed = self.state, check
+                self._passed = self._posterior, check
                 check = replace(check, passed=False, reasons=(self._odd[0].words(self.space),))
         if kind == "given":
-            check = self.check.without_runs(self.state, records)
-        if check is not None and check.passed and (why := self.doubts(self.state)):
-            self._passed = self.state, check
+            check = self.check.without_runs(self._posterior, records)
+        if check is not None and check.passed and (why := self.doubts(self._posterior)):
+            self._passed = self._posterior, check
             return replace(check, passed=False, reasons=why), True
         return check, False
 
     def _finish(self, now: Situation) -> Decision:
         """Stop at a posterior that has passed its check, unless there are places where nobody has looked."""
-        assert self.state is not None
         if now.check is None or not now.check.passed or not now.settled:
             return "not now"
         unseen = self._not_looked_at(now.x, now.left) if now.left > 0 and now.kind != "given" else now.x[:0]
         if len(unseen):
-            self._passed, self._around_odd = (self.state, now.check), False
+            self._passed, self._around_odd = (self._posterior, now.check), False
             return self._noted(unseen, "elsewhere")
         self.converged, self.reasons = True, ()
         return None
@@ -223,12 +227,11 @@ class ActiveDesign:
 
     def _try_again(self, now: Situation) -> Decision:
         """Run the model at further draws of a posterior against which only doubts speak."""
-        assert self.state is not None
         ready = now.doubted and now.settled and now.kind != "given" and now.left >= TRIAL
         if not (ready and self.another_trial()):
             return "not now"
-        draws = subset(np.exp(self.state.log_weights), TRIAL, self.seed + 7919 * len(now.x))
-        return self._noted(self.state.positions[draws], "trial")
+        draws = subset(np.exp(self._posterior.log_weights), TRIAL, self.seed + 7919 * len(now.x))
+        return self._noted(self._posterior.positions[draws], "trial")
 
     def _look_around(self, now: Situation) -> Decision:
         """Run the model around runs that no posterior expected."""
@@ -243,12 +246,11 @@ class ActiveDesign:
 
     def _check(self, now: Situation) -> Decision:
         """Run the model at draws of a posterior that stands still, or of any if no more runs may be chosen."""
-        assert self.state is not None
         room = self._room(now)
         ready = (now.stable and (now.check is None or now.kind == "given") and room >= 0) or room < 1
         if not (ready and self._can_be_checked(now.records, now.left) and (self._confirmed() or room < 1)):
             return "not now"
-        return self._noted(self.check.begin(self.state, now.x, now.records, now.left, self._losses()), "check")
+        return self._noted(self.check.begin(self._posterior, now.x, now.records, now.left, self._losses()), "check")
 
     def _room(self, now: Situation) -> int:
         """Return the number of runs that are left besides those of a check."""
@@ -264,17 +266,15 @@ class ActiveDesign:
 
     def _can_be_checked(self, records: Sequence[RunRecord], left: int) -> bool:
         """Return whether the runs left are enough for a check that could pass, and would not be lost to failures."""
-        assert self.state is not None
-        needed = number_of_probes(self.space.dim, len(self.check.near(self.state, records)))
-        return left >= needed and self._losses().bears_check(self.state, needed)
+        needed = number_of_probes(self.space.dim, len(self.check.near(self._posterior, records)))
+        return left >= needed and self._losses().bears_check(self._posterior, needed)
 
     def _chosen(self, number: int, made: int) -> Float[np.ndarray, "run dim"]:
         """Return the inputs of the next batch, safe ones if too many runs were lost where they are known to fail."""
-        assert self.state is not None
         losses = self._losses()
         for kept in (None, losses):
             points = choose(
-                self.state,
+                self._posterior,
                 self.space,
                 number,
                 explore=self.active.explore,
@@ -303,9 +303,9 @@ class ActiveDesign:
         return self.space.dim > FEW_INPUTS and moved is not None and max(moved.shift, moved.width) < HARDLY
 
     def _losses(self) -> Losses:
-        assert self.state is not None
-        first = (row for batch in self.batches if batch.kind in ("initial", "given") for row in batch.points)
-        return Losses(self.state.knowledge, self.active.runs, frozenset(row.tobytes() for row in first), self._price)
+        early = [batch.points for batch in self.batches if batch.kind in ("initial", "given")]
+        first = frozenset(row.tobytes() for points in early for row in points)
+        return Losses(self._posterior.knowledge, self.active.runs, first, self._price)
 
     @property
     def _left(self) -> int:
@@ -314,10 +314,10 @@ class ActiveDesign:
 
     def _confirmed(self) -> bool:
         """Sample the posterior from the prior; return whether it is the one that the batches have led to."""
-        assert self.state is not None
-        before, self.state = self.state, self.afresh(self.state)
-        shift = np.abs(self.state.mean - before.mean) / before.sd
-        width = np.abs(np.log(self.state.sd / before.sd))
+        before = self._posterior
+        self.state = after = self.afresh(before)
+        shift = np.abs(after.mean - before.mean) / before.sd
+        width = np.abs(np.log(after.sd / before.sd))
         return bool(max(shift.max(), width.max()) < DIFFERENT)
 
     def _noted(self, points: Float[np.ndarray, "run dim"], kind: Kind) -> Batch:
@@ -329,16 +329,14 @@ class ActiveDesign:
 
         These were made around an odd run far from it, or because of doubts.
         """
-        assert self.state is not None
         (passed, self._passed) = (self._passed, None)
         if passed is None:
             return None
-        moved = passed[0].moved(self.state.knowledge)
+        moved = passed[0].moved(self._posterior.knowledge)
         return passed[1] if max(moved.shift, moved.width) < STILL * self.active.change and self._quiet(moved) else None
 
     def _step(self, check: BatchCheck | None) -> Step:
-        state = self.state
-        assert state is not None
+        state = self._posterior
         weights, errors = np.exp(state.log_weights), state.knowledge.surrogate.predicted_error(state.positions)
         order = np.argsort(errors)
         half = int(np.searchsorted(np.cumsum(weights[order]), 0.5))
@@ -374,9 +372,8 @@ class ActiveDesign:
         last = self.steps[-1]
         if not self._calm(last):
             return False
-        assert self.state is not None
         if all(step.check is None or step.check.given_up for step in self.steps) and self.check.agrees(
-            self.state, records
+            self._posterior, records
         ):
             return True
         return any(self._calm(step) for step in self.steps if step.runs == last.since and step.kind != "check")
@@ -388,8 +385,7 @@ class ActiveDesign:
         return max(moved.shift, moved.width) < self.active.change and moved.effective >= self.active.effective
 
     def _why_not(self) -> tuple[str, ...]:
-        assert self.state is not None
-        reasons = [f"all {self.active.runs} runs that were allowed are made", *self._losses().words(self.state)]
+        reasons = [f"all {self.active.runs} runs that were allowed are made", *self._losses().words(self._posterior)]
         last = self.steps[-1]
         both = [step.moved for step in self.steps if step is last or step.runs == last.since]
         unrest = [moved for moved in both if moved is not None and not self._quiet(moved)]
@@ -404,7 +400,7 @@ class ActiveDesign:
         checks = [step.check for step in self.steps if step.check is not None and step.kind != "given"]
         reasons += checks[-1].reasons if checks else ("no check on the true model was made",)
         reasons += [words for one in self._odd[:1] if (words := one.words(self.space)) not in reasons]
-        self.scattered = self.check.scatter_prevents(self.state)
+        self.scattered = self.check.scatter_prevents(self._posterior)
         return (*reasons, self.check.scatter.reason) if self.scattered else tuple(reasons)
 
 

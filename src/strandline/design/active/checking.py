@@ -168,7 +168,7 @@ def verdict(
         both = left_out.joined(kept)
         if not excluded and len(kept) > 2 * dim and len(both) >= fewest(dim):
             effect = smooth_effect(both, posterior, level, scatter=scatter, typical=typical)
-            if _within(effect, tolerances):
+            if within(effect, tolerances):
                 return replace(ended((), reweight(both.x, both.values)), left_out=len(left_out))
             so_far.append((effect, len(both)))
     if found is None or len(kept) < fewest(dim):
@@ -178,7 +178,7 @@ def verdict(
         return ended(objections(found, tolerances) or ("the true model excludes draws of the posterior",))
     else:
         effect = smooth_effect(kept, posterior, level, scatter=scatter, typical=typical)
-        if _within(effect, tolerances):
+        if within(effect, tolerances):
             return ended(())
         if surely := _beyond(smooth_effect(alike, posterior, level, scatter=scatter), tolerances):
             return ended(surely)
@@ -196,19 +196,7 @@ def verdict(
     return ended(objections(whole, tolerances) or _beyond(likely, tolerances), whole)
 
 
-def agree(
-    left_out: LogRatios, posterior: Float[np.ndarray, "particle dim"], typical: float, tolerances: Tolerances
-) -> bool:
-    """Return whether earlier runs alone, if there are enough of them, show that a posterior is within the tolerances.
-
-    They say nothing where no run has been: draws of the posterior must confirm it.
-    """
-    if len(left_out) < fewest(posterior.shape[1]):
-        return False
-    return _within(smooth_effect(left_out, posterior, ERROR_PROBABILITY, typical=typical), tolerances)
-
-
-def _within(effect: Effect, tolerances: Tolerances) -> bool:
+def within(effect: Effect, tolerances: Tolerances) -> bool:
     """Return whether all upper bounds are within the tolerances."""
     return (
         effect.shift_bounds[1] <= tolerances.shift

@@ -9,7 +9,7 @@ all runs; but each run at a draw of it has a log-likelihood that scatters, which
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -18,7 +18,7 @@ from strandline.design.active import checking, coverage_runs
 from strandline.design.active.checking import BatchCheck
 from strandline.design.active.choice import Losses
 from strandline.design.active.coverage_runs import Surprise, points_elsewhere
-from strandline.design.active.parabola import WHOLE, LogRatios
+from strandline.design.active.parabola import WHOLE, LogRatios, fewest, smooth_effect
 from strandline.design.active.settings import Active
 from strandline.design.active.state import Knowledge, State
 from strandline.numerics.threads import one_thread
@@ -239,28 +239,28 @@ class PosteriorCheck:
         checked = self._checked
         assert checked is not None
         by_input = {row.tobytes(): record for row, record in zip(x, records, strict=True)}
-        rows = range(checked.ends[0])
-        settled = {i: by_input[checked.draws[i].tobytes()] for i in rows if checked.draws[i].tobytes() in by_input}
-        true = np.array([self.log_likelihood(record) if record.ok else np.nan for record in settled.values()], float)
-        here, last = list(settled), len(checked.ends) == 1
-        probing = sum(i < checked.probing for i in here)
+        keys = [row.tobytes() for row in checked.draws[: checked.ends[0]]]
+        here = [i for i, key in enumerate(keys) if key in by_input]
+        made = [by_input[keys[i]] for i in here]
+        true = np.array([self.log_likelihood(record) if record.ok else np.nan for record in made], float)
         ratios = true - checked.log_expected[here]
         draws, posterior = checked.draws[here], self._shown(checked.state)
         self.scatter = simulator_noise(checked.state.knowledge, draws)
         observed = typical_variance(ratios)
         self._observed = len(ratios), observed
         variances = checked.state.knowledge.likelihood.variances
-        given: dict[str, Any] = {
-            "left_out": checked.left_out,
-            "typical": float(variances(posterior).mean()),
-            "scatter": self.scatter.variance,
-        }
-        level = checking.error_probability(checked.looks - len(checked.ends), checked.looks)
-        counts: dict[str, Any] = {"probing": probing, "level": level, "last": last}
-        if not checked.patient and not self.scatter.explains(observed):
-            given["most"] = len(checked.draws)
-        compared = LogRatios(draws, ratios, variances(draws))
-        found = checking.verdict(compared, posterior, self.active.tolerances, **counts, **given)
+        found = checking.verdict(
+            LogRatios(draws, ratios, variances(draws)),
+            posterior,
+            self.active.tolerances,
+            probing=sum(i < checked.probing for i in here),
+            level=checking.error_probability(checked.looks - len(checked.ends), checked.looks),
+            last=len(checked.ends) == 1,
+            left_out=checked.left_out,
+            typical=float(variances(posterior).mean()),
+            scatter=self.scatter.variance,
+            most=None if checked.patient or self.scatter.explains(observed) else len(checked.draws),
+        )
         self._given_up += isinstance(found, BatchCheck) and found.given_up
         if not isinstance(found, BatchCheck) or not found.passed:
             return found, ()
@@ -314,10 +314,16 @@ class PosteriorCheck:
         )
 
     def agrees(self, state: State, records: Sequence[RunRecord]) -> bool:
-        """Return whether runs near the posterior, each predicted from all others, show that it is right."""
-        shown = self._shown(state)
+        """Return whether runs near the posterior, each predicted from all others and enough of them, show it is right.
+
+        They say nothing where no run has been: draws of the posterior must confirm it.
+        """
+        near, shown = self.near(state, records), self._shown(state)
+        if len(near) < fewest(self.space.dim):
+            return False
         typical = float(state.knowledge.likelihood.variances(shown).mean())
-        return checking.agree(self.near(state, records), shown, typical, self.active.tolerances)
+        effect = smooth_effect(near, shown, checking.ERROR_PROBABILITY, typical=typical)
+        return checking.within(effect, self.active.tolerances)
 
     def near(self, state: State, records: Sequence[RunRecord]) -> LogRatios:
         """Return the runs near the posterior: a parabola reaches a little farther than the draws."""
