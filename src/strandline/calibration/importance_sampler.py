@@ -21,7 +21,7 @@ from strandline.design import sobol
 from strandline.design.refinement import SAMPLING
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted
-from strandline.smc import BatchedLogDensity, OnHost, SMCResult, sample
+from strandline.smc import OnHost, SMCResult, sample
 
 ENOUGH = 400.0
 """Effective sample size at which sampling ends."""
@@ -193,22 +193,18 @@ def importance_or_smc(
         return Sampled(
             found.x, found.log_weights, found.log_likelihood, float(_log_sum(found.log_ratios)), "importance"
         )
-    drawn = tempered(
-        log_likelihood, space.log_prior, space.prior_quantiles(random.random((PARTICLES, space.dim))), random
-    )
+    drawn = tempered(log_likelihood, space, random)
     values = np.asarray(drawn.log_likelihood)
     return Sampled(drawn.positions, np.asarray(log_softmax(drawn.log_weights)), values, drawn.log_evidence, "smc")
 
 
 def tempered(
-    log_likelihood: Callable[[Points], Values],
-    log_prior: BatchedLogDensity,
-    initial: Points,
-    random: np.random.Generator,
+    log_likelihood: Callable[[Points], Values], space: ParameterSpace, random: np.random.Generator
 ) -> SMCResult:
-    """Return particles of a posterior by tempering from draws of the prior."""
+    """Return particles of a posterior by tempering from draws of the prior of `space`."""
+    initial = space.prior_quantiles(random.random((PARTICLES, space.dim)))
     key = jax.random.key(int(random.integers(2**32)))
-    return sample(key, OnHost(log_likelihood), log_prior, initial, settings=SAMPLING)
+    return sample(key, OnHost(log_likelihood), space.log_prior, initial, settings=SAMPLING)
 
 
 def followed(

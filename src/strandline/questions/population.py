@@ -21,19 +21,17 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.special import logsumexp, ndtr
 from scipy.stats import chi2
 
-from strandline.calibration.importance_sampler import Densities, Pool, StudentMixture, followed, only_inside, tempered
-from strandline.design import sobol
+from strandline.calibration.importance_sampler import StudentMixture, importance_or_smc, prior_and_posterior, prior_pool
 from strandline.errors import InvalidInput
-from strandline.parameters import ParameterSpace
+from strandline.parameters import Parameter, ParameterSpace
 from strandline.posterior import Weighted, systematic_indices
 from strandline.posterior.importance import pareto_smoothed
+from strandline.priors import Uniform
 from strandline.questions.specimen import SpecimenPosterior, matched
 from strandline.text import with_sd
 
@@ -152,7 +150,6 @@ FIRST, AROUND = 512, 1024
 """Draws of the prior of mean and spread, and around a first guess."""
 DRAWS = 500
 """Equally weighted draws that are kept."""
-PARTICLES = 1000
 STRETCH = 1.5
 """Factor of the width of the first guess."""
 
@@ -228,20 +225,19 @@ def _require_alike(specimens: Sequence[SpecimenPosterior]) -> None:
 
 def _sampled(mixtures: Mixtures, random: np.random.Generator) -> Weighted:
     dim = mixtures.dim
-    scales = np.repeat([1.0, LARGEST_SPREAD], dim)
+    of_means = [Parameter(f"mean {d}", Uniform(0.0, 1.0)) for d in range(dim)]
+    of_spreads = [Parameter(f"spread {d}", Uniform(0.0, LARGEST_SPREAD)) for d in range(dim)]
+    space = ParameterSpace((*of_means, *of_spreads))
 
-    def both(x: Rows) -> tuple[Values, Values]:
-        """Return the log densities of the prior and of the posterior of means and spreads that the prior allows."""
-        first = np.full(len(x), -dim * math.log(LARGEST_SPREAD))
-        return first, mixtures.log_likelihoods(x[:, :dim], x[:, dim:]).sum(axis=1)
+    def log_likelihood(x: Rows) -> Values:
+        return mixtures.log_likelihoods(x[:, :dim], x[:, dim:]).sum(axis=1)
 
-    log_densities = only_inside(lambda x: np.all((x > 0) & (x < scales), axis=1), both)
-    spread = scales * np.clip(sobol(FIRST, 2 * dim, scramble=0), 1e-9, 1 - 1e-9)
-    pool = Pool(spread, np.zeros(FIRST), *log_densities(spread), FIRST)
+    log_densities = prior_and_posterior(space, log_likelihood)
     guess = _first_guess(mixtures)
     x = guess.draw(AROUND, random)
-    found = followed(pool.extended(guess, x, *log_densities(x)), log_densities, random, enough=ENOUGH)
-    return found.weighted if found is not None else _by_smc(log_densities, scales, random)
+    pool = prior_pool(space, log_densities, FIRST).extended(guess, x, *log_densities(x))
+    found = importance_or_smc(pool, log_densities, space, log_likelihood, random, enough=ENOUGH)
+    return Weighted(found.x, np.exp(found.log_weights))
 
 
 def _first_guess(mixtures: Mixtures) -> StudentMixture:
@@ -256,17 +252,6 @@ def _first_guess(mixtures: Mixtures) -> StudentMixture:
     of_spread = (spread**2 + own.mean(axis=0)) / (spread * math.sqrt(2 * number))
     sds = STRETCH * np.concatenate([of_mean, np.minimum(of_spread, 0.5 * LARGEST_SPREAD)])
     return StudentMixture(np.ones(1), np.concatenate([middle, spread])[None], np.diag(sds)[None])
-
-
-def _by_smc(log_densities: Densities, scales: Float[np.ndarray, " twice"], random: np.random.Generator) -> Weighted:
-
-    def log_prior(x: jax.Array) -> jax.Array:
-        inside = ((x > 0) & (x < scales)).all(axis=-1)
-        return jnp.where(inside, -float(np.log(scales).sum()), -jnp.inf)
-
-    initial = scales * random.random((PARTICLES, len(scales)))
-    found = tempered(lambda x: log_densities(x)[1], log_prior, initial, random)
-    return Weighted(found.positions, np.exp(found.log_weights))
 
 
 def _cut_moments(m: Rows, s: Rows) -> tuple[Rows, Rows]:

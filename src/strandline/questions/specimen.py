@@ -59,8 +59,6 @@ LAST = 2048
 """Draws of the last round, whose mean is the most accurate."""
 LED = 150.0
 """Effective sample size to reach with the likelihood nearby: enough to fit a mixture for the last round."""
-PARTICLES = 2000
-"""Particles of the tempered sampler."""
 SPECIMEN_DRAWS = 64
 """Equally weighted draws that are kept of each posterior."""
 
@@ -226,8 +224,7 @@ def _by_smc(target: _Target, random: np.random.Generator) -> Weighted:
         feasible = target.begin.log_density(x) - np.asarray(space.log_prior(x))
         return np.asarray(feasible + target.at(x))
 
-    initial = space.prior_quantiles(random.random((PARTICLES, space.dim)))
-    found = tempered(log_likelihood, space.log_prior, initial, random)
+    found = tempered(log_likelihood, space, random)
     return Weighted(found.positions, np.exp(found.log_weights))
 
 

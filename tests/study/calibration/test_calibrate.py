@@ -11,7 +11,7 @@ from tests.study.calibration.beams import NOISE, ONE, SETTINGS, X, answer, exact
 
 from strandline.calibration import Problem, calibrate
 from strandline.calibration.progress import cell_observer, observer_or_default
-from strandline.cli.results import show
+from strandline.cli.run import show
 from strandline.design.refinement import Refinement
 from strandline.discrepancy import ClosestPoint, TrackedPoints
 from strandline.errors import ForwardModelError, InvalidInput, TooFewRuns
