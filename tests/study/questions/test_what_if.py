@@ -12,9 +12,10 @@ import strandline as sl
 from strandline.calibration.alternative import baseline
 from strandline.cli import main
 from strandline.errors import InvalidInput, InvalidStudy, NoCommonPoints
-from strandline.questions.alternatives import alternative_of, require_asked
 from strandline.questions.knowledge import field_knowledge
-from strandline.questions.what_if import what_if
+from strandline.questions.what_if import PLACE, alternative_of, what_if
+from strandline.studies.keys.study_file import WhatIf
+from strandline.studies.parse import checked
 from strandline.studies.progress import results_of
 from strandline.testing.studies import write_study
 
@@ -139,7 +140,7 @@ def test_alternatives_that_do_not_fit_are_refused(field):
     now = baseline(field.outcome.calibration.posterior, field_knowledge(study, "normal_offset"), why_not="")
     for given, words in REFUSED:
         with pytest.raises(InvalidInput) as caught:
-            alternative_of(require_asked(given), study, now)
+            alternative_of(checked(WhatIf, given, PLACE), study, now)
         assert words in str(caught.value)
     begun = []
     for given in ({"noise": {"sd": -5, "unit": "um"}}, {"measure": "closest"}):
