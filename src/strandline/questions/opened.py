@@ -27,8 +27,7 @@ from strandline.parameters import ParameterSpace
 from strandline.questions.answer import LineFile
 from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require, require_seed
 from strandline.questions.many import Task
-from strandline.questions.specimen import SpecimenPosterior, posterior_of
-from strandline.questions.start import Certified, Start
+from strandline.questions.specimen import Certified, SpecimenPosterior, Start, posterior_of
 from strandline.runs import Ledger, RunRecord
 from strandline.studies.folder import SPECIMENS_LEDGER, SPECIMENS_LINES, SPECIMENS_TABLE
 from strandline.studies.keys import StudyFile

@@ -15,8 +15,7 @@ from strandline.questions.answer import Answer, Part, Symbol, Table, digits, lab
 from strandline.questions.many import RefusedSpecimen
 from strandline.questions.opened import Specimens
 from strandline.questions.population import FEWEST_SPECIMENS, Population, Shrunk
-from strandline.questions.specimen import SpecimenPosterior
-from strandline.questions.start import TOLERATED_SHIFT
+from strandline.questions.specimen import TOLERATED_SHIFT, SpecimenPosterior
 from strandline.report import plots
 from strandline.report.figure_files import Captioned
 from strandline.report.plots.answers import axis_label

@@ -18,8 +18,8 @@ from strandline.cli import main
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Interface
 from strandline.questions import specimens as module
+from strandline.questions.specimen import Certified
 from strandline.questions.specimens import specimens
-from strandline.questions.start import Certified
 from strandline.testing.studies import beam as true_beam
 from strandline.text import with_sd
 

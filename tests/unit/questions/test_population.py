@@ -8,8 +8,7 @@ from scipy.stats import norm
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import Normal, Uniform
 from strandline.questions.population import population_of, shrunk
-from strandline.questions.specimen import SpecimenPosterior
-from strandline.questions.start import Certified
+from strandline.questions.specimen import Certified, SpecimenPosterior
 
 SPACE = ParameterSpace((Parameter("E", Uniform(100.0, 800.0), "Pa"),))
 OWN = 25.0

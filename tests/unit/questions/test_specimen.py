@@ -10,8 +10,7 @@ from strandline.discrepancy import NormalOffset
 from strandline.interface import Observation, PointErrors
 from strandline.likelihood import FieldLikelihood
 from strandline.questions import specimen as module
-from strandline.questions.specimen import posterior_of, runs_for
-from strandline.questions.start import Start
+from strandline.questions.specimen import Start, posterior_of, runs_for
 
 ERRORS = PointErrors(SD)
 OUTLINE = Observation(ERRORS.draw(arch(np.array([0.33, 0.12])), np.random.default_rng(3)), ERRORS)
