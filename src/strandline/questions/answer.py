@@ -85,7 +85,7 @@ class Answer(Generic[Found]):
     content: dict[str, Any]
     found: Found
     page: Path
-    drawn: Callable[[Mapping[str, Any]], Iterable[Captioned]] = lambda content: ()
+    drawn: Callable[[Mapping[str, Any]], Iterable[Captioned]]
 
     def __repr__(self) -> str:
         return f"<{self.title}: {self.sentence}>"
