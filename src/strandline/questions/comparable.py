@@ -20,7 +20,7 @@ from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
 from strandline.likelihood.compared import adapted
 from strandline.models.protocol import declared_conditions
 from strandline.questions.knowledge import require
-from strandline.questions.next_from_posterior import AfterExperiment, Prospect, Prospects, prospects_of
+from strandline.questions.next_answers import AfterExperiment, Prospect, Prospects, prospects_of
 from strandline.questions.observing import signals_of
 from strandline.runs import Executor
 from strandline.studies.first_run import observations_of

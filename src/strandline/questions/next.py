@@ -17,8 +17,7 @@ from strandline.numerics.threads import one_thread, use_double
 from strandline.questions.answer import TO_MICROMETRES, Answer, Part, Symbol, Table, digits
 from strandline.questions.information import in_words
 from strandline.questions.knowledge import require, require_seed
-from strandline.questions.next_from_posterior import answers_from_posterior
-from strandline.questions.next_from_prior import answers_from_prior
+from strandline.questions.next_answers import answers_from_posterior, answers_from_prior
 from strandline.questions.next_runs import Answers, CandidateAnswer, ranked
 from strandline.report import plots
 from strandline.report.figure_files import Captioned
