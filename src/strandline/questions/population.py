@@ -230,7 +230,7 @@ def _sampled(mixtures: Mixtures, random: np.random.Generator) -> Weighted:
     space = ParameterSpace((*of_means, *of_spreads))
 
     def log_likelihood(x: Rows) -> Values:
-        return mixtures.log_likelihoods(x[:, :dim], x[:, dim:]).sum(axis=1)
+        return np.asarray(mixtures.log_likelihoods(x[:, :dim], x[:, dim:]).sum(axis=1))
 
     log_densities = prior_and_posterior(space, log_likelihood)
     guess = _first_guess(mixtures)
