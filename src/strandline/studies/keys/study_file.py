@@ -147,7 +147,7 @@ class StudyFile(Section):
     design: Design
     surrogate: Surrogate = Surrogate()
     sampler: Sampler = Sampler()
-    executor: ExecutorChoice = ExecutorChoice()
+    executor: ExecutorChoice = ExecutorChoice()  # type: ignore[call-arg]
     failures: Failures = Failures()
     sensitivities: Switch = False
     """runs also return d(interface)/d(input), kept in the ledger"""
