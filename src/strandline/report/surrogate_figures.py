@@ -182,15 +182,13 @@ def _predictive(calibration: Calibration, found: FieldOutcome, x: Float[np.ndarr
         if layout.template.dim != 2:
             continue
         seen = next(one for one in calibration.problem.observations if one.condition == name)
-        band = interface_band(points[name])
-        centre = layout.with_points(band.median)
-        along = normal_offsets(np.stack([band.low, band.median, band.high]), centre)
-        observed = observed_offsets(seen.interface, centre)
-        low, median, high = np.quantile(normal_offsets(points[name], centre).offset, (0.05, 0.5, 0.95), axis=0)
-        drawn = plots.OffsetBand(along.arc_length, low, median, high, observed.arc_length, observed.offset)
+        centre = layout.with_points(interface_band(points[name]).median)
+        drawn, observed = normal_offsets(points[name], centre), observed_offsets(seen.interface, centre)
+        low, median, high = np.quantile(drawn.offset, (0.05, 0.5, 0.95), axis=0)
+        band = plots.OffsetBand(drawn.arc_length, low, median, high, observed.arc_length, observed.offset)
         of, end = (f" of {name}", f"_{name}") if name else ("", "")
         caption = f"What the posterior predicts{of}: the interface of its draws, and the observed one."
-        yield Captioned(f"predictive{end}", "certificate", caption + _as_stated(seen), plots.plot_offsets(drawn))
+        yield Captioned(f"predictive{end}", "certificate", caption + _as_stated(seen), plots.plot_offsets(band))
 
 
 def _as_stated(seen: Observation) -> str:

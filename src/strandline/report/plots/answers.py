@@ -203,7 +203,7 @@ def plot_population(
     ax.plot(x, median, color=style.BLUE, label="population")
     top = float(high.max())
     ax.vlines(means, -2 * STROKE * top, -STROKE * top, color=style.GREY, linewidth=0.6, label="specimens")
-    ends = np.concatenate([x[high > 1e-3 * top], means])
+    ends = np.append(x[high > 1e-3 * top], means)
     ax.set(xlabel=label, ylabel="density", xlim=(ends.min(), ends.max()))
     style.below(ax)
     return ax
