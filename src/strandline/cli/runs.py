@@ -55,7 +55,7 @@ def command(
     if export is not None and export.suffix not in (".csv", ".nc"):
         raise click.UsageError(f"--export: got {export}; expected a file name that ends with .csv or .nc.")
     with Overview(study / LEDGER) as ledger:
-        runs, model = _as_used(ledger.runs(), study), ledger.model()
+        runs, model = _as_used(ledger.runs(), study), ledger.model
         if option is None:
             _list(runs, ledger, state, kind, limit, export, as_json=as_json)
             return

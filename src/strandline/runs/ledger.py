@@ -12,7 +12,7 @@ import os
 import socket
 import sqlite3
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from strandline.models.protocol import ForwardModel
 from strandline.runs import ledger_rows, ledger_schema, plans
 from strandline.runs.ledger_schema import INTERRUPTED, translated
 from strandline.runs.lock_watch import Hold, locked
+from strandline.runs.overview import OpenedLedger
 from strandline.runs.record import RunRecord, RunRequest, excluded
 
 COPIED_STATES = frozenset({"ok", "failed", "invalid"})
@@ -54,11 +55,12 @@ class Counts:
         return self.ok + self.failed + self.timeout + self.killed + self.invalid + self.open
 
 
-class Ledger(contextlib.AbstractContextManager["Ledger"]):
+class Ledger(OpenedLedger):
     """All runs of one model; open it with `Ledger.open`, as a context manager."""
 
     def __init__(self, path: Path, connection: sqlite3.Connection, hold: Hold | None) -> None:
-        self.path, self._connection, self._hold = path, connection, hold
+        super().__init__(path, connection)
+        self._hold = hold
         self._session: int | None = None
 
     @classmethod
@@ -114,33 +116,11 @@ class Ledger(contextlib.AbstractContextManager["Ledger"]):
             ledger._session = row.lastrowid
         return ledger
 
-    def _checked(self, model: str | None) -> None:
-        with self._closed_on_error(), translated(self.path):
-            ledger_schema.require_version(self.path, self._connection)
-            if model is not None:
-                ledger_schema.require_model(self.path, self._connection, model)
-
-    @contextlib.contextmanager
-    def _closed_on_error(self) -> Iterator[None]:
-        try:
-            yield
-        except BaseException:
-            self.close()
-            raise
-
     def close(self) -> None:
         """Close the file and release the lock; a second call does nothing."""
-        self._connection.close()
+        super().close()
         if self._hold is not None:
             self._hold.release()
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
-    @property
-    def model(self) -> str:
-        """Fingerprint of the model whose runs these are."""
-        return self._meta("model")
 
     @property
     def description(self) -> str:
@@ -190,11 +170,6 @@ class Ledger(contextlib.AbstractContextManager["Ledger"]):
         left_out = self.exclusions()
         for record in self._records(f"{LAST_OUTCOMES} GROUP BY key"):
             yield excluded(record, left_out[record.key].why) if record.key in left_out else record
-
-    def exclusions(self) -> Mapping[str, plans.Exclusion]:
-        """Return the runs excluded by hand, by key."""
-        with translated(self.path):
-            return plans.read_exclusions(self._connection)
 
     def exclude(self, key: str, why: str) -> None:
         """Stop using this run, and do not make it again; its outcome is kept.
@@ -279,10 +254,6 @@ class Ledger(contextlib.AbstractContextManager["Ledger"]):
                 sql = f"INSERT INTO plans (session, planned_at, {plans.COLUMNS}) VALUES (?, ?{', ?' * len(new[0])})"
                 self._connection.executemany(sql, [(session, time.time(), *row) for row in new])
 
-    def _meta(self, key: str) -> str:
-        with translated(self.path):
-            return ledger_schema.fact(self.path, self._connection, key)
-
     def _start(self, request: RunRequest, at: float) -> int:
         row = (self._writing_session(), request.key, ledger_rows.inputs_text(request.inputs), at)
         with translated(self.path):
@@ -355,7 +326,3 @@ class Ledger(contextlib.AbstractContextManager["Ledger"]):
     def _arrays(self, number: int) -> list[Any]:
         sql = f"SELECT {ledger_rows.ARRAY_COLUMNS} FROM arrays WHERE attempt = ? ORDER BY rowid"
         return self._connection.execute(sql, (number,)).fetchall()
-
-    def _rows(self, sql: str, values: Sequence[Any] = ()) -> list[Any]:
-        with translated(self.path):
-            return self._connection.execute(sql, values).fetchall()

@@ -8,10 +8,11 @@ import contextlib
 import json
 import os
 import socket
+import sqlite3
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, Self
 
 from strandline.runs import ledger_schema
 from strandline.runs.ledger_schema import ATTEMPTS, INTERRUPTED, translated
@@ -105,8 +106,58 @@ class Driver:
     at_work: bool | None
 
 
-class Overview(contextlib.AbstractContextManager["Overview"]):
-    """A ledger opened to look at its runs; a context manager."""
+class OpenedLedger:
+    """The file of a ledger, opened, as a context manager: what `Overview` and `Ledger` share."""
+
+    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
+        self.path, self._connection = path, connection
+
+    def close(self) -> None:
+        """Close the file; a second call does nothing."""
+        self._connection.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    @property
+    def model(self) -> str:
+        """Fingerprint of the model whose runs these are."""
+        return self._meta("model")
+
+    def exclusions(self) -> Mapping[str, Exclusion]:
+        """Return the runs excluded by hand, by key."""
+        with translated(self.path):
+            return read_exclusions(self._connection)
+
+    def _checked(self, model: str | None) -> None:
+        """Refuse a ledger of another version, or of another model if one is given."""
+        with self._closed_on_error(), translated(self.path):
+            ledger_schema.require_version(self.path, self._connection)
+            if model is not None:
+                ledger_schema.require_model(self.path, self._connection, model)
+
+    @contextlib.contextmanager
+    def _closed_on_error(self) -> Iterator[None]:
+        try:
+            yield
+        except BaseException:
+            self.close()
+            raise
+
+    def _meta(self, key: str) -> str:
+        with translated(self.path):
+            return ledger_schema.fact(self.path, self._connection, key)
+
+    def _rows(self, sql: str, values: Sequence[Any] = ()) -> list[Any]:
+        with translated(self.path):
+            return self._connection.execute(sql, values).fetchall()
+
+
+class Overview(OpenedLedger):
+    """A ledger opened to look at its runs."""
 
     def __init__(self, path: Path, *, model: str | None = None) -> None:
         """Open the ledger at `path`; it must be of `model` if one is given.
@@ -114,32 +165,13 @@ class Overview(contextlib.AbstractContextManager["Overview"]):
         Raises:
             LedgerError: the ledger is missing, damaged, of another version, or of another model.
         """
-        self.path = path
-        self._connection = ledger_schema.opened_for_reading(path)
-        try:
-            with translated(path):
-                ledger_schema.require_version(path, self._connection)
-                if model is not None:
-                    ledger_schema.require_model(path, self._connection, model)
-        except BaseException:
-            self.close()
-            raise
-
-    def close(self) -> None:
-        self._connection.close()
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
+        super().__init__(path, ledger_schema.opened_for_reading(path))
+        self._checked(model)
 
     def plan(self, study_sha256: str) -> Plan | None:
         """Return what the study with this digest asks for; None if no driver has recorded it."""
         with translated(self.path):
             return read_plan(self._connection, study_sha256)
-
-    def model(self) -> str | None:
-        with translated(self.path):
-            row = self._connection.execute("SELECT value FROM meta WHERE key = 'model'").fetchone()
-        return None if row is None else str(row[0])
 
     def runs(self) -> list[Run]:
         """Return all distinct runs, in the order of their last starts."""
@@ -163,29 +195,19 @@ class Overview(contextlib.AbstractContextManager["Overview"]):
                 found += self._attempts(f"attempt IN ({','.join('?' * len(asked))})", asked)
         return found
 
-    def exclusions(self) -> Mapping[str, Exclusion]:
-        """Return the runs excluded by hand, by key."""
-        with translated(self.path):
-            return read_exclusions(self._connection)
-
     def details(self, numbers: Iterable[int]) -> dict[int, Details]:
         """Return message, log and diagnostics of those starts that have ended."""
         sql = "SELECT message, log, diagnostics FROM outcomes WHERE attempt = ?"
-        found = {}
-        with translated(self.path):
-            for number in numbers:
-                for message, log, diagnostics in self._connection.execute(sql, (number,)):
-                    found[number] = Details(message or "", log, json.loads(diagnostics))
-        return found
+        rows = [(number, *row) for number in numbers for row in self._rows(sql, (number,))]
+        return {number: Details(message or "", log, json.loads(found)) for number, message, log, found in rows}
 
     def driver(self) -> Driver | None:
         """Return the process that last opened the ledger to make runs; None if there was none."""
         sql = "SELECT session, pid, host, opened_at FROM sessions ORDER BY session DESC LIMIT 1"
-        with translated(self.path):
-            row = self._connection.execute(sql).fetchone()
-        if row is None:
+        rows = self._rows(sql)
+        if not rows:
             return None
-        session, pid, host, opened_at = row
+        session, pid, host, opened_at = rows[0]
         return Driver(session, pid, host, opened_at, is_at_work(pid, host, self.path.with_suffix(".lock")))
 
     def _attempts(self, which: str = "1", given: Sequence[int] = ()) -> Iterator[tuple[str, Attempt]]:

@@ -56,7 +56,7 @@ def test_an_old_ledger_is_refused_until_it_is_upgraded_which_touches_no_run(tmp_
         assert (content(backup), version_of(backup)) == ((names, rows), version)
     with Ledger.open(path, model=None, read_only=True) as reader, Overview(path) as overview:
         model, runs = reader.model, [exact(record) for record in reader]
-        assert overview.model() == model
+        assert overview.model == model
         counted = [sum(run.last.state == state for run in overview.runs()) for state in STATES]
         assert counted == [getattr(reader.counts(), state) for state in STATES]
         assert (reader.exclusions(), overview.plan("any")) == ({}, None)

@@ -75,7 +75,8 @@ def styled() -> AbstractContextManager[None]:
 
 NEW: Any = None
 """Default of the `ax` of a function that is `drawn`: new ones."""
-P, R = ParamSpec("P"), TypeVar("R")
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 def drawn(*size: float) -> Callable[[Callable[P, R]], Callable[P, R]]:
