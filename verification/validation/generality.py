@@ -1,6 +1,5 @@
 """Exact sensitivities against differences, and their cost; those of other flow cells; developed flow."""
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -8,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from verification.benchmarks.figures import medians, timed
 from verification.validation.energies import FURTHER
 from verification.validation.tables import Table, table
 
@@ -46,13 +46,9 @@ def extrapolated(function: Callable[[float], Points], at: float, steps: Sequence
 
 def cost(model: Biofilm, inputs: Mapping[str, float], *, repeats: int = 5) -> float:
     """Return the time by which all sensitivities prolong a run as a share of its time, by medians."""
-    seconds: dict[bool, list[float]] = {False: [], True: []}
-    for _ in range(repeats):
-        for sensitivities, found in seconds.items():
-            start = time.perf_counter()
-            replace(model, sensitivities=sensitivities)(inputs)
-            found.append(time.perf_counter() - start)
-    return float(np.median(seconds[True]) / np.median(seconds[False])) - 1.0
+    whole = replace(model, sensitivities=True)
+    more, less = medians([(timed(whole, inputs), timed(model, inputs)) for _ in range(repeats)])
+    return more / less - 1.0
 
 
 def law_inputs(law: str) -> dict[str, float]:

@@ -41,7 +41,7 @@ from strandline.models.biofilm import newton
 from strandline.models.biofilm.cell import FlowCell, Setting, Solution
 from strandline.models.biofilm.flow import DROP, RATE
 from strandline.models.biofilm.linear import Factorisation, linear_solver
-from strandline.models.biofilm.newton import NewtonSettings
+from strandline.models.biofilm.newton import NewtonSettings, Vector
 from strandline.models.biofilm.outline import finite
 from strandline.models.biofilm.steady import DIRECT_STRAIN, SAFE_STRAIN, AtLoad, first_order
 from strandline.models.biofilm.system import CoupledSystem
@@ -67,7 +67,6 @@ MOST_FACTORS = 8
 KEPT = NewtonSettings(1e-8, maximum_jacobians=0, smallest_damping=1.0, contraction=0.7)
 """Steps with a kept Jacobian; the error after the last is shorter than it by the contraction, about a fifth."""
 FRESH = NewtonSettings(maximum_jacobians=2, smallest_damping=1.0)
-Vector = Float[np.ndarray, " unknown"]
 
 
 @dataclass(frozen=True)

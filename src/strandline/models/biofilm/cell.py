@@ -25,7 +25,7 @@ from strandline.models.biofilm.flow import (
     prescribe,
 )
 from strandline.models.biofilm.geometry import MeshSize, Partition, mesh_flow_cell, subdivide
-from strandline.models.biofilm.linear import Factorisation
+from strandline.models.biofilm.linear import Factorisation, Vector
 from strandline.models.biofilm.materials import Law, further_parameters, typical_value
 from strandline.models.biofilm.memory import Branch
 from strandline.models.biofilm.outline import Channel, Pairs
@@ -41,7 +41,6 @@ BALANCE = 1e-6
 ROUNDING = 2e-17
 """And what rounding of its stresses may leave in a stiff solid, per scaled E; a layer of 1e10 Pa has a quarter."""
 
-Vector = Float[np.ndarray, " unknown"]
 Points = Float[np.ndarray, "point 2"]
 
 

@@ -19,11 +19,9 @@ from strandline.models.biofilm.cell import FlowCell, Setting, Solution
 from strandline.models.biofilm.course import Course, Piece, pieces
 from strandline.models.biofilm.flow import Fluid
 from strandline.models.biofilm.memory import Branch, Memory, Past
-from strandline.models.biofilm.newton import LinearSolver, NewtonSettings
+from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, Vector
 from strandline.models.biofilm.steady import SHORTER_STEPS, AtLoad, steady_state
 from strandline.models.biofilm.system import CoupledSystem
-
-Vector = Float[np.ndarray, " unknown"]
 
 STEP = NewtonSettings(maximum_jacobians=4, smallest_damping=1.0)
 FIRST_STEP = 0.2

@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.models import refused
-from strandline.models.biofilm.fluid_elements import Entries, FluidElements
+from strandline.models.biofilm.fluid_elements import Entries, FluidElements, Values
 from strandline.models.biofilm.system import (
     BoundaryNames,
     CoupledSystem,
@@ -39,7 +39,6 @@ from strandline.models.biofilm.triangles import AtPoints, Numbers, places_of
 LARGEST_RATIO = 1.8
 """Largest ratio of a step to the one before, below the bound for stability, 1 + √2."""
 
-Values = Float[np.ndarray, " dof"]
 Vector = Float[np.ndarray, " unknown"]
 
 

@@ -23,7 +23,7 @@ from jaxtyping import Float
 
 from strandline.errors import ForwardModelError
 from strandline.models.biofilm import newton
-from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, NewtonStep
+from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, NewtonStep, Vector
 from strandline.models.biofilm.strain import Strain
 
 SAFE_STRAIN = 0.2
@@ -35,7 +35,6 @@ FIRST_SHARE = 0.8
 SHORTEST_PATH = 2
 """Smallest number of Jacobians for a path."""
 DIRECT = NewtonSettings(maximum_jacobians=4, smallest_damping=1.0)
-Vector = Float[np.ndarray, " unknown"]
 Shares = Float[np.ndarray, " share"]
 
 

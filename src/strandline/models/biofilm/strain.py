@@ -12,11 +12,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from strandline.models.biofilm.materials import deformation_gradient
-from strandline.models.biofilm.system import CoupledSystem
+from strandline.models.biofilm.system import CoupledSystem, Vector
 
 NODES_P2 = ((1.0, 0.0), (0.0, 1.0), (0.0, 0.0), (0.5, 0.5), (0.0, 0.5), (0.5, 0.0))
 """Reference coordinates of the three corners and of the midpoints of edges (0,1), (1,2), (2,0)."""
-Vector = Float[np.ndarray, " unknown"]
 Gradients = Float[np.ndarray, "cell 2 2"]
 Directions = Float[np.ndarray, "cell 2"]
 

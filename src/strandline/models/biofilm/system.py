@@ -18,7 +18,7 @@ from ngsolve import la
 from scipy.sparse import csr_array
 
 from strandline.errors import ForwardModelError
-from strandline.models.biofilm.fluid_elements import FluidElements
+from strandline.models.biofilm.fluid_elements import Entries, FluidElements, Values
 from strandline.models.biofilm.forms import (
     FluidLoad,
     add_fluid,
@@ -27,19 +27,13 @@ from strandline.models.biofilm.forms import (
     motion_matrix,
     solid_form,
 )
-from strandline.models.biofilm.linear import Factorisation
+from strandline.models.biofilm.linear import Factorisation, Vector
 from strandline.models.biofilm.materials import LAWS, IsotropicLaw, Law, further_parameters, typical_value
 from strandline.models.biofilm.memory import Memory
 from strandline.models.biofilm.solid_elements import SolidElements
 
 QUADRATIC = 2
 """Order of velocity and displacement for which fluid and solid have elements of their own, faster than their forms."""
-
-Vector = Float[np.ndarray, " unknown"]
-
-
-Values = Float[np.ndarray, " dof"]
-Entries = Float[np.ndarray, " entry"]
 Numbers = Int[np.ndarray, " entry"]
 
 

@@ -24,11 +24,8 @@ from strandline.models.biofilm.cell import FlowCell, Setting, Solution
 from strandline.models.biofilm.course import Course
 from strandline.models.biofilm.flow import DENSITY_SCALE, VELOCITY_SCALE
 from strandline.models.biofilm.moving import LARGEST_RATIO, Moment, MovingSystem, extrapolated, share_of_error
-from strandline.models.biofilm.newton import LinearSolver, NewtonSettings
-from strandline.models.biofilm.system import CoupledSystem
-
-Vector = Float[np.ndarray, " unknown"]
-Values = Float[np.ndarray, " dof"]
+from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, Vector
+from strandline.models.biofilm.system import CoupledSystem, Values
 
 AS_BEFORE = 0.25
 """A Jacobian is kept while its leading weight differs from that of the step by at most this share."""
