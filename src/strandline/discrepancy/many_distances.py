@@ -110,7 +110,8 @@ def tasks(
 
 def _padded(array: Float[np.ndarray, "..."], rows: Int[np.ndarray, " some"]) -> Float[np.ndarray, "..."]:
     """Return these runs, padded with the last one to one of a few lengths; all of the array if all runs share it."""
-    return array if len(array) == 1 else np.asarray(array[padded(rows)])
+    length = BLOCK // 4 if len(rows) <= BLOCK // 4 else BLOCK
+    return array if len(array) == 1 else np.asarray(array[np.pad(rows, (0, length - len(rows)), mode="edge")])
 
 
 def _runs_last(values: Float[np.ndarray, "#run point column"]) -> list[Values]:
@@ -118,12 +119,6 @@ def _runs_last(values: Float[np.ndarray, "#run point column"]) -> list[Values]:
     if len(values) == 1:
         return list(values[0].T)
     return [np.ascontiguousarray(column.T) for column in np.moveaxis(values, -1, 0)]
-
-
-def padded(rows: Int[np.ndarray, " some"]) -> Int[np.ndarray, " more"]:
-    """Return rows with the last one repeated up to one of few lengths, so that little is compiled."""
-    length = BLOCK // 4 if len(rows) <= BLOCK // 4 else BLOCK
-    return np.pad(rows, (0, length - len(rows)), mode="edge")
 
 
 @dataclass(frozen=True, eq=False)

@@ -142,7 +142,8 @@ class _ByOffsets:
     def weights(self, r: Float[np.ndarray, " seen"]) -> Float[np.ndarray, " seen"]:
         """Return w with log L ≈ constant - ½ Σ w r² near some offsets, whose typical size each of them has at least."""
         size = np.maximum(np.abs(r), max(float(np.sqrt(np.mean(r**2))), NOTHING))
-        squares = np.concatenate([self._squares(_rows(size, k)) for k in range(0, len(r), ROWS)])
+        rows = (size * np.eye(min(ROWS, len(r) - k), len(r), k) for k in range(0, len(r), ROWS))
+        squares = np.concatenate([self._squares(some) for some in rows])
         d2 = float(self._squares(size[None])[0])
         density = self.compared.noise.log_density(np.array([d2, (1 + SMALL) * d2]))
         return np.asarray(2 * squares / size**2 * float(density[0] - density[1]) / (SMALL * d2))
@@ -180,14 +181,6 @@ class OfOffsets:
     def _block(self, coefficients: Modes, tail: Tail | None) -> Values:
         offsets = self.field.offsets(coefficients, tail)
         return np.asarray(sum(one.log_likelihood(offsets[:, part]) for one, part in self.parts))
-
-
-def _rows(size: Float[np.ndarray, " seen"], first: int) -> Float[np.ndarray, "row seen"]:
-    """Return rows of the diagonal matrix with these sizes, from the first one on."""
-    number = min(ROWS, len(size) - first)
-    rows = np.zeros((number, len(size)))
-    rows[np.arange(number), first + np.arange(number)] = size[first : first + number]
-    return rows
 
 
 Nearby = OfStatedErrors | OfMixture | OfOffsets

@@ -10,6 +10,7 @@ between them, so there are two starts, and every stop is checked, even if the op
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import fmean
 
 import numpy as np
 from jaxtyping import Float
@@ -122,7 +123,7 @@ class Objective:
     def _covariance(self, log_ratio: float, log_lengths: Sequence[float]) -> tuple[Float[np.ndarray, " length"], float]:
         """Factorise the covariance into `K`; return the inverse lengths and σ0²."""
         inverse = np.array([math.exp(-log_length) for log_length in log_lengths])
-        variance = math.exp(log_ratio + 3 * _mean(log_lengths))
+        variance = math.exp(log_ratio + 3 * fmean(log_lengths))
         self.pairs.fill(self.K, inverse_lengths=inverse, variance=variance, diagonal=self.nugget)
         factorise(self.K)
         return inverse, variance
@@ -153,7 +154,7 @@ def evidence(
     """
     objective = Objective(x_std, y_centred, kernel, nugget)
     log_lengths = [math.log(length) for length in as_lengths(kernel, length_scale, x_std.shape[1])]
-    return objective.evidence(math.log(signal_variance) - 3 * _mean(log_lengths), log_lengths)
+    return objective.evidence(math.log(signal_variance) - 3 * fmean(log_lengths), log_lengths)
 
 
 def fit_hyperparameters(
@@ -284,7 +285,3 @@ def _account(attempts: tuple[EvidenceSearch, ...]) -> str:
 
 def _shown(length_scale: LengthScale) -> str:
     return ", ".join(f"{length:.3g}" for length in np.atleast_1d(length_scale))
-
-
-def _mean(values: Sequence[float]) -> float:
-    return math.fsum(values) / len(values)
