@@ -6,7 +6,7 @@ import struct
 import zlib
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -24,9 +24,6 @@ JPEG_COLOURS = (6, 7)
 LARGEST_TILE = 1 << 28
 """Most numbers in a tile, which is decoded in one piece."""
 MOST_PAGES = 1_000_000
-CLASSIC, BIG = 42, 43
-FORMS = {CLASSIC: ("I", "H", 12), BIG: ("Q", "Q", 20)}
-"""Kind of TIFF → formats of an offset and of the number of entries, bytes of an entry."""
 DEFLATE = (8, 32946)
 """TIFF's numbers of the compression by zlib, the only one that unpacks without a bound of its own."""
 MOST_UNPACKED = 1 << 28
@@ -40,9 +37,10 @@ TO_MM = {"nm": 1e-6, "mm": 1.0, "cm": 10.0, "m": 1e3, "inch": 25.4, "in": 25.4} 
 def read_tiff(path: Path, how: PictureReading, name: str) -> PictureFile:
     """Return the first series of pictures in a TIFF file."""
     tifffile = _imported(name)
-    require_whole_chain(path)
     with ExitStack() as stack:
-        return _opened(stack.enter_context(tifffile.TiffFile(path)), path, name, stack)
+        file = stack.enter_context(tifffile.TiffFile(path))
+        require_whole_chain(file)
+        return _opened(file, path, name, stack)
 
 
 def _opened(file: Any, path: Path, name: str, stack: ExitStack) -> PictureFile:
@@ -150,33 +148,21 @@ def _per_pixel(page: Any, tag: str) -> float | None:
     return float(below / above)
 
 
-def require_whole_chain(path: Path) -> None:
+def require_whole_chain(file: Any) -> None:
     """Refuse a file one of whose pages lies beyond its end, so that it is cut off, or whose pages lie in a circle."""
-    with path.open("rb") as file:
-        start = file.read(4)
-        order = {b"II": "<", b"MM": ">"}.get(start[:2])
-        kind = struct.unpack(f"{order}H", start[2:])[0] if order and len(start) == 4 else 0
-        if kind not in FORMS:
-            raise ValueError("not a TIFF file")
-        offset_format, count_format, entry = FORMS[kind]
-        file.seek(4 if kind == CLASSIC else 8)
-        offset, seen = _number(file, f"{order}{offset_format}"), set[int]()
-        while offset:
-            if offset in seen or len(seen) == MOST_PAGES:
-                raise ValueError("its pages lie in a circle")
-            seen.add(offset)
-            file.seek(offset)
-            count = _number(file, f"{order}{count_format}")
-            file.seek(count * entry, 1)
-            offset = _number(file, f"{order}{offset_format}")
-
-
-def _number(file: BinaryIO, form: str) -> int:
-    """Return the number at the present place of the file."""
-    content = file.read(struct.calcsize(form))
-    if len(content) < struct.calcsize(form):
-        raise EOFError("the file is cut off, or a page lies beyond its end")
-    return int(struct.unpack(form, content)[0])
+    form, handle, seen = file.tiff, file.filehandle, set[int]()
+    offset = file.pages.first.offset
+    while offset:
+        if offset in seen or len(seen) == MOST_PAGES:
+            raise ValueError("its pages lie in a circle")
+        seen.add(offset)
+        try:
+            handle.seek(offset)
+            (count,) = struct.unpack(form.tagnoformat, handle.read(form.tagnosize))
+            handle.seek(count * form.tagsize, 1)
+            (offset,) = struct.unpack(form.offsetformat, handle.read(form.offsetsize))
+        except struct.error:
+            raise EOFError("the file is cut off, or a page lies beyond its end") from None
 
 
 def require_parts(path: Path, page: Any, *, most: int = MOST_UNPACKED) -> None:
