@@ -8,7 +8,7 @@ MODELS = {
     "biofilm": "strandline.models.biofilm.model:Biofilm",
     "command": "strandline.models.command.model:CommandModel",
     "python": "strandline.models.python:PythonModel",
-    "umbridge": "strandline.models.umbridge.model:UMBridge",
+    "umbridge": "strandline.models.umbridge.model:UMBridgeModel",
 }
 """Names in study files → ``module:class``, imported only when used."""
 

@@ -54,9 +54,7 @@ def build_model(
         undeformed = undeformed or undeformed_in(choice, folder)
         if undeformed is not None:
             options["outline"] = {**without_picture(options["outline"]), **undeformed.options}
-        found = made(factory, options, place)
-        with refused_at(place):
-            model = found.forward_model() if hasattr(found, "forward_model") else found
+        model = made(factory, options, place)
     with refused_at():
         return with_sensitivities(model) if sensitivities else model
 

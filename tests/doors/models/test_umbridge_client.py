@@ -18,7 +18,7 @@ from strandline.errors import ForwardModelError
 from strandline.models.protocol import with_sensitivities
 from strandline.models.umbridge import client as client_module
 from strandline.models.umbridge.answers import ServedModel, answer
-from strandline.models.umbridge.model import UMBridge
+from strandline.models.umbridge.model import UMBridgeModel
 from strandline.runs import RunRequest, attempt
 from strandline.studies.parse import made
 from strandline.testing.models import Cantilever, TwoLoads
@@ -85,9 +85,7 @@ def hostile(reply):
 
 
 def model(url, **options):
-    return made(
-        UMBridge, {"url": url, "name": "beam", "inputs": ["E", "load"]} | options, "model.umbridge"
-    ).forward_model()
+    return made(UMBridgeModel, {"url": url, "name": "beam", "inputs": ["E", "load"]} | options, "model.umbridge")
 
 
 def run(forward, modulus=400.0):

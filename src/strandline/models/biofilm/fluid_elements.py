@@ -1,4 +1,4 @@
-"""Residual and Jacobian of the fluid's balances in all elements at once: the forms of `forms`, differentiated by hand.
+"""Residual and Jacobian of the fluid's balances in all elements at once, differentiated by hand.
 
 An element with the deformed map x(ξ) = X(ξ) + d(ξ) is integrated in the coordinates ξ of the reference triangle. With
 ∇ = ∂/∂ξ, M = ∇x, C = cof M, J = det M, g = ∇v M⁻¹ = ∇v Cᵀ/J and τ = μ (g + gᵀ) - p I, the balances of momentum and
@@ -10,7 +10,8 @@ The geometry enters through M alone. So shape functions and weights are the same
 Jacobian is one product of a constant matrix with coefficients at the quadrature points. In two dimensions C is linear
 in M: ∂C_ik/∂M_jb = ε_ij ε_kb with ε = [[0, 1], [-1, 0]].
 
-Source of the balances: Hron and Turek (2006), as in `forms`.
+Source of the balances: Hron and Turek, A monolithic FEM/multigrid solver for an ALE formulation of fluid–structure
+interaction (2006).
 """
 
 from collections.abc import Iterator

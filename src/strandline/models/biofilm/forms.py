@@ -1,11 +1,9 @@
 """Weak forms of quasi-steady fluid–structure interaction on the undeformed mesh, as small functions of fields.
 
-Notation, with d the displacement (ALE extension in the fluid): F = I + ∇d, J = det F, C = cof F = J F⁻ᵀ; v, p fluid
-velocity and pressure; pₛ solid pressure. Test functions w (momentum), q (continuity), φ (displacement), qₛ. All
-quantities are scaled: lengths by 1 mm, velocities by U = 100 mm/s, stresses by ρU² (see `model`).
-
-Sources: Hron and Turek, A monolithic FEM/multigrid solver for an ALE formulation of fluid–structure interaction (2006),
-for the ALE form. The solid's laws are in `materials`. The forms of a whole `CoupledSystem` are at the end.
+Notation, with d the displacement (ALE extension in the fluid): F = I + ∇d, J = det F; pₛ solid pressure. Test functions
+w (momentum), φ (displacement), qₛ. All quantities are scaled: lengths by 1 mm, velocities by U = 100 mm/s, stresses by
+ρU² (see `model`). The balances of the fluid are in `fluid_elements`, the solid's laws in `materials`. The forms of a
+whole `CoupledSystem` are at the end.
 """
 
 from dataclasses import dataclass
@@ -14,7 +12,7 @@ from typing import Any
 import ngsolve as ng
 import numpy as np
 from jaxtyping import Bool
-from ngsolve import Cof, Det, Grad, InnerProduct, Inv, Trace, specialcf
+from ngsolve import Det, Grad, InnerProduct, Trace, specialcf
 from scipy.sparse import csr_array
 
 from strandline.models.biofilm.materials import deformation_gradient
@@ -35,23 +33,6 @@ class FluidLoad:
     boundary: str = ""
 
 
-def viscous(v: Form, d: Form, test: Form, viscosity: Form) -> Form:
-    """Return μ (∇v F⁻¹ + F⁻ᵀ ∇vᵀ) C : ∇test, the friction of a Newtonian fluid."""
-    F = deformation_gradient(d)
-    gradient = Grad(v) * Inv(F)
-    return viscosity * InnerProduct((gradient + gradient.trans) * Cof(F), Grad(test))
-
-
-def pressure(p: Form, d: Form, test: Form) -> Form:
-    """Return -p C : ∇test."""
-    return -p * InnerProduct(Cof(deformation_gradient(d)), Grad(test))
-
-
-def convection(v: Form, d: Form, test: Form, density: Form) -> Form:
-    """Return ρ (∇v Cᵀ v) · test."""
-    return density * InnerProduct(Grad(v) * (Cof(deformation_gradient(d)).trans * v), test)
-
-
 def body_force(d: Form, test: Form, force: Form) -> Form:
     """Return -J f · test, f being the force per volume of the deformed fluid."""
     return -Det(deformation_gradient(d)) * InnerProduct(force, test)
@@ -60,11 +41,6 @@ def body_force(d: Form, test: Form, force: Form) -> Form:
 def outer_pressure(test: Form, pressure: Form) -> Form:
     """Return p n · test, for a pressure from outside on an undeformed boundary with the outward normal n."""
     return pressure * InnerProduct(specialcf.normal(2), test)
-
-
-def continuity(v: Form, d: Form, q: Form) -> Form:
-    """Return q C : ∇v."""
-    return q * InnerProduct(Cof(deformation_gradient(d)), Grad(v))
 
 
 def solid_stress_power(d: Form, second_piola: Form, test: Form) -> Form:
@@ -81,7 +57,8 @@ def mesh_motion(d: Form, test: Form) -> Form:
 def solid_form(system: Any, *, derivative_by: Any = None) -> Any:
     """Return momentum and constitutive constraint of the solid, or their derivative with respect to a parameter.
 
-    They are separate forms, as in `add_fluid`.
+    They are separate forms: the cost of a Jacobian grows with the product of a form's trial and test components and
+    with its length, so the sum as a single form takes twice as long to assemble.
     """
     (_, _, d, *solid_pressures), (_, _, phi, *solid_tests) = system.space.TnT()
     form = ng.BilinearForm(system.space)
@@ -98,27 +75,6 @@ def solid_form(system: Any, *, derivative_by: Any = None) -> Any:
                 rest = same_quadrature * (d[0] + solid_pressures[k]) * test
                 form += (term.Diff(derivative_by) + rest).Compile() * dx
     return form
-
-
-def add_fluid(form: Any, system: Any, *, derivative_by: Any = None) -> None:
-    """Add momentum and continuity of the fluid, the former tested with w + φ on the interface, or a derivative of them.
-
-    Every term is a separate form: the cost of a Jacobian grows with the product of a form's trial and test components
-    and with its length, so the sum as a single form takes twice as long to assemble.
-    """
-    (v, p, d, *_), (w, q, phi, *_) = system.space.TnT()
-    beside_interface = {"definedonelements": fluid_beside_interface(system.mesh)}
-    for test, where in ((w, {}), (phi, beside_interface)):
-        for term, bonus, parameter in (
-            (viscous(v, d, test, system.viscosity), 2, system.viscosity),
-            (pressure(p, d, test), 0, None),
-            (convection(v, d, test, system.density), 2, system.density),
-        ):
-            chosen = _or_derivative(term, parameter, derivative_by)
-            if chosen is not None:
-                form += chosen.Compile() * ng.dx("fluid", bonus_intorder=bonus, **where)
-    if derivative_by is None:
-        form += continuity(v, d, q).Compile() * ng.dx("fluid")
 
 
 def add_loads(form: Any, system: Any, *, derivative_by: Any = None) -> None:

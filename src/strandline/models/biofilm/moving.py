@@ -23,7 +23,6 @@ import ngsolve as ng
 import numpy as np
 from jaxtyping import Float
 
-from strandline.models import refused
 from strandline.models.biofilm.fluid_elements import Entries, FluidElements, Values
 from strandline.models.biofilm.system import (
     BoundaryNames,
@@ -235,9 +234,6 @@ class MovingSystem(CoupledSystem):
     That velocity is eliminated: it is an affine function of the displacement at the new time, so its columns of the
     Jacobian are added to those of the displacement. With `rates` at rest this is the steady system. `solid_density` is
     the scaled density of the undeformed solid.
-
-    Raises:
-        InvalidInput: There is a fluid, and its velocity is not quadratic.
     """
 
     def __init__(self, mesh: Any, boundaries: BoundaryNames, *, solid_density: float, **options: Any) -> None:
@@ -255,8 +251,6 @@ class MovingSystem(CoupledSystem):
     def _inertia(self, solid_density: float) -> list[Part]:
         parts: list[Part] = []
         if "fluid" in self.mesh.GetMaterials():
-            if self._fluid is None:
-                raise refused("order of a flow that changes with time", "elements that are not quadratic", "order 2")
             known = {"viscosity": self.viscosity, "density": self.density, "rates": self.rates}
             parts.append(FluidInertia(self.space, *fluid_cells(self.mesh), **known))
         if self.solids:

@@ -9,7 +9,7 @@ exactly conservative, and no penalty pollutes the interface.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import ngsolve as ng
 import numpy as np
@@ -21,7 +21,6 @@ from strandline.errors import ForwardModelError
 from strandline.models.biofilm.fluid_elements import Entries, FluidElements, Values
 from strandline.models.biofilm.forms import (
     FluidLoad,
-    add_fluid,
     add_loads,
     fluid_beside_interface,
     motion_matrix,
@@ -32,8 +31,6 @@ from strandline.models.biofilm.materials import LAWS, IsotropicLaw, Law, further
 from strandline.models.biofilm.memory import Memory
 from strandline.models.biofilm.solid_elements import SolidElements
 
-QUADRATIC = 2
-"""Order of velocity and displacement for which fluid and solid have elements of their own, faster than their forms."""
 Numbers = Int[np.ndarray, " entry"]
 
 
@@ -157,8 +154,11 @@ class CoupledSystem:
 
     The boundary between them is called ``interface``. Each region of the solid has its own Young's modulus, Poisson's
     ratio and further parameters; the solid may have a `memory` of its stresses. Viscosity, density and the force per
-    volume of the undeformed solid are scaled. `order` is that of velocity and displacement; pressures have one less.
+    volume of the undeformed solid are scaled.
     """
+
+    ORDER: ClassVar[int] = 2
+    """Order of velocity and displacement; pressures have one less."""
 
     def __init__(
         self,
@@ -167,7 +167,6 @@ class CoupledSystem:
         *,
         viscosity: float,
         density: float,
-        order: int = 2,
         law: Law = LAWS["saint_venant_kirchhoff"],
         solids: tuple[str, ...] = ("solid",),
         body_force: tuple[float, float] = (0.0, 0.0),
@@ -178,17 +177,14 @@ class CoupledSystem:
         self.memory = Memory(mesh) if remembers else None
         starts = (1.0, 0.25, *(typical_value(item) for item in further_parameters(law)))
         self.material = tuple(tuple(ng.Parameter(start) for _ in solids) for start in starts)
-        self.space = _spaces(mesh, boundaries, order, solids)
+        self.space = _spaces(mesh, boundaries, self.ORDER, solids)
         self.state = ng.GridFunction(self.space)
         self._residual = self.state.vec.CreateVector()
         self.law, self.body_force = law, body_force
         self._derivatives: dict[Any, Any] = {}
         self.viscosity, self.density, self.loads = ng.Parameter(viscosity), ng.Parameter(density), tuple(loads)
-        by_elements = order == QUADRATIC
-        fluid = {"viscosity": self.viscosity, "density": self.density}
-        has_fluid = by_elements and "fluid" in mesh.GetMaterials()
-        self._fluid = FluidElements(self.space, *fluid_cells(mesh), **fluid) if has_fluid else None
-        self._parts: tuple[Part, ...] = _parts(self, self._fluid, _solid_elements(self) if by_elements else None)
+        self._fluid: FluidElements | None = None
+        self._parts = self._elements()
         self._entries: Float[np.ndarray, " entry"]
         self.free: Int[np.ndarray, " unknown"] = np.flatnonzero([bool(b) for b in self.space.FreeDofs()])
         self.is_motion: Bool[np.ndarray, " dof"] = _motion_rows(self)
@@ -252,8 +248,6 @@ class CoupledSystem:
         if parameter not in self._derivatives:
             form = solid_form(self, derivative_by=parameter)
             add_loads(form, self, derivative_by=parameter)
-            if self._fluid is None:
-                add_fluid(form, self, derivative_by=parameter)
             self._derivatives[parameter] = form
         self._derivatives[parameter].Apply(self.state.vec, self._residual)
         result = np.array(self._residual.FV().NumPy())
@@ -267,6 +261,17 @@ class CoupledSystem:
         result = product(self._places, self._entries, direction)
         result[self.is_motion] = self._motion @ direction
         return np.asarray(result[self.free])
+
+    def _elements(self) -> tuple[Part, ...]:
+        """Return what adds up to the residual: elements of their own as far as there are any, all else by NGSolve."""
+        solid = _solid_elements(self)
+        form = ng.BilinearForm(self.space) if solid else solid_form(self)
+        add_loads(form, self)
+        if "fluid" in self.mesh.GetMaterials():
+            fluid = {"viscosity": self.viscosity, "density": self.density}
+            self._fluid = FluidElements(self.space, *fluid_cells(self.mesh), **fluid)
+        symbolic = [SymbolicPart(form)] if form.integrators else []
+        return (*symbolic, *(part for part in (solid, self._fluid) if part is not None))
 
     def _assemble(self) -> Float[np.ndarray, " entry"]:
         self._entries = np.concatenate([part.jacobian(self.state) for part in self._parts])
@@ -302,16 +307,6 @@ def _spaces(mesh: Any, names: BoundaryNames, order: int, solids: tuple[str, ...]
     displacement = ng.VectorH1(mesh, order=order, dirichlet=names.fixed, dirichlety=names.sliding)
     pressure, *solid_pressures = (ng.H1(mesh, order=order - 1, definedon=region) for region in ("fluid", *solids))
     return ng.FESpace([velocity, pressure, displacement, *solid_pressures])
-
-
-def _parts(system: CoupledSystem, fluid: FluidElements | None, solid: SolidElements | None) -> tuple[Part, ...]:
-    """Return what adds up to the residual: elements of their own as far as there are any, all else by NGSolve."""
-    form = ng.BilinearForm(system.space) if solid else solid_form(system)
-    add_loads(form, system)
-    if fluid is None and "fluid" in system.mesh.GetMaterials():
-        add_fluid(form, system)
-    symbolic = [SymbolicPart(form)] if form.integrators else []
-    return (*symbolic, *(part for part in (solid, fluid) if part is not None))
 
 
 def fluid_cells(mesh: Any) -> tuple[Int[np.ndarray, " element"], Int[np.ndarray, " marked"]]:

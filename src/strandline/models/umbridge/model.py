@@ -3,7 +3,7 @@
 import functools
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -87,8 +87,41 @@ def _unfit(blocks: Sequence[Any], expected: str) -> ForwardModelError:
 
 
 @dataclass(frozen=True)
-class UMBridge:
-    """The options of ``model: {umbridge: …}`` in a study file; `forward_model` makes the model from them.
+class InputBlocks:
+    """Names of a model's inputs by block, and their units, which are empty unless all are known."""
+
+    names: tuple[tuple[str, ...], ...]
+    units: Mapping[str, str]
+
+    @classmethod
+    def read(cls, given: object) -> "InputBlocks":
+        """Return what a study file states: a block of names, or a list of blocks; a name may carry its unit."""
+        nested = isinstance(given, list) and bool(given) and all(isinstance(block, list) for block in given)
+        blocks: Any = given if nested else [given]
+        lists = [block if isinstance(block, list) else [] for block in blocks]
+        pairs = [[_name_and_unit(item) for item in block] for block in lists]
+        flat = [pair for block in pairs for pair in block]
+        named = all(isinstance(name, str) and name and type(unit) in (str, int, type(None)) for name, unit in flat)
+        if not (all(lists) and named) or len({name for name, _ in flat}) < len(flat):
+            expected = "names in the model's order, [E, nu], or by block, [[E, nu], [V_in]]; with units [E: Pa]"
+            raise refused("", given, expected, "Name each input once.")
+        units = {name: str(unit) for name, unit in flat if unit is not None}
+        names = tuple(tuple(name for name, _ in block) for block in pairs)
+        return cls(names, units if len(units) == len(flat) else {})
+
+    def __iter__(self) -> Iterator[ModelInput]:
+        """Yield the inputs with their units, without limits on their values; none if the units are unknown."""
+        return (ModelInput(name, unit, -np.inf, np.inf) for name, unit in self.units.items())
+
+
+@dataclass(frozen=True)
+class UMBridgeModel:
+    """A model on a UM-Bridge server, called for each run; its description is requested once and kept.
+
+    Runs are identified by the model's name, its config, the order of the inputs, the layout and unit of its output, the
+    version of the protocol and `version`, but not by the address of the server. If a model changes under the same name,
+    this goes unnoticed: change `version`. Sensitivities are found by ApplyJacobian, one call for each input, or, if the
+    server lacks it, by Gradient, one call for each coordinate.
 
     Args:
         url: URL of the server.
@@ -103,11 +136,14 @@ class UMBridge:
         version: Any text that distinguishes this server's model from its earlier versions; another one needs new runs.
         sensitivities: Whether the server computes derivatives too.
         at_once: Number of evaluations that the server makes at a time.
+
+    Raises:
+        InvalidInput: An option that cannot be used, or httpx is missing. Nothing is sent to the server yet.
     """
 
     url: str
     name: str
-    inputs: Any
+    inputs: InputBlocks = field(metadata={"read": InputBlocks.read})
     interface: BlockLayout | None = None
     unit: Literal["mm", "um", "µm", "m"] = "mm"
     config: Mapping[str, Any] | None = None
@@ -115,56 +151,33 @@ class UMBridge:
     version: str | float | int | None = None
     sensitivities: bool = False
     at_once: int = 1
-
-    def forward_model(self) -> "UMBridgeModel":
-        """Return the model; nothing is sent to the server yet."""
-        of_extra("httpx", "umbridge", "the package httpx, which calls the server")
-        names, units = _named_blocks(self.inputs)
-        return UMBridgeModel(
-            Client(self.url, self.name, _config(self.config), self.timeout),
-            names,
-            units,
-            self.interface or BlockLayout(),
-            self.unit,
-            "" if self.version is None else str(self.version),
-            self.sensitivities,
-            self.at_once,
-        )
-
-
-@dataclass(frozen=True)
-class UMBridgeModel:
-    """A model on a UM-Bridge server, called for each run; its description is requested once and kept.
-
-    Runs are identified by the model's name, its config, the order of the inputs, the layout and unit of its output, the
-    version of the protocol and `version`, but not by the address of the server. If a model changes under the same name,
-    this goes unnoticed: change `version`. Sensitivities are found by ApplyJacobian, one call for each input, or, if the
-    server lacks it, by Gradient, one call for each coordinate. The other fields are as in `UMBridge`.
-    """
-
-    client: Client
-    blocks: tuple[tuple[str, ...], ...]
-    units: Mapping[str, str] = field(default_factory=dict)
-    layout: BlockLayout = field(default_factory=BlockLayout)
-    unit: str = "mm"
-    version: str = ""
-    sensitivities: bool = False
-    at_once: int = 1
     failure_kinds: ClassVar[tuple[str, ...]] = ("connection", "protocol", "model_error", "inputs", "no_sensitivities")
 
     def __post_init__(self) -> None:
+        of_extra("httpx", "umbridge", "the package httpx, which calls the server")
         if self.at_once < 1:
             raise refused("at_once", self.at_once, "at least 1")
+        config = self.client.config
+        try:
+            json.dumps(config, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise refused("config", f"{config!r} ({error})", "keys with values that JSON can hold") from None
+
+    @functools.cached_property
+    def client(self) -> Client:
+        """What calls the server."""
+        return Client(self.url, self.name, dict(self.config or {}), self.timeout)
 
     @property
-    def inputs(self) -> tuple[ModelInput, ...]:
-        """The inputs with their units, without limits on their values; empty if the units are unknown."""
-        return tuple(ModelInput(name, unit, -np.inf, np.inf) for name, unit in self.units.items())
+    def layout(self) -> BlockLayout:
+        """Where the output holds the interface."""
+        return self.interface or BlockLayout()
 
     @property
     def fingerprint(self) -> str:
         """Text that changes with everything the class lists, but not with the address of the server."""
-        own = [self.client.name, self.client.config, self.blocks, asdict(self.layout), TO_MM[self.unit], self.version]
+        version = "" if self.version is None else str(self.version)
+        own = [self.name, self.client.config, self.inputs.names, asdict(self.layout), TO_MM[self.unit], version]
         text = json.dumps([PROTOCOL_VERSION, *own], sort_keys=True)
         return "umbridge:" + hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -172,9 +185,9 @@ class UMBridgeModel:
     def description(self) -> Description:
         """The server's description of the model, requested once; fails as `Client.describe`, or with other blocks."""
         described = self.client.describe()
-        sizes = tuple(len(block) for block in self.blocks)
+        sizes = tuple(len(block) for block in self.inputs.names)
         if described.input_sizes != sizes:
-            taken = f"the model {self.client.name!r} takes blocks of {list(described.input_sizes)} inputs"
+            taken = f"the model {self.name!r} takes blocks of {list(described.input_sizes)} inputs"
             raise ForwardModelError("protocol", f"{taken}; `inputs` names blocks of {list(sizes)}")
         return described
 
@@ -191,13 +204,13 @@ class UMBridgeModel:
             InvalidInterface: an output that forms no interface.
         """
         self._require_inputs(inputs)
-        values = [[float(inputs[name]) for name in block] for block in self.blocks]
+        values = [[float(inputs[name]) for name in block] for block in self.inputs.names]
         output = self.client.evaluate(values, self.description.output_sizes)
         interface = self.layout.interface(output, TO_MM[self.unit])
         return Simulation.of(interface, {}, self._slopes(values) if self.sensitivities else None)
 
     def _require_inputs(self, inputs: Mapping[str, float]) -> None:
-        known = {name for block in self.blocks for name in block}
+        known = {name for block in self.inputs.names for name in block}
         if set(inputs) != known:
             odd = ", ".join(sorted(set(inputs) ^ known))
             expected = "the same names in the study (inputs, fixed) and in model.umbridge.inputs"
@@ -210,7 +223,7 @@ class UMBridgeModel:
             message = "the server supports neither ApplyJacobian nor Gradient; leave sensitivities out"
             raise ForwardModelError("no_sensitivities", message)
         slopes = {}
-        for into, block in enumerate(self.blocks):
+        for into, block in enumerate(self.inputs.names):
             outputs = range(self.layout.coordinate_blocks)
             by_output = [self.client.jacobian(out, into, values, described) for out in outputs]
             for number, name in enumerate(block):
@@ -219,29 +232,5 @@ class UMBridgeModel:
         return slopes
 
 
-def _named_blocks(given: object) -> tuple[tuple[tuple[str, ...], ...], dict[str, str]]:
-    """Return the names by block, and the units if every name has one."""
-    nested = isinstance(given, list) and bool(given) and all(isinstance(block, list) for block in given)
-    blocks: Any = given if nested else [given]
-    lists = [block if isinstance(block, list) else [] for block in blocks]
-    pairs = [[_name_and_unit(item) for item in block] for block in lists]
-    flat = [pair for block in pairs for pair in block]
-    named = all(isinstance(name, str) and name and type(unit) in (str, int, type(None)) for name, unit in flat)
-    if not (all(lists) and named) or len({name for name, _ in flat}) < len(flat):
-        expected = "names in the order of the model, [E, nu], or of its blocks, [[E, nu], [V_in]]; with units [E: Pa]"
-        raise refused("inputs", given, expected, "Name each input once.")
-    units = {name: str(unit) for name, unit in flat if unit is not None}
-    return tuple(tuple(name for name, _ in block) for block in pairs), units if len(units) == len(flat) else {}
-
-
 def _name_and_unit(item: Any) -> tuple[Any, Any]:
     return next(iter(item.items())) if isinstance(item, Mapping) and len(item) == 1 else (item, None)
-
-
-def _config(given: Mapping[str, Any] | None) -> dict[str, Any]:
-    config = dict(given or {})
-    try:
-        json.dumps(config, allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise refused("config", f"{config!r} ({error})", "keys with values that JSON can hold") from None
-    return config

@@ -6,11 +6,12 @@ import pytest
 from scipy import sparse
 from tests.unit.models.biofilm.cells import coarse, moved, rough, rough_cell, sensitivity_error
 from verification.validation.energies import ENERGIES, FURTHER, volume_piola
+from verification.validation.fluid_forms import add_fluid
 from verification.validation.generality import law_inputs
 
 from strandline.models.biofilm import fluid_elements, solid_elements
 from strandline.models.biofilm.cell import Setting, _boundaries
-from strandline.models.biofilm.forms import add_fluid, solid_form
+from strandline.models.biofilm.forms import solid_form
 from strandline.models.biofilm.geometry import MESHES, Partition, mesh_flow_cell
 from strandline.models.biofilm.materials import LAWS, further_parameters
 from strandline.models.biofilm.materials.isotropic import flaw

@@ -14,7 +14,7 @@ from tests.unit.models.umbridge.served import AT, TOKEN, WHOLE
 from strandline.errors import ForwardModelError, InvalidInput
 from strandline.models.protocol import with_sensitivities
 from strandline.models.umbridge.answers import Rejected, ServedModel, answer
-from strandline.models.umbridge.model import BlockLayout, UMBridge
+from strandline.models.umbridge.model import BlockLayout, UMBridgeModel
 from strandline.models.umbridge.server import Access
 from strandline.studies.parse import made
 from strandline.testing.umbridge import CHECKS, ModelUnderTest
@@ -126,7 +126,7 @@ def test_a_token_is_needed_as_bearer_or_as_the_password_of_the_address():
 
 def model(**options):
     given = {"url": "http://127.0.0.1:1", "name": "beam", "inputs": ["E", "load"]} | options
-    return made(UMBridge, given, "model.umbridge").forward_model()
+    return made(UMBridgeModel, given, "model.umbridge")
 
 
 def test_the_address_is_no_part_of_the_fingerprint_and_what_changes_results_is():
