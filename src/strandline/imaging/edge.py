@@ -28,10 +28,10 @@ from strandline.imaging.strip import (
     Strip,
     course_through,
     grey_values,
-    inside_polygon,
     smoothed,
     strip_along,
 )
+from strandline.interface.interface import inside_polygon
 
 __all__ = ["EDGES", "Edge", "find_edge"]
 

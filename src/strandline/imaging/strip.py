@@ -14,6 +14,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d, map_coordinates
 from scipy.spatial import cKDTree
 
+from strandline.interface.interface import inside_polygon
 from strandline.readers.checked import unfit
 
 PathPoints = Float[np.ndarray, "point 2"]
@@ -244,17 +245,6 @@ def strip_along(
     between = at % 1.0
     kept = float((1 - 2 * between * (1 - between)).prod(axis=2).mean()) if order == 1 else 1.0
     return Strip(np.where(usable, samples, 0.0), usable, places, course, kept)
-
-
-def inside_polygon(points: Float[np.ndarray, "*point 2"], polygon: Float[np.ndarray, "corner 2"]) -> np.ndarray:
-    """Return which points a polygon contains, by the number of its sides to the right of each; any shape (..., 2)."""
-    inside = np.zeros(points.shape[:-1], dtype=bool)
-    x, y = points[..., 0], points[..., 1]
-    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        if a[1] != b[1]:
-            spans = (a[1] > y) != (b[1] > y)
-            inside ^= spans & (x < a[0] + (y - a[1]) * (b[0] - a[0]) / (b[1] - a[1]))
-    return inside
 
 
 def covered_by(polygon: Float[np.ndarray, "corner 2"], shape: tuple[int, int]) -> Bool[np.ndarray, "row column"]:

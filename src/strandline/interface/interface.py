@@ -340,6 +340,19 @@ def oriented_like(observed: Interface, reference: Interface) -> Oriented:
     return Oriented(observed.reversed() if flipped else observed, flipped)
 
 
+def inside_polygon(
+    points: Float[np.ndarray, "*point 2"], polygon: Float[np.ndarray, "corner 2"]
+) -> Bool[np.ndarray, "*point"]:
+    """Return which points a polygon contains, by the number of its sides to the right of each; any shape (..., 2)."""
+    inside = np.zeros(points.shape[:-1], dtype=bool)
+    x, y = points[..., 0], points[..., 1]
+    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+        if a[1] != b[1]:
+            spans = (a[1] > y) != (b[1] > y)
+            inside ^= spans & (x < a[0] + (y - a[1]) * (b[0] - a[0]) / (b[1] - a[1]))
+    return inside
+
+
 def _cross(a: Float[np.ndarray, "*#pair 2"], b: Float[np.ndarray, "*#pair 2"]) -> Float[np.ndarray, "..."]:
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 

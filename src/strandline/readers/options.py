@@ -10,14 +10,32 @@ from strandline.readers.checked import is_finite, unfit
 from strandline.registry import imported
 
 TO_MM = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "m": 1e3}
-MESHES = (".vtu", ".vtp", ".pvtu", ".pvtp", ".pvd", ".xdmf", ".xmf", ".stl", ".ply", ".vtk", ".msh", ".mesh", ".frd")
-"""Suffixes of files that hold cells; any other file is a table of points in their order."""
-SERIES = (".pvd", ".xdmf", ".xmf", ".frd")
-"""Suffixes of files that hold several times."""
+TEXT = "strandline.readers.tables:read_text"
+ONE_TIME = {
+    **dict.fromkeys((".csv", ".tsv"), TEXT),
+    ".npy": "strandline.readers.tables:read_npy",
+    **dict.fromkeys((".json", ".geojson"), "strandline.readers.tables:read_json"),
+}
+SERIES = {
+    ".pvd": "strandline.readers.vtk_xml:read_pvd",
+    **dict.fromkeys((".xdmf", ".xmf"), "strandline.readers.by_meshio:read_xdmf"),
+    ".frd": "strandline.readers.calculix:read_frd",
+}
+MESHES = SERIES | {
+    **dict.fromkeys((".vtu", ".vtp", ".pvtu", ".pvtp"), "strandline.readers.vtk_xml:read_vtk_xml"),
+    **dict.fromkeys((".stl", ".ply"), "strandline.readers.by_meshio:read_by_meshio"),
+    ".msh": "strandline.readers.by_meshio:read_msh",
+    ".mesh": "strandline.readers.by_meshio:read_medit",
+    ".vtk": "strandline.readers.by_meshio:read_legacy",
+}
+READERS: dict[str, str] = ONE_TIME | {".txt": TEXT, ".dat": TEXT} | MESHES
+"""Suffixes of files → ``module:name`` of the function that reads them; others are read as text.
+
+`ONE_TIME` are tables of a single time, other texts may be lists that a simulator prints. `MESHES` hold
+cells, those of them in `SERIES` at several times.
+"""
 COMMON = {"file", "unit", "field", "select", "count", "reader"}
 OF_TABLES = COMMON | {"closed", "columns", "delimiter", "decimal", "hide", "keep", "near", "sd", "sort"}
-ONE_TIME = (".csv", ".tsv", ".npy", ".json", ".geojson")
-"""Suffixes of tables of a single time; others may be lists that a simulator prints."""
 OF_MESHES = COMMON | {"block", "cells", "points", "near", "keep", "start", "plane"}
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 

@@ -11,26 +11,11 @@ from jaxtyping import Float
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
 from strandline.readers.contents import Contents, Unreadable, refused, undamaged
-from strandline.readers.options import Reading
+from strandline.readers.options import READERS, TEXT, Reading
 from strandline.readers.shape import interface_of, point_sds
 from strandline.readers.tables import require_end
 from strandline.registry import imported
 
-_TABLE = "strandline.readers.tables:read_text"
-READERS: dict[str, str] = {
-    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), _TABLE),
-    ".npy": "strandline.readers.tables:read_npy",
-    **dict.fromkeys((".vtu", ".vtp", ".pvtu", ".pvtp"), "strandline.readers.vtk_xml:read_vtk_xml"),
-    ".pvd": "strandline.readers.vtk_xml:read_pvd",
-    **dict.fromkeys((".xdmf", ".xmf"), "strandline.readers.by_meshio:read_xdmf"),
-    **dict.fromkeys((".stl", ".ply"), "strandline.readers.by_meshio:read_by_meshio"),
-    ".msh": "strandline.readers.by_meshio:read_msh",
-    ".mesh": "strandline.readers.by_meshio:read_medit",
-    ".vtk": "strandline.readers.by_meshio:read_legacy",
-    ".frd": "strandline.readers.calculix:read_frd",
-    **dict.fromkeys((".json", ".geojson"), "strandline.readers.tables:read_json"),
-}
-"""Suffixes of files → ``module:name`` of the function that reads them; others are read as text."""
 TEXTS: dict[str, str] = {
     r"\*Step *=.*\n\*Time *=.*\n\*Data *=": "strandline.readers.calculix:read_febio",
     r"(?s).*displacements \(vx,vy,vz\) for set": "strandline.readers.calculix:read_dat",
@@ -96,7 +81,7 @@ def read_interface(path: Path, how: Reading, *, name: str = "", ended: bool = Fa
     name = name or path.name
     _require_file(path, name)
     _require_known(_beginning(path), how, name)
-    if ended and how.count is None and _reader(path, how) in (_TABLE, *TEXTS.values()):
+    if ended and how.count is None and _reader(path, how) in (TEXT, *TEXTS.values()):
         with undamaged(name, "a readable text file"):
             require_end(path, name)
     contents = _contents(path, how, name)
@@ -133,7 +118,7 @@ def _contents(path: Path, how: Reading, name: str) -> Contents:
     """Return the contents of the file; any error of its reader on a damaged file becomes `Unreadable`."""
     target = _reader(path, how)
     reader: Reader = imported(target, f"reader of {name}")
-    if target == _TABLE and (how.time is not None or how.plane != "xy"):
+    if target == TEXT and (how.time is not None or how.plane != "xy"):
         raise refused(f"{name} is a table of one time", "`time` or `plane`", "`columns` alone", "Remove it.")
     with undamaged(name, f"a whole {how.suffix} file"):
         contents = reader(path, how, name)
@@ -144,8 +129,8 @@ def _contents(path: Path, how: Reading, name: str) -> Contents:
 
 def _reader(path: Path, how: Reading) -> str:
     """Return ``module:name`` of the function that reads the file, by its suffix or else its first lines."""
-    target = how.reader or READERS.get(how.suffix, _TABLE)
-    begin = _beginning(path).decode("utf-8-sig", "replace").lstrip() if target == _TABLE else ""
+    target = how.reader or READERS.get(how.suffix, TEXT)
+    begin = _beginning(path).decode("utf-8-sig", "replace").lstrip() if target == TEXT else ""
     return next((found for pattern, found in TEXTS.items() if re.match(pattern, begin)), target)
 
 

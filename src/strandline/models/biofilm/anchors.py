@@ -20,7 +20,6 @@ import contextlib
 import hashlib
 import os
 import platform
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -36,6 +35,7 @@ from jaxtyping import Bool, Float
 from scipy.interpolate import RBFInterpolator
 
 from strandline.errors import ForwardModelError
+from strandline.files import whole_file
 from strandline.models import refused
 from strandline.models.biofilm import newton
 from strandline.models.biofilm.cell import FlowCell, Setting, Solution
@@ -245,14 +245,9 @@ def save_anchors(states: States, path: Path) -> None:
     """Write a file, or none where the disk refuses it; another process never sees half of it."""
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=".part")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                arrays = {field: getattr(states, field) for field in FIELDS}
-                np.savez(file, **arrays, digest=np.array(_digest(path, arrays)))
-            Path(name).replace(path)
-        finally:
-            Path(name).unlink(missing_ok=True)
+        arrays = {field: getattr(states, field) for field in FIELDS}
+        with whole_file(path) as partial, partial.open("wb") as file:
+            np.savez(file, **arrays, digest=np.array(_digest(path, arrays)))
 
 
 def load_anchors(path: Path) -> States | None:

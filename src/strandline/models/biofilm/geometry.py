@@ -15,6 +15,7 @@ from netgen.meshing import MeshingParameters
 from ngsolve import Mesh
 
 from strandline.interface import Interface
+from strandline.interface.interface import inside_polygon
 from strandline.models import refused
 from strandline.models.biofilm.outline import ON_WALL, Channel, Pairs, bodies
 
@@ -209,13 +210,9 @@ class Subdivision:
         return list(chosen)
 
     def contains(self, name: str, point: Point) -> bool:
-        """Return whether `point` lies inside a polygon, by the crossings of a ray."""
-        a = np.array([self.vertices[v] for v in self.rings[name]])
-        b = np.roll(a, -1, axis=0)
-        spans = (a[:, 1] > point[1]) != (b[:, 1] > point[1])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            at = a[:, 0] + (point[1] - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
-        return bool(np.sum(spans & (at > point[0])) % 2)
+        """Return whether `point` lies inside a polygon."""
+        corners = np.array([self.vertices[v] for v in self.rings[name]])
+        return bool(inside_polygon(np.array(point), corners))
 
     def edges(self) -> Iterator[PolygonEdge]:
         """Yield every edge once, with the polygons on both sides."""
