@@ -21,6 +21,7 @@ from strandline.models.biofilm.forms import FluidLoad
 from strandline.models.biofilm.outline import Channel, Pairs, pairs_in
 from strandline.models.biofilm.system import CoupledSystem
 from strandline.models.protocol import ModelInput
+from strandline.readers.checked import is_finite
 from strandline.registry import lookup
 
 UNKNOWN = "unknown"
@@ -74,8 +75,7 @@ class Fluid:
     def __post_init__(self) -> None:
         for item in QUANTITIES:
             value = getattr(self, item.name)
-            number = isinstance(value, int | float) and not isinstance(value, bool)
-            if value != UNKNOWN and not (number and np.isfinite(value) and item.admits(value)):
+            if value != UNKNOWN and not (is_finite(value) and item.admits(value)):
                 expected = f"a number in {item.range_text()}, in {item.unit}, or {UNKNOWN}"
                 remedy = f"Correct it. Write `{UNKNOWN}` to make it an input of the model."
                 raise refused(f"{item.name} of the fluid", value, expected, remedy)

@@ -16,6 +16,7 @@ from strandline.models.biofilm.flow import DROP, PRESSURE, PROFILES, RATE, as_pa
 from strandline.models.biofilm.materials import Law, further_parameters
 from strandline.models.biofilm.memory import MOST_BRANCHES
 from strandline.models.protocol import ModelInput
+from strandline.readers.checked import is_finite
 
 SMALL_STRAIN = (
     ModelInput("E", "Pa", 0.0, np.inf, low_included=False, high_included=False, meaning="Young's modulus"),
@@ -75,19 +76,13 @@ def as_inflow(value: Any) -> Any:
     raise _refused("inflow", value, f"one of {names}, module:name, or {{table: [[y, v], …]}} with y in mm")
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
 def as_loads(option: str, loads: Any) -> tuple[tuple[str, float], ...]:
     """Return a mapping name → inflow rate or pressure drop as pairs."""
     what, _, unit, example = _LOADS[option]
     if not isinstance(loads, Mapping):
         shown = f"{{slow: {example}, fast: {2 * example}}}"
         raise _refused(option, loads, f"{what}s in {unit} by the name of the condition, e.g. {shown}")
-    for name, load in loads.items():
-        _check_load(option, name, load)
-    return tuple((name, float(load)) for name, load in loads.items())
+    return tuple((name, _load(option, name, load)) for name, load in loads.items())
 
 
 as_inflow_rates = partial(as_loads, "inflow_rates")
@@ -113,16 +108,16 @@ def check_loads(rates: Sequence[tuple[str, float]], drops: Sequence[tuple[str, f
             )
             raise _refused(option, f"inflow: {inflow}", expected, f"Change `inflow`, or give `{other}` by condition.")
         for name, load in loads:
-            _check_load(option, name, load)
+            _load(option, name, load)
 
 
-def _check_load(option: str, name: object, load: object) -> None:
-    """Refuse what is no number, 0 or more, with the name of a condition."""
+def _load(option: str, name: object, load: object) -> float:
+    """Return a load; refuse what is no number, 0 or more, with the name of a condition."""
     what, model_input, unit, example = _LOADS[option]
-    admitted = isinstance(load, int | float) and _is_number(load) and model_input.admits(float(load))
-    if not admitted or not is_condition(name) or not name:
-        expected = f"the name of a condition with its {what} in {unit}, 0 or more, e.g. slow: {example}"
-        raise _refused(f"{what} {name!r}", load, expected)
+    if is_finite(load) and model_input.admits(load) and is_condition(name) and name:
+        return float(load)
+    expected = f"the name of a condition with its {what} in {unit}, 0 or more, e.g. slow: {example}"
+    raise _refused(f"{what} {name!r}", load, expected)
 
 
 def check_course(course: Course | None, *, several: bool, branches: object, sensitivities: bool) -> None:
