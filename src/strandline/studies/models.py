@@ -22,7 +22,7 @@ from strandline.studies.keys import StudyFile
 from strandline.studies.keys.scalars import Choice, Number, Section
 from strandline.studies.observed import read_points
 from strandline.studies.parse import checked, entry, made, open_entry, refused_at, require_parts
-from strandline.studies.pictures.undeformed import Undeformed, undeformed_in, without_picture
+from strandline.studies.pictures.undeformed import Undeformed, undeformed_in
 
 
 def build_model(
@@ -53,7 +53,7 @@ def build_model(
         options = {key: _with_points(key, value, folder) for key, value in (options or {}).items()}
         undeformed = undeformed or undeformed_in(choice, folder)
         if undeformed is not None:
-            options["outline"] = {**without_picture(options["outline"]), **undeformed.options}
+            options["outline"] = undeformed.options(options["outline"])
         model = made(factory, options, place)
     with refused_at():
         return with_sensitivities(model) if sensitivities else model

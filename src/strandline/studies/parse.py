@@ -50,8 +50,8 @@ def parse_study(folder: Path) -> tuple[StudyFile, str]:
 
 def parsed(text: str) -> StudyFile:
     """Return the validated content of the text of a study file."""
-    content = _load(text)
-    version = content.get("version")
+    content = load_yaml(text)
+    version = content.get("version") if isinstance(content, dict) else SCHEMA_VERSION
     if type(version) is not int or version != SCHEMA_VERSION:
         raise InvalidStudy(
             f"{STUDY}: version",
@@ -83,18 +83,6 @@ def _read(folder: Path) -> str:
             expected="a readable text file in UTF-8",
             remedy="Check its permissions and encoding.",
         ) from None
-
-
-def _load(text: str) -> dict[Any, Any]:
-    content = load_yaml(text)
-    if not isinstance(content, dict):
-        raise InvalidStudy(
-            f"{STUDY} holds no keys",
-            value=content,
-            expected="keys such as version, name, model, inputs",
-            remedy="See `strandline init`, which writes a commented example.",
-        )
-    return content
 
 
 def first_problem(error: ValidationError, schema: Any = StudyFile, within: str = "") -> InvalidStudy:

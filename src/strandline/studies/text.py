@@ -81,12 +81,7 @@ class _Loader(yaml.SafeLoader):
             if not isinstance(key, yaml.ScalarNode):
                 raise _not_yaml(key.start_mark, "a list or mapping as a key", "a word before the colon")
             if (key.tag, key.value) in seen:
-                raise InvalidStudy(
-                    f"{STUDY}, line {key.start_mark.line + 1}: a key for the second time",
-                    value=key.value,
-                    expected="every key once",
-                    remedy="Remove one of them.",
-                )
+                raise _not_yaml(key.start_mark, f"{key.value} again", "every key once", "Remove one of them.")
             seen.add((key.tag, key.value))
         return node
 

@@ -60,7 +60,7 @@ class DaskCluster:
     asks_again: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        shared.require_timeout(self.timeout)
+        shared.require_seconds("timeout", self.timeout)
         for name, least in {"workers": 1, "minimum": 0, "maximum": 1}.items():
             shared.require_count(name, getattr(self, name), remedy="Correct the number.", least=least)
         for wrong, what, value, expected, remedy in (*_contradictions(self), *_job_faults(self)):

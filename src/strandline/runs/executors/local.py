@@ -11,7 +11,7 @@ from threading import Event
 from typing import Any, ClassVar
 
 from strandline.models.protocol import ForwardModel
-from strandline.runs.executors.shared import Dispatcher, require_count, require_timeout
+from strandline.runs.executors.shared import Dispatcher, require_count, require_seconds
 from strandline.runs.record import RunRecord, RunRequest, attempt
 from strandline.runs.scratch import scratch_folder
 from strandline.runs.worker import packed_model, require_posix
@@ -58,7 +58,7 @@ class LocalProcesses:
 
     def __post_init__(self) -> None:
         require_count("workers", self.workers, remedy="Leave it out to use all cores.")
-        require_timeout(self.timeout)
+        require_seconds("timeout", self.timeout)
 
     def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:
         """Yield a record for each request as runs end.

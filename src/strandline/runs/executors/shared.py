@@ -14,7 +14,7 @@ Place = TypeVar("Place")
 
 SPARE_SECONDS = 60.0
 """Part of its walltime that a job needs before and after a run."""
-LONGEST_TIMEOUT = 366 * 24 * 3600.0
+LONGEST = 366 * 24 * 3600.0
 """Seconds; longer times overflow clocks and pipes."""
 DAYS = re.compile(r"(?P<days>\d+)-(?P<hours>\d+)(:(?P<minutes>\d+))?(:(?P<seconds>\d+))?")
 CLOCK = re.compile(r"((?P<hours>\d+):)?(?P<minutes>\d+):(?P<seconds>\d+)")
@@ -26,15 +26,11 @@ def require_count(what: str, value: int | None, *, remedy: str, least: int = 1) 
         raise InvalidInput(what, value=value, expected=f"at least {least}", remedy=remedy)
 
 
-def require_timeout(timeout: float | None) -> None:
-    """Refuse a timeout that is not above 0, or longer than a year."""
-    if timeout is not None and not 0 < timeout <= LONGEST_TIMEOUT:
-        raise InvalidInput(
-            "timeout",
-            value=timeout,
-            expected=f"seconds above 0, at most {LONGEST_TIMEOUT:.0f} (a year)",
-            remedy="Leave it out for no limit.",
-        )
+def require_seconds(what: str, seconds: float | None, *, remedy: str = "Leave it out for no limit.") -> None:
+    """Refuse seconds that are not above 0, or more than a year."""
+    if seconds is not None and not 0 < seconds <= LONGEST:
+        expected = f"seconds above 0, at most {LONGEST:.0f} (a year)"
+        raise InvalidInput(what, value=seconds, expected=expected, remedy=remedy)
 
 
 def require_room_in_walltime(timeout: float | None, walltime: str | None) -> None:

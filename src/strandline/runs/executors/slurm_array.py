@@ -88,14 +88,13 @@ class SlurmArray:
     detach: bool = False
 
     def __post_init__(self) -> None:
-        shared.require_timeout(self.timeout)
+        shared.require_seconds("timeout", self.timeout)
+        shared.require_seconds("poll", self.poll, remedy="Correct the number.")
         for name in ("cpus", "max_running", "max_jobs"):
             shared.require_count(name, getattr(self, name), remedy="Correct the number.")
         if self.walltime is not None:
             shared.walltime_seconds(self.walltime)
         shared.require_room_in_walltime(self.timeout, self.walltime)
-        if not self.poll > 0:
-            raise InvalidInput("poll", value=self.poll, expected="seconds above 0", remedy="Correct the number.")
 
     def outstanding(self, model: ForwardModel, keys: Iterable[str]) -> frozenset[str]:
         """Return the runs in `keys` that SLURM still has, or that are done but not collected.

@@ -8,7 +8,6 @@ from strandline.text import decimal, is_label, is_name
 
 MOST = 1_000_000
 """Largest count of runs, particles, workers and so on: more than anybody needs, and few enough for memory."""
-LONGEST_SECONDS = 366 * 24 * 3600
 MOST_RETRIES = 1000
 MOST_VALUES = 10_000
 """Values of the nuisance inputs; the sampler runs once for each."""
@@ -57,7 +56,6 @@ Size = Annotated[Whole, Field(le=MOST)]
 Seed = Annotated[Whole, Field(ge=0, lt=2**32)]
 Name = Annotated[str, AfterValidator(_name)]
 Unit = Annotated[str, AfterValidator(_label)]
-Seconds = Annotated[Number, Field(gt=0, le=LONGEST_SECONDS)]
 Text = Annotated[str, Field(strict=True, min_length=1)]
 
 

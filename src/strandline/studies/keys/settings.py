@@ -18,7 +18,6 @@ from strandline.studies.keys.scalars import (
     MOST_VALUES,
     Count,
     Number,
-    Seconds,
     Section,
     Seed,
     Text,
@@ -146,11 +145,7 @@ class DaskJobs(Section):
 DASK = Options(
     DaskCluster, also={"cluster": (Literal["local", "slurm", "pbs"] | None, None), "jobs": (DaskJobs | None, None)}
 )
-SLURM_ARRAY = Options(
-    SlurmArray,
-    without=("folder", "command", "detach"),
-    also={"walltime": (Walltime | None, None), "poll": (Seconds, 5.0)},
-)
+SLURM_ARRAY = Options(SlurmArray, without=("folder", "command", "detach"), also={"walltime": (Walltime | None, None)})
 
 
 class ExecutorChoice(Section):

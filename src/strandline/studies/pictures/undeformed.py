@@ -26,9 +26,10 @@ class Undeformed:
     outline: Outlined
     noises: Mapping[str, Noise | PointErrors | UnknownErrors] = field(default_factory=dict)
 
-    @property
-    def options(self) -> dict[str, Any]:
-        return {"points": self.outline.points.tolist(), "spline": False}
+    def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the options `given` of an outline with its points instead of the picture."""
+        rest = {key: value for key, value in given.items() if key != IMAGE}
+        return {**rest, "points": self.outline.points.tolist(), "spline": False}
 
     @property
     def errors(self) -> PointErrors:
@@ -58,11 +59,6 @@ def undeformed_in(choice: Mapping[str, Mapping[str, Any] | None], folder: Path) 
     found = picture.edge.errors
     with refused_at():
         return Undeformed(picture, outline_of(points, path, sd=found.sd, length=found.length))
-
-
-def without_picture(outline: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options of an outline but for its picture."""
-    return {key: value for key, value in outline.items() if key != IMAGE}
 
 
 def with_errors_of(
