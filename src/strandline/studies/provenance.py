@@ -87,13 +87,9 @@ def results_at_hand(study: Study) -> dict[str, Any] | None:
     summary = read_json(study.folder / SUMMARY)
     try:
         study.runs.require_finished()
-        now = {
-            "study_sha256": study.text_digest,
-            "model": study.runs.identity,
+        now = facts_of(study, study.settings.seed) | {
             "observation_sha256": observation_digest(study),
             "ledger_sha256": outcome_digest(study.ledger_path, frozenset(study.runs.needed_keys)),
-            "version": __version__,
-            "versions": versions(),
             "missing": {},
         }
     except (OSError, StrandlineError):

@@ -1,11 +1,11 @@
 """A study's forward model and its likelihood as models that others can call by UM-Bridge."""
 
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from queue import LifoQueue
 
 import numpy as np
 from jaxtyping import Float
@@ -38,11 +38,9 @@ class Solver:
     """
 
     def __init__(self, model: ForwardModel, *, workers: int = 1, timeout: float | None = None) -> None:
-        self._timeout, self._workers, self._closed = timeout, workers, threading.Event()
-        self._idle: LifoQueue[WorkerSlot] = LifoQueue()
-        setup = packed_model(model)
-        for _ in range(workers):
-            self._idle.put(WorkerSlot(setup))
+        self._timeout, self._closed, setup = timeout, threading.Event(), packed_model(model)
+        self._slots = [WorkerSlot(setup) for _ in range(workers)]
+        self._idle, self._pool = deque(self._slots), ThreadPoolExecutor(workers)
         self._known: dict[str, Future[RunRecord]] = {}
         self._lock = threading.Lock()
 
@@ -54,37 +52,33 @@ class Solver:
         """
         request = RunRequest(run_key("", inputs), dict(inputs))
         with self._lock:
-            future = self._known.get(request.key)
-            mine = future is None
-            if future is None:
-                future = self._known[request.key] = Future()
-                while len(self._known) > REMEMBERED:
-                    self._known.pop(next(iter(self._known)))
-        if mine:
-            self._make(request, future)
+            if request.key not in self._known:
+                self._known[request.key] = self._pool.submit(self._made, request)
+            future = self._known[request.key]
+            while len(self._known) > REMEMBERED:
+                self._known.pop(next(iter(self._known)))
         return future.result()
 
     def close(self) -> None:
         """End the processes, with the runs that they are making."""
         self._closed.set()
-        for slot in [self._idle.get() for _ in range(self._workers)]:
+        self._pool.shutdown()
+        for slot in self._slots:
             slot.close()
-            self._idle.put(slot)  # for those who still wait for one
 
-    def _make(self, request: RunRequest, future: Future[RunRecord]) -> None:
-        slot = self._idle.get()
+    def _made(self, request: RunRequest) -> RunRecord:
+        slot, record = self._idle.pop(), None
         try:
             record = slot.run(request, self._timeout, wanted=lambda: not self._closed.is_set())
-            message = "stopped with its process"
-            stopped = RunRecord(request.key, request.inputs, "killed", failure_kind="stopped", message=message)
-            future.set_result(stopped if record is None or self._closed.is_set() else record)
-        except BaseException as error:
-            future.set_exception(error)
         finally:
-            self._idle.put(slot)
-        if future.exception() is not None or not future.result().ok:
-            with self._lock:
-                self._known.pop(request.key, None)
+            self._idle.append(slot)
+            if record is None or not record.ok:
+                with self._lock:
+                    self._known.pop(request.key, None)
+        if record is None or self._closed.is_set():
+            message = "stopped with its process"
+            return RunRecord(request.key, request.inputs, "killed", failure_kind="stopped", message=message)
+        return record
 
 
 @dataclass(frozen=True)

@@ -77,7 +77,7 @@ def build_failures(given: Failures, model: ForwardModel) -> FailurePolicy:
         for kind in given.kinds:
             entry(known, kind, "failures.kinds")
     actions = {kind: action if isinstance(action, str) else Retry(action) for kind, action in given.kinds.items()}
-    if given.stop is None:
+    if isinstance(given.stop, str):
         return FailurePolicy(actions, stop_share=2.0)
     return FailurePolicy(actions, stop_after=given.stop.after, stop_share=given.stop.share)
 

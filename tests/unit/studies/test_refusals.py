@@ -85,6 +85,8 @@ name: a/b; seed: -1; seed: 4294967296; version: 2; version: '1'; version: 1.0; v
 reuse: [../nothing] | reuse: got ../nothing | folder of another study
 sensitivities: true | sensitivities of the model: got this model offers none
 failures.kinds: {timeout: recover}; failures.kinds: {timeout: {retry: 0}} | continue, abort, or {retry: N}
+failures.stop: nevr | failures.stop: got nevr | never
+failures.stop: {share: 2}; failures.stop: {after: 0}
 """
 MODEL = """
 model: {biofilm: {}, python: {}} | model: got | exactly one entry

@@ -129,11 +129,7 @@ class SlurmArray:
 
     def _warning(self) -> int:
         """Return how many seconds before the end of its walltime a job is warned: at most a tenth of the walltime."""
-        return (
-            WARNING_SECONDS
-            if self.walltime is None
-            else min(WARNING_SECONDS, int(shared.walltime_seconds(self.walltime) / 10))
-        )
+        return int(min(WARNING_SECONDS, shared.walltime_seconds(self.walltime or "1-0") / 10))
 
     def _known(self, model: ForwardModel) -> dict[str, tuple[ArrayBatch, int]]:
         """Return batch and number of each run that was submitted and not collected; the latest batch counts."""

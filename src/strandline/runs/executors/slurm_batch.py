@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from strandline.errors import InvalidInput
+from strandline.files import whole_file
 from strandline.models.fingerprint import fingerprint
 from strandline.models.protocol import ForwardModel, asks_sensitivities
 from strandline.runs.ledger_rows import inputs_text, record_of, rows_of
@@ -65,12 +66,10 @@ def read_run(path: Path) -> RunRecord:
 
 def put_durably(path: Path, content: bytes) -> None:
     """Write a file completely or not at all; it is on the disk when this returns."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    with partial.open("wb") as stream:
+    with whole_file(path) as partial, partial.open("wb") as stream:
         stream.write(content)
         stream.flush()
         os.fsync(stream.fileno())
-    partial.replace(path)
     synchronise(path.parent)
 
 

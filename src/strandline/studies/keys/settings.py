@@ -184,18 +184,9 @@ class Stop(Section):
     """… once this many are done"""
 
 
-def _stop(value: Any) -> Any:
-    """Return None for `never`, and refuse other words."""
-    if isinstance(value, str):
-        if value != "never":
-            raise ValueError("never, or {share: 0.95, after: 20}")
-        return None
-    return value
-
-
 class Failures(Section):
     """What is done about forward runs that fail, by kind or state."""
 
     kinds: dict[str, Annotated[str | int, BeforeValidator(_action)]] = {}
     """by kind or state of a [failed run](../how-to/when-runs-fail.md): `continue`, `abort` or `{retry: N}`"""
-    stop: Annotated[Stop | None, BeforeValidator(_stop)] = Stop()
+    stop: Stop | Literal["never"] = Stop()
