@@ -68,17 +68,17 @@ def observations_of(study: Study) -> Mapping[str, Interface]:
     return noisy(record.interfaces, study.synthetic_noise) if record is not None and record.ok else {}
 
 
-def require_ok(record: RunRecord, what: str) -> RunRecord:
+def require_ok(record: RunRecord, what: str, remedy: str = "") -> RunRecord:
     """Return a run that ended ok; refuse another one."""
     if record.ok:
         return record
     shown = ", ".join(f"{name} = {value:.6g}" for name, value in record.inputs.items())
+    said = (record.message or "no message").partition("\n")[0]
     raise InvalidStudy(
         f"the forward run {what} failed",
         value=f"{record.failure_kind or record.state} at {shown}",
         expected="a run that ends with an interface",
-        remedy="Look at the simulator, or move the priors to where it runs. It says: "
-        + (record.message or "no message").partition("\n")[0],
+        remedy=f"{remedy or 'Look at the simulator, or move the priors to where it runs.'} It says: {said}",
     )
 
 

@@ -28,7 +28,7 @@ from strandline.report.fit import nearest_runs, nothing_near
 from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
 from strandline.runs.failures import FailurePolicy
 from strandline.studies.check import read_check
-from strandline.studies.first_run import require_same_axes, require_same_size
+from strandline.studies.first_run import require_ok, require_same_axes, require_same_size
 from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY, require_writable
 from strandline.studies.noise import require_fits
 from strandline.studies.observed import noisy
@@ -185,16 +185,9 @@ def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observe
     observer.stage("observation")
     policy = FailurePolicy(again=study.settings.failures.again)
     (record,) = run_campaign(study.model, [study.truth], ledger=ledger, executor=executor, policy=policy)
-    if not record.ok:
-        raise InvalidStudy(
-            "the synthetic observation could not be made",
-            value=f"{record.failure_kind or record.state} at "
-            + ", ".join(f"{name} = {value:g}" for name, value in study.truth.items())
-            + (f" ({record.message.splitlines()[0]})" if record.message else ""),
-            expected="inputs at which the model runs",
-            remedy="Choose other values under observation.synthetic; or remove the cause, and run `strandline retry"
-            f" {study.folder} --kind {record.failure_kind or record.state}`.",
-        )
+    again = f"`strandline retry {study.folder} --kind {record.failure_kind or record.state}`"
+    remedy = f"Choose other values under observation.synthetic; or remove the cause, and run {again}."
+    require_ok(record, "of the synthetic observation", remedy)
     observed = noisy(record.interfaces, study.synthetic_noise)
     for condition, seen in observed.items():
         require_fits(study.noise_of(condition), seen)

@@ -59,7 +59,7 @@ def test_runs_that_failed_are_made_once_more_and_the_results_anew(tmp_path, monk
     folder, licence = str(write_study(tmp_path / "study", **content)), tmp_path / "licence"
     licence.write_text("250")
     line = refused(capsys, "run", folder, "--quiet")
-    assert "synthetic observation could not be made: got licence at E = 305" in line
+    assert "run of the synthetic observation failed: got licence at E = 305" in line
     assert f"strandline retry {folder} --kind licence" in line
     licence.write_text("310")
     assert "too few successful" in refused(capsys, "retry", folder, "--kind", "licence", "--quiet")
