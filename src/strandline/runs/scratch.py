@@ -4,6 +4,7 @@ The name of a folder identifies its owner: the machine, the process, and the sta
 are reused.
 """
 
+import contextlib
 import hashlib
 import os
 import re
@@ -26,8 +27,10 @@ def scratch_folder() -> Path:
 
 def clear_stale(parent: Path) -> int:
     """Remove the folders in `parent` whose process was on this machine and is gone; return how many."""
-    cleared = 0
-    for name in _entries(parent):
+    cleared, names = 0, list[str]()
+    with contextlib.suppress(OSError):
+        names = os.listdir(parent)  # noqa: PTH208
+    for name in names:
         found = NAME.match(name)
         if found is None or found["machine"] != _machine():
             continue
@@ -44,13 +47,6 @@ def clear_stale(parent: Path) -> int:
         shutil.rmtree(folder, ignore_errors=True)
         cleared += not folder.exists()
     return cleared
-
-
-def _entries(parent: Path) -> list[str]:
-    try:
-        return os.listdir(parent)  # noqa: PTH208
-    except OSError:
-        return []
 
 
 def exists(pid: int) -> bool:
