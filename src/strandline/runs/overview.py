@@ -21,7 +21,6 @@ from strandline.runs.scratch import exists
 
 OPEN = "open"
 """State of a run that was started and has not ended: under way, or lost with its driver."""
-NUMBERS_PER_QUERY = 500
 WITH_SENSITIVITIES = """attempt IN
     (SELECT attempt FROM arrays INDEXED BY arrays_by_attempt WHERE role = 'sensitivity')"""
 STATES = ("ok", "failed", "timeout", "killed", "invalid", OPEN)
@@ -187,13 +186,9 @@ class Overview(OpenedLedger):
         """Return keys and starts that are new, with a number above `after`, or that may have ended since an earlier
         look: those `among` numbers that had not.
         """
-        some = sorted(among)
+        which = "attempt > ? OR attempt IN (SELECT value FROM json_each(?))"
         with translated(self.path):
-            found = list(self._attempts("attempt > ?", (after,)))
-            for first in range(0, len(some), NUMBERS_PER_QUERY):
-                asked = some[first : first + NUMBERS_PER_QUERY]
-                found += self._attempts(f"attempt IN ({','.join('?' * len(asked))})", asked)
-        return found
+            return list(self._attempts(which, (after, json.dumps([*among]))))
 
     def details(self, numbers: Iterable[int]) -> dict[int, Details]:
         """Return message, log and diagnostics of those starts that have ended."""
@@ -210,7 +205,7 @@ class Overview(OpenedLedger):
         session, pid, host, opened_at = rows[0]
         return Driver(session, pid, host, opened_at, is_at_work(pid, host, self.path.with_suffix(".lock")))
 
-    def _attempts(self, which: str = "1", given: Sequence[int] = ()) -> Iterator[tuple[str, Attempt]]:
+    def _attempts(self, which: str = "1", given: Sequence[object] = ()) -> Iterator[tuple[str, Attempt]]:
         # Without the index, each row is read past its interface.
         sql = f"""SELECT key, attempt, session, inputs, started_at, COALESCE(state, '{OPEN}'), kind, seconds, origin,
             finished_at, {WITH_SENSITIVITIES}

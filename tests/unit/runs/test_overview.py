@@ -63,7 +63,7 @@ def test_details_are_those_of_the_record_and_changes_are_told(path):
             ledger.finished(RunRecord("open", {"E": 3.0}, "timeout"))
             ledger.started(RunRequest("next", {"E": 4.0}))
             changes = [(key, attempt.state) for key, attempt in overview.changes(number, [number])]
-            assert changes == [("next", "open"), ("open", "timeout")]
+            assert changes == [("open", "timeout"), ("next", "open")]
     (told,) = details.values()
     assert (told.message, told.log, told.diagnostics) == (BAD.message, BAD.log, BAD.diagnostics)
     with pytest.raises(LedgerError, match="another model"):
