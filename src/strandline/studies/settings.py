@@ -19,8 +19,6 @@ from strandline.smc import SMCSettings
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.settings import ExecutorChoice, Failures
 from strandline.studies.parse import entry, made, open_entry, refused_at, require_parts
-from strandline.surrogate import fit_named
-from strandline.surrogate.kernels import kernel_named
 
 FEW_INPUTS = 3
 """Largest number of inputs with one length scale for all in a surrogate of the log-likelihood made for comparison."""
@@ -48,26 +46,24 @@ def build_settings(content: StudyFile, model: ForwardModel) -> Settings:
     by_field = active is not None or content.surrogate.field is not None
     kernel, fit = (None, None) if log_likelihood is None else (log_likelihood.kernel, log_likelihood.fit)
     kernel = kernel or ("matern32" if dim <= FEW_INPUTS or not by_field else "matern32_product")
-    with refused_at():
-        kernel_named(kernel, what="surrogate.log_likelihood.kernel")
-        if fit is not None:
-            fit_named(fit, what="surrogate.log_likelihood.fit")
     scramble = (content.design.active or {}).get("scramble") if sobol is None else sobol.scramble
-    return Settings(
-        runs=sobol.runs if sobol is not None else (active.initial if active and active.initial else 0),
-        scramble=scramble,
-        refine=refine,
-        kernel=kernel,
-        fit=fit,
-        surrogate="field" if by_field else "log_likelihood",
-        active=active,
-        particles=particles,
-        smc=sampler,
-        seed=content.seed,
-        nuisance_values=content.sampler.cut.values,
-        failures=build_failures(content.failures, model),
-        draft=content.draft,
-    )
+    failures = build_failures(content.failures, model)
+    with refused_at("surrogate.log_likelihood"):
+        return Settings(
+            runs=sobol.runs if sobol is not None else (active.initial if active and active.initial else 0),
+            scramble=scramble,
+            refine=refine,
+            kernel=kernel,
+            fit=fit,
+            surrogate="field" if by_field else "log_likelihood",
+            active=active,
+            particles=particles,
+            smc=sampler,
+            seed=content.seed,
+            nuisance_values=content.sampler.cut.values,
+            failures=failures,
+            draft=content.draft,
+        )
 
 
 def build_failures(given: Failures, model: ForwardModel) -> FailurePolicy:

@@ -300,16 +300,16 @@ KERNELS: dict[str, Kernel] = {
 """Names in study files → kernels; the ones with a length for each input are named _ard or _product."""
 
 
-def kernel_named(name: str, *, what: str = "name of the kernel") -> Kernel:
-    """Return the kernel of that name in `KERNELS`, or the object ``module:name``; `what` names it in messages.
+def kernel_named(name: str) -> Kernel:
+    """Return the kernel of that name in `KERNELS`, or the object ``module:name``.
 
     Raises:
         InvalidInput: There is no such kernel, or the object is not a kernel.
     """
-    found: Any = lookup(KERNELS, name, what)
+    found: Any = lookup(KERNELS, name, "name of the kernel")
     if not isinstance(found, Kernel):
         raise InvalidInput(
-            what,
+            "name of the kernel",
             value=name,
             expected="an object with the methods of strandline.surrogate.kernels.Kernel",
             remedy="Check it with strandline.testing.kernels.",

@@ -47,16 +47,16 @@ Fit = Callable[[Inputs, Targets], Predictor]
 """A function that learns from inputs (run, dim) and values (run,)."""
 
 
-def fit_named(name: str, *, what: str = "name of the surrogate") -> Fit:
-    """Return the function ``module:name`` that learns a surrogate; `what` names it in messages.
+def fit_named(name: str) -> Fit:
+    """Return the function ``module:name`` that learns a surrogate.
 
     Raises:
         InvalidInput: There is no such function.
     """
-    found: Any = imported(name, what)
+    found: Any = imported(name, "name of the surrogate")
     if not callable(found):
         raise InvalidInput(
-            what,
+            "name of the surrogate",
             value=name,
             expected="a function of inputs (run, dim) and log-likelihoods (run,) that returns a surrogate",
             remedy="Check it with strandline.testing.surrogates.",

@@ -154,6 +154,7 @@ noise: {sd: [5, 0], unit: um}; noise: {sd: 3, length: [0, 1], unit: um} | 0 < lo
 METHOD = """
 design.sobol.runs: many; design.sobol.runs: 64.5; design.sobol.runs: 0; design.sobol.runs: true
 design.sobol.runs: 3 | design.sobol.runs: got 3 | at least 4 runs for 2 input(s)
+surrogate: {log_likelihood: {kernel: matern23}} | surrogate.log_likelihood: name of the kernel: got matern23
 design.sobol.runs: 1.0e+12 | design.sobol.runs | equal to 1000000
 design.refine: {runs: 201}, sampler: {smc: {particles: 200}} | design.refine.runs: got 201; expected at most 200
 design.active: {runs: 50}; design: {} | either `sobol
