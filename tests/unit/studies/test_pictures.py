@@ -160,7 +160,8 @@ def test_marks_of_a_file_stand_for_path_scale_and_origin(tmp_path, capsys):
 
 REFUSED = """
 path: 3; path: model; edge: erff; edge: 3; edge: nowhere:Edge; edge: strandline.imaging:Frame; reader: nowhere:read
-path: [[1, 2], [3, 4]] | at least three pixels
+path: [[1, 2], [3, 4]] | observation.image.path has too few points: got 2; expected at least 3
+registration: {to: hump.png} | neither marks nor fixed; expected a region that does not move
 path: [[12, 98], [208, 50], [208, 98], [12, 50]] | cross
 file: nothing.png; file: [hump.png, nothing.png] | nothing.png
 trim: 0.45 | number of points of the edge

@@ -24,12 +24,6 @@ class RegisteredTo(Section):
     fixed: list[Annotated[list[Place], Field(min_length=3)]] = []
     """or the fixed regions themselves, polygons in pixels of that picture"""
 
-    @model_validator(mode="after")
-    def _a_region(self) -> "RegisteredTo":
-        if self.marks is None and not self.fixed:
-            raise ValueError("the regions that do not move: `fixed: [[[x, y], …]]`, or `marks: FILE.path.json`")
-        return self
-
     @property
     def files(self) -> list[str]:
         return [self.to] if isinstance(self.to, str) else list(self.to)
@@ -92,12 +86,6 @@ class ImageFile(_Picture):
     """share of the edge left out at each end of an open one"""
     exclude: list[Annotated[list[Place], Field(min_length=3)]] = []
     """polygons in pixels in which the interface is not used"""
-
-    @model_validator(mode="after")
-    def _three_places(self) -> "ImageFile":
-        if isinstance(self.path, list) and len(self.path) < 3:
-            raise ValueError("`path` with at least three pixels [x, y] along the interface")
-        return self
 
 
 class StackFile(_Picture):

@@ -267,8 +267,8 @@ def _placed(
     regions = [*(np.array(one, float) for one in how.fixed), *(marks.fixed if marks is not None else ())]
     if not regions:
         raise InvalidStudy(
-            f"{PLACE}.registration.marks",
-            value=f"{how.marks}, without a fixed region",
+            f"{PLACE}.registration",
+            value=f"{how.marks}, without a fixed region" if how.marks else "neither marks nor fixed",
             expected="a region that does not move with the specimen",
             remedy="Mark one: `strandline image STUDY --edit --reference`, or give `fixed`.",
         )
