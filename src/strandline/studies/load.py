@@ -1,5 +1,6 @@
 """study.yaml → a study, checked as far as possible without a forward run."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -123,11 +124,7 @@ def _require_taken(given: ConditionNoise, one: Found, condition: str) -> None:
 
 def _reused_ledger(folder: Path, other: str) -> Path:
     target = folder / other
-    try:
-        found = target.is_dir()
-    except (OSError, ValueError):  # a name too long, or one that the system cannot hold
-        found = False
-    if not found:
+    if not os.path.isdir(target):  # noqa: PTH112, which is False for a name that the system cannot hold, too
         raise InvalidStudy(
             "reuse",
             value=other,

@@ -142,9 +142,7 @@ class DaskJobs(Section):
     """shell lines before the worker starts, `["module load gcc"]`"""
 
 
-DASK = Options(
-    DaskCluster, also={"cluster": (Literal["local", "slurm", "pbs"] | None, None), "jobs": (DaskJobs | None, None)}
-)
+DASK = Options(DaskCluster, also={"jobs": (DaskJobs | None, None)})
 SLURM_ARRAY = Options(SlurmArray, without=("folder", "command", "detach"), also={"walltime": (Walltime | None, None)})
 
 
