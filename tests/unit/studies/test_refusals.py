@@ -164,6 +164,7 @@ design: {active: {runs: 50, criterion: entropy}}; design: {active: {runs: 15}}; 
 design: {active: {runs: 50, explore: 0.9}}; design: {active: {runs: 50, rounds: 2}}
 sampler.smc.particles: 3; sampler.smc.zeta: 1; sampler.smc.rejuvenation_steps: 0; sampler.cut.values: 1
 executor: {local: {workers: 0}}; executor: {local: {timeout: 1.0e+9}}; executor: {slurm_array: {cpus: -1}}
+executor: {locl: {}} | executor: got locl | mean local?
 executor.dask: {} | one of in_process, local, dask, slurm_array
 executor: {dask: {cluster: slurm, timeout: 3600, jobs: {cores: 4, memory: 8GB, walltime: '01:00:00'}}} | at most 3540 s
 executor: {slurm_array: {timeout: 241, walltime: '00:05:00'}} | at most 240 s

@@ -159,7 +159,7 @@ class ExecutorChoice(Section):
 
     @model_validator(mode="after")
     def _one_place(self) -> "ExecutorChoice":
-        if len(self.model_fields_set) > 1 or not all(":" in name for name in self.model_extra or {}):
+        if len(self.model_fields_set) > 1:
             raise ValueError(f"one of {', '.join(type(self).model_fields)}, or module:name")
         return self
 
