@@ -15,13 +15,12 @@ from strandline.files import read_json
 from strandline.models import MODELS
 from strandline.models.fidelities import CHEAPER, WithCheaper, by_cheaper
 from strandline.models.protocol import ForwardModel, UsesNames, with_sensitivities
-from strandline.readers.options import TO_MM
 from strandline.runs import RunRecord
 from strandline.studies.folder import SUMMARY
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.scalars import Choice, Number, Section
 from strandline.studies.observed import read_points
-from strandline.studies.parse import checked, entry, made, open_entry, refused_at, require_parts
+from strandline.studies.parse import checked, made, open_entry, refused_at, require_parts
 from strandline.studies.pictures.undeformed import Undeformed, undeformed_in
 
 
@@ -64,7 +63,6 @@ def _with_points(name: str, value: Any, folder: Path) -> Any:
     if not isinstance(value, Mapping) or "file" not in value:
         return value
     unit = str(value.get("unit", "nothing"))
-    entry(TO_MM, unit, f"unit of the points in {value['file']}, as in `unit: mm`")
     points = read_points(folder / str(value["file"]), unit, what=name).points.tolist()
     rest = {key: item for key, item in value.items() if key not in ("file", "unit")}
     return {"points": points, "spline": False, **rest}
