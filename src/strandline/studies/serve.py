@@ -67,7 +67,8 @@ class Solver:
             slot.close()
 
     def _made(self, request: RunRequest) -> RunRecord:
-        slot, record = self._idle.pop(), None
+        slot = self._idle.pop()
+        record: RunRecord | None = None
         try:
             record = slot.run(request, self._timeout, wanted=lambda: not self._closed.is_set())
         finally:
