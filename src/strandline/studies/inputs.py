@@ -14,7 +14,6 @@ from strandline.models.protocol import ForwardModel, ModelInput, UsesNames, decl
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import PRIORS, Prior
 from strandline.readers.options import TO_MM
-from strandline.registry import suggestion
 from strandline.studies.keys.study_file import Input, Next, Quantity, StudyFile
 from strandline.studies.observed import require_condition
 from strandline.studies.parse import entry, made, open_entry, refused_at, require_parts
@@ -230,17 +229,9 @@ def read_candidates(
 def _require_settable(
     name: str, values: Iterable[float], model: ForwardModel, space: ParameterSpace, fixed: Mapping[str, float]
 ) -> None:
-    settable, known = [*fixed, *(space.names[k] for k in space.nuisance)], ", ".join(Next.model_fields)
-    if name not in settable:
-        calibrated = name in space.names
-        raise InvalidStudy(
-            f"next.{name}",
-            value="an input to calibrate" if calibrated else "no such quantity",
-            expected=f"a fixed quantity or a nuisance input ({', '.join(settable) or 'there is none'}), or {known}",
-            remedy="Remove it: an experiment cannot set what is to be inferred."
-            if calibrated
-            else suggestion(name, (*settable, *Next.model_fields), f"Give {name} under fixed, or correct the name."),
-        )
+    settable = (*fixed, *(space.names[k] for k in space.nuisance), *Next.model_fields)
+    why = ": an experiment cannot set what is to be inferred" if name in space.names else ""
+    entry(dict.fromkeys(settable), name, f"next.{name}{why}")
     for value in values:
         check_values({name: value}, model, "next")
         if name in space.names and not space[name].interval[0] <= value <= space[name].interval[1]:

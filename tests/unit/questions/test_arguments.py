@@ -23,9 +23,9 @@ from strandline.testing.studies import BEAM_STUDY, TWO_LOADS_STUDY, undeclared_b
 
 SPECIMENS = {"files": "all/*.csv", "read": {"unit": "mm"}}
 REFUSED = [
-    ({"next": {"laod": [1]}}, r"next.laod: got no such quantity.*Did you mean load\?"),
-    ({"next": {"speed": [1]}}, r"next.speed: got no such quantity.*Give speed under fixed, or correct the name"),
-    ({"next": {"E": [1]}}, r"next.E: got an input to calibrate.*cannot set what is to be inferred"),
+    ({"next": {"laod": [1]}}, r"next.laod: got laod.*Did you mean load\?"),
+    ({"next": {"speed": [1]}}, r"next.speed: got speed; expected one of load, tilt, condition, part"),
+    ({"next": {"E": [1]}}, r"next.E: an experiment cannot set what is to be inferred: got E; expected one of load"),
     ({"next": {"condition": ["slow"]}}, r"next.condition: .*single condition.*Remove it"),
     ({"next": {"load": [*range(1, 40)], "together": 2}}, r"next: too many candidates: got 819; expected at most 500"),
     ({"next": {"tilt": [0.02, 0.05]}}, r"next.tilt: got 0.05; expected a value in the box"),
