@@ -10,24 +10,17 @@ from strandline.runs import Progress, RunRecord
 from strandline.smc import StepInfo
 
 STAGES = {
-    "observation": "observation",
     "forward": "forward runs",
     "draws": "runs at draws",
-    "surrogate": "surrogate",
     "refinement": "draws for a round",
     "choice": "next batch",
-    "sampling": "sampling",
     "cut": "cut reading",
     "check": "checks",
-    "replicates": "replicates",
     "candidates": "runs of candidates",
     "gains": "information gains",
-    "alternatives": "alternatives",
-    "specimens": "specimens",
-    "population": "population",
     "report": "figures and report",
 }
-"""Name of each stage in words."""
+"""Stages whose names in words differ from those in the program."""
 KERNEL = "ZMQInteractiveShell"
 """Shell of a Jupyter kernel; others have a terminal."""
 

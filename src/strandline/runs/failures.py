@@ -16,22 +16,9 @@ from strandline.runs.record import RunRecord
 
 LINES_SHOWN = 6
 COMMON_KINDS = (
-    "exception",
-    "not_an_interface",
-    "invalid_interface",
-    "non_finite",
-    "conditions",
-    "sensitivities",
-    "timeout",
-    "walltime",
-    "worker_died",
-    "out_of_memory",
-    "node_failed",
-    "cancelled",
-    "preempted",
-    "damaged_result",
-    "not_comparable",
-    "no_common_points",
+    *("exception", "not_an_interface", "invalid_interface", "non_finite", "conditions", "sensitivities"),
+    *("timeout", "walltime", "worker_died", "out_of_memory", "node_failed", "cancelled", "preempted"),
+    *("damaged_result", "not_comparable", "no_common_points"),
 )
 """Kinds of failure of any model, in addition to those that the model itself defines."""
 MISTAKES = (
