@@ -19,7 +19,7 @@ from strandline.models.protocol import ForwardModel, asks_sensitivities, with_se
 from strandline.models.python import PythonModel
 from strandline.runs.executors.slurm_array import UNUSABLE
 from strandline.runs.executors.slurm_batch import ArrayBatch
-from strandline.runs.record import RunRecord, RunRequest, with_log
+from strandline.runs.record import RunRecord, RunRequest, ended, with_log
 from strandline.runs.worker import packed_model
 from strandline.runs.worker_slot import WorkerSlot
 
@@ -53,7 +53,7 @@ def run_task(folder: Path, index: int, load: Callable[[], ForwardModel]) -> None
         finally:
             slot.close()
     except InvalidInput as error:
-        batch.put(index, RunRecord(request.key, request.inputs, "killed", failure_kind=UNUSABLE, message=str(error)))
+        batch.put(index, ended(request, "killed", UNUSABLE, str(error)))
         return
     if record is None or walltime_over.is_set():
         record = _out_of_walltime(record, request, time.monotonic() - began)
@@ -78,10 +78,8 @@ def _out_of_walltime(record: RunRecord | None, request: RunRequest, seconds: flo
     """Return the record of a run that was stopped shortly before SLURM would have stopped it."""
     if record is not None and record.state != "timeout":
         return record
-    message = "still running at the end of its job's walltime, and killed"
-    ended = RunRecord(request.key, request.inputs, "timeout", seconds=seconds)
-    ended = replace(ended, failure_kind="walltime", message=message)
-    return with_log(ended, "" if record is None else record.log)
+    killed = ended(request, "timeout", "walltime", "still running at the end of its job's walltime, and killed")
+    return with_log(replace(killed, seconds=seconds), "" if record is None else record.log)
 
 
 if __name__ == "__main__":

@@ -123,16 +123,16 @@ def attempt(model: ForwardModel, request: RunRequest, workdir: Path) -> RunRecor
             returned = model(dict(request.inputs), workdir)
         ending = _accepted(request, returned, model)
     except ForwardModelError as error:
-        ending, log = _ended(request, error.state, error.kind, error.message, error.evidence), error.log
+        ending, log = ended(request, error.state, error.kind, error.message, error.evidence), error.log
     except InvalidResult as error:
-        ending = _ended(request, "invalid", error.kind, str(error))
+        ending = ended(request, "invalid", error.kind, str(error))
     except InvalidInterface as error:
-        ending = _ended(request, "invalid", "invalid_interface", str(error))
+        ending = ended(request, "invalid", "invalid_interface", str(error))
     except (Exception, SystemExit) as error:
         if _is_want_of_memory(error):
-            ending = _ended(request, "killed", "out_of_memory", _told(error, request))
+            ending = ended(request, "killed", "out_of_memory", _told(error, request))
         else:
-            ending = _ended(request, "failed", "exception", _told(error, request))
+            ending = ended(request, "failed", "exception", _told(error, request))
     ending = _retained(replace(ending, seconds=time.perf_counter() - begin), model, workdir)
     return with_log(ending, log)
 
@@ -192,10 +192,10 @@ def _accepted(request: RunRequest, result: object, model: ForwardModel) -> RunRe
     )
 
 
-def _ended(
+def ended(
     request: RunRequest, state: State, kind: str, message: str, evidence: Mapping[str, float] | None = None
 ) -> RunRecord:
-    """Return the record of a run without an interface."""
+    """Return the record of a run without an interface; `kind` and `message` say why."""
     figures, message = _figures(evidence or {}), _short(_clean(message))
     return RunRecord(request.key, request.inputs, state, {}, figures, failure_kind=_clean(kind), message=message)
 

@@ -18,6 +18,7 @@ from strandline.models.umbridge.answers import Blocks, ServedModel
 from strandline.models.umbridge.model import flattened
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord, RunRequest, run_key
+from strandline.runs.record import ended
 from strandline.runs.worker import packed_model
 from strandline.runs.worker_slot import WorkerSlot
 from strandline.studies.first_run import require_ok, turned_like
@@ -77,8 +78,7 @@ class Solver:
                 with self._lock:
                     self._known.pop(request.key, None)
         if record is None or self._closed.is_set():
-            message = "stopped with its process"
-            return RunRecord(request.key, request.inputs, "killed", failure_kind="stopped", message=message)
+            return ended(request, "killed", "stopped", "stopped with its process")
         return record
 
 

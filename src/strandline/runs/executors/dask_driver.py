@@ -14,7 +14,7 @@ from typing import Any
 from strandline.errors import InvalidInput
 from strandline.runs.executors.dask_cluster import Cluster
 from strandline.runs.executors.shared import SPARE_SECONDS, Dispatcher
-from strandline.runs.record import RunRecord, RunRequest
+from strandline.runs.record import RunRecord, RunRequest, ended
 from strandline.runs.worker_slot import WorkerSlot
 
 SECONDS_BETWEEN_DISMISSALS = 2.0
@@ -237,15 +237,8 @@ class DaskDispatcher(Dispatcher[str]):
     def _lose(self, task: _DaskTask, how: str) -> None:
         """Keep the record of a run that vanished with its worker."""
         if task.request is not None:
-            record = RunRecord(
-                task.request.key,
-                task.request.inputs,
-                "killed",
-                seconds=time.monotonic() - task.began,
-                failure_kind="worker_died",
-                message=f"the Dask worker of this run vanished: {how}",
-            )
-            self.done.append((task.worker, record))
+            record = ended(task.request, "killed", "worker_died", f"the Dask worker of this run vanished: {how}")
+            self.done.append((task.worker, replace(record, seconds=time.monotonic() - task.began)))
 
     def _result(self, future: Any) -> Any:
         """Return what a future holds, or the error that says that its worker is gone.

@@ -16,7 +16,7 @@ from strandline.errors import InvalidInput, StrandlineError
 from strandline.models.protocol import ForwardModel, asks_sensitivities
 from strandline.runs.executors import shared, slurm_batch
 from strandline.runs.executors.slurm_batch import ArrayBatch, SlurmUnreachable, read_run
-from strandline.runs.record import RunRecord, RunRequest, State, with_log
+from strandline.runs.record import RunRecord, RunRequest, State, ended, with_log
 
 __all__ = ["UNUSABLE", "Detached", "SlurmArray"]
 
@@ -255,7 +255,7 @@ class _ArrayRuns:
         try:
             record = read_run(path)
         except InvalidInput as error:
-            return RunRecord(request.key, request.inputs, "killed", failure_kind="damaged_result", message=str(error))
+            return ended(request, "killed", "damaged_result", str(error))
         if record.failure_kind == UNUSABLE:
             self._give_up(batch)
             raise InvalidInput(
@@ -296,5 +296,4 @@ def _without_result(batch: ArrayBatch, index: int, request: RunRequest, job_stat
     state, kind = ENDINGS.get(word, ("killed", died))
     told = f"SLURM says {job_state}" if job_state else "SLURM no longer knows it"
     message = f"job {batch.job}_{index} of this run ended without a result; {told}"
-    record = RunRecord(request.key, request.inputs, state, failure_kind=kind, message=message)
-    return with_log(record, log)
+    return with_log(ended(request, state, kind, message), log)
