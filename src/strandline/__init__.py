@@ -3,9 +3,9 @@
 The names below follow the order of the pipeline; `calibrate` runs all of it.
 """
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from strandline.doors import door
 from strandline.version import __version__ as __version__
 
 if TYPE_CHECKING:
@@ -22,9 +22,8 @@ if TYPE_CHECKING:
     from strandline.errors import ForwardModelError, InvalidInput, NumericsError, StrandlineError
     from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
     from strandline.likelihood import InterfaceLikelihood
-    from strandline.models.biofilm.model import Biofilm
-    from strandline.models.protocol import ForwardModel, ModelInput, Simulation
-    from strandline.models.python import PythonModel
+    from strandline.models import ForwardModel, ModelInput, PythonModel, Simulation
+    from strandline.models.biofilm import Biofilm
     from strandline.parameters import Parameter, ParameterSpace
     from strandline.posterior import Posterior
     from strandline.posterior.quadrature import integrate
@@ -39,6 +38,8 @@ if TYPE_CHECKING:
     from strandline.smc import SMCSettings, sample
     from strandline.studies import Outcome, Result, Study, load_result, load_study, run_study
     from strandline.surrogate import fit_log_likelihood
+else:
+    __getattr__ = door(__name__, __file__)
 
 __all__ = [  # noqa: RUF022
     "Uniform",
@@ -98,40 +99,6 @@ __all__ = [  # noqa: RUF022
     "ForwardModelError",
     "NumericsError",
 ]
-
-_NAMES_OF = {
-    "priors": "Uniform LogUniform Normal LogNormal ScaledBeta",
-    "parameters": "Parameter ParameterSpace",
-    "interface": "Interface Observation PointErrors UnknownErrors",
-    "design": "sobol",
-    "models.protocol": "ForwardModel ModelInput Simulation",
-    "models.biofilm.model": "Biofilm",
-    "models.python": "PythonModel",
-    "runs": "RunRecord Ledger InProcess LocalProcesses run_campaign",
-    "discrepancy": "Discrepancy MeasurementLines TrackedPoints ClosestPoint Currents NormalOffset",
-    "likelihood": "InterfaceLikelihood",
-    "surrogate": "fit_log_likelihood",
-    "smc": "SMCSettings sample",
-    "posterior.quadrature": "integrate",
-    "posterior": "Posterior",
-    "calibration": "Problem Settings Observer Calibration calibrate",
-    "studies": "Study load_study Outcome run_study Result load_result",
-    "questions.coverage": "coverage",
-    "questions.next": "next_experiment",
-    "questions.what_if": "what_if",
-    "questions.compare": "compare",
-    "questions.specimens": "specimens watch_specimens",
-    "questions.opened": "open_specimens",
-    "errors": "StrandlineError InvalidInput ForwardModelError NumericsError",
-}
-_HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}
-
-
-def __getattr__(name: str) -> Any:
-    """Import a public name when it is requested, so that the command line's help loads no numerics."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
 
 
 def __dir__() -> list[str]:

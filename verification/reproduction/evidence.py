@@ -17,7 +17,7 @@ from strandline.calibration import Observer
 from strandline.design import sobol
 from strandline.errors import InvalidInput
 from strandline.likelihood import InterfaceLikelihood
-from strandline.models.fingerprint import fingerprint
+from strandline.models.identity import fingerprint
 from strandline.runs import Executor, Ledger, run_campaign, run_key
 from strandline.studies import Outcome, PosteriorCheck, Study, check_posterior, load_study, run_study
 

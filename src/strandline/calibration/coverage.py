@@ -17,8 +17,7 @@ from strandline.calibration.experiment import Experiment, experiment_behind
 from strandline.calibration.importance_sampler import By, Points, Pool, Sampled, Values, importance_or_smc, only_inside
 from strandline.calibration.source import Source
 from strandline.likelihood import FieldLikelihood
-from strandline.posterior import Weighted
-from strandline.posterior.rank_tests import Band, Coverage, coverage_of, region_coverage_of, uniformity, weighted_ranks
+from strandline.posterior import Band, Coverage, Weighted, coverage_of, region_coverage_of, uniformity, weighted_ranks
 
 LEVELS = (0.5, 0.9)
 """Probabilities of the intervals whose coverage is counted."""

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from scipy.special import logsumexp
 
 from strandline.calibration.importance_sampler import Pool, effective_size, fitted, prior_and_posterior, prior_pool
-from strandline.design.active import Knowledge
+from strandline.design import Knowledge
 from strandline.errors import InvalidInput
 from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace

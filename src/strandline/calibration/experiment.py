@@ -7,15 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from strandline.discrepancy import Discrepancy, NormalOffset, TrackedPoints
-from strandline.discrepancy.nearest import closest_points
+from strandline.discrepancy import Discrepancy, NormalOffset, TrackedPoints, closest_points
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors, steady_normals
-from strandline.likelihood import FieldLikelihood, compared
-from strandline.likelihood.compared import with_variance
-from strandline.likelihood.joint_errors import JointErrors, shared_errors
-from strandline.likelihood.noise_rule import stated_errors
-from strandline.surrogate.field import FieldSurrogate
+from strandline.likelihood import FieldLikelihood, JointErrors, compared, shared_errors, stated_errors, with_variance
+from strandline.surrogate import FieldSurrogate
 
 Matrix = Float[np.ndarray, "dim dim"]
 Point = Float[np.ndarray, " dim"]

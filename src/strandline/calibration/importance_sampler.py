@@ -17,8 +17,7 @@ from jaxtyping import Bool, Float
 from scipy.linalg import solve_triangular
 from scipy.special import gammaln, log_softmax
 
-from strandline.design import sobol
-from strandline.design.refinement import SAMPLING
+from strandline.design import SAMPLING, sobol
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted
 from strandline.smc import OnHost, SMCResult, sample

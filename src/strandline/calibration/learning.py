@@ -13,21 +13,29 @@ from jaxtyping import Float
 from strandline.calibration.misfit import Effort, Misfit, by_field, by_runs, misfit_of
 from strandline.calibration.problem import Observer, Problem, Settings, Stopwatch
 from strandline.calibration.targets import FieldTarget, LogLikelihoodTarget, Target
-from strandline.design import sobol
-from strandline.design.active import Active, ActiveRuns, Certificate, Knowledge, learn
-from strandline.design.active.fidelities import Fidelities, as_by_model
-from strandline.design.active.sampling import DRAFT_PARTICLES
-from strandline.design.active.settings import LARGEST_BATCH
-from strandline.design.refinement import Learnt, Refinement, Round, refine
+from strandline.design import (
+    DRAFT_PARTICLES,
+    LARGEST_BATCH,
+    Active,
+    ActiveRuns,
+    Certificate,
+    Fidelities,
+    Knowledge,
+    Learnt,
+    Refinement,
+    Round,
+    as_by_model,
+    learn,
+    refine,
+    sobol,
+)
 from strandline.errors import NoCommonPoints, NumericsError, TooFewRuns
-from strandline.likelihood.set_aside import RunFilter, SetAside
-from strandline.models.fidelities import WithCheaper, first_runs
+from strandline.likelihood import RunFilter, SetAside
+from strandline.models import WithCheaper, first_runs
 from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior
-from strandline.runs import Executor, Ledger, RunRecord, run_batches, run_campaign
-from strandline.runs.executors import usable_cores
-from strandline.runs.failures import counted
+from strandline.runs import Executor, Ledger, RunRecord, counted, run_batches, run_campaign, usable_cores
 from strandline.surrogate import LogLikelihoodSurrogate, fit_log_likelihood, fit_named, fit_of_the_user
 
 Given = Float[np.ndarray, "run dim"] | Sequence[Mapping[str, float]]

@@ -12,20 +12,24 @@ from jaxtyping import Float
 
 from strandline.calibration.misfit import Misfit
 from strandline.calibration.sampler_check import SamplerCheck
-from strandline.design.active import Active, BatchReport, FieldOutcome
-from strandline.design.refinement import Refinement, Round
+from strandline.design import Active, BatchReport, FieldOutcome, Refinement, Round
 from strandline.discrepancy import Discrepancy
 from strandline.errors import InvalidInput
 from strandline.interface import Observation
-from strandline.likelihood.set_aside import SetAside
-from strandline.models.protocol import ForwardModel
+from strandline.likelihood import SetAside
+from strandline.models import ForwardModel
 from strandline.parameters import ParameterSpace
-from strandline.posterior import GaussianApproximation, LaplaceApproximation, Posterior, SobolIndices, UnderUncertainty
-from strandline.posterior.quadrature import QuadratureResult
+from strandline.posterior import (
+    GaussianApproximation,
+    LaplaceApproximation,
+    Posterior,
+    QuadratureResult,
+    SobolIndices,
+    UnderUncertainty,
+)
 from strandline.runs import FailurePolicy, Progress, RunRecord
 from strandline.smc import SMCResult, SMCSettings, StepInfo
-from strandline.surrogate import LogLikelihoodSurrogate, fit_named
-from strandline.surrogate.kernels import kernel_named
+from strandline.surrogate import LogLikelihoodSurrogate, fit_named, kernel_named
 from strandline.typeset import html_table
 
 

@@ -14,13 +14,12 @@ from jaxtyping import Float
 from scipy.special import log_softmax, logsumexp
 
 from strandline.calibration.importance_sampler import SCRAMBLE, effective_size
-from strandline.design import sobol
-from strandline.design.active import Knowledge
+from strandline.design import Knowledge, sobol
 from strandline.errors import InvalidInput
 from strandline.likelihood import FieldLikelihood, noise_length
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior, Weighted, systematic_indices
-from strandline.surrogate.field import FieldSurrogate
+from strandline.surrogate import FieldSurrogate
 
 POINTS = 4096
 """Draws of the distribution whose predicted interfaces are kept for all replicates."""

@@ -17,15 +17,21 @@ from jaxtyping import Float
 from scipy.special import log_softmax, logsumexp
 
 from strandline.calibration.problem import Settings
-from strandline.design.active import Certificate, FieldOutcome, Knowledge, VarianceEffect, simulator_noise
-from strandline.design.refinement import SAMPLING
-from strandline.likelihood import evaluated, predicted
-from strandline.likelihood.local_likelihood import Mixture
-from strandline.likelihood.noise_rule import differences, second_differences
+from strandline.design import SAMPLING, Certificate, FieldOutcome, Knowledge, VarianceEffect, simulator_noise
+from strandline.likelihood import Mixture, differences, evaluated, predicted, second_differences
 from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace
-from strandline.posterior import Cut, Posterior, Reading, UnderUncertainty, Weighted, nuisance_values, pooled
-from strandline.posterior.quadrature import QuadratureResult, integrate
+from strandline.posterior import (
+    Cut,
+    Posterior,
+    QuadratureResult,
+    Reading,
+    UnderUncertainty,
+    Weighted,
+    integrate,
+    nuisance_values,
+    pooled,
+)
 from strandline.smc import BatchedLogDensity, OnHost, SMCResult, is_on_host, sample, sample_each
 from strandline.surrogate import HasHessian, Predictor
 

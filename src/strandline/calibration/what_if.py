@@ -19,9 +19,8 @@ from scipy.special import log_softmax, logsumexp
 from strandline.calibration.alternative import Alternative, Baseline
 from strandline.calibration.importance_sampler import effective_size, importance_or_smc, prior_and_posterior, prior_pool
 from strandline.calibration.source import POINTS, FieldQuality, quality_at
-from strandline.design.active import Knowledge
-from strandline.posterior import Weighted
-from strandline.posterior.importance import pareto_smoothed, reliability_threshold, shifted
+from strandline.design import Knowledge
+from strandline.posterior import Weighted, pareto_smoothed, reliability_threshold, shifted
 
 LEAST_SHIFT = 0.2
 """Shift of a mean, in present standard deviations, from which an input moves."""

@@ -30,9 +30,7 @@ def command(study: Path, plot: bool, as_json: bool, widths: bool) -> None:
     With a model that has sensitivities, or with --widths, it predicts the widths of the posterior. The biofilm model
     also solves on the next finer mesh. Nothing is written without --plot.
     """
-    from strandline.studies import load_study
-    from strandline.studies.first_run import facing, require_same_size
-    from strandline.studies.folder import require_writable
+    from strandline.studies import facing, load_study, require_same_size, require_writable
 
     loaded = load_study(study)
     require_writable(loaded.folder)
@@ -58,9 +56,8 @@ def command(study: Path, plot: bool, as_json: bool, widths: bool) -> None:
 
 
 def _about(study: "Study", record: "RunRecord") -> Iterator[str]:
-    from strandline.report.html import small_share
-    from strandline.studies.first_run import turned_lines
-    from strandline.studies.pictures.shown import read_lines
+    from strandline.report import small_share
+    from strandline.studies import read_lines, turned_lines
 
     for parameter in study.space:
         cut = f", {small_share(parameter.mass_cut)} of its mass cut off by the box" if parameter.mass_cut else ""
@@ -79,7 +76,7 @@ def _about(study: "Study", record: "RunRecord") -> Iterator[str]:
 
 def _prepared(study: "Study") -> Iterator[str]:
     """Yield a line on how many planned runs make use of what the model prepares, a warning if most do not."""
-    from strandline.models.protocol import PreparesRuns
+    from strandline.models import PreparesRuns
 
     model, planned = study.model, study.runs.design[:MOST_PLANNED]
     if not isinstance(model, PreparesRuns) or not model.preparation or not planned:
@@ -131,9 +128,7 @@ def _as_dict(
 def _lines(study: "Study", record: "RunRecord", log_likelihoods: Mapping[str, float]) -> Iterator[str]:
     """Yield what the run shows: shapes, their distance, log-likelihoods, displacement, error of the mesh."""
     from strandline.cli.forward import attempted
-    from strandline.studies import first_run
-    from strandline.studies.measure_doubts import measure_lines, node_lines
-    from strandline.studies.models import cheaper_lines
+    from strandline.studies import cheaper_lines, first_run, measure_lines, node_lines
 
     yield from first_run.shape_lines(study, record)
     yield from measure_lines(study, record)
@@ -155,8 +150,7 @@ def _widths(study: "Study", record: "RunRecord", *, asked: bool) -> Iterator[str
     from strandline.cli.forward import attempted
     from strandline.errors import InvalidInput, NumericsError
     from strandline.interface import UnknownErrors
-    from strandline.studies import widths
-    from strandline.studies.first_run import observations_of
+    from strandline.studies import observations_of, widths
 
     seen = study.observations(study.observed or record.interfaces)
     guessed = [(one.noise, one.interface) for one in seen if isinstance(one.noise, UnknownErrors)]
@@ -187,10 +181,9 @@ def _widths(study: "Study", record: "RunRecord", *, asked: bool) -> Iterator[str
 
 def _drawn(study: "Study", record: "RunRecord") -> Path:
     from strandline.files import whole_file
-    from strandline.models.protocol import undeformed_interface
-    from strandline.report.plots import plot_conditions, plot_interfaces
-    from strandline.studies.first_run import observations_of
-    from strandline.studies.folder import told_if_unwritable
+    from strandline.models import undeformed_interface
+    from strandline.report import plot_conditions, plot_interfaces
+    from strandline.studies import observations_of, told_if_unwritable
 
     observed, label = observations_of(study), "simulated, medians of the priors"
     reference = undeformed_interface(study.model)
@@ -211,9 +204,8 @@ def _forward_run(study: "Study") -> tuple["RunRecord", str]:
     import numpy as np
 
     from strandline.cli.forward import attempted, show_remains
-    from strandline.models.protocol import prepare_runs
-    from strandline.studies.first_run import require_ok
-    from strandline.studies.models import differentiating
+    from strandline.models import prepare_runs
+    from strandline.studies import differentiating, require_ok
 
     medians = study.space.prior_quantiles(np.full((1, study.space.dim), 0.5))[0]
     inputs = {**study.fixed, **study.space.as_mapping(medians)}

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from strandline.cli import options
-from strandline.studies.folder import require_temporary, told_if_unwritable
+from strandline.studies import require_temporary, told_if_unwritable
 from strandline.text import decimal
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from strandline.models.protocol import ForwardModel
+    from strandline.models import ForwardModel
     from strandline.runs import RunRecord
 
 LOG_LINES = 20
@@ -71,9 +71,8 @@ def command(
     --json, 1 without; no CSV is written then. The search for its reason has no budget here, as it has in a campaign.
     A model of several conditions writes a file for each of them: with --csv shape.csv, shape-CONDITION.csv.
     """
-    from strandline.models.protocol import declared_conditions, with_sensitivities, without_failure_budget
-    from strandline.studies import load_study
-    from strandline.studies.inputs import check_complete
+    from strandline.models import declared_conditions, with_sensitivities, without_failure_budget
+    from strandline.studies import check_complete, load_study
 
     loaded = load_study(study)
     inputs = {**loaded.fixed, **settings}
@@ -112,7 +111,7 @@ def command(
 
 def show_remains(record: "RunRecord") -> None:
     """Print where the folder of a failed run is kept and how its log ends, if the simulator is a program."""
-    from strandline.runs.record import told_folder
+    from strandline.runs import told_folder
 
     folder = told_folder(record)
     if folder:
@@ -157,9 +156,9 @@ def attempted(model: "ForwardModel", inputs: Mapping[str, float]) -> "RunRecord"
 
 def _write_fields(model: Any, inputs: Mapping[str, float], folder: Path | None, *, plot: bool) -> list[Path]:
     """Write the solved state of each condition for ParaView and as a picture; return the paths."""
-    from strandline.models.biofilm.fields import write_vtu
-    from strandline.models.protocol import declared_conditions
-    from strandline.report.plots import plot_flow
+    from strandline.models import declared_conditions
+    from strandline.models.biofilm import write_vtu
+    from strandline.report import plot_flow
 
     written = []
     for condition in declared_conditions(model):
@@ -198,7 +197,7 @@ def _told(record: "RunRecord", model: "ForwardModel", *, sensitivities: bool) ->
     """Yield a line for each named condition, and for each sensitivity with its largest value."""
     import numpy as np
 
-    from strandline.models.protocol import declared_inputs
+    from strandline.models import declared_inputs
 
     units = {item.name: item.unit for item in declared_inputs(model)}
     for condition, interface in record.interfaces.items():

@@ -9,7 +9,7 @@ import click
 from strandline.errors import InvalidInput, InvalidStudy
 
 if TYPE_CHECKING:
-    from strandline.studies.pictures.shown import PictureFiles
+    from strandline.studies import PictureFiles
 
 from strandline.cli import options
 
@@ -35,8 +35,7 @@ def command(study: Path, edit: bool, condition: str | None, reference: bool) -> 
         page = _page(study, condition, reference=reference)
         click.echo(f"wrote {page}: open it in a browser, mark the picture, and save the marks next to study.yaml")
         return
-    from strandline.studies import load_study
-    from strandline.studies.pictures.shown import IMAGE, write_pictures
+    from strandline.studies import IMAGE, load_study, write_pictures
 
     try:
         loaded = load_study(study)
@@ -121,10 +120,7 @@ def _moved(found: Mapping[str, Any], unit: float) -> str:
 
 
 def _page(study: Path, condition: str | None, *, reference: bool) -> Path:
-    from strandline.studies.parse import parse_study
-    from strandline.studies.pictures.photographed import UNDEFORMED, picture_of, reference_of
-    from strandline.studies.pictures.shown import write_page
-    from strandline.studies.pictures.undeformed import undeformed_picture
+    from strandline.studies import UNDEFORMED, parse_study, picture_of, reference_of, undeformed_picture, write_page
 
     content, _ = parse_study(study)
     undeformed = undeformed_picture(content.model)

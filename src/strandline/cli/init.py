@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from strandline.registry import suggestion
-from strandline.studies.template import EXAMPLES, OWN, Observed, write_example
+from strandline.studies import EXAMPLES, OWN, Observed, write_example
 
 
 class _Size(click.FloatRange):

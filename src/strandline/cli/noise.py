@@ -30,8 +30,8 @@ def command(files: tuple[Path, ...], unit: str, window: float | None, reading: t
     itself smoothed, which shows less.
     """
     from strandline.discrepancy import errors_from_repeats, errors_from_roughness
-    from strandline.readers.options import TO_MM
-    from strandline.studies.observed import read_points
+    from strandline.readers import TO_MM
+    from strandline.studies import read_points
 
     paths, options = _files(files), _options(reading)
     contours = [read_points(path, unit, what="contour", options=options) for path in paths]
@@ -74,7 +74,7 @@ def _length(mm: float, unit: str) -> str:
 
 
 def _in_mm(unit: str) -> float:
-    from strandline.readers.options import TO_MM
+    from strandline.readers import TO_MM
 
     return TO_MM[unit]
 
@@ -99,7 +99,7 @@ def _files(given: Sequence[Path]) -> list[Path]:
 
 def _options(reading: Sequence[str]) -> dict[str, Any]:
     """Return how to read the files, with values as in study.yaml; what is no YAML, like a comma, is a text."""
-    from strandline.studies.text import load_yaml
+    from strandline.studies import load_yaml
 
     found: dict[str, Any] = {}
     for text in reading:

@@ -13,14 +13,12 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
-from strandline.calibration import Observer
+from strandline.calibration import STAGES, Observer, part_note, run_note, step_note
 from strandline.calibration import Settings as Stated
-from strandline.calibration.progress import STAGES, part_note, run_note, step_note
-from strandline.design.active import BatchReport
-from strandline.runs import Executor, RunRecord
+from strandline.design import BatchReport
+from strandline.runs import Executor, RunRecord, told_folder
 from strandline.runs import Progress as Runs
-from strandline.runs.journal import note as journal_note
-from strandline.runs.record import told_folder
+from strandline.runs import note as journal_note
 from strandline.smc import StepInfo
 from strandline.studies import Study
 

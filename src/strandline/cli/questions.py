@@ -95,7 +95,7 @@ def what_if(study: Path, asked: tuple[str, ...], **stated: Any) -> None:
 
 def _change(text: str) -> dict[str, Any]:
     from strandline.errors import InvalidInput
-    from strandline.studies.text import load_yaml
+    from strandline.studies import load_yaml
 
     found = load_yaml(text)
     if not isinstance(found, dict):
@@ -121,7 +121,7 @@ def compare(studies: tuple[Path, ...], odds: str | None, **stated: Any) -> None:
 
     The surrogate of the interface stands in for the simulator: without --separate, no forward run is made.
     """
-    from strandline.questions.compare import odds_in
+    from strandline.questions import odds_in
 
     _ask("compare", studies, odds=odds_in(odds), **stated)
 
@@ -156,8 +156,7 @@ def specimens(study: Path, refine: int, watch: bool, processes: int | None, **st
 
 
 def _watch(folder: Path, seed: int, measure: str | None) -> None:
-    from strandline.questions.many import RefusedSpecimen
-    from strandline.questions.specimens import watch_specimens
+    from strandline.questions import RefusedSpecimen, watch_specimens
     from strandline.studies import load_study
 
     study = load_study(folder)
@@ -191,7 +190,7 @@ def check(study: Path, draws: int, workers: int | None, quiet: bool) -> None:
     Finished runs are kept: started again, it goes on where it was stopped.
     """
     from strandline.cli.progress import observing
-    from strandline.runs.executors import with_workers
+    from strandline.runs import with_workers
     from strandline.studies import check_posterior, load_study
 
     loaded = load_study(study)
@@ -202,7 +201,7 @@ def check(study: Path, draws: int, workers: int | None, quiet: bool) -> None:
 
 
 def _show(content: Mapping[str, Any], path: Path) -> None:
-    from strandline.runs.failures import counted
+    from strandline.runs import counted
 
     runs, differences = content["runs"], content["log_likelihood"]
     kinds = counted(runs["by_kind"])

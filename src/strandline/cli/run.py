@@ -22,8 +22,7 @@ from strandline.errors import ResultsNotWritten
 
 def _keys(context: click.Context, option: click.Parameter, start: str) -> list[CompletionItem]:
     """Return the keys of study.yaml that begin with what was typed, for the shell, with their meanings."""
-    from strandline.studies.keys import StudyFile
-    from strandline.studies.keys.schema import listed
+    from strandline.studies import StudyFile, listed
 
     known = (key for key in listed(StudyFile) if key.name.startswith(start) and ".NAME" not in key.name)
     return [CompletionItem(f"{key.name}=", help=key.meaning) for key in known]
@@ -73,10 +72,8 @@ def run(
     from functools import partial
 
     from strandline.cli.progress import detailed, observing, say_journal, set_aside_lines
-    from strandline.runs.executors import with_workers
-    from strandline.studies import load_study, run_study
-    from strandline.studies.folder import REPORT
-    from strandline.studies.provenance import results_at_hand
+    from strandline.runs import with_workers
+    from strandline.studies import REPORT, load_study, results_at_hand, run_study
 
     study = _with_settings(study, settings, into, quiet=quiet)
     loaded = load_study(study)
@@ -104,7 +101,7 @@ def run(
 def _doubting(study: "Study", executor: "Executor", observer: "Observer") -> Iterator["Observer"]:
     """Yield the observer, which also says what the first run that succeeds shows to be wrong, and if none ends."""
     from strandline.cli.forward import told_if_slow
-    from strandline.studies.first_run import early_doubts
+    from strandline.studies import early_doubts
 
     first = True
     endless = all(getattr(one, "timeout", None) is None for one in (executor, study.model))
@@ -130,7 +127,7 @@ def _doubting(study: "Study", executor: "Executor", observer: "Observer") -> Ite
 
 def _with_settings(study: Path, settings: tuple[str, ...], into: Path | None, *, quiet: bool) -> Path:
     """Return the folder of the study with other values, or `study` itself if there are none."""
-    from strandline.studies.changed_copy import changed_study
+    from strandline.studies import changed_study
 
     if settings:
         folder = _shortest(changed_study(study, settings, into))
@@ -150,8 +147,8 @@ def _shortest(folder: Path) -> Path:
 
 def _submit(study: "Study", executor: "Executor", observer: "Observer") -> None:
     """Submit all runs that `study` is known to need, and print what to do next."""
-    from strandline.runs.executors.slurm_array import Detached, SlurmArray
-    from strandline.studies.run import submit_study
+    from strandline.runs import Detached, SlurmArray
+    from strandline.studies import submit_study
 
     if not isinstance(executor, SlurmArray):
         raise click.UsageError(
@@ -172,8 +169,7 @@ def _submit(study: "Study", executor: "Executor", observer: "Observer") -> None:
 @contextmanager
 def _told_what_goes_on(study: "Study", executor: "Executor") -> Iterator[None]:
     """Report the runs that continue in SLURM if the driver is interrupted."""
-    from strandline.runs.executors.slurm_array import SlurmArray
-    from strandline.runs.executors.slurm_batch import known_batches
+    from strandline.runs import SlurmArray, known_batches
 
     try:
         yield
@@ -203,8 +199,7 @@ def retry(study: Path, kinds: tuple[str, ...], workers: int | None, quiet: bool)
     The earlier outcomes stay in the ledger; the last one of each run counts.
     """
     from strandline.cli.progress import say_journal
-    from strandline.runs.executors import with_workers
-    from strandline.runs.failures import require_kinds
+    from strandline.runs import require_kinds, with_workers
     from strandline.studies import load_study
 
     loaded = load_study(study)
@@ -253,7 +248,7 @@ def show(summary: Mapping[str, Any], report: Path | None, *, as_json: bool = Fal
     if as_json:
         click.echo(json.dumps(summary))
         return
-    from strandline.runs.failures import counted
+    from strandline.runs import counted
 
     runs, check, certificate = summary["runs"], summary["quadrature_check"], summary["certificate"]
     kinds = f"({counted(runs['by_kind'])}) " if runs["by_kind"] else ""

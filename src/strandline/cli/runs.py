@@ -11,9 +11,8 @@ import click
 from strandline.cli import options
 from strandline.errors import InvalidInput
 from strandline.files import read_json
-from strandline.runs.ledger_schema import EXCLUDED, LOG_TITLE
-from strandline.runs.overview import STATES, Details, Overview, Run
-from strandline.studies.folder import LEDGER, SUMMARY
+from strandline.runs import EXCLUDED, LOG_TITLE, STATES, Details, Overview, Run
+from strandline.studies import LEDGER, SUMMARY
 
 SHORT = 12
 """Characters of a key in the list; as few of its first characters as are unique identify a run."""
@@ -181,7 +180,7 @@ def _without_log(details: Details) -> str:
 
 
 def _export(path: Path, runs: Sequence[Run], ledger: Overview) -> None:
-    from strandline.studies.export import write_csv, write_netcdf
+    from strandline.studies import write_csv, write_netcdf
 
     if not runs:
         raise click.UsageError("--export: there is no such run; change --state and --kind, or run the study first.")

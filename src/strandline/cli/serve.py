@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from strandline.models.umbridge.server import UMBridgeServer
-    from strandline.studies import Study
-    from strandline.studies.serve import Solver
+    from strandline.models.umbridge import UMBridgeServer
+    from strandline.studies import Solver, Study
 
 from strandline.cli import options
 
@@ -42,9 +41,8 @@ def serve(
     of the study's observation by the true model. Requests of web pages are refused. Without --token every program that
     reaches the port can make runs; set it by the environment variable STRANDLINE_TOKEN where others see your processes.
     """
-    from strandline.models.umbridge.server import Access, UMBridgeServer
-    from strandline.studies import load_study
-    from strandline.studies.serve import served_models
+    from strandline.models.umbridge import Access, UMBridgeServer
+    from strandline.studies import load_study, served_models
 
     door = Access.of(host, names=names, origins=origins, token=token)
     loaded = load_study(study)
@@ -64,9 +62,7 @@ def serve(
 
 def _solvers(study: "Study", workers: int) -> list["Solver"]:
     """Return a solver for plain runs and, if the model has sensitivities, one for runs with them."""
-    from strandline.studies.check import plain_model
-    from strandline.studies.models import differentiating
-    from strandline.studies.serve import Solver
+    from strandline.studies import Solver, differentiating, plain_model
 
     plain = plain_model(study)
     models = [plain, differentiating(plain)]
@@ -75,9 +71,8 @@ def _solvers(study: "Study", workers: int) -> list["Solver"]:
 
 
 def _announce(study: "Study", server: "UMBridgeServer", host: str) -> None:
-    from strandline.models.command.options import RUNS
-    from strandline.models.protocol import KeepsFolders
-    from strandline.models.umbridge.server import is_loopback
+    from strandline.models import RUNS, KeepsFolders
+    from strandline.models.umbridge import is_loopback
 
     if not is_loopback(host) and server.door.token is None:
         click.echo(f"warning: whoever reaches {host} over the network can make runs here", err=True)

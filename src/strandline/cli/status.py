@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from strandline.studies.progress import RunReported, StudyProgress
+    from strandline.studies import RunReported, StudyProgress
 
 from strandline.cli import options
 from strandline.errors import InvalidInput
@@ -27,7 +27,7 @@ def status(study: Path, as_json: bool) -> None:
 
     It may be running meanwhile.
     """
-    from strandline.studies.progress import progress_in
+    from strandline.studies import progress_in
 
     state = progress_in(study)
     if as_json:
@@ -99,7 +99,7 @@ def doctor(study: Path) -> None:
 
     Exit code 0: sound; 1: something was found.
     """
-    from strandline.studies.doctor import examine
+    from strandline.studies import examine
 
     found = examine(study)
     for finding in found:
@@ -117,9 +117,8 @@ def backup(study: Path, file: Path) -> None:
 
     To restore it, copy FILE to ledger.sqlite in the study folder while nothing is running there.
     """
-    from strandline.runs.ledger_schema import copied, opened_for_reading
-    from strandline.runs.overview import Overview
-    from strandline.studies.folder import LEDGER
+    from strandline.runs import Overview, copied, opened_for_reading
+    from strandline.studies import LEDGER
 
     if file.exists() or not file.parent.is_dir():
         raise click.UsageError(f"FILE: got {file}; expected a file that does not exist, in a folder that does.")

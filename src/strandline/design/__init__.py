@@ -1,5 +1,36 @@
 """Which runs to make: points that fill the box, refinement where the posterior lies, active designs."""
 
-from strandline.design.space_filling import sobol
+from typing import TYPE_CHECKING
+
+from strandline.doors import door
+
+if TYPE_CHECKING:
+    from strandline.design.active import (
+        KINDS,
+        SLOW_BATCH,
+        Active,
+        ActiveRuns,
+        BatchCheck,
+        BatchReport,
+        Certificate,
+        Criterion,
+        FieldOutcome,
+        Knowledge,
+        State,
+        Step,
+        VarianceEffect,
+        learn,
+        seconds_of_a_batch,
+        simulator_noise,
+        training_of,
+    )
+    from strandline.design.active.fidelities import Fidelities, FidelityReport, as_by_model
+    from strandline.design.active.sampling import DRAFT_PARTICLES
+    from strandline.design.active.settings import LARGEST_BATCH
+    from strandline.design.candidates import FEWEST_POINTS, WHOLE, Candidate, Look, Setting, key_of
+    from strandline.design.refinement import SAMPLING, Learnt, Refinement, Round, refine, shifts
+    from strandline.design.space_filling import sobol
+else:
+    __getattr__ = door(__name__, __file__)
 
 __all__ = ["sobol"]

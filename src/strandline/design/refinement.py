@@ -19,8 +19,7 @@ from strandline.likelihood import predicted
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted
 from strandline.runs import RunRecord
-from strandline.smc import SMCSettings, sample
-from strandline.smc.records import require
+from strandline.smc import SMCSettings, require, sample
 from strandline.surrogate import LogLikelihoodSurrogate
 
 __all__ = ["SAMPLING", "Learnt", "Refinement", "Round", "refine", "shifts"]

@@ -1,6 +1,6 @@
 """Discrepancies d² between a simulated and an observed interface, one measure per file."""
 
-from strandline.discrepancy.closest_point import ClosestPoint
+from strandline.discrepancy.closest_point import ClosestPoint, node_weights
 from strandline.discrepancy.comparison import (
     apart,
     axes_mistake,
@@ -11,10 +11,21 @@ from strandline.discrepancy.comparison import (
     oriented_like_runs,
     unit_mistake,
 )
-from strandline.discrepancy.contours import Roughness, errors_from_roughness
+from strandline.discrepancy.contours import Roughness, errors_from_roughness, path_of, smoothed
 from strandline.discrepancy.currents import Currents
 from strandline.discrepancy.measurement_lines import LineReadings, MeasurementLines
-from strandline.discrepancy.normal_offset import NormalOffset, WhitenedOffset, signed_distances
+from strandline.discrepancy.nearest import closest_points, squared_distances
+from strandline.discrepancy.normal_offset import (
+    BEYOND,
+    NormalOffset,
+    Rows,
+    Sums,
+    WhitenedOffset,
+    extended,
+    linear_sums,
+    signed_distances,
+    weighted_sums,
+)
 from strandline.discrepancy.protocol import (
     AdaptsToErrors,
     ComparesMany,
@@ -24,8 +35,12 @@ from strandline.discrepancy.protocol import (
     HasTerms,
     HasTolerance,
     KnowsPointErrors,
+    MeasureKey,
+    Snapshot,
+    Values,
     Whitens,
     independent_terms,
+    require_same_direction,
     squared_discrepancies,
     unit_of,
 )

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from strandline.errors import InvalidInput
 from strandline.imaging.first_path import as_points, require_inside, require_path, require_polygon
-from strandline.readers.checked import content_of, keys_of, named, number, unfit
+from strandline.readers import content_of, keys_of, named, number, unfit
 from strandline.registry import suggestion
 
 Point = tuple[float, float]

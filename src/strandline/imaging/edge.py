@@ -31,7 +31,7 @@ from strandline.imaging.strip import (
     smoothed,
     strip_along,
 )
-from strandline.interface.interface import inside_polygon
+from strandline.interface import inside_polygon
 
 __all__ = ["EDGES", "Edge", "find_edge"]
 

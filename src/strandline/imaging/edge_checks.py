@@ -9,7 +9,7 @@ from jaxtyping import Float
 from strandline.imaging.first_path import require_finite, require_inside, require_simple
 from strandline.imaging.located import Located
 from strandline.imaging.strip import GreyValues, SmoothPath
-from strandline.readers.checked import unfit
+from strandline.readers import unfit
 
 LEAST_SD = 0.01
 """Smallest standard deviation of a point, px: no picture shows an edge more closely."""

@@ -8,7 +8,7 @@ from strandline.imaging.erf_step import ErfStep
 from strandline.imaging.half_level import HalfLevel
 from strandline.imaging.located import EdgeMethod
 from strandline.imaging.markov_path import MarkovPath
-from strandline.readers.checked import keys_of, unfit
+from strandline.readers import keys_of, unfit
 from strandline.registry import lookup
 
 EDGES: dict[str, Any] = {"erf": ErfStep(), "path": MarkovPath(), "contour": HalfLevel()}

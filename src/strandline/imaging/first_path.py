@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from strandline.errors import InvalidInterface
 from strandline.interface import Interface
-from strandline.readers.checked import is_finite, unfit
+from strandline.readers import is_finite, unfit
 
 FEWEST, MOST = 3, 20_000
 """Smallest and largest number of points of a path, and of corners of a region."""

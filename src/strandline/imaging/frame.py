@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.imaging.registration import Registration
-from strandline.readers.checked import number, numbers
+from strandline.readers import number, numbers
 
 SIGN_X = {"right": 1.0, "left": -1.0}
 SIGN_Y = {"up": -1.0, "down": 1.0}

@@ -13,13 +13,13 @@ from itertools import islice
 import numpy as np
 from jaxtyping import Bool, Int
 
-from strandline.discrepancy.repeats import Repeats, errors_from_repeats
+from strandline.discrepancy import Repeats, errors_from_repeats
 from strandline.imaging.edge import Edge
 from strandline.imaging.edge_checks import require_edge
 from strandline.imaging.picture import Picture
 from strandline.imaging.strip import grey_values
 from strandline.interface import Interface, PointErrors
-from strandline.readers.checked import named
+from strandline.readers import named
 
 MOST = 30
 """Most frames in which the edge is found."""

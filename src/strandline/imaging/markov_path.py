@@ -20,7 +20,7 @@ from strandline.imaging.located import NO_SCATTER, Located, Scatter
 from strandline.imaging.noise_covariance import LEAST_LENGTH, autocovariance, sum_to_first_zero
 from strandline.imaging.strip import GreyValues, PerNormal, Samples, SmoothPath, Strip, strip_along
 from strandline.imaging.template import EdgeTemplate, columns_levelled, learnt_template, levelled
-from strandline.readers.checked import unfit
+from strandline.readers import unfit
 
 Table = Float[np.ndarray, "normal candidate"]
 Candidates = Float[np.ndarray, " candidate"]

@@ -17,7 +17,7 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
 
 from strandline.errors import InvalidInput
-from strandline.readers.checked import unfit
+from strandline.readers import unfit
 
 PerPoint = Float[np.ndarray, " point"]
 Points = Float[np.ndarray, "point 2"]

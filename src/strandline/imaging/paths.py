@@ -20,9 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.imaging.first_path import FirstPath, require_inside, require_path
-from strandline.readers.cells import require_in_order
-from strandline.readers.checked import content_of, named, unfit
-from strandline.readers.tables import outlines
+from strandline.readers import content_of, named, outlines, require_in_order, unfit
 from strandline.text import decimal
 
 READ = "a path saved by Fiji (.roi, XY coordinates), napari (.csv), labelme, QuPath or Cellpose"

@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from strandline.imaging.reading import PixelSize
-from strandline.readers.checked import unfit
-from strandline.readers.contents import refused
+from strandline.readers import refused, unfit
 
 MOST_PIXELS = 400_000_000
 """Most pixels of a picture, and most voxels of a stack: 3.2 GB in double precision."""

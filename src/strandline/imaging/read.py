@@ -14,8 +14,7 @@ from strandline.imaging.files.thorlabs import read_oct
 from strandline.imaging.files.tiff import read_tiff
 from strandline.imaging.picture import Picture, PictureFile, Stack, require_pixels
 from strandline.imaging.reading import PictureReading, PixelSize, agreed
-from strandline.readers.checked import unfit
-from strandline.readers.contents import refused, undamaged
+from strandline.readers import refused, undamaged, unfit
 from strandline.registry import imported, suggestion
 
 PictureReader = Callable[[Path, PictureReading, str], PictureFile]

@@ -4,9 +4,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from strandline.readers.checked import number, unfit
-from strandline.readers.contents import refused
-from strandline.readers.options import TO_MM
+from strandline.readers import TO_MM, number, refused, unfit
 from strandline.registry import imported
 
 UNITS = TO_MM | {"nm": 1e-6}

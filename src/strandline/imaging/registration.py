@@ -14,7 +14,7 @@ from scipy.fft import irfft2, rfft2
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
 from strandline.imaging.strip import covered_by
-from strandline.readers.checked import unfit
+from strandline.readers import unfit
 
 BLURS = (12.0, 6.0, 3.0, 1.5)
 """Standard deviations of the Gaussians that blur both pictures, px, one after the other."""

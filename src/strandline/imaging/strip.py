@@ -14,8 +14,8 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d, map_coordinates
 from scipy.spatial import cKDTree
 
-from strandline.interface.interface import inside_polygon
-from strandline.readers.checked import unfit
+from strandline.interface import inside_polygon
+from strandline.readers import unfit
 
 PathPoints = Float[np.ndarray, "point 2"]
 PerNormal = Float[np.ndarray, " normal"]

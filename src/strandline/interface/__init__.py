@@ -1,17 +1,19 @@
 """Interfaces: polylines and triangulated surfaces, with a direction, and observations of them."""
 
-from strandline.interface.interface import Interface, Oriented, oriented_like
+from strandline.interface.interface import Interface, Oriented, inside_polygon, oriented_like
 from strandline.interface.noise import NOISES, GaussianNoise, Noise, Observation, UnknownErrors, is_condition
 from strandline.interface.normals import (
     arc_lengths,
     as_complex,
+    node_normals,
     normals_at,
     point_normals,
     spacings,
     steady_lengths,
     steady_normals,
 )
-from strandline.interface.point_errors import GLOBAL, ErrorModel, PointErrors, summed_length
+from strandline.interface.point_errors import GLOBAL, MOST, ErrorModel, PointErrors, summed_length
+from strandline.interface.triangles import shortest_altitudes, signed_volume, vector_areas
 
 __all__ = [
     "GLOBAL",

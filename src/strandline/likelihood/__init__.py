@@ -1,9 +1,28 @@
 """Likelihoods of the observed interfaces: of the model's runs, or of what a surrogate predicts."""
 
-from strandline.likelihood.compared import Compared, compared
-from strandline.likelihood.field import FieldLikelihood, evaluated, noise_length, predicted, sd_of_distances
-from strandline.likelihood.inferred_noise import InferredNoise, NoisePosterior, infer_noise
+from strandline.likelihood.compared import Compared, Registered, adapted, compared, with_variance
+from strandline.likelihood.field import DRAWS, FieldLikelihood, evaluated, noise_length, predicted, sd_of_distances
+from strandline.likelihood.inferred_noise import (
+    InferredNoise,
+    NoisePosterior,
+    infer_noise,
+    require_inferable,
+    require_inferable_noise,
+)
 from strandline.likelihood.interfaces import InterfaceLikelihood
+from strandline.likelihood.joint_errors import JointErrors, Points, places_of, residuals_of, shared_errors
+from strandline.likelihood.local_likelihood import Mixture, Nearby, follows_offsets
+from strandline.likelihood.noise_rule import (
+    ResidualNoise,
+    StatedErrors,
+    differences,
+    noise_of_residuals,
+    noise_on_surface,
+    second_differences,
+    stated_errors,
+)
+from strandline.likelihood.parabolas import log_gain
+from strandline.likelihood.set_aside import RunFilter, SetAside, says_whether_runs_succeed
 
 __all__ = [
     "Compared",

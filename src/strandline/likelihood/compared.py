@@ -12,9 +12,16 @@ from typing import ClassVar, cast
 import numpy as np
 from jaxtyping import Float
 
-from strandline.discrepancy import AdaptsToErrors, Discrepancy, Whitens, squared_discrepancies
-from strandline.discrepancy.normal_offset import WhitenedOffset
-from strandline.discrepancy.protocol import MeasureKey, Snapshot, Values
+from strandline.discrepancy import (
+    AdaptsToErrors,
+    Discrepancy,
+    MeasureKey,
+    Snapshot,
+    Values,
+    WhitenedOffset,
+    Whitens,
+    squared_discrepancies,
+)
 from strandline.interface import GaussianNoise, Interface, Noise, Observation, PointErrors, UnknownErrors
 from strandline.likelihood.noise_rule import differences, noise_variance, second_differences
 

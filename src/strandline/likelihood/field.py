@@ -10,8 +10,15 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.stats import qmc
 
-from strandline.discrepancy import Discrepancy, HasTolerance, NormalOffset, count_of_distances, squared_discrepancies
-from strandline.discrepancy.protocol import MeasureKey, Snapshot
+from strandline.discrepancy import (
+    Discrepancy,
+    HasTolerance,
+    MeasureKey,
+    NormalOffset,
+    Snapshot,
+    count_of_distances,
+    squared_discrepancies,
+)
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, Noise, Observation, PointErrors
 from strandline.likelihood.compared import compared
@@ -20,8 +27,7 @@ from strandline.likelihood.joint_errors import JointErrors, shared_errors
 from strandline.likelihood.local_likelihood import Nearby, OfMixture, Values, nearby
 from strandline.likelihood.parabolas import FittedParabola, NearParabola, log_gain, mean_of_draws, numbers, share_gained
 from strandline.smc import BatchedLogDensity, OnHost, is_on_host
-from strandline.surrogate import GaussianProcess, Predictor, batched_mean
-from strandline.surrogate.field import FieldPrediction, FieldSurrogate
+from strandline.surrogate import FieldPrediction, FieldSurrogate, GaussianProcess, Predictor, batched_mean
 
 DRAWS, NEAR_DRAWS = 16, 32
 """Fields drawn at each point for the expected likelihood, and for the one nearby; in pairs of opposite sign."""

@@ -35,7 +35,7 @@ from strandline.interface import (
 from strandline.likelihood.joint_errors import JointErrors
 from strandline.likelihood.linearised_residuals import Linearised, NearField, linearise
 from strandline.likelihood.local_likelihood import Mixture
-from strandline.surrogate.field import FieldSurrogate
+from strandline.surrogate import FieldSurrogate
 
 Sds = Float[np.ndarray, " sd"]
 Values = Float[np.ndarray, " value"]

@@ -13,9 +13,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.linalg import block_diag
 
-from strandline.discrepancy import Discrepancy, NormalOffset, signed_distances
-from strandline.discrepancy.normal_offset import Rows, Sums, extended, linear_sums, weighted_sums
-from strandline.discrepancy.protocol import require_same_direction
+from strandline.discrepancy import (
+    Discrepancy,
+    NormalOffset,
+    Rows,
+    Sums,
+    extended,
+    linear_sums,
+    require_same_direction,
+    signed_distances,
+    weighted_sums,
+)
 from strandline.interface import ErrorModel, Interface, Observation, PointErrors
 
 Points = Mapping[str, Float[np.ndarray, "_ _ _"]]

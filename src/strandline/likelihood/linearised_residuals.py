@@ -16,11 +16,10 @@ from jaxtyping import Bool, Float
 from scipy.sparse import csr_array
 from scipy.stats import qmc
 
-from strandline.discrepancy.nearest import closest_points
-from strandline.discrepancy.normal_offset import Sums, extended
+from strandline.discrepancy import Sums, closest_points, extended
 from strandline.interface import ErrorModel, Interface
 from strandline.likelihood.joint_errors import JointErrors, sums_of
-from strandline.surrogate.field import FieldSurrogate
+from strandline.surrogate import FieldSurrogate
 
 REGISTRATIONS = 2
 """Steps of registration, as in `strandline.discrepancy.normal_offset`."""

@@ -18,7 +18,7 @@ from strandline.likelihood.compared import Compared, compared
 from strandline.likelihood.joint_errors import JointErrors, Points, places_of, sums_of
 from strandline.likelihood.linearised_residuals import NearField, linearise
 from strandline.likelihood.parabolas import Modes, NearParabola, Values
-from strandline.surrogate.field import FieldSurrogate
+from strandline.surrogate import FieldSurrogate
 
 Tail = Float[np.ndarray, "point rest"]
 BLOCK = 1 << 22

@@ -21,10 +21,18 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.distance import pdist
 
-from strandline.discrepancy import Discrepancy, KnowsPointErrors, independent_terms, squared_discrepancies, unit_of
-from strandline.discrepancy.contours import path_of, smoothed
-from strandline.discrepancy.nearest import closest_points
-from strandline.discrepancy.protocol import MeasureKey, Snapshot
+from strandline.discrepancy import (
+    Discrepancy,
+    KnowsPointErrors,
+    MeasureKey,
+    Snapshot,
+    closest_points,
+    independent_terms,
+    path_of,
+    smoothed,
+    squared_discrepancies,
+    unit_of,
+)
 from strandline.errors import InvalidInput, NumericsError
 from strandline.interface import (
     Interface,

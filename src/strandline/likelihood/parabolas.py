@@ -21,7 +21,7 @@ from scipy.special import logsumexp
 from scipy.stats import norm, qmc
 
 from strandline.likelihood.linearised_residuals import BENT, NearField
-from strandline.surrogate.field import FieldPrediction
+from strandline.surrogate import FieldPrediction
 
 Values = Float[np.ndarray, " point"]
 Modes = Float[np.ndarray, "point mode"]

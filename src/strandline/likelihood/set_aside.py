@@ -16,9 +16,8 @@ from strandline.errors import CampaignStopped, InvalidInput, NoCommonPoints, Num
 from strandline.interface import Observation
 from strandline.likelihood import InterfaceLikelihood
 from strandline.likelihood.field import noise_length
-from strandline.runs import FailurePolicy, RunRecord
-from strandline.runs.ledger_schema import EXCLUDED
-from strandline.surrogate.field.odd import flipped, odd_ones
+from strandline.runs import EXCLUDED, FailurePolicy, RunRecord
+from strandline.surrogate import flipped, odd_ones
 
 NOT_COMPARABLE = "not_comparable"
 NO_COMMON_POINTS = "no_common_points"

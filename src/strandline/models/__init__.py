@@ -1,6 +1,45 @@
 """Forward models: the built-in biofilm and adapters to other simulators."""
 
+from typing import TYPE_CHECKING
+
+from strandline.doors import door
 from strandline.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from strandline.models.command.options import RUNS
+    from strandline.models.fidelities import (
+        CHEAPER,
+        FIRST_PAIRS,
+        WithCheaper,
+        by_cheaper,
+        first_runs,
+        is_cheaper,
+        run_identity,
+    )
+    from strandline.models.identity import fingerprint
+    from strandline.models.protocol import (
+        DrawsFields,
+        ForwardModel,
+        KeepsFolders,
+        ModelInput,
+        PreparesRuns,
+        Sensitivities,
+        Simulation,
+        SolvesOnFinerMesh,
+        UsesNames,
+        asks_sensitivities,
+        declared_conditions,
+        declared_failure_kinds,
+        declared_inputs,
+        prepare_runs,
+        require_conditions,
+        undeformed_interface,
+        with_sensitivities,
+        without_failure_budget,
+    )
+    from strandline.models.python import PythonModel
+else:
+    __getattr__ = door(__name__, __file__)
 
 __all__ = ["MODELS", "refused"]
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from strandline.interface import Interface
 from strandline.models import refused
-from strandline.models.fingerprint import fingerprint
+from strandline.models.identity import fingerprint
 from strandline.models.protocol import (
     ForwardModel,
     PreparesRuns,

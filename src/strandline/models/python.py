@@ -15,7 +15,7 @@ import numpy as np
 
 from strandline.interface import Interface
 from strandline.models import refused
-from strandline.models.fingerprint import OWN, earlier_fingerprint, fingerprint
+from strandline.models.identity import OWN, earlier_fingerprint, fingerprint
 from strandline.models.protocol import (
     ModelInput,
     Simulation,

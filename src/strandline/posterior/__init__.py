@@ -10,6 +10,7 @@ from strandline.posterior.importance import (
     pareto_smoothed,
     reliability_threshold,
     reweight,
+    shifted,
     subset,
     verdict_on,
 )
@@ -26,6 +27,8 @@ from strandline.posterior.marginals import (
 )
 from strandline.posterior.netcdf import cut_from_datatree, from_datatree, read, to_datatree, write
 from strandline.posterior.posterior import FLAT, Posterior, Weighted, prior_conflicts, systematic_indices
+from strandline.posterior.quadrature import QuadratureResult, integrate, mixture
+from strandline.posterior.rank_tests import Band, Coverage, coverage_of, region_coverage_of, uniformity, weighted_ranks
 from strandline.posterior.sensitivity import SobolIndices, sobol_indices
 from strandline.posterior.under_uncertainty import Cut, Reading, UnderUncertainty, mode_bins, nuisance_values, pooled
 

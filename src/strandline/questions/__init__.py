@@ -1,1 +1,13 @@
 """Questions about a finished study: what next, which model, how many specimens, what if, are its intervals right?"""
+
+from typing import TYPE_CHECKING
+
+from strandline.doors import door
+
+if TYPE_CHECKING:
+    from strandline.questions.compare import odds_in
+    from strandline.questions.knowledge import baseline_of, field_knowledge, require
+    from strandline.questions.many import RefusedSpecimen
+    from strandline.questions.specimens import watch_specimens
+else:
+    __getattr__ = door(__name__, __file__)

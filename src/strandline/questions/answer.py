@@ -12,13 +12,12 @@ from filelock import FileLock, Timeout
 from markupsafe import escape
 from matplotlib.figure import Figure
 
-from strandline.calibration.source import FieldQuality
+from strandline.calibration import FieldQuality
 from strandline.errors import InvalidStudy
 from strandline.files import write_json
 from strandline.posterior import Weighted
-from strandline.report import write_answer
-from strandline.report.figure_files import Captioned
-from strandline.studies.folder import told_if_unwritable
+from strandline.report import Captioned, write_answer
+from strandline.studies import told_if_unwritable
 from strandline.typeset import html_table, html_text, unit_text
 
 __all__ = ["Answer", "Part", "Symbol", "Table"]

@@ -14,18 +14,16 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.calibration import Observer
-from strandline.design.candidates import Candidate
+from strandline.design import Candidate
 from strandline.errors import InvalidStudy
 from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
-from strandline.likelihood.compared import adapted
-from strandline.models.protocol import declared_conditions
+from strandline.likelihood import adapted
+from strandline.models import declared_conditions
 from strandline.questions.knowledge import require
 from strandline.questions.next_answers import AfterExperiment, Prospect, Prospects, prospects_of
 from strandline.questions.observing import signals_of
 from strandline.runs import Executor
-from strandline.studies.first_run import observations_of
-from strandline.studies.parse import in_words
-from strandline.studies.study import Study
+from strandline.studies import Study, in_words, observations_of
 
 SAME = 1e-6
 """Largest distance of points that count as the same, mm."""

@@ -8,9 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from strandline.calibration import Observer
-from strandline.calibration.evidence import Evidence, ModelComparison, averaged, log_evidence, require_odds
-from strandline.calibration.progress import observer_or_default
+from strandline.calibration import (
+    Evidence,
+    ModelComparison,
+    Observer,
+    averaged,
+    log_evidence,
+    observer_or_default,
+    require_odds,
+)
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.files import read_json
 from strandline.numerics.threads import one_thread, use_double
@@ -31,14 +37,9 @@ from strandline.questions.comparable import (
 from strandline.questions.comparison import ComparedStudy, describe_comparison, not_flat
 from strandline.questions.information import Discrimination, expected_discrimination
 from strandline.questions.knowledge import field_knowledge, require, require_seed
-from strandline.report import plots
-from strandline.report.figure_files import Captioned
+from strandline.report import Captioned, plots
 from strandline.runs import Executor
-from strandline.studies.check import finished_posterior
-from strandline.studies.first_run import observations_of
-from strandline.studies.folder import STUDY, SUMMARY, require_writable
-from strandline.studies.load import load_study
-from strandline.studies.study import Study
+from strandline.studies import STUDY, SUMMARY, Study, finished_posterior, load_study, observations_of, require_writable
 
 __all__ = ["Comparison", "compare"]
 

@@ -8,18 +8,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibration.evidence import ERRORS, SCALE, BayesFactor, ModelComparison
-from strandline.design import sobol
-from strandline.design.active import Knowledge
+from strandline.calibration import ERRORS, SCALE, BayesFactor, ModelComparison
+from strandline.design import Knowledge, sobol
 from strandline.interface import Interface
 from strandline.posterior import FLAT, Posterior, Weighted, interface_band, prior_conflicts
 from strandline.questions.answer import moments
 from strandline.questions.comparable import CandidateSignals, may_err
 from strandline.questions.information import CLEAR, Discrimination
-from strandline.studies.check import offset_band, posterior_digest
-from strandline.studies.parse import in_words
-from strandline.studies.provenance import versions
-from strandline.studies.study import Study
+from strandline.studies import Study, in_words, offset_band, posterior_digest, versions
 from strandline.text import listed
 from strandline.version import __version__
 

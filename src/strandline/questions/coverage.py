@@ -11,24 +11,27 @@ from typing import Any
 
 import numpy as np
 
-from strandline.calibration import Observer
-from strandline.calibration.coverage import CoverageFound, Replicate, repeatable, replicated
-from strandline.calibration.experiment import CoordinateErrors, Experiment
-from strandline.calibration.progress import observer_or_default
-from strandline.calibration.source import (
+from strandline.calibration import (
     TOLERATED,
     TOLERATED_SHARE,
+    CoordinateErrors,
+    CoverageFound,
+    Experiment,
     FieldQuality,
+    Observer,
+    Replicate,
     Source,
     field_quality,
+    observer_or_default,
     posterior_source,
     prior_source,
+    repeatable,
+    replicated,
 )
 from strandline.errors import InvalidStudy
 from strandline.interface import Noise, PointErrors, UnknownErrors
 from strandline.numerics.threads import one_thread, use_double
-from strandline.posterior import Posterior
-from strandline.posterior.rank_tests import Band, Coverage
+from strandline.posterior import Band, Coverage, Posterior
 from strandline.questions.answer import (
     TO_MICROMETRES,
     Answer,
@@ -41,14 +44,19 @@ from strandline.questions.answer import (
     surrogate_note,
 )
 from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require, require_seed
-from strandline.report import plots
-from strandline.report.figure_files import Captioned
+from strandline.report import Captioned, plots
 from strandline.runs import Progress
-from strandline.studies.check import finished_posterior, posterior_digest
-from strandline.studies.first_run import observations_of
-from strandline.studies.folder import REPLICATES, require_writable, told_if_unwritable
-from strandline.studies.provenance import facts_of, points_digest
-from strandline.studies.study import Study
+from strandline.studies import (
+    REPLICATES,
+    Study,
+    facts_of,
+    finished_posterior,
+    observations_of,
+    points_digest,
+    posterior_digest,
+    require_writable,
+    told_if_unwritable,
+)
 
 __all__ = ["coverage"]
 

@@ -7,18 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from strandline.calibration.alternative import Baseline, baseline
-from strandline.calibration.learning import known_field
-from strandline.design.active import Knowledge
-from strandline.design.active.fidelities import as_by_model
+from strandline.calibration import Baseline, baseline, known_field
+from strandline.design import Knowledge, as_by_model
 from strandline.errors import InvalidInput, InvalidStudy, NoCommonPoints, TooFewRuns
-from strandline.likelihood.set_aside import RunFilter
+from strandline.likelihood import RunFilter
 from strandline.posterior import Posterior
-from strandline.runs import Ledger, RunRecord
-from strandline.runs.ledger_rows import outcome_digest
-from strandline.studies.first_run import observations_of
-from strandline.studies.models import cheaper_dropped
-from strandline.studies.study import Study, settled
+from strandline.runs import Ledger, RunRecord, outcome_digest
+from strandline.studies import Study, cheaper_dropped, observations_of, settled
 from strandline.version import __version__
 
 OTHER = "Choose another one."

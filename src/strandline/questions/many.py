@@ -18,7 +18,7 @@ from strandline.errors import InvalidInput, NumericsError
 from strandline.interface import Observation
 from strandline.numerics.threads import one_thread, use_double
 from strandline.questions.specimen import SpecimenPosterior, Start, posterior_of
-from strandline.runs.executors import usable_cores
+from strandline.runs import usable_cores
 
 __all__ = ["RefusedSpecimen", "Task", "posteriors_of"]
 

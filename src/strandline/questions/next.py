@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from strandline.calibration import Observer
-from strandline.calibration.progress import observer_or_default
-from strandline.design.candidates import Candidate
+from strandline.calibration import Observer, observer_or_default
+from strandline.design import Candidate
 from strandline.errors import InvalidStudy
 from strandline.interface import UnknownErrors
 from strandline.numerics.threads import one_thread, use_double
@@ -19,14 +18,9 @@ from strandline.questions.information import in_words
 from strandline.questions.knowledge import require, require_seed
 from strandline.questions.next_answers import answers_from_posterior, answers_from_prior
 from strandline.questions.next_runs import Answers, CandidateAnswer, ranked
-from strandline.report import plots
-from strandline.report.figure_files import Captioned
+from strandline.report import Captioned, plots
 from strandline.runs import Executor
-from strandline.studies.check import finished_posterior
-from strandline.studies.folder import POSTERIOR, require_writable
-from strandline.studies.progress import results_of
-from strandline.studies.provenance import facts_of
-from strandline.studies.study import Study
+from strandline.studies import POSTERIOR, Study, facts_of, finished_posterior, require_writable, results_of
 from strandline.typeset import unit_text
 
 __all__ = ["next_experiment"]

@@ -11,16 +11,21 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibration import Observer
-from strandline.calibration.coverage import repeatable
-from strandline.calibration.experiment import Errors, Experiment, Footprint, errors_behind, footprint
-from strandline.calibration.source import Source, posterior_source
-from strandline.design import sobol
-from strandline.design.active import Knowledge, training_of
-from strandline.design.candidates import Candidate, Look, Setting, key_of
+from strandline.calibration import (
+    Errors,
+    Experiment,
+    Footprint,
+    Observer,
+    Source,
+    errors_behind,
+    footprint,
+    posterior_source,
+    repeatable,
+)
+from strandline.design import Candidate, Knowledge, Look, Setting, key_of, sobol, training_of
 from strandline.errors import InvalidInput, NoCommonPoints, TooFewRuns
 from strandline.interface import Interface
-from strandline.models.protocol import declared_conditions, undeformed_interface
+from strandline.models import declared_conditions, undeformed_interface
 from strandline.posterior import Weighted, systematic_indices
 from strandline.questions.information import (
     Direction,
@@ -46,10 +51,8 @@ from strandline.questions.observing import (
     with_known,
 )
 from strandline.runs import Executor, RunRecord
-from strandline.studies.check import finished_posterior
-from strandline.studies.study import Study
-from strandline.studies.widths import slopes_by_differences, slopes_by_sensitivities
-from strandline.surrogate.field import FieldSurrogate, fit_field
+from strandline.studies import Study, finished_posterior, slopes_by_differences, slopes_by_sensitivities
+from strandline.surrogate import FieldSurrogate, fit_field
 
 STEP = 0.5
 """Step of runs beside a point, in standard deviations of the posterior."""

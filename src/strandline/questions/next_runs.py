@@ -8,17 +8,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibration import Observer
-from strandline.calibration.experiment import Errors
-from strandline.design.candidates import Candidate
+from strandline.calibration import Errors, Observer
+from strandline.design import Candidate
 from strandline.errors import InvalidInput
-from strandline.models.fidelities import WithCheaper
-from strandline.models.protocol import with_sensitivities
+from strandline.models import WithCheaper, with_sensitivities
 from strandline.posterior import Weighted
 from strandline.questions.information import Direction, Outlook
 from strandline.runs import Executor, Ledger, RunRecord, run_campaign, run_key
-from strandline.studies.folder import NEXT_LEDGER
-from strandline.studies.study import Study, settled
+from strandline.studies import NEXT_LEDGER, Study, settled
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,14 +24,13 @@ from scipy.linalg import cholesky
 from scipy.optimize import minimize
 from scipy.special import expit, log_expit, logit
 
-from strandline.calibration.experiment import CoordinateErrors, Errors, Footprint
-from strandline.design.candidates import FEWEST_POINTS, WHOLE, Look
+from strandline.calibration import CoordinateErrors, Errors, Footprint
+from strandline.design import FEWEST_POINTS, WHOLE, Look
 from strandline.discrepancy import NormalOffset
 from strandline.errors import InvalidInput, InvalidInterface
 from strandline.interface import ErrorModel, Interface, Observation, PointErrors, steady_normals
-from strandline.likelihood.joint_errors import JointErrors, shared_errors
-from strandline.surrogate.field import FieldSurrogate
-from strandline.surrogate.field.correspondence import fields_of
+from strandline.likelihood import JointErrors, shared_errors
+from strandline.surrogate import FieldSurrogate, fields_of
 
 
 @dataclass(frozen=True, eq=False)

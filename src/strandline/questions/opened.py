@@ -21,7 +21,7 @@ import numpy as np
 from strandline.discrepancy import Discrepancy
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
-from strandline.models.protocol import declared_conditions
+from strandline.models import declared_conditions
 from strandline.numerics.threads import one_thread, use_double
 from strandline.parameters import ParameterSpace
 from strandline.questions.answer import LineFile
@@ -29,16 +29,23 @@ from strandline.questions.knowledge import chosen_measure, digest_of, field_know
 from strandline.questions.many import Task
 from strandline.questions.specimen import Certified, SpecimenPosterior, Start, posterior_of
 from strandline.runs import Ledger, RunRecord
-from strandline.studies.folder import SPECIMENS_LEDGER, SPECIMENS_LINES, SPECIMENS_TABLE
-from strandline.studies.keys import StudyFile
-from strandline.studies.keys.observation import ObservationFile
-from strandline.studies.keys.study_file import SpecimensFile
-from strandline.studies.noise import build_noise, require_fits
-from strandline.studies.observed import read_observation, require_plausible
-from strandline.studies.parse import checked
-from strandline.studies.pictures.undeformed import with_errors_of
-from strandline.studies.study import Study, settled
-from strandline.studies.text import load_yaml
+from strandline.studies import (
+    SPECIMENS_LEDGER,
+    SPECIMENS_LINES,
+    SPECIMENS_TABLE,
+    ObservationFile,
+    SpecimensFile,
+    Study,
+    StudyFile,
+    build_noise,
+    checked,
+    load_yaml,
+    read_observation,
+    require_fits,
+    require_plausible,
+    settled,
+    with_errors_of,
+)
 
 __all__ = ["Specimens", "open_specimens"]
 

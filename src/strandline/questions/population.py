@@ -26,11 +26,10 @@ from jaxtyping import Float
 from scipy.special import logsumexp, ndtr
 from scipy.stats import chi2
 
-from strandline.calibration.importance_sampler import StudentMixture, importance_or_smc, prior_and_posterior, prior_pool
+from strandline.calibration import StudentMixture, importance_or_smc, prior_and_posterior, prior_pool
 from strandline.errors import InvalidInput
 from strandline.parameters import Parameter, ParameterSpace
-from strandline.posterior import Weighted, systematic_indices
-from strandline.posterior.importance import pareto_smoothed
+from strandline.posterior import Weighted, pareto_smoothed, systematic_indices
 from strandline.priors import Uniform
 from strandline.questions.specimen import SpecimenPosterior, matched
 from strandline.text import with_sd

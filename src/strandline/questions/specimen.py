@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import gammaincinv, ndtri
 
-from strandline.calibration.importance_sampler import (
+from strandline.calibration import (
     ENOUGH,
     FREEDOM,
     Densities,
@@ -33,17 +33,14 @@ from strandline.calibration.importance_sampler import (
     only_inside,
     tempered,
 )
-from strandline.design import sobol
-from strandline.design.active import Knowledge
+from strandline.design import Knowledge, sobol
 from strandline.discrepancy import Discrepancy
 from strandline.errors import InvalidInput
 from strandline.interface import Observation
-from strandline.likelihood import FieldLikelihood
-from strandline.likelihood.local_likelihood import Nearby
-from strandline.likelihood.parabolas import log_gain
+from strandline.likelihood import FieldLikelihood, Nearby, log_gain
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted, systematic_indices
-from strandline.surrogate.field import FieldPrediction, FieldSurrogate
+from strandline.surrogate import FieldPrediction, FieldSurrogate
 from strandline.text import with_sd
 
 __all__ = ["SpecimenPosterior", "posterior_of"]

@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from strandline.calibration import Observer
-from strandline.calibration.progress import observer_or_default
+from strandline.calibration import Observer, observer_or_default
 from strandline.errors import InvalidInput, InvalidStudy, NumericsError
 from strandline.numerics.threads import one_thread
 from strandline.questions.answer import Answer
@@ -23,9 +22,14 @@ from strandline.questions.population import FEWEST_SPECIMENS, population_of, shr
 from strandline.questions.specimen import SpecimenPosterior, runs_for
 from strandline.questions.specimens_content import SpecimensFound, answer_of, describe_specimens, write_table
 from strandline.runs import Executor, Ledger, Progress, run_campaign
-from strandline.studies.check import plain_model
-from strandline.studies.folder import SPECIMENS_LEDGER, SPECIMENS_TABLE, require_writable, told_if_unwritable
-from strandline.studies.study import Study
+from strandline.studies import (
+    SPECIMENS_LEDGER,
+    SPECIMENS_TABLE,
+    Study,
+    plain_model,
+    require_writable,
+    told_if_unwritable,
+)
 
 __all__ = ["Arrived", "specimens", "watch_specimens"]
 

@@ -16,10 +16,8 @@ from strandline.questions.many import RefusedSpecimen
 from strandline.questions.opened import Specimens
 from strandline.questions.population import FEWEST_SPECIMENS, Population, Shrunk
 from strandline.questions.specimen import TOLERATED_SHIFT, SpecimenPosterior
-from strandline.report import plots
-from strandline.report.figure_files import Captioned
-from strandline.report.plots.answers import axis_label
-from strandline.studies.provenance import facts_of
+from strandline.report import Captioned, axis_label, plots
+from strandline.studies import facts_of
 from strandline.text import with_sd
 
 QUANTILES = ("q05", "q50", "q95")

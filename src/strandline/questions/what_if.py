@@ -9,13 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from strandline.calibration import Observer
-from strandline.calibration.alternative import Alternative, Baseline, Kind, baseline
-from strandline.calibration.progress import observer_or_default
-from strandline.calibration.usual_alternatives import facts_of as noise_in_words
+from strandline.calibration import (
+    LEAST_RATIO,
+    LEAST_SHIFT,
+    Alternative,
+    Baseline,
+    Kind,
+    Observer,
+    baseline,
+    observer_or_default,
+    reweight_or_resample,
+)
+from strandline.calibration import Answer as Changed
+from strandline.calibration import facts_of as noise_in_words
 from strandline.calibration.usual_alternatives import prior_in_words, usual_alternatives, with_prior
-from strandline.calibration.what_if import LEAST_RATIO, LEAST_SHIFT, reweight_or_resample
-from strandline.calibration.what_if import Answer as Changed
 from strandline.errors import InvalidStudy
 from strandline.interface import Observation
 from strandline.likelihood import FieldLikelihood
@@ -23,21 +30,23 @@ from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import Weighted
 from strandline.questions.answer import Answer, Part, Symbol, Table, digits, facts_of_surrogate, moments, surrogate_note
 from strandline.questions.knowledge import baseline_of, require, require_seed
-from strandline.report import plots
-from strandline.report.figure_files import Captioned
-from strandline.report.plots.answers import axis_label
+from strandline.report import Captioned, axis_label, plots
 from strandline.runs import Progress
-from strandline.studies.check import finished_posterior
-from strandline.studies.folder import require_writable
-from strandline.studies.inputs import build_prior
-from strandline.studies.keys import StudyFile
-from strandline.studies.keys.observation import Noise
-from strandline.studies.keys.study_file import WhatIf
-from strandline.studies.load import study_of
-from strandline.studies.parse import checked, entry, refused_at
-from strandline.studies.provenance import facts_of
-from strandline.studies.study import Study
-from strandline.studies.text import load_yaml
+from strandline.studies import (
+    Noise,
+    Study,
+    StudyFile,
+    WhatIf,
+    build_prior,
+    checked,
+    entry,
+    facts_of,
+    finished_posterior,
+    load_yaml,
+    refused_at,
+    require_writable,
+    study_of,
+)
 from strandline.text import listed
 from strandline.typeset import figure_text
 

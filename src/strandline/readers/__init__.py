@@ -1,7 +1,17 @@
 """Files that simulators and measurements write → interfaces."""
 
-from strandline.readers.contents import Block, Contents, Unreadable
-from strandline.readers.options import READERS, Reading
-from strandline.readers.read import Reader, read_interface, read_point_sds
+from typing import TYPE_CHECKING
+
+from strandline.doors import door
+
+if TYPE_CHECKING:
+    from strandline.readers.cells import require_in_order
+    from strandline.readers.checked import content_of, is_finite, keys_of, named, number, numbers, unfit
+    from strandline.readers.contents import Block, Contents, Unreadable, refused, undamaged
+    from strandline.readers.options import READERS, TO_MM, Reading
+    from strandline.readers.read import Reader, read_interface, read_point_sds
+    from strandline.readers.tables import outlines
+else:
+    __getattr__ = door(__name__, __file__)
 
 __all__ = ["READERS", "Block", "Contents", "Reader", "Reading", "Unreadable", "read_interface", "read_point_sds"]

@@ -9,8 +9,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from strandline.interface import Interface
-from strandline.interface.triangles import signed_volume, vector_areas
+from strandline.interface import Interface, signed_volume, vector_areas
 from strandline.readers import cells
 from strandline.readers.cells import Chain, chains, chosen_chain, require_clear_ends, require_in_order
 from strandline.readers.contents import Block, Contents, refused

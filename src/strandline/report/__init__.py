@@ -1,7 +1,23 @@
 """A finished study as one self-contained HTML page."""
 
-from strandline.report.html import PANELS, template
-from strandline.report.page import FIGURES, add_check, remove_report, write_answer, write_report
+from typing import TYPE_CHECKING
+
+from strandline.doors import door
+
+if TYPE_CHECKING:
+    from strandline.report.explore import DRAWS, by_name, rounded
+    from strandline.report.figure_files import Captioned
+    from strandline.report.fit import as_json, fit_as_json, nearest_runs, nothing_near
+    from strandline.report.html import PANELS, small_share, template
+    from strandline.report.page import FIGURES, add_check, remove_report, write_answer, write_report
+    from strandline.report.plots import plot_conditions, plot_flow, plot_interfaces
+    from strandline.report.plots.answers import axis_label
+    from strandline.report.plots.pairs import PosteriorPlots
+    from strandline.report.plots.picture import plot_picture, plot_stack
+    from strandline.report.plots.style import DOTS_PER_INCH
+    from strandline.report.warnings import find_warnings
+else:
+    __getattr__ = door(__name__, __file__)
 
 __all__ = [
     "FIGURES",

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from markupsafe import Markup
 
 from strandline.errors import InvalidInput
-from strandline.imaging.clicks import Clicks, as_json
+from strandline.imaging import Clicks, as_json
 from strandline.report.html import embedded, script_hash, template
 
 SCRIPTS = ("marks.js", "view.js", "editing.js", "panel.js")

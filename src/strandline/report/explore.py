@@ -10,18 +10,14 @@ import numpy as np
 from jaxtyping import Float, Int
 from markupsafe import Markup
 
-from strandline.calibration import Calibration
-from strandline.calibration.misfit import Prediction, by_field, by_runs
-from strandline.calibration.usual_alternatives import prior_in_words
-from strandline.discrepancy.normal_offset import signed_distances
-from strandline.interface import Interface
-from strandline.interface.normals import node_normals
-from strandline.models.protocol import DrawsFields, ForwardModel, undeformed_interface
+from strandline.calibration import Calibration, Prediction, by_field, by_runs, prior_in_words
+from strandline.discrepancy import signed_distances
+from strandline.interface import Interface, node_normals
+from strandline.models import DrawsFields, ForwardModel, undeformed_interface
 from strandline.parameters import ParameterSpace
 from strandline.posterior import systematic_indices
 from strandline.report.html import PANELS, PLOTLY, bundled, embedded, script_hash
-from strandline.runs import RunRecord
-from strandline.runs.ledger_schema import LOG_TITLE
+from strandline.runs import LOG_TITLE, RunRecord
 
 SDS = 2.0
 """Half of the width of a band, in standard deviations."""

@@ -8,14 +8,12 @@ from itertools import chain
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibration import Calibration
-from strandline.calibration.misfit import ConditionMisfit
+from strandline.calibration import Calibration, ConditionMisfit
 from strandline.errors import ForwardModelError
 from strandline.interface import Interface
-from strandline.models.protocol import DrawsFields, undeformed_interface
+from strandline.models import DrawsFields, undeformed_interface
 from strandline.parameters import ParameterSpace
-from strandline.posterior import Reading, observed_offsets
-from strandline.posterior.quadrature import QuadratureResult, mixture
+from strandline.posterior import QuadratureResult, Reading, mixture, observed_offsets
 from strandline.report import plots
 from strandline.report.figure_files import Captioned
 from strandline.report.html import number

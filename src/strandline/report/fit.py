@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibration import Misfit, Problem
-from strandline.calibration.misfit import ConditionMisfit, Region
+from strandline.calibration import ConditionMisfit, Misfit, Problem, Region
 from strandline.discrepancy import (
     Discrepancy,
     apart,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from strandline.calibration import Calibration
-from strandline.design.active import KINDS
+from strandline.design import KINDS
 from strandline.report import plots
 from strandline.report.explore import explore
 from strandline.report.figure_files import Captioned, fitted, marked, saved, whole_folder

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from strandline.calibration import Calibration
-from strandline.design.active import FieldOutcome
+from strandline.design import FieldOutcome
 from strandline.interface import GLOBAL, Interface, Observation
 from strandline.likelihood import evaluated, predicted
 from strandline.posterior import interface_band, normal_offsets, observed_offsets, subset

@@ -6,20 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from strandline.calibration import Calibration
-from strandline.calibration.misfit import unlikely_errors
-from strandline.calibration.steps import steps_of
-from strandline.design.active import FieldOutcome
+from strandline.calibration import Calibration, steps_of, unlikely_errors
+from strandline.design import FieldOutcome
 from strandline.interface import UnknownErrors
-from strandline.likelihood import noise_length, sd_of_distances
-from strandline.likelihood.set_aside import says_whether_runs_succeed
+from strandline.likelihood import noise_length, says_whether_runs_succeed, sd_of_distances
 from strandline.parameters import Parameter
-from strandline.posterior import Posterior, Reading, prior_conflicts
-from strandline.posterior.quadrature import QuadratureResult, mixture
+from strandline.posterior import Posterior, QuadratureResult, Reading, mixture, prior_conflicts
 from strandline.report.html import number, small_share
-from strandline.runs.ledger_schema import EXCLUDED
-from strandline.surrogate.feasibility import learn_feasibility
-from strandline.surrogate.field.odd import stopped_early
+from strandline.runs import EXCLUDED
+from strandline.surrogate import learn_feasibility, stopped_early
 
 BOUND_SHARE = 0.02
 """A bound counts as touched if the outer 2 % of the box hold more than `BOUND_MASS` of the posterior."""

@@ -1,15 +1,29 @@
 """Forward runs: records, the ledger that keeps them, executors, campaigns."""
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from strandline.doors import door
 
 if TYPE_CHECKING:
+    from strandline.runs.array_task import run_task
     from strandline.runs.batches import run_batches
     from strandline.runs.campaign import Progress, run_campaign
-    from strandline.runs.executors import Executor, InProcess, LocalProcesses
-    from strandline.runs.failures import FailurePolicy, Retry
+    from strandline.runs.executors import EXECUTORS, Executor, InProcess, LocalProcesses, usable_cores, with_workers
+    from strandline.runs.executors.dask import DaskCluster
+    from strandline.runs.executors.slurm_array import Detached, SlurmArray
+    from strandline.runs.executors.slurm_batch import known_batches
+    from strandline.runs.failures import COMMON_KINDS, FailurePolicy, Retry, counted, require_kinds
+    from strandline.runs.journal import note
     from strandline.runs.ledger import Counts, Ledger
-    from strandline.runs.record import NOT_NOW, RunRecord, RunRequest, attempt, run_key
+    from strandline.runs.ledger_rows import outcome_digest, unsound
+    from strandline.runs.ledger_schema import ATTEMPTS, EXCLUDED, INTERRUPTED, LOG_TITLE, copied, opened_for_reading
+    from strandline.runs.overview import OPEN, STATES, Attempt, Details, Driver, Overview, Run
+    from strandline.runs.plans import Plan
+    from strandline.runs.record import ENDS, NOT_NOW, RunRecord, RunRequest, attempt, ended, run_key, told_folder
+    from strandline.runs.worker import packed_model
+    from strandline.runs.worker_slot import WorkerSlot
+else:
+    __getattr__ = door(__name__, __file__)
 
 __all__ = [
     "NOT_NOW",
@@ -28,20 +42,3 @@ __all__ = [
     "run_campaign",
     "run_key",
 ]
-
-_NAMES_OF = {
-    "batches": "run_batches",
-    "campaign": "Progress run_campaign",
-    "executors": "Executor InProcess LocalProcesses",
-    "failures": "FailurePolicy Retry",
-    "ledger": "Counts Ledger",
-    "record": "NOT_NOW RunRecord RunRequest attempt run_key",
-}
-_HOME = {name: module for module, names in _NAMES_OF.items() for name in names.split()}
-
-
-def __getattr__(name: str) -> Any:
-    """Import a public name when it is requested, so that reading the state of a ledger loads no numerics."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)

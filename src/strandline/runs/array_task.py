@@ -14,9 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from strandline.errors import InvalidInput
-from strandline.models.fingerprint import fingerprint
-from strandline.models.protocol import ForwardModel, asks_sensitivities, with_sensitivities
-from strandline.models.python import PythonModel
+from strandline.models import ForwardModel, PythonModel, asks_sensitivities, fingerprint, with_sensitivities
 from strandline.runs.executors.slurm_array import UNUSABLE
 from strandline.runs.executors.slurm_batch import ArrayBatch
 from strandline.runs.record import RunRecord, RunRequest, ended, with_log

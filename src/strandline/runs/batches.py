@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 from strandline.errors import InvalidInput
-from strandline.models.protocol import ForwardModel
+from strandline.models import ForwardModel
 from strandline.runs.campaign import Campaign, Progress, Starts
 from strandline.runs.executors import Executor
 from strandline.runs.failures import FailurePolicy

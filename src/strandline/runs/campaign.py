@@ -7,9 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from strandline.errors import InvalidInput, LedgerError, NumericsError
-from strandline.models.fidelities import run_identity
-from strandline.models.fingerprint import fingerprint
-from strandline.models.protocol import ForwardModel, asks_sensitivities, prepare_runs
+from strandline.models import ForwardModel, asks_sensitivities, fingerprint, prepare_runs, run_identity
 from strandline.runs.executors import Executor
 from strandline.runs.executors.shared import require_count
 from strandline.runs.failures import FailurePolicy, Outages, aborted

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from strandline.errors import CampaignStopped, ForwardModelError, InvalidInput
-from strandline.models.protocol import ForwardModel
+from strandline.models import ForwardModel
 from strandline.runs.ledger_schema import EXCLUDED
 from strandline.runs.record import RunRecord
 

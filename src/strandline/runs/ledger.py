@@ -20,8 +20,7 @@ from typing import Any
 from filelock import BaseFileLock
 
 from strandline.errors import LedgerError
-from strandline.models.fingerprint import fingerprint
-from strandline.models.protocol import ForwardModel
+from strandline.models import ForwardModel, fingerprint
 from strandline.runs import ledger_rows, ledger_schema, plans
 from strandline.runs.ledger_schema import INTERRUPTED, translated
 from strandline.runs.lock_watch import Hold, locked

@@ -17,7 +17,7 @@ import numpy as np
 
 from strandline.errors import ForwardModelError, InvalidInput, InvalidInterface
 from strandline.interface import Interface, is_condition
-from strandline.models.protocol import (
+from strandline.models import (
     ForwardModel,
     KeepsFolders,
     Sensitivities,
@@ -28,7 +28,7 @@ from strandline.models.protocol import (
 from strandline.runs.ledger_schema import EXCLUDED, LOG_TITLE
 
 State = Literal["ok", "failed", "timeout", "killed", "invalid", "excluded"]
-STATES: tuple[State, ...] = ("ok", "failed", "timeout", "killed", "invalid")
+ENDS: tuple[State, ...] = ("ok", "failed", "timeout", "killed", "invalid")
 """How a run ends: with an interface | failed by itself | out of time | its process vanished | with an unusable result.
 
 In addition, a ledger reports ``excluded`` for a run excluded by hand, however it ended.
@@ -57,7 +57,7 @@ NOT_NOW = RunRequest("", {})
 class RunRecord:
     """The outcome of one run. Every end except `ok` is data, not an exception.
 
-    `key` is the content address of the run, see `run_key`, `state` one of `STATES`, or ``excluded``. The predicted
+    `key` is the content address of the run, see `run_key`, `state` one of `ENDS`, or ``excluded``. The predicted
     interfaces by condition are empty unless it ended ``ok``. `diagnostics` are numbers about the run, if it failed the
     evidence of the failure; `seconds` are wall-clock time. If it did not end ``ok``, `failure_kind` is a short
     machine-readable reason, `message` the reason in words, with the last lines of the log, and `log` the end of its

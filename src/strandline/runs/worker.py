@@ -13,7 +13,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from strandline.errors import InvalidInput
-from strandline.models.protocol import ForwardModel
+from strandline.models import ForwardModel
 from strandline.runs.record import attempt
 
 READY, UNUSABLE = "ready", "unusable"

@@ -4,7 +4,7 @@ from strandline.smc.combined import carried_over, in_halves
 from strandline.smc.conditionals import ConditionalLogDensity, sample_each
 from strandline.smc.moves import BatchedLogDensity, Moved, RandomKey, metropolis
 from strandline.smc.on_host import OnHost, is_on_host
-from strandline.smc.records import STUDY, SMCResult, SMCSettings, StepInfo
+from strandline.smc.records import STUDY, SMCResult, SMCSettings, StepInfo, require
 from strandline.smc.sampler import sample
 from strandline.smc.steps import Particles, systematic
 from strandline.smc.tempering import effective_sample_size, next_temperature

@@ -1,31 +1,79 @@
 """Study folders: the YAML schema, loading, running, results."""
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from strandline.doors import door
 
 if TYPE_CHECKING:
-    from strandline.studies.check import PosteriorCheck, check_posterior
-    from strandline.studies.load import load_study
+    from strandline.studies.changed_copy import changed_study, reuse_from, write_copy
+    from strandline.studies.check import (
+        PosteriorCheck,
+        check_posterior,
+        finished_posterior,
+        offset_band,
+        plain_model,
+        posterior_digest,
+    )
+    from strandline.studies.doctor import examine
+    from strandline.studies.export import write_csv, write_netcdf
+    from strandline.studies.first_run import (
+        early_doubts,
+        facing,
+        observations_of,
+        require_ok,
+        require_same_size,
+        turned_lines,
+    )
+    from strandline.studies.folder import (
+        LEDGER,
+        NEXT_LEDGER,
+        POSTERIOR,
+        REFINEMENT,
+        REPLICATES,
+        REPORT,
+        SPECIMENS_LEDGER,
+        SPECIMENS_LINES,
+        SPECIMENS_TABLE,
+        STUDY,
+        SUMMARY,
+        digest_of,
+        require_temporary,
+        require_writable,
+        told_if_unwritable,
+    )
+    from strandline.studies.inputs import build_prior, check_complete
+    from strandline.studies.keys import StudyFile
+    from strandline.studies.keys.observation import Noise, ObservationFile
+    from strandline.studies.keys.scalars import Number, Section
+    from strandline.studies.keys.schema import listed
+    from strandline.studies.keys.study_file import SpecimensFile, WhatIf
+    from strandline.studies.load import load_study, study_of
+    from strandline.studies.measure_doubts import measure_lines, node_lines
+    from strandline.studies.models import cheaper_dropped, cheaper_lines, differentiating
+    from strandline.studies.noise import build_noise, require_fits
+    from strandline.studies.observed import read_observation, read_points, require_plausible
+    from strandline.studies.parse import checked, entry, in_words, parse_study, refused_at
+    from strandline.studies.pictures.photographed import UNDEFORMED, picture_of, reference_of
+    from strandline.studies.pictures.shown import (
+        IMAGE,
+        PictureFiles,
+        picture_behind,
+        picture_png,
+        read_lines,
+        write_page,
+        write_pictures,
+    )
+    from strandline.studies.pictures.undeformed import undeformed_picture, with_errors_of
+    from strandline.studies.progress import RunReported, StudyProgress, progress_as_planned, progress_in, results_of
+    from strandline.studies.provenance import facts_of, points_digest, results_at_hand, versions
     from strandline.studies.result import Result, load_result
-    from strandline.studies.run import Outcome, run_study
-    from strandline.studies.study import Study
+    from strandline.studies.run import Outcome, run_study, submit_study
+    from strandline.studies.serve import Solver, served_models
+    from strandline.studies.study import Study, settled
+    from strandline.studies.template import EXAMPLES, OWN, Observed, write_example
+    from strandline.studies.text import REMOVED, changed_text, load_yaml
+    from strandline.studies.widths import slopes_by_differences, slopes_by_sensitivities
+else:
+    __getattr__ = door(__name__, __file__)
 
 __all__ = ["Outcome", "PosteriorCheck", "Result", "Study", "check_posterior", "load_result", "load_study", "run_study"]
-
-_MODULES = {
-    "PosteriorCheck": "check",
-    "Outcome": "run",
-    "Result": "result",
-    "Study": "study",
-    "check_posterior": "check",
-    "load_result": "result",
-    "load_study": "load",
-    "run_study": "run",
-}
-
-
-def __getattr__(name: str) -> Any:
-    """Import a public name when it is first used: writing a study folder needs no numerics."""
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)

@@ -3,8 +3,8 @@
 import sys
 from pathlib import Path
 
-from strandline.models.protocol import ForwardModel
-from strandline.runs.array_task import run_task
+from strandline.models import ForwardModel
+from strandline.runs import run_task
 from strandline.studies.models import build_model
 from strandline.studies.parse import parse_study
 

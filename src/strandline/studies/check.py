@@ -16,13 +16,12 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from strandline.calibration import Observer
-from strandline.calibration.progress import observer_or_default
+from strandline.calibration import Observer, observer_or_default
 from strandline.errors import InvalidInput, InvalidStudy, TooFewRuns
 from strandline.files import read_json, write_json
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
-from strandline.models.protocol import ForwardModel, undeformed_interface
+from strandline.models import ForwardModel, undeformed_interface
 from strandline.posterior import (
     Posterior,
     Reweighting,

@@ -7,7 +7,7 @@ from typing import Any
 
 from strandline.errors import StrandlineError
 from strandline.files import read_json
-from strandline.runs.ledger_rows import outcome_digest, unsound
+from strandline.runs import outcome_digest, unsound
 from strandline.studies.folder import (
     CHECK,
     CHECK_LEDGER,

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from strandline.files import whole_file
-from strandline.runs.overview import Details, Overview, Run
+from strandline.runs import Details, Overview, Run
 from strandline.studies.folder import told_if_unwritable
 
 if TYPE_CHECKING:

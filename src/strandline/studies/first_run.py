@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from strandline.design.active import SLOW_BATCH, seconds_of_a_batch
-from strandline.discrepancy import Discrepancy, apart, axes_mistake, extent, oriented_like_runs
-from strandline.discrepancy.nearest import squared_distances
+from strandline.design import SLOW_BATCH, seconds_of_a_batch
+from strandline.discrepancy import Discrepancy, apart, axes_mistake, extent, oriented_like_runs, squared_distances
 from strandline.errors import ForwardModelError, InvalidInput, InvalidStudy, NumericsError
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import InterfaceLikelihood, compared, noise_length, sd_of_distances
-from strandline.models.protocol import SolvesOnFinerMesh, undeformed_interface
+from strandline.models import SolvesOnFinerMesh, undeformed_interface
 from strandline.runs import RunRecord
 from strandline.studies.observed import noisy, require_plausible
 from strandline.studies.study import Study

@@ -10,10 +10,10 @@ import numpy as np
 
 from strandline.design.candidates import WHOLE, Candidate, Look, candidates
 from strandline.errors import InvalidStudy
-from strandline.models.protocol import ForwardModel, ModelInput, UsesNames, declared_conditions, declared_inputs
+from strandline.models import ForwardModel, ModelInput, UsesNames, declared_conditions, declared_inputs
 from strandline.parameters import Parameter, ParameterSpace
 from strandline.priors import PRIORS, Prior
-from strandline.readers.options import TO_MM
+from strandline.readers import TO_MM
 from strandline.studies.keys.study_file import Input, Next, Quantity, StudyFile
 from strandline.studies.observed import require_condition
 from strandline.studies.parse import entry, made, open_entry, refused_at, require_parts

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from strandline.errors import InvalidStudy
 from strandline.interface import Noise, PointErrors, UnknownErrors
-from strandline.models.protocol import ForwardModel, declared_conditions
+from strandline.models import ForwardModel, declared_conditions
 from strandline.studies.folder import LEDGER
 from strandline.studies.inputs import build_fixed, build_space, check_complete, read_candidates
 from strandline.studies.keys import StudyFile

@@ -7,12 +7,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from strandline.discrepancy import ClosestPoint, Discrepancy, MeasurementLines, NormalOffset
-from strandline.discrepancy.contours import path_of
-from strandline.discrepancy.nearest import closest_points
-from strandline.discrepancy.normal_offset import BEYOND as BEYOND_END
+from strandline.discrepancy import BEYOND as BEYOND_END
+from strandline.discrepancy import ClosestPoint, Discrepancy, MeasurementLines, NormalOffset, closest_points, path_of
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
-from strandline.likelihood.compared import adapted
+from strandline.likelihood import adapted
 from strandline.runs import RunRecord
 from strandline.studies.first_run import observations_of
 from strandline.studies.study import Study

@@ -8,13 +8,10 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict
 
-from strandline.discrepancy import DISCREPANCIES, Discrepancy
-from strandline.discrepancy.comparison import apart
+from strandline.discrepancy import DISCREPANCIES, Discrepancy, apart
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.files import read_json
-from strandline.models import MODELS
-from strandline.models.fidelities import CHEAPER, WithCheaper, by_cheaper
-from strandline.models.protocol import ForwardModel, UsesNames, with_sensitivities
+from strandline.models import CHEAPER, MODELS, ForwardModel, UsesNames, WithCheaper, by_cheaper, with_sensitivities
 from strandline.runs import RunRecord
 from strandline.studies.folder import SUMMARY
 from strandline.studies.keys import StudyFile

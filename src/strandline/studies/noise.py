@@ -10,8 +10,8 @@ from jaxtyping import Float
 from strandline.discrepancy import Discrepancy, NormalOffset
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import GaussianNoise, Interface, Noise, PointErrors, UnknownErrors
-from strandline.likelihood.inferred_noise import require_inferable_noise
-from strandline.readers.options import TO_MM
+from strandline.likelihood import require_inferable_noise
+from strandline.readers import TO_MM
 from strandline.studies.keys.observation import COLUMN, IMAGE, ConditionNoise, Unknown
 from strandline.studies.observed import Found
 from strandline.studies.parse import entry, refused_at

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from strandline.discrepancy import extent, extent_ratio, unit_mistake
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.interface import Interface, PointErrors
-from strandline.models.protocol import ForwardModel, declared_conditions, undeformed_interface
+from strandline.models import ForwardModel, declared_conditions, undeformed_interface
 from strandline.readers import Reading, read_interface, read_point_sds
 from strandline.registry import suggestion
 from strandline.studies.keys.observation import ConditionFile, ObservationFile

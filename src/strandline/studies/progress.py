@@ -12,9 +12,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Any, Literal
 
 from strandline.files import read_json
-from strandline.runs.ledger_schema import EXCLUDED, INTERRUPTED
-from strandline.runs.overview import OPEN, Attempt, Driver, Overview, Run
-from strandline.runs.plans import Plan
+from strandline.runs import EXCLUDED, INTERRUPTED, OPEN, Attempt, Driver, Overview, Plan, Run
 from strandline.studies.folder import LEDGER, REFINEMENT, STUDY, SUMMARY, digest_of
 
 if TYPE_CHECKING:

@@ -13,8 +13,7 @@ from strandline.errors import InvalidStudy, StrandlineError
 from strandline.files import read_json
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.report import FIGURES
-from strandline.runs import FailurePolicy
-from strandline.runs.ledger_rows import outcome_digest
+from strandline.runs import FailurePolicy, outcome_digest
 from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY
 from strandline.studies.study import Study
 from strandline.version import __version__

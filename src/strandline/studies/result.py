@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from strandline.calibration import Calibration, Problem, Settings, calibrate
-from strandline.design.refinement import Refinement
+from strandline.design import Refinement
 from strandline.discrepancy import DISCREPANCIES, Discrepancy
 from strandline.errors import InvalidInput
 from strandline.files import read_json
 from strandline.interface import GaussianNoise, PointErrors, UnknownErrors
-from strandline.models.fidelities import is_cheaper
+from strandline.models import is_cheaper
 from strandline.posterior import Posterior
-from strandline.report.plots.pairs import PosteriorPlots
+from strandline.report import PosteriorPlots
 from strandline.runs import InProcess
 from strandline.studies.check import finished_posterior
 from strandline.studies.first_run import observations_of

@@ -14,19 +14,16 @@ from typing import Any
 
 from xarray import DataTree
 
-from strandline.calibration import Calibration, Observer, Problem, calibrate
-from strandline.calibration.progress import observer_or_default
-from strandline.design.active import BatchReport
+from strandline.calibration import Calibration, Observer, Problem, calibrate, observer_or_default
+from strandline.design import BatchReport
 from strandline.errors import InvalidInput, InvalidStudy, NumericsError, ResultsNotWritten
 from strandline.files import write_json
 from strandline.interface import Interface
 from strandline.likelihood import compared
-from strandline.models.protocol import prepare_runs
+from strandline.models import prepare_runs
 from strandline.posterior import to_datatree, write
-from strandline.report import FIGURES, remove_report, template, write_report
-from strandline.report.fit import nearest_runs, nothing_near
-from strandline.runs import Executor, Ledger, Progress, RunRecord, run_campaign
-from strandline.runs.failures import FailurePolicy
+from strandline.report import FIGURES, nearest_runs, nothing_near, remove_report, template, write_report
+from strandline.runs import Executor, FailurePolicy, Ledger, Progress, RunRecord, run_campaign
 from strandline.studies.check import read_check
 from strandline.studies.first_run import require_ok, require_same_axes, require_same_size
 from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY, require_writable

@@ -13,14 +13,10 @@ from jaxtyping import Float
 from strandline.errors import ForwardModelError, InvalidInput
 from strandline.interface import Interface
 from strandline.likelihood import InterfaceLikelihood
-from strandline.models.protocol import ForwardModel
-from strandline.models.umbridge.answers import Blocks, ServedModel
-from strandline.models.umbridge.model import flattened
+from strandline.models import ForwardModel
+from strandline.models.umbridge import Blocks, ServedModel, flattened
 from strandline.parameters import ParameterSpace
-from strandline.runs import RunRecord, RunRequest, run_key
-from strandline.runs.record import ended
-from strandline.runs.worker import packed_model
-from strandline.runs.worker_slot import WorkerSlot
+from strandline.runs import RunRecord, RunRequest, WorkerSlot, ended, packed_model, run_key
 from strandline.studies.first_run import require_ok, turned_like
 from strandline.studies.inputs import check_values
 from strandline.studies.noise import require_stated

@@ -6,15 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from strandline.calibration import Settings
-from strandline.design.active import Active
-from strandline.design.refinement import Refinement
+from strandline.design import Active, Refinement
 from strandline.errors import InvalidStudy
-from strandline.models.protocol import ForwardModel, declared_failure_kinds
+from strandline.models import ForwardModel, declared_failure_kinds
 from strandline.registry import lookup
-from strandline.runs import FailurePolicy, Retry
-from strandline.runs.executors import EXECUTORS, Executor
-from strandline.runs.failures import COMMON_KINDS
-from strandline.runs.record import STATES
+from strandline.runs import COMMON_KINDS, ENDS, EXECUTORS, Executor, FailurePolicy, Retry
 from strandline.smc import SMCSettings
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.settings import ExecutorChoice, Failures
@@ -80,7 +76,7 @@ def build_failures(given: Failures, model: ForwardModel) -> FailurePolicy:
 
 def failure_words(model: ForwardModel) -> tuple[str, ...]:
     """Return the known words for failed runs of `model`: states, its own kinds, kinds of any model."""
-    states = (state for state in STATES if state != "ok")
+    states = (state for state in ENDS if state != "ok")
     return tuple(dict.fromkeys([*states, *(declared_failure_kinds(model) or ()), *COMMON_KINDS]))
 
 

@@ -9,19 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from strandline.calibration import Settings
-from strandline.design import sobol
-from strandline.design.candidates import Candidate
+from strandline.design import Candidate, sobol
 from strandline.discrepancy import Discrepancy
 from strandline.errors import InvalidStudy
 from strandline.files import read_json, write_json
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
-from strandline.models.fidelities import CHEAPER, first_runs, run_identity
-from strandline.models.fingerprint import fingerprint
-from strandline.models.protocol import ForwardModel, asks_sensitivities
+from strandline.models import CHEAPER, ForwardModel, asks_sensitivities, fingerprint, first_runs, run_identity
 from strandline.parameters import ParameterSpace
-from strandline.runs import Executor, Ledger, RunRecord, run_key
-from strandline.runs.ledger_schema import ATTEMPTS, EXCLUDED
-from strandline.runs.plans import Plan
+from strandline.runs import ATTEMPTS, EXCLUDED, Executor, Ledger, Plan, RunRecord, run_key
 from strandline.studies.folder import LEDGER, REFINEMENT, digest_of
 from strandline.studies.observed import SyntheticNoise
 from strandline.studies.pictures.photographed import Photographed

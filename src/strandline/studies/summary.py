@@ -7,17 +7,13 @@ from typing import Any
 import numpy as np
 
 from strandline.calibration import Calibration
-from strandline.design.refinement import shifts
+from strandline.design import shifts
 from strandline.discrepancy import Discrepancy
 from strandline.interface import Observation
-from strandline.likelihood import InterfaceLikelihood, compared
-from strandline.likelihood.compared import adapted
-from strandline.posterior import Posterior, Reading
-from strandline.posterior.quadrature import QuadratureResult, mixture
-from strandline.report.fit import as_json, fit_as_json, nearest_runs
-from strandline.report.warnings import find_warnings
-from strandline.runs.ledger_rows import outcome_digest
-from strandline.runs.ledger_schema import EXCLUDED
+from strandline.likelihood import InterfaceLikelihood, adapted, compared
+from strandline.posterior import Posterior, QuadratureResult, Reading, mixture
+from strandline.report import as_json, find_warnings, fit_as_json, nearest_runs
+from strandline.runs import EXCLUDED, outcome_digest
 from strandline.studies.check import outcomes
 from strandline.studies.measure_doubts import contradictions
 from strandline.studies.parse import in_words

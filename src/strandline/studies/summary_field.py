@@ -7,10 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.calibration import Calibration
-from strandline.design.active import BatchCheck, FieldOutcome, Step
-from strandline.design.active.fidelities import FidelityReport
+from strandline.design import BatchCheck, FidelityReport, FieldOutcome, Step
 from strandline.interface import Observation, UnknownErrors, steady_lengths
-from strandline.likelihood.inferred_noise import NoisePosterior
+from strandline.likelihood import NoisePosterior
 from strandline.studies.provenance import named
 
 TO_MICROMETRES = 1e3

@@ -7,20 +7,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibration import Observer
-from strandline.calibration.experiment import footprint
+from strandline.calibration import Observer, footprint
 from strandline.discrepancy import Discrepancy, NormalOffset, signed_distances, squared_discrepancies
 from strandline.errors import InvalidInput, NumericsError
 from strandline.interface import Interface, Observation, UnknownErrors
-from strandline.likelihood import compared, noise_length
-from strandline.likelihood.joint_errors import JointErrors, shared_errors
-from strandline.likelihood.noise_rule import differences, second_differences
-from strandline.models.fidelities import WithCheaper, is_cheaper
+from strandline.likelihood import JointErrors, compared, differences, noise_length, second_differences, shared_errors
+from strandline.models import WithCheaper, is_cheaper
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior
 from strandline.runs import Progress, RunRecord
 from strandline.studies.study import Study
-from strandline.surrogate.field import FieldTraining, fit_field
+from strandline.surrogate import FieldTraining, fit_field
 
 HARDLY = 0.8
 """Share of the prior's sd above which the data barely constrain an input."""

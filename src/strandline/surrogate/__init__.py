@@ -1,5 +1,10 @@
 """Gaussian-process surrogates."""
 
+from strandline.surrogate.feasibility import Feasibility, learn_feasibility
+from strandline.surrogate.field import FieldPrediction, FieldSurrogate, FieldTraining, fit_field
+from strandline.surrogate.field.correction import FEWEST_PAIRS, Correction, fit_correction
+from strandline.surrogate.field.correspondence import fields_of
+from strandline.surrogate.field.odd import flipped, odd_ones, stopped_early
 from strandline.surrogate.gaussian_process import GaussianProcess, batched_mean, condition
 from strandline.surrogate.hyperparameters import (
     EvidenceSearch,
@@ -8,7 +13,7 @@ from strandline.surrogate.hyperparameters import (
     evidence,
     fit_hyperparameters,
 )
-from strandline.surrogate.kernels import KERNELS, Kernel, LengthScale
+from strandline.surrogate.kernels import KERNELS, Kernel, LengthScale, kernel_named
 from strandline.surrogate.log_likelihood import (
     Fit,
     HasHessian,

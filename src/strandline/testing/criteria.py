@@ -9,8 +9,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float
 
-from strandline.design import sobol
-from strandline.design.active import Criterion, State, learn
+from strandline.design import Criterion, State, learn, sobol
 from strandline.discrepancy import TrackedPoints
 from strandline.interface import Interface, Observation
 from strandline.parameters import Parameter, ParameterSpace

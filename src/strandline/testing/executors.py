@@ -24,9 +24,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from strandline.interface import Interface
-from strandline.models.fingerprint import fingerprint
-from strandline.runs.executors import Executor
-from strandline.runs.record import NOT_NOW, RunRecord, RunRequest, run_key
+from strandline.models import fingerprint
+from strandline.runs import NOT_NOW, Executor, RunRecord, RunRequest, run_key
 from strandline.testing import checks_of
 from strandline.testing.models import Cantilever, Faulty, Patient, Slow, TwoLoads
 

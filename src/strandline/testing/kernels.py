@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.numerics.threads import use_double
-from strandline.surrogate.kernels import Kernel
+from strandline.surrogate import Kernel
 from strandline.testing import checks_of, require_parts
 
 DIM, STEP = 3, 1e-5

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from strandline.errors import ForwardModelError
 from strandline.interface import Interface
-from strandline.models.protocol import ModelInput, Simulation
+from strandline.models import ModelInput, Simulation
 
 
 @dataclass(frozen=True)

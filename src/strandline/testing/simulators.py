@@ -13,11 +13,11 @@ import numpy as np
 
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
-from strandline.models.fingerprint import fingerprint
-from strandline.models.protocol import (
+from strandline.models import (
     ForwardModel,
     SolvesOnFinerMesh,
     declared_inputs,
+    fingerprint,
     undeformed_interface,
     with_sensitivities,
 )

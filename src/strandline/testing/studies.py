@@ -12,7 +12,7 @@ import numpy as np
 
 from strandline.errors import ForwardModelError
 from strandline.interface import Interface
-from strandline.models.protocol import ModelInput, Simulation
+from strandline.models import ModelInput, Simulation
 from strandline.testing.models import Cantilever, TwoLoads
 
 NODES = 17

@@ -9,20 +9,32 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from strandline.calibration.alternative import Alternative, Baseline
-from strandline.calibration.usual_alternatives import scaled_noise, with_prior
-from strandline.calibration.what_if import Answer, reweight_or_resample, reweighted
+from strandline.calibration import (
+    Alternative,
+    Answer,
+    Baseline,
+    reweight_or_resample,
+    reweighted,
+    scaled_noise,
+    with_prior,
+)
 from strandline.errors import InvalidInput
 from strandline.interface import GaussianNoise, PointErrors
 from strandline.likelihood import FieldLikelihood
 from strandline.priors import Prior
-from strandline.questions.knowledge import require
-from strandline.studies.changed_copy import reuse_from, write_copy
-from strandline.studies.inputs import build_prior
-from strandline.studies.keys.scalars import Number, Section
-from strandline.studies.parse import checked
-from strandline.studies.study import Study
-from strandline.studies.text import REMOVED, changed_text, load_yaml
+from strandline.questions import require
+from strandline.studies import (
+    REMOVED,
+    Number,
+    Section,
+    Study,
+    build_prior,
+    changed_text,
+    checked,
+    load_yaml,
+    reuse_from,
+    write_copy,
+)
 
 NOISE, LENGTH = (0.2, 5.0), (0.0, 200.0)
 """Range of the factor on the noise's standard deviation, and of the correlation length, µm."""

@@ -9,18 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from strandline.calibration.alternative import Baseline, interim_posterior
+from strandline.calibration import Baseline, interim_posterior
 from strandline.errors import InvalidInput, InvalidStudy, NumericsError, TooFewRuns
 from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import systematic_indices
-from strandline.questions.knowledge import baseline_of, field_knowledge
-from strandline.report.explore import DRAWS, by_name, rounded
-from strandline.runs.ledger_schema import EXCLUDED
-from strandline.runs.overview import OPEN, Attempt, Overview
-from strandline.studies.check import finished_posterior
-from strandline.studies.folder import SUMMARY
-from strandline.studies.progress import results_of
-from strandline.studies.study import Study
+from strandline.questions import baseline_of, field_knowledge
+from strandline.report import DRAWS, by_name, rounded
+from strandline.runs import EXCLUDED, OPEN, Attempt, Overview
+from strandline.studies import SUMMARY, Study, finished_posterior, results_of
 
 GROWTH, FEWEST_NEW = 0.1, 4
 """New runs, as a share of those used and at least, after which the posterior is computed again."""

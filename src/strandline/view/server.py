@@ -20,11 +20,10 @@ from pathlib import Path
 from typing import Any
 
 from strandline.errors import InvalidInput, StrandlineError
-from strandline.models.umbridge.server import Access
-from strandline.questions.knowledge import require
+from strandline.models.umbridge import Access
+from strandline.questions import require
 from strandline.report import PANELS, template
-from strandline.studies.pictures.shown import picture_png
-from strandline.studies.study import Study
+from strandline.studies import Study, picture_png
 from strandline.view.assumptions import asked_by, save_as
 from strandline.view.session import PATIENCE, Session
 from strandline.view.viewed import ViewedStudy

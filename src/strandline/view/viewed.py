@@ -12,26 +12,27 @@ import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib.tri import LinearTriInterpolator, Triangulation
 
-from strandline.calibration.alternative import Baseline
-from strandline.calibration.misfit import by_field
-from strandline.calibration.what_if import Answer
-from strandline.design.active import Knowledge
+from strandline.calibration import Answer, Baseline, by_field
+from strandline.design import Knowledge
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.files import read_json
 from strandline.interface import Interface
-from strandline.models.protocol import DrawsFields, ForwardModel, declared_conditions
+from strandline.models import DrawsFields, ForwardModel, declared_conditions
 from strandline.numerics.threads import one_thread, use_double
-from strandline.posterior import systematic_indices
-from strandline.posterior.importance import reliability_threshold
-from strandline.questions.knowledge import require
+from strandline.posterior import reliability_threshold, systematic_indices
+from strandline.questions import require
 from strandline.report import explore
-from strandline.runs import Ledger
-from strandline.runs.overview import Overview
-from strandline.studies.first_run import observations_of
-from strandline.studies.folder import REFINEMENT, STUDY, SUMMARY, digest_of
-from strandline.studies.pictures.shown import picture_behind
-from strandline.studies.progress import progress_as_planned
-from strandline.studies.study import Study
+from strandline.runs import Ledger, Overview
+from strandline.studies import (
+    REFINEMENT,
+    STUDY,
+    SUMMARY,
+    Study,
+    digest_of,
+    observations_of,
+    picture_behind,
+    progress_as_planned,
+)
 from strandline.view.assumptions import answer_to, asked_by, knobs_of, number_in
 from strandline.view.feeds import SEED, PosteriorFeed, RunsFeed, changed_at
 

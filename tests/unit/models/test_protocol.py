@@ -12,7 +12,7 @@ import pytest
 from strandline.errors import InvalidInput
 from strandline.interface import Interface
 from strandline.models.fidelities import CHEAPER, FIRST_PAIRS, WithCheaper, by_cheaper, first_runs, run_identity
-from strandline.models.fingerprint import fingerprint
+from strandline.models.identity import fingerprint
 from strandline.models.protocol import (
     Simulation,
     asks_sensitivities,

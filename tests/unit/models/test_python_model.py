@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from strandline.errors import InvalidInput
-from strandline.models.fingerprint import earlier_fingerprint, fingerprint, sources_of
+from strandline.models.identity import earlier_fingerprint, fingerprint, sources_of
 from strandline.models.protocol import declared_inputs
 from strandline.models.python import PythonModel, lies_in, modules_of
 from strandline.runs import RunRequest, attempt

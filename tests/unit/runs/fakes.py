@@ -10,7 +10,7 @@ import numpy as np
 
 from strandline.errors import ForwardModelError
 from strandline.interface import Interface
-from strandline.models.fingerprint import fingerprint
+from strandline.models.identity import fingerprint
 from strandline.runs import NOT_NOW, InProcess, Ledger, RunRecord, RunRequest, run_batches, run_campaign, run_key
 from strandline.testing.models import Cantilever
 

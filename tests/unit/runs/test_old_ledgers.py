@@ -9,7 +9,7 @@ from tests.unit.runs.fakes import TWO, campaign, exact, put, query, states, stor
 from verification.upgrade_ledger import upgrade
 
 from strandline.errors import LedgerError
-from strandline.models.fingerprint import fingerprint
+from strandline.models.identity import fingerprint
 from strandline.runs import Counts, Ledger, run_key
 from strandline.runs.ledger_schema import copied
 from strandline.runs.overview import STATES, Overview

@@ -12,7 +12,7 @@ from strandline.errors import LedgerError
 from strandline.runs import Ledger, RunRecord, RunRequest, ledger_schema
 from strandline.runs.overview import OPEN, STATES, Overview, is_at_work
 from strandline.runs.plans import Plan
-from strandline.runs.record import STATES as ENDS
+from strandline.runs.record import ENDS
 from strandline.studies.study import settled
 
 KEYS = [f"k{number}" for number in range(40)]

@@ -7,7 +7,7 @@ import pytest
 
 from strandline.design import sobol
 from strandline.errors import InvalidStudy, LedgerError
-from strandline.models.fingerprint import fingerprint
+from strandline.models.identity import fingerprint
 from strandline.runs import Ledger, RunRecord, RunRequest, attempt, run_key
 from strandline.runs.ledger_schema import ATTEMPTS
 from strandline.studies import load_study

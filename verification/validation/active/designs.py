@@ -24,7 +24,7 @@ from strandline.discrepancy import Currents
 from strandline.errors import TooFewRuns
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
-from strandline.models.fingerprint import fingerprint
+from strandline.models.identity import fingerprint
 from strandline.models.protocol import with_sensitivities
 from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace

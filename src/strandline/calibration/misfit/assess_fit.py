@@ -32,15 +32,20 @@ from strandline.discrepancy import (
     NormalOffset,
     TrackedPoints,
     WhitenedOffset,
+    closest_points,
     squared_discrepancies,
 )
-from strandline.discrepancy.nearest import closest_points
 from strandline.errors import StrandlineError
 from strandline.interface import GLOBAL, GaussianNoise, Interface, Observation, arc_lengths, steady_normals
-from strandline.likelihood import Compared, compared
-from strandline.likelihood.compared import Registered
-from strandline.likelihood.joint_errors import shared_errors
-from strandline.likelihood.noise_rule import StatedErrors, noise_of_residuals, noise_on_surface
+from strandline.likelihood import (
+    Compared,
+    Registered,
+    StatedErrors,
+    compared,
+    noise_of_residuals,
+    noise_on_surface,
+    shared_errors,
+)
 from strandline.posterior import Posterior
 from strandline.text import listed
 

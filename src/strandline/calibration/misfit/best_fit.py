@@ -13,16 +13,23 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.calibration.misfit.verdict import Effort
-from strandline.design.active import learn
+from strandline.design import learn
 from strandline.discrepancy import Discrepancy
 from strandline.errors import StrandlineError
 from strandline.interface import ErrorModel, Interface, Observation
-from strandline.likelihood.joint_errors import JointErrors, Points, places_of, residuals_of, shared_errors
-from strandline.likelihood.noise_rule import StatedErrors, stated_errors
+from strandline.likelihood import (
+    JointErrors,
+    Points,
+    StatedErrors,
+    places_of,
+    residuals_of,
+    shared_errors,
+    stated_errors,
+)
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior, Weighted
 from strandline.runs import RunRecord
-from strandline.surrogate.field import FieldSurrogate
+from strandline.surrogate import FieldSurrogate
 
 RUNS_PER_INPUT = 8
 """Runs from which a field is learnt for this purpose: so many for each input and for the mean."""

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.stats import chi2
 
 from strandline.interface import Observation
-from strandline.likelihood.noise_rule import ResidualNoise, StatedErrors
+from strandline.likelihood import ResidualNoise, StatedErrors
 
 FAMILIES = 4
 """Kinds of p-values: of all residuals, parts of an arc, waves along it, d². The least is corrected for their number."""

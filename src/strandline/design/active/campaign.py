@@ -17,8 +17,8 @@ from strandline.design.active.settings import Active
 from strandline.design.active.state import Knowledge, State, hidden_shift, learn
 from strandline.discrepancy import Discrepancy
 from strandline.errors import NoCommonPoints, TooFewRuns
-from strandline.likelihood.set_aside import RunFilter
-from strandline.models.fidelities import by_cheaper
+from strandline.likelihood import RunFilter
+from strandline.models import by_cheaper
 from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord

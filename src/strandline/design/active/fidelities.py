@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.errors import NoCommonPoints
-from strandline.models.fidelities import CHEAPER, FIRST_PAIRS, is_cheaper
+from strandline.models import CHEAPER, FIRST_PAIRS, is_cheaper
 from strandline.runs import RunRecord
-from strandline.surrogate.field.correction import FEWEST_PAIRS, Correction, fit_correction
+from strandline.surrogate import FEWEST_PAIRS, Correction, fit_correction
 
 TRIED, AGAIN = 3, 1
 """Draws of a posterior at which the correction is confirmed, and of one that follows such a posterior."""

@@ -11,13 +11,11 @@ from scipy.special import log_softmax
 from strandline.discrepancy import Discrepancy
 from strandline.errors import NoCommonPoints
 from strandline.interface import Observation
-from strandline.likelihood import FieldLikelihood, noise_length
-from strandline.likelihood.set_aside import says_whether_runs_succeed
+from strandline.likelihood import FieldLikelihood, noise_length, says_whether_runs_succeed
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted
 from strandline.runs import RunRecord
-from strandline.surrogate.feasibility import Feasibility, learn_feasibility
-from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
+from strandline.surrogate import Feasibility, FieldSurrogate, FieldTraining, fit_field, learn_feasibility
 
 Values = Float[np.ndarray, " point"]
 

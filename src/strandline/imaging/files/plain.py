@@ -10,7 +10,7 @@ import numpy as np
 
 from strandline.imaging.picture import PictureFile, require_pixels
 from strandline.imaging.reading import PictureReading
-from strandline.readers.contents import Unreadable, refused
+from strandline.readers import Unreadable, refused
 from strandline.registry import suggestion
 
 READERS = {".png": ("PIL.PngImagePlugin", "PngImageFile")}

@@ -11,7 +11,7 @@ from jaxtyping import Float32
 
 from strandline.imaging.picture import PictureFile, require_pixels
 from strandline.imaging.reading import PictureReading, PixelSize
-from strandline.readers.contents import refused
+from strandline.readers import refused
 
 HEADER, INTENSITY = "Header.xml", "data/Intensity.data"
 LARGEST_HEADER = 1 << 24

@@ -14,7 +14,7 @@ from jaxtyping import Shaped
 
 from strandline.imaging.picture import PictureFile, require_pixels
 from strandline.imaging.reading import PictureReading, PixelSize
-from strandline.readers.contents import refused
+from strandline.readers import refused
 from strandline.registry import of_extra
 
 MIN_IS_WHITE, MIN_IS_BLACK, RGB = 0, 1, 2

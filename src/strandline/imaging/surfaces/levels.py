@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from strandline.imaging.surfaces.mesh import Mesh
-from strandline.readers.checked import unfit
+from strandline.readers import unfit
 from strandline.registry import of_extra
 
 Voxels = Float32[np.ndarray, "z row column"]

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array, csr_array
 
-from strandline.interface.triangles import vector_areas
+from strandline.interface import vector_areas
 
 Points = Float[np.ndarray, "point 3"]
 PerPoint = Float[np.ndarray, " point"]

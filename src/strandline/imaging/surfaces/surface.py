@@ -22,9 +22,8 @@ from strandline.imaging.surfaces.profiles import (
     shape_operators,
 )
 from strandline.imaging.surfaces.surface_errors import SurfaceErrors, noise_beside, require_surface, surface_errors
-from strandline.interface import Interface
-from strandline.interface.triangles import vector_areas
-from strandline.readers.checked import number, numbers, unfit
+from strandline.interface import Interface, vector_areas
+from strandline.readers import number, numbers, unfit
 
 SIGNS: dict[str, dict[str, float]] = {
     "x": {"right": 1.0, "left": -1.0},

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from strandline.imaging.surfaces.levels import Field
 from strandline.imaging.surfaces.mesh import Mesh, PerPoint, Points
 from strandline.imaging.surfaces.profiles import PLATEAU, Profiles, frames, sampled
-from strandline.readers.checked import unfit
+from strandline.readers import unfit
 
 BIAS = 0.1
 """Standard deviation of a common offset where the surface is flat, in sides of a voxel."""

@@ -1,1 +1,11 @@
 """Fluid-biofilm interaction in a flow cell: monolithic quasi-steady ALE on NGSolve."""
+
+from typing import TYPE_CHECKING
+
+from strandline.doors import door
+
+if TYPE_CHECKING:
+    from strandline.models.biofilm.fields import write_vtu
+    from strandline.models.biofilm.model import Biofilm
+else:
+    __getattr__ = door(__name__, __file__)

@@ -21,7 +21,7 @@ from strandline.models.biofilm.forms import FluidLoad
 from strandline.models.biofilm.outline import Channel, Pairs, pairs_in
 from strandline.models.biofilm.system import CoupledSystem
 from strandline.models.protocol import ModelInput
-from strandline.readers.checked import is_finite
+from strandline.readers import is_finite
 from strandline.registry import lookup
 
 UNKNOWN = "unknown"

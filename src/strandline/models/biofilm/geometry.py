@@ -14,8 +14,7 @@ from netgen.geom2d import SplineGeometry
 from netgen.meshing import MeshingParameters
 from ngsolve import Mesh
 
-from strandline.interface import Interface
-from strandline.interface.interface import inside_polygon
+from strandline.interface import Interface, inside_polygon
 from strandline.models import refused
 from strandline.models.biofilm.outline import ON_WALL, Channel, Pairs, bodies
 

@@ -44,7 +44,7 @@ from strandline.models.biofilm.options import (
 )
 from strandline.models.biofilm.outline import Channel, Outline, Pairs, check_clamped, check_inside, check_outline
 from strandline.models.biofilm.transient import TransientCell
-from strandline.models.fingerprint import fingerprint as fingerprint_of
+from strandline.models.identity import fingerprint as fingerprint_of
 from strandline.models.protocol import ModelInput, Simulation
 from strandline.registry import imported
 

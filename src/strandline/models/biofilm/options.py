@@ -16,7 +16,7 @@ from strandline.models.biofilm.flow import DROP, PRESSURE, PROFILES, RATE, as_pa
 from strandline.models.biofilm.materials import Law, further_parameters
 from strandline.models.biofilm.memory import MOST_BRANCHES
 from strandline.models.protocol import ModelInput
-from strandline.readers.checked import is_finite
+from strandline.readers import is_finite
 
 SMALL_STRAIN = (
     ModelInput("E", "Pa", 0.0, np.inf, low_included=False, high_included=False, meaning="Young's modulus"),

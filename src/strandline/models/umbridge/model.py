@@ -16,7 +16,7 @@ from strandline.interface import Interface
 from strandline.models import refused
 from strandline.models.protocol import ModelInput, Simulation
 from strandline.models.umbridge.client import PROTOCOL_VERSION, Client, Description
-from strandline.readers.options import TO_MM
+from strandline.readers import TO_MM
 from strandline.registry import of_extra
 
 

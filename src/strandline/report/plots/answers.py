@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from strandline.posterior.rank_tests import Band
+from strandline.posterior import Band
 from strandline.report.plots import style
 from strandline.typeset import figure_text, unit_text
 

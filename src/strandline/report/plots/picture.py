@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from scipy.ndimage import gaussian_filter1d
 
-from strandline.imaging import Edge, Picture, Stack
-from strandline.imaging.surfaces.mesh import Mesh, cut
+from strandline.imaging import Edge, Mesh, Picture, Stack, cut
 from strandline.interface import Interface
 from strandline.report.plots import style
 

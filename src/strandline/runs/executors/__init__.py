@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any, Protocol, cast, runtime_checkable
 
-from strandline.models.protocol import ForwardModel
+from strandline.models import ForwardModel
 from strandline.runs.executors.local import InProcess, LocalProcesses, usable_cores
 from strandline.runs.record import RunRecord, RunRequest
 

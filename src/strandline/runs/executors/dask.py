@@ -12,7 +12,7 @@ from operator import length_hint
 from typing import Any, ClassVar
 
 from strandline.errors import InvalidInput
-from strandline.models.protocol import ForwardModel
+from strandline.models import ForwardModel
 from strandline.registry import of_extra
 from strandline.runs.executors import shared
 from strandline.runs.executors.dask_cluster import EXTRA, JOB_OPTIONS, opened

@@ -10,7 +10,7 @@ from operator import length_hint
 from threading import Event
 from typing import Any, ClassVar
 
-from strandline.models.protocol import ForwardModel
+from strandline.models import ForwardModel
 from strandline.runs.executors.shared import Dispatcher, require_count, require_seconds
 from strandline.runs.record import RunRecord, RunRequest, attempt
 from strandline.runs.scratch import scratch_folder

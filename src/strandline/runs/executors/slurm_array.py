@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from strandline.errors import InvalidInput, StrandlineError
-from strandline.models.protocol import ForwardModel, asks_sensitivities
+from strandline.models import ForwardModel, asks_sensitivities
 from strandline.runs.executors import shared, slurm_batch
 from strandline.runs.executors.slurm_batch import ArrayBatch, SlurmUnreachable, read_run
 from strandline.runs.record import RunRecord, RunRequest, State, ended, with_log

@@ -25,8 +25,7 @@ from pathlib import Path
 
 from strandline.errors import InvalidInput
 from strandline.files import whole_file
-from strandline.models.fingerprint import fingerprint
-from strandline.models.protocol import ForwardModel, asks_sensitivities
+from strandline.models import ForwardModel, asks_sensitivities, fingerprint
 from strandline.runs.ledger_rows import inputs_text, record_of, rows_of
 from strandline.runs.ledger_schema import synchronise
 from strandline.runs.record import RunRecord, RunRequest

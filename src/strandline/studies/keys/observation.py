@@ -5,9 +5,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, ConfigDict, Discriminator, Field, Tag, model_validator
 
-from strandline.interface import is_condition
-from strandline.interface.point_errors import MOST
-from strandline.readers.options import Reading
+from strandline.interface import MOST, is_condition
+from strandline.readers import Reading
 from strandline.studies.keys.scalars import VARIANCES, Name, Number, Section, Seed, Switch
 from strandline.studies.keys.schema import with_keys_of
 

@@ -5,12 +5,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
-from strandline.design.active import Active
-from strandline.design.refinement import Refinement
-from strandline.runs.executors import InProcess
-from strandline.runs.executors.dask import DaskCluster
-from strandline.runs.executors.local import LocalProcesses
-from strandline.runs.executors.slurm_array import SlurmArray
+from strandline.design import Active, Refinement
+from strandline.runs import DaskCluster, InProcess, LocalProcesses, SlurmArray
 from strandline.smc import SMCSettings
 from strandline.studies.keys.scalars import (
     MOST,

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
 
-from strandline.design.candidates import FEWEST_POINTS
+from strandline.design import FEWEST_POINTS
 from strandline.studies.keys.observation import Noise, Observed
 from strandline.studies.keys.scalars import MOST, Choice, Name, Number, Section, Seed, Switch, Unit, Whole
 from strandline.studies.keys.settings import Design, ExecutorChoice, Failures, Sampler, Surrogate

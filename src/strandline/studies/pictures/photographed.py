@@ -11,13 +11,18 @@ from jaxtyping import Float
 
 from strandline.errors import InvalidInput, InvalidStudy
 from strandline.imaging import (
+    SAME,
     Clicks,
     Edge,
     Frame,
     FrameErrors,
+    MarkovPath,
     Picture,
     PictureReading,
+    PixelSize,
     Registration,
+    StackFrame,
+    StatedSize,
     edge_method,
     errors_from_frames,
     find_edge,
@@ -29,9 +34,6 @@ from strandline.imaging import (
     registered,
     typed_path,
 )
-from strandline.imaging.markov_path import MarkovPath
-from strandline.imaging.reading import SAME, PixelSize, StatedSize
-from strandline.imaging.surfaces import StackFrame
 from strandline.interface import Interface, PointErrors
 from strandline.studies.keys.observation import ConditionFile, ImageFile, ObservationFile
 from strandline.studies.parse import made, refused_at

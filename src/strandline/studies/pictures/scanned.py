@@ -4,9 +4,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from strandline.errors import InvalidStudy
-from strandline.imaging import PictureReading, Stack, read_stack
-from strandline.imaging.reading import StatedSize
-from strandline.imaging.surfaces import StackFrame, StatedRegion, Surface, find_surface
+from strandline.imaging import (
+    PictureReading,
+    Stack,
+    StackFrame,
+    StatedRegion,
+    StatedSize,
+    Surface,
+    find_surface,
+    read_stack,
+)
 from strandline.interface import Interface, PointErrors
 from strandline.studies.keys.observation import StackFile
 from strandline.studies.parse import made, refused_at

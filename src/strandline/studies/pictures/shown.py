@@ -15,11 +15,9 @@ from strandline.discrepancy import Discrepancy, KnowsPointErrors, NormalOffset, 
 from strandline.files import whole_file, write_json
 from strandline.imaging import FrameErrors
 from strandline.interface import Interface, Observation, PointErrors
-from strandline.likelihood.compared import adapted
-from strandline.report import html
+from strandline.likelihood import adapted
+from strandline.report import DOTS_PER_INCH, html, plot_picture, plot_stack
 from strandline.report.click_page import click_page
-from strandline.report.plots.picture import plot_picture, plot_stack
-from strandline.report.plots.style import DOTS_PER_INCH
 from strandline.studies.folder import require_writable, told_if_unwritable
 from strandline.studies.keys.observation import ImageFile
 from strandline.studies.parse import in_words, refused_at

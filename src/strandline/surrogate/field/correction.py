@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from strandline.discrepancy.contours import path_of
+from strandline.discrepancy import path_of
 from strandline.errors import NoCommonPoints
 from strandline.interface import Interface
 from strandline.surrogate.field.correspondence import (

@@ -17,8 +17,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from strandline.discrepancy.closest_point import node_weights
-from strandline.discrepancy.nearest import squared_distances
+from strandline.discrepancy import node_weights, squared_distances
 from strandline.errors import NoCommonPoints
 from strandline.interface import Interface
 from strandline.surrogate.field.projection import Reference, common_reference

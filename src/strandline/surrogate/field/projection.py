@@ -19,10 +19,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from strandline.discrepancy.nearest import closest_points, squared_distances
-from strandline.discrepancy.protocol import Snapshot
-from strandline.interface import Interface
-from strandline.interface.triangles import shortest_altitudes, vector_areas
+from strandline.discrepancy import Snapshot, closest_points, squared_distances
+from strandline.interface import Interface, shortest_altitudes, vector_areas
 
 CANDIDATES = 8
 """Number of runs, counted from the first, whose surface may be the reference."""

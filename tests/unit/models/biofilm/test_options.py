@@ -9,7 +9,7 @@ from tests.unit.models.biofilm.cells import LAYER, OWN, PAIR, coarse
 from strandline.errors import InvalidInput
 from strandline.models.biofilm.materials import law_named
 from strandline.models.biofilm.model import Biofilm
-from strandline.models.fingerprint import fingerprint
+from strandline.models.identity import fingerprint
 from strandline.studies.parse import made
 
 TWO = {"channel": {"length": 4.0}, "outline": {"points": PAIR}}

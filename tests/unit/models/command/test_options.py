@@ -12,7 +12,7 @@ from tests.unit.models.command.commands import ECHO, RESULT, filled, model, stud
 from strandline.errors import ForwardModelError, InvalidInput, InvalidStudy
 from strandline.models.command import model as command_model
 from strandline.models.command.options import InputTemplate, named_by
-from strandline.models.fingerprint import fingerprint
+from strandline.models.identity import fingerprint
 from strandline.models.protocol import declared_failure_kinds
 from strandline.studies import load_study
 
