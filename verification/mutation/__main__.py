@@ -2,7 +2,8 @@
 
 Each mutant is the package with one change, see `operators`. The tests that execute its line run, see `covering`, until
 one fails: those of its own room and of rooms that use it; with ``--far`` those of all rooms. Mutants that survive must
-be explained in `explained.csv`, or a test is missing.
+be explained in `explained.csv`, or a test is missing. Files are named from the package's folder, ``--share k/n`` takes
+every nth mutant, from the kth on, and ``--seconds`` are those of tests for each mutant.
 Results are kept and not repeated for the same mutant, until the text of its file changes; ``--again`` repeats those
 that survived unexplained, with tests as they are now; ``--confirm`` tries the tests that noticed mutants without a
 change, so that those that fail then do not count; and ``--record`` writes all results into `recorded.csv`.
@@ -12,7 +13,6 @@ change, so that those that fail then do not count; and ``--record`` writes all r
     python -m verification.mutation --record
 """
 
-import argparse
 import json
 import os
 import shutil
@@ -22,23 +22,14 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
+from verification.mutation import results
 from verification.mutation.covering import Covering, measured
 from verification.mutation.operators import Mutant
 from verification.mutation.places import TIERS, drawn, near, part_of
-from verification.mutation.results import (
-    SURVIVED,
-    Result,
-    explained,
-    fingerprint,
-    known_results,
-    name_of,
-    record,
-    table,
-)
+from verification.mutation.results import PACKAGE
 from verification.mutation.trial import Outcome, prepare, tried
+from verification.validation.tables import ROOT, arguments
 
-ROOT = Path(__file__).parents[2]
-PACKAGE = ROOT / "src" / "strandline"
 OUTPUT = Path(__file__).parent / "output"
 RECORDED = Path(__file__).parent / "recorded.csv"
 
@@ -68,9 +59,9 @@ def judged(file: Path, mutant: Mutant, covering: Covering, scratch: Path, most: 
         shutil.copy2(PACKAGE / file, place)
 
 
-def unsteady(results: Sequence[Result], scratch: Path) -> set[str]:
+def unsteady(known: Sequence[results.Result], scratch: Path) -> set[str]:
     """Return those tests said to have noticed a mutant that also fail without one when only such tests run."""
-    tests = {one["test"].partition("[")[0] for one in results if one["end"] == "failed"}
+    tests = {one["test"].partition("[")[0] for one in known if one["end"] == "failed"}
     found: set[str] = set()
     for file in sorted({one.partition("::")[0] for one in tests}):
         while left := sorted(one for one in tests - found if one.startswith(f"{file}::")):
@@ -83,37 +74,28 @@ def unsteady(results: Sequence[Result], scratch: Path) -> set[str]:
     return found
 
 
-def confirm(results: Sequence[Result], kept: Path) -> None:
+def confirm(known: Sequence[results.Result], kept: Path) -> None:
     """Note which mutants are unsure, because the test that noticed them fails without a change too."""
     with tempfile.TemporaryDirectory() as folder:
         shutil.copytree(PACKAGE, Path(folder) / "strandline")
-        doubtful = unsteady(results, Path(folder))
+        doubtful = unsteady(known, Path(folder))
     with kept.open("a", encoding="utf-8") as file:
-        for one in results:
+        for one in known:
             if one["end"] == "failed" and one["test"].partition("[")[0] in doubtful:
                 file.write(json.dumps({**one, "end": "unsure"}, ensure_ascii=False) + "\n")
 
 
 def main() -> None:
     """Run the command."""
-    parser = argparse.ArgumentParser(description="Mutants that tests notice.")
-    parser.add_argument("files", nargs="*", help="only mutants of these files, from the package's folder")
-    parser.add_argument("--number", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--share", default="1/1", help="k/n: only every nth mutant, from the kth on")
-    parser.add_argument("--seconds", type=float, default=60.0, help="seconds of tests to try for each mutant")
-    parser.add_argument("--again", action="store_true", help="try again what survived and is not explained")
-    parser.add_argument("--far", action="store_true", help="try tests of folders that use the changed one, too")
-    parser.add_argument("--confirm", action="store_true", help="only try tests that noticed mutants without any")
-    parser.add_argument("--record", action="store_true", help="only write what is known into recorded.csv")
-    asked = parser.parse_args()
+    flags = dict.fromkeys(("again", "far", "confirm", "record"), False)
+    asked = arguments(__doc__, words="FILE", number=1000, seed=1, share="1/1", seconds=60.0, **flags)
     part, parts = map(int, asked.share.split("/"))
     OUTPUT.mkdir(exist_ok=True)
     kept = OUTPUT / "mutants.jsonl"
-    known = known_results(PACKAGE, RECORDED, kept)
+    known = results.known_results(PACKAGE, RECORDED, kept)
     if asked.record:
-        record(known.values(), RECORDED)
-        print(table(list(known.values())).markdown())
+        results.record(known.values(), RECORDED)
+        print(results.table(list(known.values())).markdown())
         return
     os.chdir(ROOT)
     prepare()
@@ -126,11 +108,12 @@ def main() -> None:
         shutil.copytree(PACKAGE, scratch / "strandline")
         sys.dont_write_bytecode, os.environ["PYTHONDONTWRITEBYTECODE"] = True, "1"
         for path, mutant in drawn(PACKAGE, asked.number, asked.seed)[part - 1 :: parts]:
-            if asked.files and str(path) not in asked.files:
+            if asked.words and str(path) not in asked.words:
                 continue
-            row = {"file": str(path), "text": fingerprint(PACKAGE / path), **mutant.texts()}
-            name = name_of(row)
-            if name not in known or (asked.again and known[name]["end"] in SURVIVED and not explained(row)):
+            row = {"file": str(path), "text": results.fingerprint(PACKAGE / path), **mutant.texts()}
+            name = results.name_of(row)
+            survived = known.get(name, {}).get("end") in results.SURVIVED
+            if name not in known or (asked.again and survived and not results.explained(row)):
                 covering = covering_of(part_of(path), asked.far)
                 found = judged(path, mutant, covering, scratch, asked.seconds)
                 known[name] = {**row, "end": found.end, "test": found.test, "seconds": f"{found.seconds:.0f}"}
@@ -141,7 +124,7 @@ def main() -> None:
                     flush=True,
                 )
             rows.append(known[name])
-    print(table(rows).markdown())
+    print(results.table(rows).markdown())
 
 
 if __name__ == "__main__":

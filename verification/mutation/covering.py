@@ -107,24 +107,22 @@ def _measure(package: Path, file: Path, kept: Path) -> dict[str, object]:
     data, times = kept / f"coverage-{os.getpid()}", kept / f"seconds-{os.getpid()}.json"
     data.unlink(missing_ok=True)
 
-    def run() -> int:
-        watched, clock = coverage.Coverage(data_file=data, source=[str(package)], config_file=False), _Clock()
-        watched.set_option("run:dynamic_context", "test_function")
-        watched.start()
-        code = run_tests([str(file)], [clock])
-        watched.stop()
-        watched.save()
-        times.write_text(json.dumps(clock.seconds), "utf-8")
-        return code
-
     def unwatched() -> int:
         clock = _Clock()
         code = run_tests([str(file)], [clock])
         times.write_text(json.dumps(clock.seconds), "utf-8")
         return code
 
+    def watched() -> int:
+        cover = coverage.Coverage(data_file=data, source=[str(package)], config_file=False)
+        cover.set_option("run:dynamic_context", "test_function")
+        with cover.collect():
+            code = unwatched()
+        cover.save()
+        return code
+
     output = kept / f"output-{os.getpid()}.txt"
-    if forked(run, output, 3600.0).end != "passed":  # some tests and coverage.py get in each other's way
+    if forked(watched, output, 3600.0).end != "passed":  # some tests and coverage.py get in each other's way
         outcome = forked(unwatched, output, 3600.0)
         if outcome.end != "passed":
             raise RuntimeError(f"tests in {file} do not pass without a change: {outcome}")

@@ -8,9 +8,9 @@ from functools import cache
 from pathlib import Path
 
 from verification.mutation.places import PARTS, part_of
-from verification.validation.tables import Table
+from verification.validation import tables
 
-PACKAGE = Path(__file__).parents[2] / "src" / "strandline"
+PACKAGE = tables.ROOT / "src" / "strandline"
 EXPLAINED = Path(__file__).parent / "explained.csv"
 """Changes that no test has to notice, and why; some only on lines with a certain text."""
 COLUMNS = "file", "text", "line", "start", "before", "after", "end", "test"
@@ -68,7 +68,7 @@ def record(results: Iterable[Result], recorded: Path) -> None:
         writer.writerows(rows)
 
 
-def table(rows: Sequence[Result]) -> Table:
+def table(rows: Sequence[Result]) -> tables.Table:
     """Return how many mutants of each part were noticed."""
 
     def row(name: str, some: Sequence[Result]) -> tuple[str, int, int, int, int]:
@@ -77,5 +77,5 @@ def table(rows: Sequence[Result]) -> Table:
         return name, len(some), len(some) - len(survived), number, len(survived) - number
 
     lines = [row(name, [one for one in rows if part_of(Path(one["file"])) == name]) for name in PARTS]
-    heads = "part", "mutants", "noticed", "explained", "neither"
-    return Table("mutants", "Mutants", heads, ("s", "d", "d", "d", "d"), (*lines, row("all", rows)))
+    heading = "part | mutants {d} | noticed {d} | explained {d} | neither {d}"
+    return tables.table("mutants", "Mutants", heading, [*lines, row("all", rows)])
