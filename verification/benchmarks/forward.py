@@ -19,19 +19,19 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from verification.benchmarks.figures import Figure, medians, peak_memory, timed
+from verification.benchmarks.figures import Figure, peak_memory, timed
+from verification.validation.biofilm_mesh import BOX, box_points, flow_cell
+from verification.validation.biofilm_mesh import RATE as INFLOW
+from verification.validation.generality import cost
 
 from strandline.errors import ForwardModelError, InvalidInput
-from strandline.models.biofilm.cell import FlowCell, Setting
-from strandline.models.biofilm.geometry import MESHES, MeshSize, Partition
+from strandline.models.biofilm.cell import Setting
+from strandline.models.biofilm.geometry import MESHES, MeshSize
 from strandline.models.biofilm.linear import SOLVERS, VARIABLE, Factorisation, linear_solver
-from strandline.models.biofilm.materials import LAWS
 from strandline.models.biofilm.model import Biofilm
-from strandline.models.biofilm.outline import Channel, Outline
 from strandline.models.biofilm.system import CoupledSystem
 from strandline.runs import LocalProcesses, RunRecord, RunRequest
 
-E_BOX, NU_BOX, INFLOW = (100.0, 800.0), (-0.8, 0.5), 100.0
 POINTS, PROFILED, WORKERS, REPEATS = 256, 64, 2, 3
 PLACES = ((400.0, 0.3), (700.0, 0.0), (300.0, -0.5), (500.0, 0.499), (800.0, -0.8))
 PARTS = {
@@ -54,7 +54,7 @@ def figures() -> Iterator[Figure]:
     for solver in SOLVERS:
         with using(solver) as installed:
             if installed:
-                yield from profile_figures("default", solver, design(PROFILED))
+                yield from profile_figures("default", solver, box_points(PROFILED, scramble=None).tolist())
     yield from cost_figures()
     yield sensitivity_figure("default", PLACES)
     for mesh in MESHES:
@@ -92,7 +92,7 @@ def pace_figures(mesh: str, solver: str, *, installed: bool = True, points: int 
     if not installed:
         yield Figure(what, case, None, "per minute", "not installed")
         return
-    measured = pace(Biofilm(mesh=mesh), design(points))
+    measured = pace(Biofilm(mesh=mesh), box_points(points, scramble=None).tolist())
     yield Figure(what, case, measured.per_minute, "per minute")
     yield Figure("until the first record", case, measured.times[0], "s")  # workers, mesh, first run
     yield from anchored_figures(mesh, case, measured)
@@ -107,11 +107,11 @@ def pace_figures(mesh: str, solver: str, *, installed: bool = True, points: int 
 
 def anchored_figures(mesh: str, case: str, cold: Pace) -> Iterator[Figure]:
     """Yield solves per minute from anchors on disk, what these cost once, and how many runs they served."""
-    model, points = Biofilm(mesh=mesh, anchors=(("E", *E_BOX), ("nu", *NU_BOX), ("V_in", INFLOW, INFLOW))), cold.times
+    model, points = Biofilm(mesh=mesh, anchors=(("E", *BOX[0]), ("nu", *BOX[1]), ("V_in", INFLOW, INFLOW))), cold.times
     with TemporaryDirectory() as folder, patch.dict(os.environ, {"XDG_CACHE_HOME": folder}):
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:  # it has no anchors yet
             yield Figure("solving the anchors, once", case, pool.submit(timed, model.prepare_runs).result(), "s")
-        measured = pace(model, design(len(points)))
+        measured = pace(model, box_points(len(points), scramble=None).tolist())
     ratio = f"{measured.per_minute / cold.per_minute:.2f} times those without"
     yield Figure(f"runs from anchors, {WORKERS} workers", case, measured.per_minute, "per minute", ratio)
     served = [one for one in (record.diagnostics for record in measured.records if record.ok) if one["anchored"]]
@@ -198,14 +198,9 @@ def cost_figures() -> Iterator[Figure]:
 
 def sensitivity_figure(mesh: str, places: Points) -> Figure:
     """Return the ratio of seconds of a run with and without three sensitivities, timed in turns at each place."""
-    plain, with_them = Biofilm(mesh=mesh), Biofilm(mesh=mesh, sensitivities=True)
-    plain({"E": 400.0, "nu": 0.3, "V_in": INFLOW})
-    with_them({"E": 400.0, "nu": 0.3, "V_in": INFLOW})
-    ratios = []
-    for E, nu in places:
-        inputs = {"E": E, "nu": nu, "V_in": INFLOW}
-        more, less = medians([(timed(with_them, inputs), timed(plain, inputs)) for _ in range(REPEATS)])
-        ratios.append(more / less)
+    model, first = Biofilm(mesh=mesh), {"E": 400.0, "nu": 0.3, "V_in": INFLOW}
+    cost(model, first, repeats=1)  # makes the mesh
+    ratios = [1.0 + cost(model, {"E": E, "nu": nu, "V_in": INFLOW}, repeats=REPEATS) for E, nu in places]
     remark = f"median of {len(ratios)} places, up to {max(ratios):.2f}"
     return Figure("a run with sensitivities", f"{mesh}, {linear_solver()}", statistics.median(ratios), "runs", remark)
 
@@ -224,21 +219,6 @@ def using(solver: str) -> Iterator[bool]:
             yield installed
         finally:
             linear_solver.cache_clear()
-
-
-def design(number: int) -> list[tuple[float, float]]:
-    """Return the first points (E, nu) of Sobol's sequence in the box."""
-    from scipy.stats import qmc  # not in the workers, whose memory is measured
-
-    unit = qmc.Sobol(2, scramble=False).random(number)
-    lows, highs = zip(E_BOX, NU_BOX, strict=True)
-    return [(float(E), float(nu)) for E, nu in qmc.scale(unit, lows, highs)]
-
-
-def flow_cell(size: MeshSize) -> FlowCell:
-    """Return the study's flow cell on a mesh of that size."""
-    law = LAWS["saint_venant_kirchhoff"]
-    return FlowCell(Outline().interface(), size, channel=Channel(), partition=Partition(), law=law)
 
 
 def peak_of_a_run(mesh: str) -> float:

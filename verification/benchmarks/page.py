@@ -15,11 +15,10 @@ from matplotlib.ticker import FixedLocator, NullLocator
 from verification.benchmarks.aims import PER_CORE, RATIO, Aim, with_aims
 from verification.benchmarks.figures import Figure as Measured
 from verification.benchmarks.results import PARTS, SCALING, amount, load, machine_of_results, ratio, row
-from verification.validation.tables import Table, put_into_page
+from verification.validation.tables import DOCS, Table, put_into_page
 
 from strandline.report.plots.style import BLUE, GREY, RED, styled
 
-DOCS = Path(__file__).parents[2] / "docs"
 PAGE = DOCS / "results" / "speed.md"
 FIGURE = DOCS / "figures" / "bench-scaling.png"
 AXES = ("runs", "particles", "inputs", "triangles")

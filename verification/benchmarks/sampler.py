@@ -7,7 +7,6 @@ seconds of one evaluation of the log-likelihood. If only a part of a program is 
 
 import json
 import os
-import resource
 import statistics
 import subprocess
 import sys
@@ -203,15 +202,15 @@ def scikit_learn_of_seven(task: Task) -> Log:
 
 def scikit_learn(process: Any, kernel: Any, nugget: float) -> Log:
     """Return the mean that scikit-learn computes by solving the same equations itself."""
-    centred = process.signal_variance * correlations(process) @ process.alpha + process.nugget * process.alpha
-    peer = GaussianProcessRegressor(kernel, alpha=nugget, optimizer=None).fit(process.x_train, centred)
+    peer = GaussianProcessRegressor(kernel, alpha=nugget, optimizer=None).fit(process.x_train, centred_targets(process))
     return lambda x: peer.predict((x - process.shift) / process.scale) + process.target_mean
 
 
-def correlations(process: Any) -> np.ndarray:
-    """Return the correlations of the runs; their product with α gives back the targets."""
+def centred_targets(process: Any) -> np.ndarray:
+    """Return the targets less their mean, from the correlations of the runs and α."""
     train = process.x_train / process.length_scale
-    return np.stack([process.kernel.value(point - train) for point in train])
+    correlations = np.stack([process.kernel.value(point - train) for point in train])
+    return process.signal_variance * correlations @ process.alpha + process.nugget * process.alpha
 
 
 def naive_mean(process: Any) -> Log:
@@ -227,9 +226,7 @@ def naive_mean(process: Any) -> Log:
 
 def refactoring_mean(process: Any) -> Log:
     """Return the mean at one point by a function that takes the training data, as `predict` of a library does."""
-    train = jnp.asarray(process.x_train)
-    targets = jnp.asarray(process.signal_variance * correlations(process) @ process.alpha)
-    targets = targets + process.nugget * process.alpha
+    train, targets = jnp.asarray(process.x_train), jnp.asarray(centred_targets(process))
 
     def covariance(a: Any, b: Any) -> Any:
         square = ((a[:, None] - b[None]) ** 2).sum(axis=-1)
@@ -362,8 +359,7 @@ def _metered(task: Callable[[], Any], evaluations: int) -> Cost:
 
 
 def _clocks() -> tuple[float, float]:
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    return time.perf_counter(), used.ru_utime + used.ru_stime
+    return time.perf_counter(), time.process_time()
 
 
 def _since(begun: tuple[float, float], evaluations: int) -> Cost:

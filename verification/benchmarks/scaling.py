@@ -6,7 +6,6 @@ exponentials by JAX of numbers that stay in the cache (for mean, sampler and cur
 symmetry saves; narrow currents leave out most pairs and have no share). A share ignores the other costs of a pair.
 """
 
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -18,6 +17,7 @@ import numpy as np
 from verification.benchmarks import results, surrogate
 from verification.benchmarks.figures import Figure
 from verification.benchmarks.norms import NARROW, WIDE, sheet
+from verification.benchmarks.peers.worker import limit_cores
 
 from strandline import Currents
 from strandline.design import sobol
@@ -39,8 +39,7 @@ LONG = 3.0
 
 def figures() -> Iterator[Figure]:
     """Yield the shares at the largest sizes; print each series as it is measured, and write all of them."""
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:1])
+    limit_cores(1)
     jax.config.update("jax_enable_x64", True)
     peaks, found = {GEMM: gemm_peak(), EXPONENTIALS: exponential_peak()}, []
     for name, rate in peaks.items():
@@ -162,7 +161,7 @@ def sampling(particles: int) -> Task:
 
     def task() -> float:
         settings = SMCSettings(rejuvenation_steps=5)
-        found = sample(jax.random.key(1), log_likelihood, _flat, initial, settings=settings)
+        found = sample(jax.random.key(1), log_likelihood, lambda x: jnp.zeros(len(x)), initial, settings=settings)
         return float(found.likelihood_evaluations * FIXED_RUNS)
 
     return task
@@ -171,10 +170,6 @@ def sampling(particles: int) -> Task:
 def _conditioned(x: np.ndarray, y: np.ndarray, kernel: str, length: float | np.ndarray) -> GaussianProcess:
     fixed = {"length_scale": length, "signal_variance": surrogate.VARIANCE, "nugget": NUGGET}
     return condition(x, y, kernel=KERNELS[kernel], **fixed)
-
-
-def _flat(x: jax.Array) -> jax.Array:
-    return jnp.zeros(len(x))
 
 
 def currents(width: float, nodes: int) -> Task:

@@ -18,6 +18,8 @@ import time
 from importlib import metadata
 from typing import Any
 
+from worker import say
+
 FIRST_LOWEST = -1e3
 """Used as the lowest log-likelihood if a run fails before any has succeeded."""
 
@@ -31,7 +33,7 @@ class Target:
         self.lowest: float | None = None
 
     def __call__(self, x: Any) -> float:
-        _say(self.replies, x=[float(value) for value in x])
+        say(self.replies, x=[float(value) for value in x])
         answer = json.loads(sys.stdin.readline())
         self.evaluations += 1
         if answer["y"] is not None:
@@ -45,11 +47,6 @@ class Target:
         if self.failed != "lowest":
             return float(self.failed)
         return FIRST_LOWEST if self.lowest is None else self.lowest
-
-
-def _say(stream: Any, **content: object) -> None:
-    stream.write(json.dumps(content) + "\n")
-    stream.flush()
 
 
 def boosts(vbmc: Any, every: int, marks: dict[int, tuple[int, float]]) -> list[tuple[tuple[int, float], Any]]:
@@ -101,7 +98,7 @@ def _main() -> None:
     else:
         found = [vp.sample(task["draws"])[0] for vp in posteriors]
     np.savez(task["out"], posteriors=np.array(found))
-    _say(
+    say(
         replies,
         done={
             "iterations": [marks[k] for k in sorted(marks)],

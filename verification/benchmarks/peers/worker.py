@@ -29,12 +29,12 @@ def serve(packages: Sequence[str], prepare: Callable[[Mapping[str, Any]], Task])
     with np.load(sys.argv[-1]) as content:
         task = prepare(dict(content))
     task()
-    _reply(replies, ready={package: metadata.version(package) for package in packages})
+    say(replies, ready={package: metadata.version(package) for package in packages})
     for _ in sys.stdin:
         wall, cpu = time.perf_counter(), time.process_time()
         answer = task()
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-        _reply(replies, wall=wall, cpu=cpu, answer=[float(value) for value in answer])
+        say(replies, wall=wall, cpu=cpu, answer=[float(value) for value in answer])
 
 
 def limit_cores(number: int) -> None:
@@ -43,6 +43,7 @@ def limit_cores(number: int) -> None:
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:number])
 
 
-def _reply(stream: Any, **content: object) -> None:
+def say(stream: Any, **content: object) -> None:
+    """Write one object on a line."""
     stream.write(json.dumps(content) + "\n")
     stream.flush()
