@@ -7,6 +7,7 @@ Run it with:  python -m verification.validation.biofilm_mesh
 
 import time
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -18,7 +19,7 @@ from strandline.errors import ForwardModelError
 from strandline.models.biofilm.cell import FlowCell, Setting
 from strandline.models.biofilm.geometry import MESHES, MeshSize, Partition
 from strandline.models.biofilm.materials import LAWS
-from strandline.models.biofilm.outline import NODES, Channel, Outline
+from strandline.models.biofilm.outline import Channel, Outline
 
 CASES = (
     (400.0, 0.5, 100.0),
@@ -56,12 +57,9 @@ def extremes(*, mesh: str = "default", laws: Iterable[str] = tuple(LAWS)) -> lis
     return [table("extremes", "Extreme inputs", heading, rows)]
 
 
-def flow_cell(
-    size: MeshSize, *, law: str = "saint_venant_kirchhoff", partition: Partition = Partition(), nodes: int = NODES
-) -> FlowCell:
+def flow_cell(size: MeshSize, *, law: str = "saint_venant_kirchhoff", kind: type[FlowCell] = FlowCell) -> Any:
     """Return the study's specimen on a mesh of the given sizes."""
-    outline = Outline(nodes=nodes).interface()
-    return FlowCell(outline, size, channel=Channel(), partition=partition, law=LAWS[law])
+    return kind(Outline().interface(), size, channel=Channel(), partition=Partition(), law=LAWS[law])
 
 
 def box_points(count: int, *, scramble: int | None = 5) -> Float[np.ndarray, "run 2"]:

@@ -17,16 +17,15 @@ from itertools import pairwise
 import ngsolve as ng
 import numpy as np
 from verification.validation.analytic import YOUNG, LoadedSolid, square
+from verification.validation.biofilm_mesh import flow_cell
 from verification.validation.tables import DOCS, Table, arguments, show, table
 
 from strandline.models.biofilm.cell import Setting
 from strandline.models.biofilm.course import Course
 from strandline.models.biofilm.creeping_cell import CreepingCell, QuasiStatic
 from strandline.models.biofilm.flow import WATER
-from strandline.models.biofilm.geometry import MESHES, Partition
-from strandline.models.biofilm.materials import LAWS
+from strandline.models.biofilm.geometry import MESHES
 from strandline.models.biofilm.memory import Branch
-from strandline.models.biofilm.outline import Channel, Outline
 
 PAGE = DOCS / "results" / "forward-model.md"
 BRANCHES = (Branch(0.7, 0.5), Branch(1.5, 4.0))
@@ -114,7 +113,7 @@ def oscillation_errors(steps: Sequence[int], poisson: float = 0.4) -> list[float
 
 def creep_error(tolerance: float = 1e-4, law: str = "neo_hookean") -> tuple[float, int]:
     """Return the largest error of the creeping interface, as a share of its largest displacement, and the steps."""
-    branch, cell = Branch(1.5, 3.0), _cell(law)
+    branch, cell = Branch(1.5, 3.0), flow_cell(MESHES["coarse"], law=law, kind=CreepingCell)
     relaxed = cell.solve(Setting([400.0], [0.3], SLOW)).displacement
     size = np.linalg.norm(relaxed, axis=1).max()
     times = (0.0, LAG, 3.0, 6.0, 6.0 + LAG, 9.0, 12.0, 12.0 + LAG, 16.0, 24.0)
@@ -139,7 +138,7 @@ def flow_errors(steps: Sequence[float]) -> list[float]:
 
     Steps are constant, s, each half of the one before; the last serves only for the comparison.
     """
-    cell, found = _cell("neo_hookean"), []
+    cell, found = flow_cell(MESHES["coarse"], law="neo_hookean", kind=CreepingCell), []
     times = tuple((f"{time:g}", time) for time in (1.0, 2.0, 4.0, 6.0))
     course = Course(((0.0, 0.0), (1.0, 1.0), (4.0, 0.3), (6.0, 0.3)), times)
     cell.set(Setting([400.0], [0.3], 100.0))
@@ -148,11 +147,6 @@ def flow_errors(steps: Sequence[float]) -> list[float]:
         found.append(np.array([moment.displacement for moment in way.follow(course)]))
     differences = [np.linalg.norm(a - b, axis=2).max() for a, b in pairwise(found)]
     return [1e3 * float(difference) for difference in differences]
-
-
-def _cell(law: str) -> CreepingCell:
-    outline = Outline().interface()
-    return CreepingCell(outline, MESHES["coarse"], channel=Channel(), partition=Partition(), law=LAWS[law])
 
 
 def tables() -> list[Table]:

@@ -14,7 +14,6 @@ import shutil
 import subprocess
 import sys
 import tarfile
-import tempfile
 import time
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -22,7 +21,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-from verification.validation.tables import ROOT
+from verification.validation.tables import ROOT, kept_or_scratch
 
 STUDY = "studies/biofilm-uniform"
 """The same folder as in the documented programs."""
@@ -217,8 +216,7 @@ def has_wheels(python: Interpreter, wheel: Path, folder: Path) -> bool:
 def _main() -> None:
     own = Interpreter(sys.version_info[:3], Path(sys.executable))
     newer = [p for p in interpreters() if p.version[:2] > own.version[:2]]
-    with tempfile.TemporaryDirectory(prefix="strandline-installed-") as name:
-        folder = Path(name)
+    with kept_or_scratch(None) as folder:
         wheel = build(folder)
         print(f"{wheel.name} has the files under version control, and is the same from the source distribution")
         newest = next((python for python in newer if has_wheels(python, wheel, folder)), None)

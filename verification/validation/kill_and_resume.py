@@ -17,7 +17,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections import Counter
 from contextlib import closing, suppress
@@ -25,7 +24,7 @@ from pathlib import Path
 
 import psutil
 import yaml
-from verification.validation.tables import EXAMPLES, arguments
+from verification.validation.tables import EXAMPLES, arguments, kept_or_scratch
 
 from strandline.posterior import read
 from strandline.runs.journal import VARIABLE, has_rollback_journal
@@ -125,10 +124,10 @@ def main(
     rng = random.Random(0)
     kinds = ["driver"] * drivers + ["worker"] * workers + ["simulator"] * simulators
     rng.shuffle(kinds)
-    with tempfile.TemporaryDirectory(prefix="strandline-kill-") as base:
-        undisturbed, disturbed = Path(base) / "undisturbed" / "s", Path(base) / "disturbed" / "s"
-        environment = {"TMPDIR": str(Path(base) / "tmp")} | ({VARIABLE: journal} if journal else {})
-        Path(base, "tmp").mkdir()
+    with kept_or_scratch(None) as base:
+        undisturbed, disturbed = base / "undisturbed" / "s", base / "disturbed" / "s"
+        environment = {"TMPDIR": str(base / "tmp")} | ({VARIABLE: journal} if journal else {})
+        (base / "tmp").mkdir()
         for folder in (undisturbed, disturbed):
             prepare(folder, runs, active=active)
         begun = time.monotonic()
@@ -140,7 +139,7 @@ def main(
         same = results[0].identical(results[1])
         again = len(outcomes) - len({key for key, _ in outcomes})
         rollback = has_rollback_journal(disturbed / "ledger.sqlite")
-        folders = len(list(Path(base, "tmp").glob(f"{PREFIX}*")))
+        folders = len(list((base / "tmp").glob(f"{PREFIX}*")))
     print(
         f"journal {'delete' if rollback else 'wal'}, {time.monotonic() - begun:.0f} s, folders left {folders}, "
         f"kills {dict(done)}, finished {len(outcomes)}, repeated {again}, lost {lost}, "

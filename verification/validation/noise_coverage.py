@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from verification.validation.biofilm_mesh import BOX, box_points
 from verification.validation.tables import arguments, kept_or_scratch, show, table
 
-from strandline.design import sobol
 from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, MeasurementLines, NormalOffset
 from strandline.errors import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
@@ -30,7 +30,7 @@ from strandline.posterior.rank_tests import coverage_of, uniformity
 from strandline.runs import Ledger, LocalProcesses, run_campaign
 from strandline.surrogate.field import FieldSurrogate, FieldTraining, fit_field
 
-LOW, HIGH = np.array([100.0, -0.8]), np.array([800.0, 0.5])
+LOW, HIGH = np.array(BOX).T
 SPACING = 0.005
 """Distance of the observed points, mm."""
 Pair, Pairs = Float[np.ndarray, " 2"], Float[np.ndarray, "observation 2"]
@@ -64,9 +64,8 @@ def figures(ranks: Pairs, sds: Pairs, limits: Pairs) -> list[float]:
 
 def surrogate(runs: int, folder: Path) -> FieldSurrogate:
     """Return the field of the biofilm over E and ν, from the finished runs in `folder` and those that are missing."""
-    x = LOW + (HIGH - LOW) * sobol(runs, 2)
+    x, model = box_points(runs, scramble=None), Biofilm(mesh="default")
     inputs = [{"E": float(a), "nu": float(b), "V_in": 100.0} for a, b in x]
-    model = Biofilm(mesh="default")
     with Ledger.open(folder / "ledger.sqlite", model=model) as ledger:
         records = run_campaign(model, inputs, ledger=ledger, executor=LocalProcesses())
     good = [k for k, record in enumerate(records) if record.ok]

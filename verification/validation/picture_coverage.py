@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from verification.validation.noise_coverage import GLOBAL, HIGH, LOW, limit, posterior, surrogate
+from verification.validation.noise_coverage import GLOBAL, HIGH, LOW, figures, limit, posterior, surrogate
 from verification.validation.rendered import PIXEL, Camera, Scan, clicks
 from verification.validation.tables import arguments, finish, kept_or_scratch, show, table
 
@@ -25,7 +25,7 @@ from strandline.imaging.edge import EDGES, Edge, find_edge
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood import FieldLikelihood
 from strandline.numerics.threads import use_double
-from strandline.posterior.rank_tests import coverage_of, uniformity
+from strandline.posterior.rank_tests import coverage_of
 from strandline.surrogate.field import FieldSurrogate
 
 MARGIN = 20
@@ -79,10 +79,9 @@ class Cover:
         return np.asarray(coverage_of(self.control, 0.9).found)
 
     def row(self) -> tuple[str | float, ...]:
-        p = [uniformity(self.ranks[:, k]).p_value for k in (0, 1)]
-        sds = np.median(self.sds, axis=0).tolist()
-        cover = [*(100 * self.found).tolist(), *(100 * self.of_control).tolist()]
-        return self.kind, len(self.ranks), 100 * self.refused, *cover, *p, *sds
+        cover, others = np.split(np.array(figures(self.ranks, self.sds, np.ones(2))), [2])
+        shares = [*cover.tolist(), *(100 * self.of_control).tolist()]
+        return self.kind, len(self.ranks), 100 * self.refused, *shares, *others.tolist()
 
     def missed(self) -> list[str]:
         said = []

@@ -23,6 +23,7 @@ import yaml
 from jaxtyping import Float
 from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
+from verification.validation.compare_laws import STUDY
 from verification.validation.tables import DOCS, OUTPUT, STUDIES, Table, arguments, as_text, show, table, write_study
 
 import strandline as sl
@@ -30,21 +31,6 @@ import strandline as sl
 SD = 0.0072
 """Standard deviation of each observed point along its normal, mm: that for which the noise variance of S3 is right."""
 TRUTH = {"E": 400.0, "nu": 0.3}
-
-STUDY = """
-version: 1
-model: {biofilm: {mesh: coarse}}
-inputs:
-  E:  {prior: {uniform: [100, 800]}, unit: Pa}
-  nu: {prior: {uniform: [-0.8, 0.5]}}
-discrepancy: {normal_offset: {}}
-noise: {sd: 7.2, unit: um}
-design: {active: {runs: 120}}
-surrogate: {field: {}}
-sampler: {smc: {particles: 2000, rejuvenation_steps: 10, zeta: 0.5}}
-executor: {local: {workers: 1, timeout: 120}}
-seed: 1
-"""
 RATES = (15.0, 25.0, 35.0, 45.0, 55.0, 65.0, 75.0, 85.0, 95.0, 105.0, 115.0, 125.0)
 OBSERVATIONS = 10
 """Observations of each draw."""
@@ -67,7 +53,9 @@ def observed_study(
 ) -> sl.Study:
     """Write a study with these observations by rate, and return it; several rates become conditions."""
     folder.mkdir(parents=True, exist_ok=True)
-    content = {"name": folder.name, **yaml.safe_load(STUDY), "next": dict(candidates or {})}
+    content = yaml.safe_load(STUDY) | {"name": folder.name, "next": dict(candidates or {}), "seed": 1}
+    content |= {"model": {"biofilm": {"mesh": "coarse"}}, "design": {"active": {"runs": 120}}}
+    content |= {"discrepancy": {"normal_offset": {}}, "noise": {"sd": 1e3 * SD, "unit": "um"}}
     for rate, points in seen.items():
         np.savetxt(folder / f"{rate:g}.csv", points, delimiter=",", header="x,y", comments="")
     files = {rate: {"file": f"{rate:g}.csv", "unit": "mm"} for rate in seen}
@@ -183,8 +171,8 @@ def table_of_advice(output: Path, options: Namespace) -> tuple[Table, dict[str, 
     cells = [
         (*row["truth"], row["rate"], row["sd"], row["other"], row["advised"], _fall(row), row["new"]) for row in rows
     ]
-    falls = [_fall(row) for row in rows]
-    summary = {"median fall": median(falls), "advised experiments that failed": sum(row["failed"] for row in rows)}
+    failed = sum(row["failed"] for row in rows)
+    summary = {"median fall": median(map(_fall, rows)), "advised experiments that failed": failed}
     return table("planning-advice", "Following the advice", heading, cells), summary
 
 
@@ -208,19 +196,11 @@ def _followed(folder: Path, truth: dict[str, float], first: np.ndarray, seed: in
     study = observed_study(folder / "first", {100.0: first}, {"V_in": list(ADVISED_RATES)})
     sd = float(_finished(study).sd[1])
     found = sl.next_experiment(study).content
-    best = found["candidates"][0]
-    rate = best["settings"][0]["V_in"]
+    rate = found["candidates"][0]["settings"][0]["V_in"]
     advised = _second(folder / "advised", truth, first, rate, seed + 1)
     other = _second(folder / "other", truth, first, OTHER, seed + 2)
-    return {
-        "truth": [truth["E"], truth["nu"]],
-        "rate": rate,
-        "sd": sd,
-        "advised": sd if advised is None else advised,
-        "other": other,
-        "failed": advised is None,
-        "new": found["runs"]["new"],
-    }
+    widths = {"sd": sd, "advised": sd if advised is None else advised, "other": other, "failed": advised is None}
+    return {"truth": [truth["E"], truth["nu"]], "rate": rate, **widths, "new": found["runs"]["new"]}
 
 
 def _second(folder: Path, truth: dict[str, float], first: np.ndarray, rate: float, seed: int) -> float | None:
@@ -229,8 +209,7 @@ def _second(folder: Path, truth: dict[str, float], first: np.ndarray, rate: floa
         second = observed(rate, truth, np.random.default_rng(seed))
     except sl.ForwardModelError:
         return None
-    study = observed_study(folder, {100.0: first, rate: second})
-    return float(_finished(study).sd[1])
+    return float(_finished(observed_study(folder, {100.0: first, rate: second})).sd[1])
 
 
 def table_of_unknown(output: Path, options: Namespace) -> tuple[Table, dict[str, object]]:
@@ -241,7 +220,7 @@ def table_of_unknown(output: Path, options: Namespace) -> tuple[Table, dict[str,
         shutil.copy2(STUDIES / "biofilm-parts-active" / "study.yaml", folder)
     study = sl.load_study(folder)
     before = sl.next_experiment(study, source="prior").content
-    posterior = sl.run_study(study).calibration.posterior
+    posterior = _finished(study)
     scaled, weights = scaled_draws(study, posterior), posterior.weights
     covariance = np.cov(scaled.T, aweights=weights, ddof=0)
     worst = np.linalg.eigh(covariance)[1][:, -1]

@@ -233,21 +233,16 @@ def tables(found: Mapping[str, Sequence[Trace]], problems: Sequence[Problem]) ->
 def _main() -> None:
     options = arguments(__doc__, publish=False)
     missing = None if stamp(PEER).exists() else "PyVBMC is not measured: make pyvbmc-env installs it"
-    use_double()
-    KEPT.mkdir(parents=True, exist_ok=True)
     if missing:
         print(missing, file=sys.stderr)
+    use_double()
+    KEPT.mkdir(parents=True, exist_ok=True)
     problems = (Biofilm(KEPT), Outline(KEPT))
     found = {problem.key: [*_traces(problem, peer=missing is None)] for problem in problems}
     made = tables(found, problems)
-    traces_of_all = [trace for one in found.values() for trace in one]
-    errors = sorted({trace["error"] for trace in traces_of_all if trace["error"]})
-    raw = {
-        "tables": {table.name: table.as_json() for table in made},
-        "errors": errors,
-        "missing": missing,
-        "traces": traces_of_all,
-    }
+    traces = [trace for one in found.values() for trace in one]
+    errors = sorted({trace["error"] for trace in traces if trace["error"]})
+    raw = {"tables": {one.name: one.as_json() for one in made}, "errors": errors, "missing": missing, "traces": traces}
     show(made, page=PAGE if options.publish else None, numbers="pyvbmc.json", content=raw)
     print("".join(f"\nException: `{error}`\n" for error in errors))
 

@@ -9,6 +9,7 @@ long along z. The time is that from the array to the observation: surface, thinn
 import time
 
 import numpy as np
+from verification.benchmarks.figures import timed
 from verification.validation.rendered_stacks import Blob, Microscope
 from verification.validation.tables import arguments, finish, show, table
 
@@ -35,13 +36,6 @@ def solid(along: float, planes: int) -> tuple[Blob, Microscope]:
     return Blob(centre, axes, bumps=0.04), Microscope(voxel, shape, blur)
 
 
-def _seconds_of(measure: ClosestPoint | Currents, seen: Interface) -> float:
-    simulated = Interface(1.01 * seen.points, seen.cells)
-    start = time.perf_counter()
-    measure(simulated, seen)
-    return time.perf_counter() - start
-
-
 def row(name: str, along: float, stacks: int, planes: int) -> tuple[tuple, bool]:
     """Return what was found in stacks of one kind, and whether the aims were met."""
     blob, microscope = solid(along, planes)
@@ -62,20 +56,12 @@ def row(name: str, along: float, stacks: int, planes: int) -> tuple[tuple, bool]
     scatter = np.array([part.std() for part in off])
     own, offsets, lengths = (np.array([getattr(one, k) for one in found]) / side for k in ("sd", "offset", "length"))
     ratios = own / scatter
-    width = 0.1 * float(np.ptp(seen.points, axis=0).max())
-    cells = (
-        f"{name}, {2 * planes} × {2 * planes} × {planes}",
-        max(times),
-        triangles,
-        rms,
-        float(np.mean([part.mean() for part in off])),
-        float(np.mean(offsets)),
-        float(scatter.mean()),
-        float(ratios.mean()),
-        float(np.mean(lengths)),
-        _seconds_of(ClosestPoint(direction="to_simulated"), seen),
-        _seconds_of(Currents(width, quadrature="centre"), seen),
-    )
+    width, simulated = 0.1 * float(np.ptp(seen.points, axis=0).max()), Interface(1.01 * seen.points, seen.cells)
+    measures = ClosestPoint(direction="to_simulated"), Currents(width, quadrature="centre")
+    bias = np.mean([part.mean() for part in off])
+    of_errors = map(float, (bias, offsets.mean(), scatter.mean(), ratios.mean(), lengths.mean()))
+    seconds = (timed(measure, simulated, seen) for measure in measures)
+    cells = (f"{name}, {2 * planes} × {2 * planes} × {planes}", max(times), triangles, rms, *of_errors, *seconds)
     low, high = OWN
     met = max(times) <= SECONDS and rms <= DISTANCE and low <= ratios.min() and ratios.max() <= high
     return cells, met and triangles <= TRIANGLES

@@ -215,20 +215,19 @@ def tables() -> list[Table]:
 
 
 def _rows(references: Mapping[str, float], order: int, outcomes: Sequence[Outcome]) -> list[tuple]:
-    """Return values, errors against the published ones, and orders of these errors and of the values' differences."""
+    """Return values, errors against the published ones, and orders of these errors and of the values' differences.
+
+    The latter (Richardson) need three meshes but no reference.
+    """
     rows = []
     for key, reference in references.items():
         values = [o.values[key] for o in outcomes]
         errors = [100 * (value / reference - 1) for value in values]
-        orders = zip(observed_orders([0.5**k for k in range(len(values))], errors), _own_orders(values), strict=True)
+        sizes = [0.5**k for k in range(len(values))]
+        own = [None, *observed_orders(sizes[1:], np.diff(values))]
+        orders = zip(observed_orders(sizes, errors), own, strict=True)
         rows += [
             (key, reference, order, o.elements, o.unknowns, o.seconds, value, error, *pair)
             for o, value, error, pair in zip(outcomes, values, errors, orders, strict=True)
         ]
     return rows
-
-
-def _own_orders(values: Sequence[float]) -> list[float | None]:
-    """Return log₂ of the ratio of successive differences (Richardson); this needs three meshes but no reference."""
-    steps = np.abs(np.diff(values))
-    return [None, None, *(float(np.log2(a / b)) for a, b in pairwise(steps))][: len(values)]
