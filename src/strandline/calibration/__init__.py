@@ -1,4 +1,8 @@
-"""From a problem to its posterior: `calibrate` is the whole method on one screen."""
+"""From a problem to its posterior: `calibrate` is the whole method on one screen.
+
+In: a `Problem` (model, priors, observed interfaces with their errors) and `Settings`. Out: a `Calibration` (posterior,
+surrogate, runs, misfit, what was doubtful). It knows no files, pictures or terminals.
+"""
 
 from typing import TYPE_CHECKING
 

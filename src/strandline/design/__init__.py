@@ -1,4 +1,7 @@
-"""Which runs to make: points that fill the box, refinement where the posterior lies, active designs."""
+"""Which runs to make: points that fill the box, refinement where the posterior lies, active designs.
+
+In: the space of inputs, the observation, and the runs so far. Out: the next inputs, or that no more are needed.
+"""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,7 @@
-"""Discrepancies d² between a simulated and an observed interface, one measure per file."""
+"""Discrepancies d² between a simulated and an observed interface, one measure per file.
+
+In: interfaces of runs and one observed. Out: d² and, where the noise has a covariance, whitened distances.
+"""
 
 from strandline.discrepancy.closest_point import ClosestPoint, node_weights
 from strandline.discrepancy.comparison import (

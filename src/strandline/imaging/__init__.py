@@ -1,4 +1,8 @@
-"""Pictures → the interface in them, with its errors."""
+"""Pictures → the interface in them, with its errors.
+
+In: files of pictures or stacks, pixel sizes, places to begin. Out: points in mm with standard deviations and a length
+of correlation, which `studies` turns into an `Observation`.
+"""
 
 from typing import TYPE_CHECKING
 

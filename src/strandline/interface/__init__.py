@@ -1,4 +1,8 @@
-"""Interfaces: polylines and triangulated surfaces, with a direction, and observations of them."""
+"""Interfaces: polylines and triangulated surfaces, with a direction, and observations of them.
+
+In: arrays of points and elements, mm. Out: an `Interface`, or an `Observation` with the errors of its points. It knows
+neither files nor models.
+"""
 
 from strandline.interface.interface import Interface, Oriented, inside_polygon, oriented_like
 from strandline.interface.noise import NOISES, GaussianNoise, Noise, Observation, UnknownErrors, is_condition

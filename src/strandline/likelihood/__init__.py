@@ -1,4 +1,8 @@
-"""Likelihoods of the observed interfaces: of the model's runs, or of what a surrogate predicts."""
+"""Likelihoods of the observed interfaces: of the model's runs, or of what a surrogate predicts.
+
+In: interfaces, a measure, the noise (stated or unknown). Out: log-likelihoods, exact or by a surrogate, and the
+posterior of the noise. It knows no solver.
+"""
 
 from strandline.likelihood.compared import Compared, Registered, adapted, compared, with_variance
 from strandline.likelihood.field import DRAWS, FieldLikelihood, evaluated, noise_length, predicted, sd_of_distances

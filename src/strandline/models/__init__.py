@@ -1,4 +1,8 @@
-"""Forward models: the built-in biofilm and adapters to other simulators."""
+"""Forward models: the built-in biofilm and adapters to other simulators.
+
+In: values of the inputs. Out: a `Simulation` (the interface of each condition), or a `ForwardModelError` that says how
+the run failed. What a model can do beyond this (sensitivities, fields), it says by the protocols in `protocol.py`.
+"""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,7 @@
-"""The posterior as weighted draws, and what is computed from them."""
+"""The posterior as weighted draws, and what is computed from them.
+
+In: draws and their log-densities. Out: moments, intervals, approximations, importance weights and their reliability.
+"""
 
 from strandline.posterior.gaussian import GaussianApproximation, LaplaceApproximation, laplace, log_prior_hessian
 from strandline.posterior.importance import (

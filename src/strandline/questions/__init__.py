@@ -1,4 +1,8 @@
-"""Questions about a finished study: what next, which model, how many specimens, what if, are its intervals right?"""
+"""Questions about a finished study: what next, which model, how many specimens, what if, are its intervals right?
+
+In: a study with results. Out: an `Answer` (sentence, table, content, figures), and runs in a ledger of its own if it
+needs some. The study's own results stay as they are.
+"""
 
 from typing import TYPE_CHECKING
 

@@ -280,7 +280,11 @@ def _models(content: Mapping[str, Any]) -> Part:
             f"{one['best_log_likelihood']:.2f}",
             digits(one["information"], 3),
             f"{one['probability']:.1%}",
-            "not judged" if one["misfit"] is None else "noticed" if one["misfit"]["flagged"] else "none",
+            "not judged"
+            if one["misfit"] is None or one["misfit"]["flagged"] is None
+            else "noticed"
+            if one["misfit"]["flagged"]
+            else "none",
         )
         for name, one in content["models"].items()
     ]

@@ -1,4 +1,7 @@
-"""Files that simulators and measurements write → interfaces."""
+"""Files that simulators and measurements write → interfaces.
+
+In: a file and, where the file leaves a choice, options. Out: an `Interface`, or the line that is wrong and the way out.
+"""
 
 from typing import TYPE_CHECKING
 

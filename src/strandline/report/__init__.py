@@ -1,4 +1,8 @@
-"""A finished study as one self-contained HTML page."""
+"""A finished study as one self-contained HTML page.
+
+In: results, handed over by `studies` and `questions`. Out: `report.html`, figures, the warnings about a posterior, the
+panels of the live page.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -6,7 +10,7 @@ from strandline.doors import door
 
 if TYPE_CHECKING:
     from strandline.report.explore import DRAWS, by_name, rounded
-    from strandline.report.figure_files import Captioned
+    from strandline.report.figure_files import Captioned, of_other_pages
     from strandline.report.fit import as_json, fit_as_json, nearest_runs, nothing_near
     from strandline.report.html import PANELS, small_share, template
     from strandline.report.page import FIGURES, add_check, remove_report, write_answer, write_report

@@ -78,14 +78,19 @@ def whole_folder(target: Path) -> Iterator[Path]:
     partial.mkdir()
     try:
         yield partial
-        for page in target.parent.glob("*.html"):
-            for figure in target.glob(f"{page.stem.replace('-', '_')}*"):
-                if not (partial / figure.name).exists():
-                    shutil.copy2(figure, partial)
+        for figure in of_other_pages(target):
+            if not (partial / figure.name).exists():
+                shutil.copy2(figure, partial)
         shutil.rmtree(target, ignore_errors=True)
         partial.rename(target)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+
+
+def of_other_pages(figures: Path) -> set[Path]:
+    """Return the figures in a study's folder of them that belong to pages beside the report."""
+    pages = (page.stem.replace("-", "_") for page in figures.parent.glob("*.html"))
+    return {figure for page in pages for figure in figures.glob(f"{page}*")}
 
 
 def fitted(shown: Iterable[dict[str, str]], room: int) -> list[dict[str, str]]:

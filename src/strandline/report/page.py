@@ -59,7 +59,7 @@ def write_report(
     cannot be drawn or saved, and the page is written without them; by default, the first such error is raised and the
     old report stays.
     """
-    doubt = reason_to_doubt(calibration, check)
+    doubt = reason_to_doubt(calibration, check, far=bool(summary["nearest"]["message"]))
     groups: dict[str, Iterator[Captioned]] = {
         name: map(partial(marked, doubt=doubt), figures) for name, figures in figure_groups(calibration, truth).items()
     }

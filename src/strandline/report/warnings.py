@@ -8,12 +8,12 @@ import numpy as np
 
 from strandline.calibration import Calibration, steps_of, unlikely_errors
 from strandline.design import FieldOutcome
-from strandline.interface import UnknownErrors
+from strandline.interface import Interface, UnknownErrors
 from strandline.likelihood import noise_length, says_whether_runs_succeed, sd_of_distances
 from strandline.parameters import Parameter
 from strandline.posterior import Posterior, QuadratureResult, Reading, mixture, prior_conflicts
 from strandline.report.html import number, small_share
-from strandline.runs import EXCLUDED
+from strandline.runs import EXCLUDED, RunRecord
 from strandline.surrogate import learn_feasibility, stopped_early
 
 BOUND_SHARE = 0.02
@@ -90,16 +90,20 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
         )
 
 
-def reason_to_doubt(calibration: Calibration, check: Mapping[str, Any] | None = None) -> str | None:
+def reason_to_doubt(
+    calibration: Calibration, check: Mapping[str, Any] | None = None, *, far: bool = False
+) -> str | None:
     """Return in a few words why figures of the posterior must be marked; None if the posterior can be used.
 
-    `check` is the content of check.json if it belongs to this posterior.
+    `check` is the content of check.json if it belongs to this posterior; `far`: no run comes near the observation.
     """
     certificate = None if calibration.field is None else calibration.field.certificate
     if calibration.field is None and float(calibration.posterior.log_likelihood.max()) > ABOVE_ZERO:
         return "the surrogate predicts log-likelihoods above 0"
     if calibration.misfit is not None and calibration.misfit.flagged:
         return "the model does not explain what was observed"
+    if far:
+        return "no run comes near what was observed"
     if certificate is not None and not certificate.converged:
         return "not converged, " + certificate.reasons[-1] if certificate.reasons else "not converged"
     if check is not None and check["verdict"] == "bad":
@@ -128,6 +132,8 @@ def _fit(calibration: Calibration) -> Iterator[str]:
     if misfit is not None and misfit.flagged:
         remedy = " Find out what is wrong, or let the model err: `model_error: true` in `noise`."
         yield f"{misfit.verdict}{remedy if inferred is None else ''}"
+    elif misfit is not None and misfit.flagged is None:
+        yield misfit.verdict
     elif misfit is not None:
         yield from unlikely_errors(misfit)
     if inferred is None:
@@ -157,10 +163,11 @@ def noise_at_an_end(medians: Mapping[str, float], stated: UnknownErrors) -> Iter
 
 
 def _runs(calibration: Calibration) -> Iterator[str]:
-    failed = sum(not record.ok for record in calibration.records)
-    if failed > FAILED_SHARE * len(calibration.records):
+    judged = [record for record in calibration.records if says_whether_runs_succeed(record)]
+    failed = sum(not record.ok for record in judged)
+    if failed > FAILED_SHARE * len(judged):
         yield (
-            f"{failed} of {len(calibration.records)} forward runs failed: the surrogate knows nothing there. "
+            f"{failed} of {len(judged)} forward runs failed: the surrogate knows nothing there. "
             "See where they lie before you trust a posterior close to them."
         )
     good, hung = ([one.seconds for one in calibration.all_runs if one.state == state] for state in ("ok", "timeout"))
@@ -185,7 +192,7 @@ def _failing(calibration: Calibration) -> float:
 
 def _stopped_early(calibration: Calibration) -> Iterator[str]:
     good = [record for record in calibration.records if record.ok]
-    found = stopped_early([record.interfaces for record in good])
+    found = stopped_early([_observed(calibration, record) for record in good])
     if found:
         number, why = next(iter(found.items()))
         key, where = good[number].key[:12], _place(good[number].inputs)
@@ -196,12 +203,17 @@ def _stopped_early(calibration: Calibration) -> Iterator[str]:
         )
 
 
+def _observed(calibration: Calibration, record: RunRecord) -> dict[str, Interface]:
+    """Return the interfaces of a run that were observed: the others do not enter the posterior."""
+    return {seen.condition: record.interfaces[seen.condition] for seen in calibration.problem.observations}
+
+
 def _in_steps(calibration: Calibration) -> Iterator[str]:
     good, problem = [record for record in calibration.records if record.ok], calibration.problem
     inputs = np.array([[record.inputs[name] for name in problem.space.names] for record in good])
     field, measure = calibration.field, problem.measure
     known = problem.observations if field is None else field.knowledge.likelihood.known_observations
-    for found in steps_of([record.interfaces for record in good], inputs):
+    for found in steps_of([_observed(calibration, record) for record in good], inputs):
         seen = next(one for one in known if one.condition == found.condition)
         noise = sd_of_distances(seen, measure, good[0].interfaces[found.condition]) or noise_length(seen, measure)
         if found.step > STEPS * noise:

@@ -1,4 +1,8 @@
-"""Forward runs: records, the ledger that keeps them, executors, campaigns."""
+"""Forward runs: records, the ledger that keeps them, executors, campaigns.
+
+In: a model and inputs. Out: one `RunRecord` for each, good or failed, in the ledger at once; a campaign that is killed
+goes on from there. It does not know what the runs are for.
+"""
 
 from typing import TYPE_CHECKING
 

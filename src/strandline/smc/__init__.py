@@ -1,4 +1,7 @@
-"""Adaptive tempered Sequential Monte Carlo."""
+"""Adaptive tempered Sequential Monte Carlo.
+
+In: a prior to draw from, a log-likelihood in batches, a random key. Out: weighted particles and a record of each step.
+"""
 
 from strandline.smc.combined import carried_over, in_halves
 from strandline.smc.conditionals import ConditionalLogDensity, sample_each

@@ -1,4 +1,8 @@
-"""Study folders: the YAML schema, loading, running, results."""
+"""Study folders: the YAML schema, loading, running, results.
+
+In: `study.yaml` and the files that it names, or options of a command. Out: a `Study`; once it has run, `ledger.sqlite`,
+`posterior.nc`, `summary.json`, figures and report, and a `Result` that reads them.
+"""
 
 from typing import TYPE_CHECKING
 

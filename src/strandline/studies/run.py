@@ -1,7 +1,6 @@
 """From a study folder to its results: the ledger, posterior.nc, summary.json, figures and report.html."""
 
 import io
-import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -22,7 +21,7 @@ from strandline.interface import Interface
 from strandline.likelihood import compared
 from strandline.models import prepare_runs
 from strandline.posterior import to_datatree, write
-from strandline.report import FIGURES, nearest_runs, nothing_near, remove_report, template, write_report
+from strandline.report import FIGURES, nearest_runs, nothing_near, of_other_pages, remove_report, template, write_report
 from strandline.runs import Executor, FailurePolicy, Ledger, Progress, RunRecord, run_campaign
 from strandline.studies.check import read_check
 from strandline.studies.first_run import require_ok, require_same_axes, require_same_size
@@ -282,7 +281,12 @@ class Results:
         with suppress(OSError):
             (self.folder / name).unlink(missing_ok=True)
         if name == FIGURES:
-            shutil.rmtree(self.folder / FIGURES, ignore_errors=True)
+            old = set((self.folder / FIGURES).glob("*"))
+            for figure in old - of_other_pages(self.folder / FIGURES):
+                with suppress(OSError):
+                    figure.unlink()
+            with suppress(OSError):
+                (self.folder / FIGURES).rmdir()
 
     def warnings(self) -> list[str]:
         return [f"{name} could not be written: {why}" for name, why in self.missing.items()]

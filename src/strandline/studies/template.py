@@ -11,7 +11,6 @@ from typing import Any
 
 from strandline.errors import InvalidStudy
 from strandline.studies.folder import STUDY, is_result
-from strandline.studies.text import flow
 
 MEASURED = """\
 # The observed interface: a file with a point x, y per line, in the coordinates of the model.
@@ -50,6 +49,8 @@ class Observed:
 
     def section(self, folder: Path) -> str:
         """Return the part of study.yaml about the observation, for a study in `folder`."""
+        from strandline.studies.text import flow  # loads yaml, which `init` needs for nothing else
+
         names = ("shift", "rotation", "scale", "offset")
         shared = {name: getattr(self, name) for name in names if getattr(self, name) > 0}
         noise: dict[str, Any] = {"sd": "unknown" if self.sd is None else self.sd}

@@ -1,4 +1,8 @@
-"""Gaussian-process surrogates."""
+"""Gaussian-process surrogates.
+
+In: inputs, and log-likelihoods or whole interfaces of runs. Out: a mean and a variance at further inputs, with
+derivatives. It knows neither simulators nor files.
+"""
 
 from strandline.surrogate.feasibility import Feasibility, learn_feasibility
 from strandline.surrogate.field import FieldPrediction, FieldSurrogate, FieldTraining, fit_field

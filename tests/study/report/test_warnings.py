@@ -16,9 +16,11 @@ from strandline.calibration import Calibration
 from strandline.calibration.sampler_check import SamplerCheck, Split
 from strandline.cli import main
 from strandline.design.active import BatchCheck, Certificate, Step, VarianceEffect
+from strandline.interface import Interface
 from strandline.posterior import laplace
 from strandline.report.page import methods_paragraph
 from strandline.report.warnings import LOO_LIMIT, field_warnings, find_warnings, reason_to_doubt
+from strandline.runs import RunRecord
 
 
 def put(whole: Any, place: str, **changes: Any) -> Any:
@@ -78,6 +80,25 @@ def of_one_draw(calibration: Calibration) -> Calibration:
     return put(replace(calibration, quadrature=None), "posterior", log_weights=log_weights)
 
 
+def excluded(calibration: Calibration) -> Calibration:
+    """A third of the runs are excluded by hand; none failed."""
+    first = [replace(record, state="excluded", interfaces={}) for record in calibration.records[:24]]
+    return replace(calibration, records=(*first, *calibration.records[24:]))
+
+
+def unobserved(calibration: Calibration) -> Calibration:
+    """The model has another condition, whose interface comes in steps; nobody observed it."""
+    tips = [record.interfaces[""].points[-1, 1] for record in calibration.records]
+    step = np.ptp(tips) / 5
+
+    def stepped(record: RunRecord) -> RunRecord:
+        x, y = record.interfaces[""].points.T
+        other = Interface.polyline(np.stack([x, step * np.round(y / step)], axis=1))
+        return replace(record, interfaces={**record.interfaces, "other": other})
+
+    return replace(calibration, records=tuple(map(stepped, calibration.records)))
+
+
 def hung(calibration: Calibration) -> Calibration:
     """The first run hangs; all others took a tenth of a second, whatever else this machine did."""
     first, *others = (replace(record, seconds=0.1) for record in calibration.records)
@@ -104,6 +125,8 @@ OTHERS: list[tuple[Callable[[Calibration], Calibration], str]] = [
         "posterior reaches 3 ends of its box, with the mass within 2% of each: E from 300 Pa (",
     ),
     (lambda c: put(c, "posterior", log_likelihood=0.0 * c.posterior.log_likelihood, log_evidence=0.0), "tell nothing"),
+    (lambda c: put(c, "misfit", flagged=None, verdict="The best run does not"), "The best run does not"),
+    (excluded, "24 runs were excluded by hand"),
     (hung, "`timeout: 1` would save most of that"),
     (lambda c: replace(c, laplace=laplace(np.diag([-1.0, 1.0]), c.posterior.map_estimate)), "no Laplace approximation"),
 ]
@@ -115,7 +138,12 @@ def test_exactly_the_one_that_is_deserved_and_none_just_below_a_limit(good: Cali
         found = list(find_warnings(calibration))
         assert len(found) == 1, (words, found)
         assert words in found[0]
-    for fine in (good, replace(good, quadrature=None), *(change(good, below) for change, _, below, _ in LIMITS)):
+    for fine in (
+        good,
+        unobserved(good),
+        replace(good, quadrature=None),
+        *(change(good, below) for change, _, below, _ in LIMITS),
+    ):
         assert not list(find_warnings(fine))
 
 
@@ -141,6 +169,7 @@ def test_reasons_to_doubt(good: Calibration, field: Finished) -> None:
     assert reason_to_doubt(good) is reason_to_doubt(good, {"verdict": "good"}) is None
     assert "check with the true model" in str(reason_to_doubt(good, {"verdict": "bad"}))
     assert "leave-one-out error near the mode 0.9" in str(reason_to_doubt(validated(good, LOO_LIMIT + 0.4)))
+    assert reason_to_doubt(good, far=True) == "no run comes near what was observed"
     wrong = "the model does not explain what was observed"
     assert reason_to_doubt(put(good, "misfit", flagged=True)) == wrong
     assert "above 0" in str(reason_to_doubt(raised(good)))
@@ -237,6 +266,7 @@ INFERRED = {"inferred_noise": {"stated": True, "prior": {"sd_um": 1.26, "length_
 WHOLE = {"shift_sd": 0.1, "rotation_sd": 3.0, "scale_sd": 0.01, "offset_sd": 0.0}
 DIFFERENCES = [
     ("misfit", WORSE, "The model does not explain the observation within the noise (p = 0.006)."),
+    ("misfit", {**WORSE, "flagged": None}, "Whether the model explains the observation is not known."),
     ("certificate", CONVERGED, "The true model confirmed the posterior at 16 runs at draws of the posterior."),
     ("surrogate", SURROGATE, "the interface (4 modes, 24 runs) took the place of the model; its error where the"),
     ("truth", None, "from the observed shape of the interface, with V_in uncertain, by Bayesian calibration"),

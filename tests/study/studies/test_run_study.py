@@ -22,7 +22,7 @@ from strandline.studies import load_study, run_study
 from strandline.studies.first_run import known_lines
 from strandline.studies.progress import progress_of
 from strandline.studies.provenance import observation_digest, results_at_hand
-from strandline.studies.run import submit_study
+from strandline.studies.run import Results, submit_study
 from strandline.studies.summary import _sensitivity
 from strandline.testing.studies import BEAM_STUDY, write_study
 from strandline.testing.studies import beam as simulator
@@ -139,6 +139,15 @@ def test_a_result_that_cannot_be_written_leaves_the_others(beam, copy_of, monkey
         summary = json.loads((folder / "summary.json").read_text())
         assert list(summary["missing"]) == [name]
         assert f"{name} could not be written: " in (folder / "report.html").read_text()
+
+
+def test_figures_that_cannot_be_written_leave_those_of_other_pages(tmp_path):
+    figures = tmp_path / "figures"
+    figures.mkdir()
+    for path in (tmp_path / "what-if.html", figures / "what_if.png", figures / "marginals.png"):
+        path.touch()
+    Results(tmp_path).failed("figures", OSError(28, "No space left on device"))
+    assert [path.name for path in figures.iterdir()] == ["what_if.png"]
 
 
 def test_what_cannot_be_written_at_the_end_is_refused_before_the_first_run(tmp_path, monkeypatch):

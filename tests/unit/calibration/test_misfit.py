@@ -1,6 +1,7 @@
 """Right models are seldom flagged, whatever the inputs; planted wrong ones are."""
 
 import re
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -184,6 +185,19 @@ def test_cameras_that_stay_where_they_are_have_one_shift():
         assert found.flagged is (sides[1] < 0)
 
 
+def test_what_could_not_be_computed_is_none_and_no_p_value_of_a_good_fit(monkeypatch):
+    def failing(*_, **__):
+        raise ArithmeticError("singular")
+
+    module = sys.modules["strandline.calibration.misfit.assess_fit"]
+    monkeypatch.setattr(module, "predictive_shares", failing)
+    found = judged(outline())
+    assert (found.flagged, found.predictive_p, found.conditions[0].predictive_p) == (False, None, None)
+    assert "could not be computed: singular" in " ".join(found.notes)
+    monkeypatch.setattr(module, "best_fit", failing)
+    assert (judged(outline()).flagged, judged(outline()).p_value) == (None, None)
+
+
 def test_errors_that_were_stated_or_that_the_surrogate_reports_are_no_misfit_and_others_are():
     """Planted: a shift that nobody stated; ℓ left out. Noise that was overstated is said."""
     seen = lifted(drawn(LOCAL, 3).points)
@@ -274,7 +288,7 @@ def test_a_field_is_learnt_from_the_best_runs_or_the_best_run_stands_alone(close
 def test_what_cannot_be_computed_and_errors_that_leave_no_residual_are_said():
     """No errors of points have a noise variance of a measure that is the same for all interfaces."""
     found = judged(drawn(LOCAL, 0), 1e-4, measure=lambda simulated, observed: 0.0)
-    assert (found.flagged, found.p_value) == (False, None)
+    assert (found.flagged, found.p_value) == (None, None)
     assert "was not computed: noise of function" in found.verdict
     text = assess_fit.invisible([Observation(outline(), LOCAL)], ["E", "nu"], ("V_in",))
     assert text.startswith("Residuals cannot reveal an error that E or nu can compensate for: a wrong value of V_in, ")

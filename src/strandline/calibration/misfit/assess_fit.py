@@ -186,7 +186,7 @@ def misfit_of(
             predictive = predictive_shares(residuals, fit, prediction, posterior, random, effort.predictive)
         except FAILURES as error:
             failed = [f"d² of drawn observations could not be computed: {' '.join(str(error).split())}"]
-        conditions = _conditions(residuals, fit, parts, seen, drawn, predictive)
+        conditions = _conditions(residuals, fit, parts, seen, drawn, None if failed else predictive)
         p_value, smooth_p = float(tail(drawn.whole, seen.whole)), waves_p(drawn.waves, seen.waves)
         shares = p_value, predictive.whole, 1.0 if smooth_p is None else smooth_p
         verdict = verdict_on(*shares, conditions, run_alone=prediction.run_alone)
@@ -195,10 +195,10 @@ def misfit_of(
         notes, text = (*_notes(residuals, prediction, conditions), *failed, unseen), verdict.text
         if _model_errs(residuals, explained):
             text = f"With an error of the model allowed for, {text[0].lower()}{text[1:]}"
-        return Misfit(text, verdict.flagged, p_value, predictive.whole, smooth_p, conditions, notes)
+        return Misfit(text, verdict.flagged, p_value, None if failed else predictive.whole, smooth_p, conditions, notes)
     except FAILURES as error:
         why = " ".join(str(error).split())
-        return Misfit(f"Whether the model explains the observation was not computed: {why}", False, notes=(unseen,))
+        return Misfit(f"Whether the model explains the observation was not computed: {why}", None, notes=(unseen,))
 
 
 def _conditions(
@@ -207,7 +207,7 @@ def _conditions(
     parts: ArcParts,
     seen: Statistics,
     drawn: Statistics,
-    predictive: PredictiveShares,
+    predictive: PredictiveShares | None,
 ) -> tuple[ConditionMisfit, ...]:
     """Return the residuals of each observation, global errors and errors of the surrogate removed: D (C + FFᵀ)⁻¹ r."""
     weighted = fit.with_modes(residuals.model).solved(fit.residuals)
@@ -227,7 +227,7 @@ def _conditions(
                 expected=stated.noise_along(interface),
                 found=noise_of_residuals(mine, interface) if line else noise_on_surface(mine, interface),
                 p_value=float(shares[k]),
-                predictive_p=predictive.conditions[k],
+                predictive_p=None if predictive is None else predictive.conditions[k],
                 regions=tuple(r for r, span in zip(regions, parts.spans, strict=True) if span.observation == k),
                 removed=removed[k],
                 surface=not line,

@@ -79,7 +79,7 @@ class ConditionMisfit:
     expected: ResidualNoise
     found: ResidualNoise
     p_value: float
-    predictive_p: float
+    predictive_p: float | None
     regions: tuple[Region, ...] = ()
     removed: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     surface: bool = False
@@ -108,7 +108,7 @@ class ConditionMisfit:
 @dataclass(frozen=True, eq=False, repr=False)
 class Misfit:
     """Whether the model explains the observations within the noise: the answer in one sentence, `flagged` if it does
-    not.
+    not; None if that is not known.
 
     `p_value` is the probability that a right model leaves residuals as large as those of the best fit; under a right
     model all its values are equally likely. `predictive_p` is the posterior-predictive p-value of d², conservative,
@@ -117,7 +117,7 @@ class Misfit:
     """
 
     verdict: str
-    flagged: bool
+    flagged: bool | None
     p_value: float | None = None
     predictive_p: float | None = None
     smooth_p: float | None = None
@@ -135,10 +135,10 @@ class Misfit:
 
 @dataclass(frozen=True)
 class Verdict:
-    """An answer in one sentence, and whether it means that the model does not explain the observations."""
+    """An answer in one sentence, and whether it means that the model does not explain the observations, if known."""
 
     text: str
-    flagged: bool
+    flagged: bool | None
 
 
 def verdict_on(
@@ -164,7 +164,7 @@ def verdict_on(
         return Verdict(
             f"The best run does not explain the {what}{because}, but no surrogate could be built to check the inputs "
             "between the runs.",
-            flagged=False,
+            flagged=None,
         )
     text = f"The model does not explain the {what}{because}; trust neither mean nor width of the posterior."
     return Verdict(text, flagged=True)
@@ -174,7 +174,7 @@ def with_fitted_noise(verdict: Verdict, observations: Sequence[Observation]) -> 
     """Return the verdict if the noise was inferred from the same residuals, which it then explains in any case."""
     errors = [(one.known, one.interface) for one in observations if one.known]
     noise, seen = max(errors, key=lambda one: one[0].length, default=(None, None))
-    if verdict.flagged or noise is None or seen is None:
+    if verdict.flagged is not False or noise is None or seen is None:
         return verdict
     said = f"sd {_length(noise.sd)}, correlated over {_length(noise.length)}"
     whole = float(seen.lengths.sum()) if seen.dim == 2 else 0.0
