@@ -78,12 +78,11 @@ def currents(width: float) -> Figure:
 
 
 def closest_on_polyline(*, at_once: bool = False) -> Figure:
-    """Compare the distances of points near a polyline to it."""
+    """Compare the distances of points to a polyline."""
     rng = np.random.default_rng(3)
     x = np.linspace(0.0, 2.0, SEGMENTS + 1)
     target = Interface.polyline(np.stack([x, 0.3 * np.sin(3 * x) + 0.01 * rng.normal(size=x.size)], axis=1))
-    at = rng.uniform(0.0, 2.0, POINTS_2D)
-    points = np.stack([at, 0.3 * np.sin(3 * at) + 0.02 * rng.normal(size=at.size)], axis=1)
+    points = np.stack([rng.uniform(0.0, 2.0, POINTS_2D), rng.uniform(-0.5, 0.5, POINTS_2D)], axis=1)
     what = f"closest points: {POINTS_2D} to {SEGMENTS} segments"
     name, repeats = _peer(at_once)
     block = len(points) * len(target.cells) if at_once else 4 * BLOCK
