@@ -54,7 +54,7 @@ class Counts:
         return self.ok + self.failed + self.timeout + self.killed + self.invalid + self.open
 
 
-class Ledger(OpenedLedger):
+class Ledger(OpenedLedger["Ledger"]):
     """All runs of one model; open it with `Ledger.open`, as a context manager."""
 
     def __init__(self, path: Path, connection: sqlite3.Connection, hold: Hold | None) -> None:

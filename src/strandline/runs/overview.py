@@ -12,7 +12,7 @@ import sqlite3
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, TypeVar
 
 from strandline.runs import ledger_schema
 from strandline.runs.ledger_schema import ATTEMPTS, INTERRUPTED, translated
@@ -105,7 +105,10 @@ class Driver:
     at_work: bool | None
 
 
-class OpenedLedger:
+Opened = TypeVar("Opened")
+
+
+class OpenedLedger(contextlib.AbstractContextManager[Opened]):
     """The file of a ledger, opened, as a context manager: what `Overview` and `Ledger` share."""
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
@@ -114,9 +117,6 @@ class OpenedLedger:
     def close(self) -> None:
         """Close the file; a second call does nothing."""
         self._connection.close()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self.close()
@@ -155,7 +155,7 @@ class OpenedLedger:
             return self._connection.execute(sql, values).fetchall()
 
 
-class Overview(OpenedLedger):
+class Overview(OpenedLedger["Overview"]):
     """A ledger opened to look at its runs."""
 
     def __init__(self, path: Path, *, model: str | None = None) -> None:

@@ -114,7 +114,7 @@ def check_loads(rates: Sequence[tuple[str, float]], drops: Sequence[tuple[str, f
 def _load(option: str, name: object, load: object) -> float:
     """Return a load; refuse what is no number, 0 or more, with the name of a condition."""
     what, model_input, unit, example = _LOADS[option]
-    if is_finite(load) and model_input.admits(load) and is_condition(name) and name:
+    if is_finite(load) and model_input.admits(float(load)) and is_condition(name) and name:
         return float(load)
     expected = f"the name of a condition with its {what} in {unit}, 0 or more, e.g. slow: {example}"
     raise _refused(f"{what} {name!r}", load, expected)

@@ -60,7 +60,7 @@ def read_run(path: Path) -> RunRecord:
             remedy="The run is made again.",
         )
     row, arrays = json.loads(content, object_hook=lambda packed: base64.b64decode(packed["base64"]))
-    return record_of(path, tuple(row), arrays)
+    return record_of(path, tuple(row), [tuple(one) for one in arrays])
 
 
 def put_durably(path: Path, content: bytes) -> None:
