@@ -9,8 +9,8 @@ from verification.validation.tables import put_into_page, table
 
 from strandline.cli.main import COMMANDS, command_named
 from strandline.discrepancy import DISCREPANCIES
+from strandline.foundations import lookup
 from strandline.models import MODELS
-from strandline.registry import lookup
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.schema import PLAIN, Options, listed
 from strandline.studies.template import EXAMPLES

@@ -5,8 +5,8 @@ The names below follow the order of the pipeline; `calibrate` runs all of it.
 
 from typing import TYPE_CHECKING
 
-from strandline.doors import door
-from strandline.version import __version__ as __version__
+from strandline.foundations import __version__ as __version__
+from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
     from strandline.calibration import Calibration, Observer, Problem, Settings, calibrate
@@ -19,15 +19,14 @@ if TYPE_CHECKING:
         NormalOffset,
         TrackedPoints,
     )
-    from strandline.errors import ForwardModelError, InvalidInput, NumericsError, StrandlineError
+    from strandline.foundations import ForwardModelError, InvalidInput, NumericsError, StrandlineError
     from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
     from strandline.likelihood import InterfaceLikelihood
     from strandline.models import ForwardModel, ModelInput, PythonModel, Simulation
     from strandline.models.biofilm import Biofilm
-    from strandline.parameters import Parameter, ParameterSpace
+    from strandline.parameters import LogNormal, LogUniform, Normal, Parameter, ParameterSpace, ScaledBeta, Uniform
     from strandline.posterior import Posterior
     from strandline.posterior.quadrature import integrate
-    from strandline.priors import LogNormal, LogUniform, Normal, ScaledBeta, Uniform
     from strandline.questions.compare import compare
     from strandline.questions.coverage import coverage
     from strandline.questions.next import next_experiment

@@ -20,7 +20,7 @@ import strandline as sl
 from strandline.design.active import CRITERIA
 from strandline.discrepancy import DISCREPANCIES
 from strandline.models import MODELS
-from strandline.priors import PRIORS
+from strandline.parameters import PRIORS
 from strandline.readers import READERS, Reading
 from strandline.runs import RunRequest, attempt
 from strandline.studies import check_posterior

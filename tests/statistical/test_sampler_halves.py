@@ -7,9 +7,8 @@ import pytest
 from tests.densities import gaussian
 
 from strandline.calibration.sampler_check import compare_halves
-from strandline.parameters import Parameter, ParameterSpace
+from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.posterior import Posterior
-from strandline.priors import Uniform
 from strandline.smc import in_halves, sample
 
 

@@ -7,11 +7,10 @@ from pathlib import Path
 import pytest
 
 from strandline.discrepancy import DISCREPANCIES, TrackedPoints
-from strandline.errors import InvalidInput, InvalidStudy
+from strandline.foundations import InvalidInput, InvalidStudy, lookup
 from strandline.interface import Interface
 from strandline.models.protocol import ForwardModel, Simulation
-from strandline.priors import Uniform
-from strandline.registry import lookup
+from strandline.parameters import Uniform
 from strandline.runs import InProcess, RunRecord, RunRequest
 from strandline.studies import load_study, run_study
 from strandline.testing.models import Cantilever

@@ -24,7 +24,7 @@ from verification.validation.biofilm_mesh import BOX, box_points, flow_cell
 from verification.validation.biofilm_mesh import RATE as INFLOW
 from verification.validation.generality import cost
 
-from strandline.errors import ForwardModelError, InvalidInput
+from strandline.foundations import ForwardModelError, InvalidInput
 from strandline.models.biofilm.cell import Setting
 from strandline.models.biofilm.geometry import MESHES, MeshSize
 from strandline.models.biofilm.linear import SOLVERS, VARIABLE, Factorisation, linear_solver

@@ -28,7 +28,7 @@ from verification.benchmarks import inference, surrogate
 from verification.benchmarks.figures import Figure, in_turns
 
 from strandline.design import sobol
-from strandline.numerics.compiled import WIDEST
+from strandline.foundations import WIDEST
 from strandline.posterior import Weighted
 from strandline.posterior.quadrature import integrate
 from strandline.smc import SMCSettings, sample

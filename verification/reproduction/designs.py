@@ -26,7 +26,7 @@ from verification.reproduction.grid_posterior import (
 from verification.reproduction.truth import LogLikelihoodField
 
 from strandline.design import sobol
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.parameters import ParameterSpace
 from strandline.surrogate import GaussianProcess, LogLikelihoodSurrogate, fit_log_likelihood
 from strandline.surrogate.gaussian_process import condition

@@ -15,7 +15,7 @@ from verification.reproduction.truth import NODES, TruePosterior, true_fields, t
 
 from strandline.calibration import Observer
 from strandline.design import sobol
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.likelihood import InterfaceLikelihood
 from strandline.models.identity import fingerprint
 from strandline.runs import Executor, Ledger, run_campaign, run_key

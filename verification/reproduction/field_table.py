@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.interpolate import BarycentricInterpolator
 
-from strandline.errors import NumericsError
+from strandline.foundations import NumericsError
 from strandline.interface import Interface
 from strandline.models.protocol import ForwardModel
 from strandline.runs import Executor, Ledger, run_campaign

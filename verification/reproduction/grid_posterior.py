@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.special import logsumexp
 from verification.reproduction.field_table import LoadCoordinates
 
-from strandline.errors import NumericsError
+from strandline.foundations import NumericsError
 from strandline.parameters import ParameterSpace
 
 Reading = Literal["joint", "cut"]

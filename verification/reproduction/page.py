@@ -13,7 +13,7 @@ from verification.reproduction.judgement import Claim
 from verification.reproduction.truth import TruePosterior
 
 from strandline import __version__
-from strandline.files import whole_file, write_json
+from strandline.foundations import whole_file, write_json
 from strandline.report import template
 
 WORDS = {"map": "MAP", "mean": "mean"}

@@ -15,7 +15,7 @@ from verification.validation.energies import FURTHER
 from verification.validation.tables import Table, show, table
 
 from strandline.design import sobol
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError
 from strandline.models.biofilm.cell import FlowCell, Setting
 from strandline.models.biofilm.geometry import MESHES, MeshSize, Partition
 from strandline.models.biofilm.materials import LAWS

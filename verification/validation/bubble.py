@@ -26,8 +26,8 @@ from PIL import Image
 from scipy.ndimage import affine_transform
 from verification.validation.tables import EXAMPLES, ROOT, arguments, finish, kept_or_scratch, show, table, write_study
 
+from strandline.foundations import use_double
 from strandline.imaging import find_edge
-from strandline.numerics.threads import use_double
 from strandline.posterior import Posterior
 from strandline.runs import InProcess
 from strandline.studies import load_result, load_study, run_study

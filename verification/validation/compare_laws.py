@@ -26,8 +26,8 @@ import strandline as sl
 from strandline.calibration.evidence import ModelComparison, averaged, evidence_of, integrated
 from strandline.design import sobol
 from strandline.design.active import Knowledge, learn
+from strandline.foundations import one_thread, use_double
 from strandline.likelihood import FieldLikelihood
-from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import Weighted
 
 LAWS = ("saint_venant_kirchhoff", "neo_hookean")

@@ -15,7 +15,7 @@ from verification.validation.rendered import Camera, Scan, arch, clicks
 from verification.validation.tables import arguments, show, table
 
 from strandline.discrepancy.normal_offset import signed_distances
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.imaging.edge import Edge, find_edge
 from strandline.imaging.located import EdgeMethod
 from strandline.imaging.markov_path import MarkovPath

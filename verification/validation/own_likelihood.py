@@ -23,10 +23,10 @@ from strandline.calibration.coverage import CoverageFound, repeatable, replicate
 from strandline.calibration.experiment import Experiment
 from strandline.calibration.learning import known_field
 from strandline.calibration.source import field_quality, prior_source
+from strandline.design.run_filter import RunFilter
 from strandline.discrepancy import NormalOffset
+from strandline.foundations import one_thread, use_double
 from strandline.interface import GaussianNoise, PointErrors
-from strandline.likelihood.set_aside import RunFilter
-from strandline.numerics.threads import one_thread, use_double
 from strandline.questions.knowledge import runs_to_learn_from
 from strandline.studies import Study, load_study
 from strandline.studies.first_run import observations_of

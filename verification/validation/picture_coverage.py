@@ -20,11 +20,10 @@ from verification.validation.rendered import PIXEL, Camera, Scan, clicks
 from verification.validation.tables import arguments, finish, kept_or_scratch, show, table
 
 from strandline.discrepancy import NormalOffset
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput, use_double
 from strandline.imaging.edge import EDGES, Edge, find_edge
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood import FieldLikelihood
-from strandline.numerics.threads import use_double
 from strandline.posterior.rank_tests import coverage_of
 from strandline.surrogate.field import FieldSurrogate
 

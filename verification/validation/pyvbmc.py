@@ -33,9 +33,8 @@ from verification.validation.tables import DOCS, OUTPUT, Table, arguments, show,
 from strandline.design import sobol
 from strandline.design.active import Active, learn, posterior_state
 from strandline.design.active.choice import choose
-from strandline.errors import TooFewRuns
+from strandline.foundations import TooFewRuns, one_thread, use_double
 from strandline.likelihood import InterfaceLikelihood
-from strandline.numerics.threads import one_thread, use_double
 
 PAGE = DOCS / "results" / "peers.md"
 KEPT = OUTPUT / "pyvbmc"

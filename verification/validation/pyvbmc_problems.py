@@ -19,8 +19,7 @@ from strandline.design.active import Knowledge
 from strandline.discrepancy import Currents, TrackedPoints
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
-from strandline.parameters import Parameter, ParameterSpace
-from strandline.priors import Normal, Uniform
+from strandline.parameters import Normal, Parameter, ParameterSpace, Uniform
 from strandline.runs import InProcess, Ledger, RunRecord, RunRequest, attempt
 from strandline.studies import Study, load_study
 

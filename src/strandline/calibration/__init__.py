@@ -6,7 +6,7 @@ surrogate, runs, misfit, what was doubtful). It knows no files, pictures or term
 
 from typing import TYPE_CHECKING
 
-from strandline.doors import door
+from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
     from strandline.calibration.alternative import Alternative, Baseline, Kind, baseline, interim_posterior

@@ -13,7 +13,7 @@ from scipy.special import log_softmax, logsumexp
 from strandline.calibration.importance_sampler import effective_size, importance_or_smc, prior_and_posterior, prior_pool
 from strandline.calibration.source import FieldQuality, quality_at
 from strandline.design import Knowledge
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.likelihood import FieldLikelihood
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior, Weighted, systematic_indices

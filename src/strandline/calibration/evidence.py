@@ -20,11 +20,9 @@ from scipy.special import logsumexp
 
 from strandline.calibration.importance_sampler import Pool, effective_size, fitted, prior_and_posterior, prior_pool
 from strandline.design import Knowledge
-from strandline.errors import InvalidInput
-from strandline.numerics.threads import one_thread
+from strandline.foundations import InvalidInput, listed, one_thread
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted, systematic_indices
-from strandline.text import listed
 
 FIRST, DRAWS = 512, 1000
 """Draws of the prior, and of each mixture."""

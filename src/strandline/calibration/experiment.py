@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from strandline.discrepancy import Discrepancy, NormalOffset, TrackedPoints, closest_points
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors, steady_normals
 from strandline.likelihood import FieldLikelihood, JointErrors, compared, shared_errors, stated_errors, with_variance
 from strandline.surrogate import FieldSurrogate

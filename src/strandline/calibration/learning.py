@@ -24,15 +24,15 @@ from strandline.design import (
     Learnt,
     Refinement,
     Round,
+    RunFilter,
+    SetAside,
     as_by_model,
     learn,
     refine,
     sobol,
 )
-from strandline.errors import NoCommonPoints, NumericsError, TooFewRuns
-from strandline.likelihood import RunFilter, SetAside
+from strandline.foundations import NoCommonPoints, NumericsError, TooFewRuns, one_thread
 from strandline.models import WithCheaper, first_runs
-from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior
 from strandline.runs import Executor, Ledger, RunRecord, counted, run_batches, run_campaign, usable_cores

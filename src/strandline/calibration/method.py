@@ -23,9 +23,9 @@ from strandline.calibration.problem import Calibration, Observer, Problem, Setti
 from strandline.calibration.progress import observer_or_default
 from strandline.calibration.sampler_check import compare_halves
 from strandline.calibration.targets import LARGEST_DIM, Target, under_uncertainty
+from strandline.foundations import use_double
 from strandline.likelihood import require_inferable
 from strandline.models import require_conditions
-from strandline.numerics.threads import use_double
 from strandline.parameters import ParameterSpace
 from strandline.posterior import GaussianApproximation, SobolIndices, laplace, log_prior_hessian, sobol_indices
 from strandline.runs import Executor, InProcess, Ledger

@@ -14,7 +14,7 @@ from strandline.calibration.misfit import Misfit
 from strandline.calibration.sampler_check import SamplerCheck
 from strandline.design import Active, BatchReport, FieldOutcome, Refinement, Round
 from strandline.discrepancy import Discrepancy
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput, html_table
 from strandline.interface import Observation
 from strandline.likelihood import SetAside
 from strandline.models import ForwardModel
@@ -30,7 +30,6 @@ from strandline.posterior import (
 from strandline.runs import FailurePolicy, Progress, RunRecord
 from strandline.smc import SMCResult, SMCSettings, StepInfo
 from strandline.surrogate import LogLikelihoodSurrogate, fit_named, kernel_named
-from strandline.typeset import html_table
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from scipy.special import log_softmax, logsumexp
 
 from strandline.calibration.importance_sampler import SCRAMBLE, effective_size
 from strandline.design import Knowledge, sobol
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.likelihood import FieldLikelihood, noise_length
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior, Weighted, systematic_indices

@@ -18,8 +18,8 @@ from scipy.special import log_softmax, logsumexp
 
 from strandline.calibration.problem import Settings
 from strandline.design import SAMPLING, Certificate, FieldOutcome, Knowledge, VarianceEffect, simulator_noise
+from strandline.foundations import one_thread
 from strandline.likelihood import Mixture, differences, evaluated, predicted, second_differences
-from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.posterior import (
     Cut,

@@ -9,8 +9,17 @@ from strandline.calibration.alternative import Alternative, Baseline, Kind
 from strandline.discrepancy import Discrepancy, NormalOffset
 from strandline.interface import GLOBAL, GaussianNoise, Noise, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import FieldLikelihood, InferredNoise
-from strandline.parameters import Parameter, ParameterSpace
-from strandline.priors import PRIORS, LogNormal, LogUniform, Normal, Prior, ScaledBeta, Uniform
+from strandline.parameters import (
+    PRIORS,
+    LogNormal,
+    LogUniform,
+    Normal,
+    Parameter,
+    ParameterSpace,
+    Prior,
+    ScaledBeta,
+    Uniform,
+)
 
 LEAST_SHAPE_SUM = 1.0
 """a + b of a beta distribution below which it piles up at both ends."""

@@ -148,7 +148,7 @@ def _widths(study: "Study", record: "RunRecord", *, asked: bool) -> Iterator[str
     import numpy as np
 
     from strandline.cli.forward import attempted
-    from strandline.errors import InvalidInput, NumericsError
+    from strandline.foundations import InvalidInput, NumericsError
     from strandline.interface import UnknownErrors
     from strandline.studies import observations_of, widths
 
@@ -180,7 +180,7 @@ def _widths(study: "Study", record: "RunRecord", *, asked: bool) -> Iterator[str
 
 
 def _drawn(study: "Study", record: "RunRecord") -> Path:
-    from strandline.files import whole_file
+    from strandline.foundations import whole_file
     from strandline.models import undeformed_interface
     from strandline.report import plot_conditions, plot_interfaces
     from strandline.studies import observations_of, told_if_unwritable

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from strandline.cli import options
+from strandline.foundations import decimal
 from strandline.studies import require_temporary, told_if_unwritable
-from strandline.text import decimal
 
 if TYPE_CHECKING:
     import numpy as np

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from strandline.registry import suggestion
+from strandline.foundations import suggestion
 from strandline.studies import EXAMPLES, OWN, Observed, write_example
 
 

@@ -14,9 +14,7 @@ from typing import Any
 import click
 
 from strandline.cli.questions import QUESTIONS
-from strandline.errors import InvalidInput, StrandlineError
-from strandline.registry import suggestion
-from strandline.version import __version__
+from strandline.foundations import InvalidInput, StrandlineError, __version__, suggestion
 
 MOST_DEVICES = 8
 """Largest number of cores over which the sampler's particles are spread."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 
 if TYPE_CHECKING:
     from strandline.discrepancy import Repeats, Roughness

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 from click.shell_completion import CompletionItem
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 
 
 class StudyFolder(click.Path):

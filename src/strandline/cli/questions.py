@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from strandline.cli import options
-from strandline.text import with_sd
+from strandline.foundations import with_sd
 
 QUESTIONS = {
     "coverage": "Test by replicates whether the intervals are right.",
@@ -94,7 +94,7 @@ def what_if(study: Path, asked: tuple[str, ...], **stated: Any) -> None:
 
 
 def _change(text: str) -> dict[str, Any]:
-    from strandline.errors import InvalidInput
+    from strandline.foundations import InvalidInput
     from strandline.studies import load_yaml
 
     found = load_yaml(text)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from strandline.studies import Study
 
 from strandline.cli import options
-from strandline.errors import ResultsNotWritten
+from strandline.foundations import ResultsNotWritten
 
 
 def _keys(context: click.Context, option: click.Parameter, start: str) -> list[CompletionItem]:

@@ -9,8 +9,7 @@ from typing import Any
 import click
 
 from strandline.cli import options
-from strandline.errors import InvalidInput
-from strandline.files import read_json
+from strandline.foundations import InvalidInput, read_json
 from strandline.runs import EXCLUDED, LOG_TITLE, STATES, Details, Overview, Run
 from strandline.studies import LEDGER, SUMMARY
 

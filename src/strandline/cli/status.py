@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from strandline.studies import RunReported, StudyProgress
 
 from strandline.cli import options
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 
 RESULTS = {"none": "not yet", "current": "written", "outdated": "of an earlier study.yaml"}
 LINE = 160

@@ -5,7 +5,7 @@ In: the space of inputs, the observation, and the runs so far. Out: the next inp
 
 from typing import TYPE_CHECKING
 
-from strandline.doors import door
+from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
     from strandline.design.active import (
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from strandline.design.active.settings import LARGEST_BATCH
     from strandline.design.candidates import FEWEST_POINTS, WHOLE, Candidate, Look, Setting, key_of
     from strandline.design.refinement import SAMPLING, Learnt, Refinement, Round, refine, shifts
+    from strandline.design.run_filter import RunFilter, SetAside, says_whether_runs_succeed
     from strandline.design.space_filling import sobol
 else:
     __getattr__ = door(__name__, __file__)

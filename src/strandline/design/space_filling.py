@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import qmc
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 
 __all__ = ["sobol"]
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from strandline.discrepancy.many_distances import signed_sums
 from strandline.discrepancy.nearest import squared_distances
 from strandline.discrepancy.protocol import ManyPoints, Offsets, Values, require_alike
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import Interface, PointErrors, spacings, steady_lengths
 
 DIRECTIONS = ("to_observed", "to_simulated", "symmetric")

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from strandline.discrepancy.comparison import extent, extent_ratio, unit_mistake
 from strandline.discrepancy.normal_offset import signed_distances
 from strandline.discrepancy.protocol import require_polylines
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import Interface, PointErrors
 
 MOST_REMOVED = 0.5

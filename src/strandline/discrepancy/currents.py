@@ -15,7 +15,7 @@ from strandline.discrepancy.kernel_integrals import (
 )
 from strandline.discrepancy.many_currents import currents_of_many
 from strandline.discrepancy.protocol import ManyPoints, Offsets, Snapshot, Values, require_alike, require_same_direction
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import Interface, PointErrors, spacings
 
 QUADRATURES = ("refined", "centre")

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from scipy.special import erf, gammaln, roots_jacobi
 
 from strandline.discrepancy.kernel_sums import SMALL, Nodes, kernel_sum
-from strandline.errors import NumericsError
+from strandline.foundations import NumericsError
 from strandline.interface import Interface
 
 PANEL = 6.0

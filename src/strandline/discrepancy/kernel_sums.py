@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from strandline.numerics.compiled import WHOLE, WIDEST, exp2_of_minus
-from strandline.numerics.threads import double, side_by_side
+from strandline.foundations import WHOLE, WIDEST, double, exp2_of_minus, side_by_side
 
 BLOCK = 1 << 16
 """Pairs that NumPy processes at once; this bounds the memory."""

@@ -17,8 +17,7 @@ from jaxtyping import Float, Int
 
 from strandline.discrepancy.kernel_integrals import PANEL, gauss_order
 from strandline.discrepancy.many_distances import FEWEST, similar
-from strandline.numerics.compiled import WHOLE, WIDEST, ample, exp2_of_minus
-from strandline.numerics.threads import double, side_by_side
+from strandline.foundations import WHOLE, WIDEST, ample, double, exp2_of_minus, side_by_side
 
 Cells = Int[np.ndarray, "cell 2"]
 Orders = tuple[int, int]

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from strandline.numerics.compiled import WIDEST
-from strandline.numerics.threads import double, side_by_side
+from strandline.foundations import WIDEST, double, side_by_side
 
 _LOOKED_AT = 16
 """Nodes compared to find out which runs are alike."""

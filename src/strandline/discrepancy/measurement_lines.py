@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from strandline.discrepancy.many_distances import motion, similar
 from strandline.discrepancy.protocol import ManyPoints, Snapshot, Values, require_polylines
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import Interface, PointErrors, normals_at, steady_lengths
 
 Places = Float[np.ndarray, "*place"]

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from strandline.discrepancy.protocol import Snapshot
-from strandline.errors import InvalidInterface
+from strandline.foundations import InvalidInterface
 from strandline.interface import Interface
 
 Pairs = Int[np.ndarray, " pair"]

@@ -17,7 +17,7 @@ from scipy.special import gammaincinv
 from strandline.discrepancy.contours import Correlated, autocovariance, path_of, require_contours, restored, smoothed
 from strandline.discrepancy.nearest import closest_points
 from strandline.discrepancy.normal_offset import signed_distances
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import Interface, PointErrors, normals_at, oriented_like
 
 PerPlace = Float[np.ndarray, " place"]

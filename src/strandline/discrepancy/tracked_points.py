@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from strandline.discrepancy.protocol import ManyPoints, Values
-from strandline.errors import InvalidInterface
+from strandline.foundations import InvalidInterface
 from strandline.interface import Interface, PointErrors
 
 

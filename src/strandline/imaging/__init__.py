@@ -6,7 +6,7 @@ of correlation, which `studies` turns into an `Observation`.
 
 from typing import TYPE_CHECKING
 
-from strandline.doors import door
+from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
     from strandline.imaging.clicks import Clicks, ScaleBar, as_json, read_clicks

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput, suggestion
 from strandline.imaging.first_path import as_points, require_inside, require_path, require_polygon
 from strandline.readers import content_of, keys_of, named, number, unfit
-from strandline.registry import suggestion
 
 Point = tuple[float, float]
 """Pixel coordinates (x, y)."""

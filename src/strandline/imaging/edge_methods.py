@@ -3,13 +3,12 @@
 from collections.abc import Mapping
 from typing import Any
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput, lookup
 from strandline.imaging.erf_step import ErfStep
 from strandline.imaging.half_level import HalfLevel
 from strandline.imaging.located import EdgeMethod
 from strandline.imaging.markov_path import MarkovPath
 from strandline.readers import keys_of, unfit
-from strandline.registry import lookup
 
 EDGES: dict[str, Any] = {"erf": ErfStep(), "path": MarkovPath(), "contour": HalfLevel()}
 """Ways to find an edge by their names: erf for cameras, path for speckle in linear intensity, contour for clean

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import InvalidInterface
+from strandline.foundations import InvalidInterface
 from strandline.interface import Interface
 from strandline.readers import is_finite, unfit
 

@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, cho_solve, cholesky
 from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.readers import unfit
 
 PerPoint = Float[np.ndarray, " point"]

@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from strandline.foundations import decimal
 from strandline.imaging.first_path import FirstPath, require_inside, require_path
 from strandline.readers import content_of, named, outlines, require_in_order, unfit
-from strandline.text import decimal
 
 READ = "a path saved by Fiji (.roi, XY coordinates), napari (.csv), labelme, QuPath or Cellpose"
 SMALLEST = 10.0

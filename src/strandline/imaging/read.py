@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Shaped
 
+from strandline.foundations import imported, suggestion
 from strandline.imaging.files.plain import read_by_pillow, read_hdf5, read_npy
 from strandline.imaging.files.thorlabs import read_oct
 from strandline.imaging.files.tiff import read_tiff
 from strandline.imaging.picture import Picture, PictureFile, Stack, require_pixels
 from strandline.imaging.reading import PictureReading, PixelSize, agreed
 from strandline.readers import refused, undamaged, unfit
-from strandline.registry import imported, suggestion
 
 PictureReader = Callable[[Path, PictureReading, str], PictureFile]
 """(path, how to read it, its name in messages) → the open file."""

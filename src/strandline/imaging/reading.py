@@ -4,8 +4,8 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from strandline.foundations import imported
 from strandline.readers import TO_MM, number, refused, unfit
-from strandline.registry import imported
 
 UNITS = TO_MM | {"nm": 1e-6}
 EXAMPLE_OF_SIZE = "{x: 6.0, y: 4.0, unit: um} or {size: 6.0, unit: um}"

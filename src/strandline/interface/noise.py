@@ -7,11 +7,10 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput, is_label
 from strandline.interface.interface import Interface
 from strandline.interface.normals import spacings
 from strandline.interface.point_errors import PointErrors
-from strandline.text import is_label
 
 Known = tuple[float, float] | float | None
 """A range with a log-uniform prior, a known value, or None for a wide range that follows from the residuals."""

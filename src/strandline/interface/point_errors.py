@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.linalg import cho_solve, solve_triangular
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface.interface import Interface
 from strandline.interface.normals import as_complex, as_pairs, node_normals, rotations, spacings, steady_normals
 

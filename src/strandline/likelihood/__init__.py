@@ -26,7 +26,6 @@ from strandline.likelihood.noise_rule import (
     stated_errors,
 )
 from strandline.likelihood.parabolas import log_gain
-from strandline.likelihood.set_aside import RunFilter, SetAside, says_whether_runs_succeed
 
 __all__ = [
     "Compared",

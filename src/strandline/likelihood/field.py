@@ -19,7 +19,7 @@ from strandline.discrepancy import (
     count_of_distances,
     squared_discrepancies,
 )
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import Interface, Noise, Observation, PointErrors
 from strandline.likelihood.compared import compared
 from strandline.likelihood.inferred_noise import InferredNoise, infer_noise

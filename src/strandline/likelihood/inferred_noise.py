@@ -20,7 +20,7 @@ from scipy.linalg import block_diag
 from scipy.special import logsumexp
 
 from strandline.discrepancy import Discrepancy, NormalOffset
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import (
     ErrorModel,
     Interface,

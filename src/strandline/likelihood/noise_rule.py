@@ -33,7 +33,7 @@ from strandline.discrepancy import (
     squared_discrepancies,
     unit_of,
 )
-from strandline.errors import InvalidInput, NumericsError
+from strandline.foundations import InvalidInput, NumericsError
 from strandline.interface import (
     Interface,
     Noise,

@@ -6,8 +6,8 @@ the run failed. What a model can do beyond this (sensitivities, fields), it says
 
 from typing import TYPE_CHECKING
 
-from strandline.doors import door
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
+from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
     from strandline.models.command.options import RUNS

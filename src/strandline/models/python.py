@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from strandline.foundations import imported
 from strandline.interface import Interface
 from strandline.models import refused
 from strandline.models.identity import OWN, earlier_fingerprint, fingerprint
@@ -24,7 +25,6 @@ from strandline.models.protocol import (
     declared_inputs,
     with_sensitivities,
 )
-from strandline.registry import imported
 
 __all__ = ["PythonModel", "lies_in", "modules_of"]
 

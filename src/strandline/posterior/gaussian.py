@@ -10,8 +10,7 @@ from jaxtyping import Float
 from scipy.linalg import solve_triangular
 from scipy.stats import chi2
 
-from strandline.errors import InvalidInput, NumericsError
-from strandline.numerics.threads import use_double
+from strandline.foundations import InvalidInput, NumericsError, use_double
 from strandline.parameters import ParameterSpace
 
 

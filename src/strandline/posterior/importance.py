@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import logsumexp
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.posterior.posterior import Weighted
 
 Verdict = Literal["good", "usable", "bad"]

@@ -13,8 +13,7 @@ from scipy.spatial.distance import cdist
 from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
-from strandline.errors import NumericsError
-from strandline.numerics.threads import side_by_side
+from strandline.foundations import NumericsError, side_by_side
 from strandline.posterior.gaussian import require_fraction
 from strandline.posterior.posterior import Weighted, systematic_indices
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import Interface
 
 LEVELS = (0.05, 0.5, 0.95)

@@ -8,8 +8,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from strandline.errors import InvalidInput
-from strandline.files import whole_file
+from strandline.foundations import InvalidInput, whole_file
 from strandline.interface import Observation
 from strandline.parameters import RESERVED, Parameter, ParameterSpace
 from strandline.posterior.posterior import Posterior

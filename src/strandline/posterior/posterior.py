@@ -12,11 +12,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import logsumexp, ndtr, ndtri
 
-from strandline.errors import InvalidInput
-from strandline.parameters import ParameterSpace
-from strandline.priors import LogUniform, Uniform
-from strandline.text import with_sd
-from strandline.typeset import html_table, html_text, unit_text
+from strandline.foundations import InvalidInput, html_table, html_text, unit_text, with_sd
+from strandline.parameters import LogUniform, ParameterSpace, Uniform
 
 MOST_SHOWN = 8
 """Inputs named in one line."""

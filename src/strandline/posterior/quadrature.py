@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from strandline.errors import InvalidInput, NumericsError
+from strandline.foundations import InvalidInput, NumericsError
 
 __all__ = ["LogDensity", "Marginal", "QuadratureResult", "integrate", "mixture"]
 LogDensity = Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, " point"]]

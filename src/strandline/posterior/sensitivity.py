@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from strandline.errors import NumericsError
+from strandline.foundations import NumericsError
 from strandline.parameters import ParameterSpace
 
 

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from scipy.special import logsumexp
 from scipy.stats import qmc
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.parameters import ParameterSpace
 from strandline.posterior.gaussian import GaussianApproximation
 from strandline.posterior.marginals import histogram_mode

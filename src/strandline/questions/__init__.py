@@ -6,7 +6,7 @@ needs some. The study's own results stay as they are.
 
 from typing import TYPE_CHECKING
 
-from strandline.doors import door
+from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
     from strandline.questions.compare import odds_in

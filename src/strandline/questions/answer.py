@@ -13,12 +13,10 @@ from markupsafe import escape
 from matplotlib.figure import Figure
 
 from strandline.calibration import FieldQuality
-from strandline.errors import InvalidStudy
-from strandline.files import write_json
+from strandline.foundations import InvalidStudy, html_table, html_text, unit_text, write_json
 from strandline.posterior import Weighted
 from strandline.report import Captioned, write_answer
 from strandline.studies import told_if_unwritable
-from strandline.typeset import html_table, html_text, unit_text
 
 __all__ = ["Answer", "Part", "Symbol", "Table"]
 

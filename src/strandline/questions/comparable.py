@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from strandline.calibration import Observer
 from strandline.design import Candidate
-from strandline.errors import InvalidStudy
+from strandline.foundations import InvalidStudy
 from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
 from strandline.likelihood import adapted
 from strandline.models import declared_conditions

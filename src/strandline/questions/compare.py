@@ -17,12 +17,9 @@ from strandline.calibration import (
     observer_or_default,
     require_odds,
 )
-from strandline.errors import InvalidInput, InvalidStudy
-from strandline.files import read_json
-from strandline.numerics.threads import one_thread, use_double
-from strandline.parameters import ParameterSpace
+from strandline.foundations import InvalidInput, InvalidStudy, one_thread, read_json, use_double
+from strandline.parameters import ParameterSpace, Uniform
 from strandline.posterior import Posterior, Weighted
-from strandline.priors import Uniform
 from strandline.questions.answer import Answer, Part, Table, digits, label_and_unit
 from strandline.questions.comparable import (
     CandidateSignals,

@@ -10,14 +10,13 @@ from jaxtyping import Float
 
 from strandline.calibration import ERRORS, SCALE, BayesFactor, ModelComparison
 from strandline.design import Knowledge, sobol
+from strandline.foundations import __version__, listed
 from strandline.interface import Interface
 from strandline.posterior import FLAT, Posterior, Weighted, interface_band, prior_conflicts
 from strandline.questions.answer import moments
 from strandline.questions.comparable import CandidateSignals, may_err
 from strandline.questions.information import CLEAR, Discrimination
 from strandline.studies import Study, in_words, offset_band, posterior_digest, versions
-from strandline.text import listed
-from strandline.version import __version__
 
 QUANTILES = {"median": 0.5, "q05": 0.05, "q95": 0.95}
 PREDICTED = 200

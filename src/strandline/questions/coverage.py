@@ -28,9 +28,8 @@ from strandline.calibration import (
     repeatable,
     replicated,
 )
-from strandline.errors import InvalidStudy
+from strandline.foundations import InvalidStudy, one_thread, use_double
 from strandline.interface import Noise, PointErrors, UnknownErrors
-from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import Band, Coverage, Posterior
 from strandline.questions.answer import (
     TO_MICROMETRES,

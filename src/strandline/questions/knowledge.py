@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 
 from strandline.calibration import Baseline, baseline, known_field
-from strandline.design import Knowledge, as_by_model
-from strandline.errors import InvalidInput, InvalidStudy, NoCommonPoints, TooFewRuns
-from strandline.likelihood import RunFilter
+from strandline.design import Knowledge, RunFilter, as_by_model
+from strandline.foundations import InvalidInput, InvalidStudy, NoCommonPoints, TooFewRuns, __version__
 from strandline.posterior import Posterior
 from strandline.runs import Ledger, RunRecord, outcome_digest
 from strandline.studies import Study, cheaper_dropped, observations_of, settled
-from strandline.version import __version__
 
 OTHER = "Choose another one."
 

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from strandline.discrepancy import Discrepancy
-from strandline.errors import InvalidInput, NumericsError
+from strandline.foundations import InvalidInput, NumericsError, one_thread, use_double
 from strandline.interface import Observation
-from strandline.numerics.threads import one_thread, use_double
 from strandline.questions.specimen import SpecimenPosterior, Start, posterior_of
 from strandline.runs import usable_cores
 

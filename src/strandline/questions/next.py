@@ -10,9 +10,8 @@ import numpy as np
 
 from strandline.calibration import Observer, observer_or_default
 from strandline.design import Candidate
-from strandline.errors import InvalidStudy
+from strandline.foundations import InvalidStudy, one_thread, unit_text, use_double
 from strandline.interface import UnknownErrors
-from strandline.numerics.threads import one_thread, use_double
 from strandline.questions.answer import TO_MICROMETRES, Answer, Part, Symbol, Table, digits
 from strandline.questions.information import in_words
 from strandline.questions.knowledge import require, require_seed
@@ -21,7 +20,6 @@ from strandline.questions.next_runs import Answers, CandidateAnswer, ranked
 from strandline.report import Captioned, plots
 from strandline.runs import Executor
 from strandline.studies import POSTERIOR, Study, facts_of, finished_posterior, require_writable, results_of
-from strandline.typeset import unit_text
 
 __all__ = ["next_experiment"]
 

@@ -23,7 +23,7 @@ from strandline.calibration import (
     repeatable,
 )
 from strandline.design import Candidate, Knowledge, Look, Setting, key_of, sobol, training_of
-from strandline.errors import InvalidInput, NoCommonPoints, TooFewRuns
+from strandline.foundations import InvalidInput, NoCommonPoints, TooFewRuns
 from strandline.interface import Interface
 from strandline.models import declared_conditions, undeformed_interface
 from strandline.posterior import Weighted, systematic_indices

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from strandline.calibration import Errors, Observer
 from strandline.design import Candidate
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.models import WithCheaper, with_sensitivities
 from strandline.posterior import Weighted
 from strandline.questions.information import Direction, Outlook

@@ -19,10 +19,9 @@ from typing import Any
 import numpy as np
 
 from strandline.discrepancy import Discrepancy
-from strandline.errors import InvalidInput, InvalidStudy
+from strandline.foundations import InvalidInput, InvalidStudy, one_thread, use_double
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
 from strandline.models import declared_conditions
-from strandline.numerics.threads import one_thread, use_double
 from strandline.parameters import ParameterSpace
 from strandline.questions.answer import LineFile
 from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require, require_seed

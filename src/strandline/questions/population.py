@@ -27,12 +27,10 @@ from scipy.special import logsumexp, ndtr
 from scipy.stats import chi2
 
 from strandline.calibration import StudentMixture, importance_or_smc, prior_and_posterior, prior_pool
-from strandline.errors import InvalidInput
-from strandline.parameters import Parameter, ParameterSpace
+from strandline.foundations import InvalidInput, with_sd
+from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.posterior import Weighted, pareto_smoothed, systematic_indices
-from strandline.priors import Uniform
 from strandline.questions.specimen import SpecimenPosterior, matched
-from strandline.text import with_sd
 
 __all__ = ["FEWEST_SPECIMENS", "Population", "Shrunk", "population_of", "shrunk"]
 

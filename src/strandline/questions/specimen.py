@@ -35,13 +35,12 @@ from strandline.calibration import (
 )
 from strandline.design import Knowledge, sobol
 from strandline.discrepancy import Discrepancy
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput, with_sd
 from strandline.interface import Observation
 from strandline.likelihood import FieldLikelihood, Nearby, log_gain
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted, systematic_indices
 from strandline.surrogate import FieldPrediction, FieldSurrogate
-from strandline.text import with_sd
 
 __all__ = ["SpecimenPosterior", "posterior_of"]
 

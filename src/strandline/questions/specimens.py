@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from strandline.calibration import Observer, observer_or_default
-from strandline.errors import InvalidInput, InvalidStudy, NumericsError
-from strandline.numerics.threads import one_thread
+from strandline.foundations import InvalidInput, InvalidStudy, NumericsError, one_thread
 from strandline.questions.answer import Answer
 from strandline.questions.knowledge import require
 from strandline.questions.many import RefusedSpecimen, Task, posteriors_of

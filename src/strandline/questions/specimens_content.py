@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.files import whole_file
+from strandline.foundations import whole_file, with_sd
 from strandline.questions.answer import Answer, Part, Symbol, Table, digits, label_and_unit
 from strandline.questions.many import RefusedSpecimen
 from strandline.questions.opened import Specimens
@@ -18,7 +18,6 @@ from strandline.questions.population import FEWEST_SPECIMENS, Population, Shrunk
 from strandline.questions.specimen import TOLERATED_SHIFT, SpecimenPosterior
 from strandline.report import Captioned, axis_label, plots
 from strandline.studies import facts_of
-from strandline.text import with_sd
 
 QUANTILES = ("q05", "q50", "q95")
 PLACES = 200

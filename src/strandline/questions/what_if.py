@@ -23,10 +23,9 @@ from strandline.calibration import (
 from strandline.calibration import Answer as Changed
 from strandline.calibration import facts_of as noise_in_words
 from strandline.calibration.usual_alternatives import prior_in_words, usual_alternatives, with_prior
-from strandline.errors import InvalidStudy
+from strandline.foundations import InvalidStudy, figure_text, listed, one_thread, use_double
 from strandline.interface import Observation
 from strandline.likelihood import FieldLikelihood
-from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import Weighted
 from strandline.questions.answer import Answer, Part, Symbol, Table, digits, facts_of_surrogate, moments, surrogate_note
 from strandline.questions.knowledge import baseline_of, require, require_seed
@@ -47,8 +46,6 @@ from strandline.studies import (
     require_writable,
     study_of,
 )
-from strandline.text import listed
-from strandline.typeset import figure_text
 
 __all__ = ["what_if"]
 

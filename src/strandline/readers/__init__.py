@@ -5,7 +5,7 @@ In: a file and, where the file leaves a choice, options. Out: an `Interface`, or
 
 from typing import TYPE_CHECKING
 
-from strandline.doors import door
+from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
     from strandline.readers.cells import require_in_order

@@ -12,11 +12,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from strandline.foundations import of_extra
 from strandline.readers.cells import dimension
 from strandline.readers.contents import Block, Contents
 from strandline.readers.options import Reading
 from strandline.readers.vtk_xml import POLYGON, POLYLINE, STRIP, Allowance, beside, blocks_of, chosen_time
-from strandline.registry import of_extra
 
 MODULES = {".stl": "stl", ".ply": "ply", ".vtk": "vtk", ".msh": "gmsh"}
 MEDIT = re.compile(rb"(Dimension|Vertices|Edges|Triangles|Quadrilaterals|Tetrahedra|Prisms|Pyramids|Hexah?edra)\b")

@@ -7,8 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeGuard
 
-from strandline.errors import InvalidInput
-from strandline.registry import suggestion
+from strandline.foundations import InvalidInput, suggestion
 
 LARGEST = 1 << 23
 """Bytes of a file with a path or with clicks that is read."""

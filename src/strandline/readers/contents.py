@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 
 
 class Unreadable(InvalidInput):

@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput, imported
 from strandline.interface import Interface
 from strandline.readers.contents import Contents, Unreadable, refused, undamaged
 from strandline.readers.options import READERS, TEXT, Reading
 from strandline.readers.shape import interface_of, point_sds
 from strandline.readers.tables import require_end
-from strandline.registry import imported
 
 TEXTS: dict[str, str] = {
     r"\*Step *=.*\n\*Time *=.*\n\*Data *=": "strandline.readers.calculix:read_febio",

@@ -6,7 +6,7 @@ panels of the live page.
 
 from typing import TYPE_CHECKING
 
-from strandline.doors import door
+from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
     from strandline.report.explore import DRAWS, by_name, rounded

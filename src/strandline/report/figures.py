@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.calibration import Calibration, ConditionMisfit
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError
 from strandline.interface import Interface
 from strandline.models import DrawsFields, undeformed_interface
 from strandline.parameters import ParameterSpace

@@ -18,7 +18,7 @@ from strandline.discrepancy import (
     noise_units,
     unit_mistake,
 )
-from strandline.errors import InvalidInput, NumericsError
+from strandline.foundations import InvalidInput, NumericsError
 from strandline.interface import Observation
 from strandline.likelihood import InterfaceLikelihood, compared, noise_length, sd_of_distances
 from strandline.report.html import number

@@ -12,8 +12,7 @@ from typing import Any
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
-from strandline.text import listed, with_sd
-from strandline.typeset import RAISED, html_text, unit_text
+from strandline.foundations import RAISED, html_text, listed, unit_text, with_sd
 
 PANELS = Path(__file__).parent / "panels"
 """Scripts and style of the panels that the report and the page of `strandline view` share."""

@@ -10,13 +10,13 @@ from jaxtyping import Float, Int
 
 from strandline.calibration import Calibration
 from strandline.design import FieldOutcome
+from strandline.foundations import listed
 from strandline.interface import GLOBAL, Interface, Observation
 from strandline.likelihood import evaluated, predicted
 from strandline.posterior import interface_band, normal_offsets, observed_offsets, subset
 from strandline.report import plots
 from strandline.report.figure_files import Captioned
 from strandline.report.html import number
-from strandline.text import listed
 
 DRAWS = 400
 GRID = 121

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from strandline.calibration import Calibration, steps_of, unlikely_errors
-from strandline.design import FieldOutcome
+from strandline.design import FieldOutcome, says_whether_runs_succeed
 from strandline.interface import Interface, UnknownErrors
-from strandline.likelihood import noise_length, says_whether_runs_succeed, sd_of_distances
+from strandline.likelihood import noise_length, sd_of_distances
 from strandline.parameters import Parameter
 from strandline.posterior import Posterior, QuadratureResult, Reading, mixture, prior_conflicts
 from strandline.report.html import number, small_share

@@ -6,7 +6,7 @@ goes on from there. It does not know what the runs are for.
 
 from typing import TYPE_CHECKING
 
-from strandline.doors import door
+from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
     from strandline.runs.array_task import run_task

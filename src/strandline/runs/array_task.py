@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.models import ForwardModel, PythonModel, asks_sensitivities, fingerprint, with_sensitivities
 from strandline.runs.executors.slurm_array import UNUSABLE
 from strandline.runs.executors.slurm_batch import ArrayBatch

@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.models import ForwardModel
 from strandline.runs.campaign import Campaign, Progress, Starts
 from strandline.runs.executors import Executor

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from strandline.errors import InvalidInput, LedgerError, NumericsError
+from strandline.foundations import InvalidInput, LedgerError, NumericsError
 from strandline.models import ForwardModel, asks_sensitivities, fingerprint, prepare_runs, run_identity
 from strandline.runs.executors import Executor
 from strandline.runs.executors.shared import require_count

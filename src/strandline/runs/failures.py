@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from strandline.errors import CampaignStopped, ForwardModelError, InvalidInput
+from strandline.foundations import CampaignStopped, ForwardModelError, InvalidInput
 from strandline.models import ForwardModel
 from strandline.runs.ledger_schema import EXCLUDED
 from strandline.runs.record import RunRecord

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
-from strandline.errors import InvalidInput, LedgerError
+from strandline.foundations import InvalidInput, LedgerError
 
 Journal = Literal["wal", "delete"]
 VARIABLE = "STRANDLINE_JOURNAL"

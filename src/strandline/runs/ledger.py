@@ -19,7 +19,7 @@ from typing import Any
 
 from filelock import BaseFileLock
 
-from strandline.errors import LedgerError
+from strandline.foundations import LedgerError
 from strandline.models import ForwardModel, fingerprint
 from strandline.runs import ledger_rows, ledger_schema, plans
 from strandline.runs.ledger_schema import INTERRUPTED, translated

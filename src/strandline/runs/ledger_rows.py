@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Shaped
 
-from strandline.errors import LedgerError
+from strandline.foundations import LedgerError
 from strandline.interface import Interface
 from strandline.runs import ledger_schema
 from strandline.runs.ledger_schema import translated

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from strandline.errors import LedgerError
+from strandline.foundations import LedgerError
 from strandline.runs import journal
 
 VERSION = 4

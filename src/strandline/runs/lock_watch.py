@@ -6,7 +6,7 @@ from pathlib import Path
 
 from filelock import BaseFileLock, FileLock, Timeout
 
-from strandline.errors import LedgerError
+from strandline.foundations import LedgerError
 from strandline.runs.ledger_schema import last_driver
 
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import takewhile
 
-from strandline.errors import LedgerError
+from strandline.foundations import LedgerError
 
 COLUMNS = "study_sha256, part, name, model, inputs, sensitivities, planned, keys"
 

@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from strandline.errors import ForwardModelError, InvalidInput, InvalidInterface
+from strandline.foundations import ForwardModelError, InvalidInput, InvalidInterface
 from strandline.interface import Interface, is_condition
 from strandline.models import (
     ForwardModel,

@@ -12,7 +12,7 @@ from multiprocessing import spawn
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.models import ForwardModel
 from strandline.runs.record import attempt
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.runs.record import RunRecord, RunRequest, State, with_log
 from strandline.runs.scratch import scratch_folder
 from strandline.runs.worker import UNUSABLE

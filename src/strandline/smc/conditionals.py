@@ -9,9 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key, UInt32
 
-from strandline.errors import InvalidInput, NumericsError
-from strandline.numerics.compiled import WIDEST
-from strandline.numerics.threads import use_double
+from strandline.foundations import WIDEST, InvalidInput, NumericsError, use_double
 from strandline.smc.moves import BatchedLogDensity, RandomKey, Scalar
 from strandline.smc.on_host import advance_each_on_host, is_on_host
 from strandline.smc.records import SMCResult, SMCSettings, StepInfo

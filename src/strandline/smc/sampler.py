@@ -13,9 +13,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
-from strandline.errors import NumericsError
-from strandline.numerics.compiled import WIDEST
-from strandline.numerics.threads import use_double
+from strandline.foundations import WIDEST, NumericsError, use_double
 from strandline.smc.moves import NARROWEST, BatchedLogDensity, RandomKey
 from strandline.smc.on_host import advance_on_host, is_on_host
 from strandline.smc.records import SMCResult, SMCSettings, StepInfo, require

@@ -6,7 +6,7 @@ In: `study.yaml` and the files that it names, or options of a command. Out: a `S
 
 from typing import TYPE_CHECKING
 
-from strandline.doors import door
+from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
     from strandline.studies.changed_copy import changed_study, reuse_from, write_copy

@@ -10,7 +10,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from strandline.errors import InvalidInput, InvalidStudy
+from strandline.foundations import InvalidInput, InvalidStudy
 from strandline.studies.folder import STUDY, is_result, told_if_unwritable
 from strandline.studies.load import load_study, study_of
 from strandline.studies.parse import parse_study, parsed

@@ -17,8 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from strandline.calibration import Observer, observer_or_default
-from strandline.errors import InvalidInput, InvalidStudy, TooFewRuns
-from strandline.files import read_json, write_json
+from strandline.foundations import InvalidInput, InvalidStudy, TooFewRuns, read_json, write_json
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
 from strandline.models import ForwardModel, undeformed_interface

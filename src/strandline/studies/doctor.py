@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from strandline.errors import StrandlineError
-from strandline.files import read_json
+from strandline.foundations import StrandlineError, __version__, read_json
 from strandline.runs import outcome_digest, unsound
 from strandline.studies.folder import (
     CHECK,
@@ -24,7 +23,6 @@ from strandline.studies.load import load_study
 from strandline.studies.progress import StudyProgress, progress_of
 from strandline.studies.provenance import versions
 from strandline.studies.study import Study
-from strandline.version import __version__
 
 LEDGERS = (LEDGER, CHECK_LEDGER, NEXT_LEDGER, SPECIMENS_LEDGER)
 LEFTOVERS = ("*.partial", ".*.partial", "*.sqlite.new", "*.sqlite.new-*")

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from strandline.files import whole_file
+from strandline.foundations import whole_file
 from strandline.runs import Details, Overview, Run
 from strandline.studies.folder import told_if_unwritable
 
@@ -61,7 +61,7 @@ def _dataset(runs: Sequence[Run], ledger: Overview) -> tuple["xr.Dataset", list[
     import numpy as np
     import xarray as xr
 
-    from strandline.version import __version__
+    from strandline.foundations import __version__
 
     messages, figures = _facts(runs, ledger)
     seconds = [math.nan if run.last.seconds is None else run.last.seconds for run in runs]

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from strandline.design import SLOW_BATCH, seconds_of_a_batch
 from strandline.discrepancy import Discrepancy, apart, axes_mistake, extent, oriented_like_runs, squared_distances
-from strandline.errors import ForwardModelError, InvalidInput, InvalidStudy, NumericsError
+from strandline.foundations import ForwardModelError, InvalidInput, InvalidStudy, NumericsError
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import InterfaceLikelihood, compared, noise_length, sd_of_distances
 from strandline.models import SolvesOnFinerMesh, undeformed_interface

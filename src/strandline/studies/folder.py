@@ -8,8 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from strandline.errors import InvalidStudy
-from strandline.files import read_json
+from strandline.foundations import InvalidStudy, read_json
 
 STUDY = "study.yaml"
 LEDGER = "ledger.sqlite"

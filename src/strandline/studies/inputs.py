@@ -9,10 +9,9 @@ import jax
 import numpy as np
 
 from strandline.design.candidates import WHOLE, Candidate, Look, candidates
-from strandline.errors import InvalidStudy
+from strandline.foundations import InvalidStudy
 from strandline.models import ForwardModel, ModelInput, UsesNames, declared_conditions, declared_inputs
-from strandline.parameters import Parameter, ParameterSpace
-from strandline.priors import PRIORS, Prior
+from strandline.parameters import PRIORS, Parameter, ParameterSpace, Prior
 from strandline.readers import TO_MM
 from strandline.studies.keys.study_file import Input, Next, Quantity, StudyFile
 from strandline.studies.observed import require_condition

@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from strandline.errors import InvalidStudy
+from strandline.foundations import InvalidStudy
 from strandline.interface import Noise, PointErrors, UnknownErrors
 from strandline.models import ForwardModel, declared_conditions
 from strandline.studies.folder import LEDGER

@@ -9,8 +9,7 @@ import numpy as np
 from pydantic import ConfigDict
 
 from strandline.discrepancy import DISCREPANCIES, Discrepancy, apart
-from strandline.errors import InvalidInput, InvalidStudy
-from strandline.files import read_json
+from strandline.foundations import InvalidInput, InvalidStudy, read_json
 from strandline.models import CHEAPER, MODELS, ForwardModel, UsesNames, WithCheaper, by_cheaper, with_sensitivities
 from strandline.runs import RunRecord
 from strandline.studies.folder import SUMMARY

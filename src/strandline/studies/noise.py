@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.discrepancy import Discrepancy, NormalOffset
-from strandline.errors import InvalidInput, InvalidStudy
+from strandline.foundations import InvalidInput, InvalidStudy
 from strandline.interface import GaussianNoise, Interface, Noise, PointErrors, UnknownErrors
 from strandline.likelihood import require_inferable_noise
 from strandline.readers import TO_MM

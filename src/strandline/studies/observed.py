@@ -9,11 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.discrepancy import extent, extent_ratio, unit_mistake
-from strandline.errors import InvalidInput, InvalidStudy
+from strandline.foundations import InvalidInput, InvalidStudy, suggestion
 from strandline.interface import Interface, PointErrors
 from strandline.models import ForwardModel, declared_conditions, undeformed_interface
 from strandline.readers import Reading, read_interface, read_point_sds
-from strandline.registry import suggestion
 from strandline.studies.keys.observation import ConditionFile, ObservationFile
 from strandline.studies.parse import made, refused_at
 from strandline.studies.pictures.photographed import Photographed, photographed

@@ -9,8 +9,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from strandline.errors import InvalidInput, InvalidStudy
-from strandline.registry import lookup, suggestion
+from strandline.foundations import InvalidInput, InvalidStudy, lookup, suggestion
 from strandline.studies.folder import STUDY
 from strandline.studies.keys import SCHEMA_VERSION, StudyFile
 from strandline.studies.keys.observation import ONE, SEVERAL, ConditionFile

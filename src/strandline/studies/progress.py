@@ -11,7 +11,7 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any, Literal
 
-from strandline.files import read_json
+from strandline.foundations import read_json
 from strandline.runs import EXCLUDED, INTERRUPTED, OPEN, Attempt, Driver, Overview, Plan, Run
 from strandline.studies.folder import LEDGER, REFINEMENT, STUDY, SUMMARY, digest_of
 

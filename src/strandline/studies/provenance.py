@@ -9,14 +9,12 @@ from hashlib import sha256
 from importlib import metadata
 from typing import Any
 
-from strandline.errors import InvalidStudy, StrandlineError
-from strandline.files import read_json
+from strandline.foundations import InvalidStudy, StrandlineError, __version__, read_json
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.report import FIGURES
 from strandline.runs import FailurePolicy, outcome_digest
 from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY
 from strandline.studies.study import Study
-from strandline.version import __version__
 
 PACKAGES = ("numpy", "scipy", "jax", "ngsolve", "mkl", "xarray")
 FREE = frozenset({"folder", "text", "settings", "executor", "reuse", "as_loaded"})

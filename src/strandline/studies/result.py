@@ -9,8 +9,7 @@ from typing import Any
 from strandline.calibration import Calibration, Problem, Settings, calibrate
 from strandline.design import Refinement
 from strandline.discrepancy import DISCREPANCIES, Discrepancy
-from strandline.errors import InvalidInput
-from strandline.files import read_json
+from strandline.foundations import InvalidInput, read_json
 from strandline.interface import GaussianNoise, PointErrors, UnknownErrors
 from strandline.models import is_cheaper
 from strandline.posterior import Posterior

@@ -15,8 +15,7 @@ from xarray import DataTree
 
 from strandline.calibration import Calibration, Observer, Problem, calibrate, observer_or_default
 from strandline.design import BatchReport
-from strandline.errors import InvalidInput, InvalidStudy, NumericsError, ResultsNotWritten
-from strandline.files import write_json
+from strandline.foundations import InvalidInput, InvalidStudy, NumericsError, ResultsNotWritten, __version__, write_json
 from strandline.interface import Interface
 from strandline.likelihood import compared
 from strandline.models import prepare_runs
@@ -32,7 +31,6 @@ from strandline.studies.provenance import require_its_own_text
 from strandline.studies.study import Study
 from strandline.studies.summary import summarise
 from strandline.studies.widths import noting_widths
-from strandline.version import __version__
 
 TELLING_RUNS = 4
 """A study ends if this many first successful runs are all ten times larger or smaller than the observation, or lie far

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import ForwardModelError, InvalidInput
+from strandline.foundations import ForwardModelError, InvalidInput
 from strandline.interface import Interface
 from strandline.likelihood import InterfaceLikelihood
 from strandline.models import ForwardModel

@@ -7,9 +7,8 @@ from typing import Any
 
 from strandline.calibration import Settings
 from strandline.design import Active, Refinement
-from strandline.errors import InvalidStudy
+from strandline.foundations import InvalidStudy, lookup
 from strandline.models import ForwardModel, declared_failure_kinds
-from strandline.registry import lookup
 from strandline.runs import COMMON_KINDS, ENDS, EXECUTORS, Executor, FailurePolicy, Retry
 from strandline.smc import SMCSettings
 from strandline.studies.keys import StudyFile

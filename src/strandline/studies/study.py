@@ -11,8 +11,7 @@ from typing import Any
 from strandline.calibration import Settings
 from strandline.design import Candidate, sobol
 from strandline.discrepancy import Discrepancy
-from strandline.errors import InvalidStudy
-from strandline.files import read_json, write_json
+from strandline.foundations import InvalidStudy, html_table, html_text, read_json, write_json
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
 from strandline.models import CHEAPER, ForwardModel, asks_sensitivities, fingerprint, first_runs, run_identity
 from strandline.parameters import ParameterSpace
@@ -23,7 +22,6 @@ from strandline.studies.pictures.photographed import Photographed
 from strandline.studies.pictures.scanned import Scanned
 from strandline.studies.pictures.undeformed import Undeformed
 from strandline.studies.settings import failure_words
-from strandline.typeset import html_table, html_text
 
 
 @dataclass(frozen=True)

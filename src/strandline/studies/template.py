@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from strandline.errors import InvalidStudy
+from strandline.foundations import InvalidStudy
 from strandline.studies.folder import STUDY, is_result
 
 MEASURED = """\

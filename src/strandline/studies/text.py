@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from strandline.errors import InvalidStudy
+from strandline.foundations import InvalidStudy
 from strandline.studies.folder import STUDY
 
 DEEPEST = 40

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from strandline.calibration import Observer, footprint
 from strandline.discrepancy import Discrepancy, NormalOffset, signed_distances, squared_discrepancies
-from strandline.errors import InvalidInput, NumericsError
+from strandline.foundations import InvalidInput, NumericsError
 from strandline.interface import Interface, Observation, UnknownErrors
 from strandline.likelihood import JointErrors, compared, differences, noise_length, second_differences, shared_errors
 from strandline.models import WithCheaper, is_cheaper

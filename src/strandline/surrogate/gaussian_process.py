@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
 
-from strandline.errors import InvalidInput
-from strandline.numerics.linear_algebra import factorise, solve
+from strandline.foundations import InvalidInput, factorise, solve
 from strandline.surrogate.kernels import Kernel, LengthScale, as_length_scale, as_lengths
 
 _PAIRS_PER_BLOCK = 2**20

@@ -27,10 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import InvalidInput
-from strandline.numerics.compiled import WHOLE, assembled
-from strandline.numerics.linear_algebra import distances
-from strandline.registry import lookup
+from strandline.foundations import WHOLE, InvalidInput, assembled, distances, lookup
 from strandline.surrogate.tiles import Lengths, Matrix, TiledPairs, differences
 
 Offsets = Float[np.ndarray, "point run dim"]

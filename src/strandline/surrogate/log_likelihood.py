@@ -8,9 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from strandline.errors import InvalidInput
-from strandline.numerics.linear_algebra import invert
-from strandline.registry import imported
+from strandline.foundations import InvalidInput, imported, invert
 from strandline.surrogate.gaussian_process import GaussianProcess, Inputs, Targets, condition, standardisation
 from strandline.surrogate.hyperparameters import FittedHyperparameters, fit_hyperparameters, require_runs
 from strandline.surrogate.kernels import kernel_named

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from strandline.numerics.threads import side_by_side
+from strandline.foundations import side_by_side
 
 Tile = tuple[slice, slice]
 """Rows and columns; arrays of a tile have the rows last, as they lie in a column-major matrix."""

@@ -12,8 +12,7 @@ from jaxtyping import Float
 from strandline.design import Criterion, State, learn, sobol
 from strandline.discrepancy import TrackedPoints
 from strandline.interface import Interface, Observation
-from strandline.parameters import Parameter, ParameterSpace
-from strandline.priors import Uniform
+from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.runs import RunRecord
 from strandline.testing import checks_of
 

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from strandline.numerics.threads import use_double
+from strandline.foundations import use_double
 from strandline.surrogate import Kernel
 from strandline.testing import checks_of, require_parts
 

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError
 from strandline.interface import Interface
 from strandline.models import ModelInput, Simulation
 

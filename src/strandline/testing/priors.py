@@ -1,4 +1,4 @@
-"""Conformance suite for priors: what any `strandline.priors.Prior` must do."""
+"""Conformance suite for priors: what any `strandline.parameters.Prior` must do."""
 
 from collections.abc import Callable
 
@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from strandline.numerics.threads import use_double
-from strandline.priors import Prior
+from strandline.foundations import use_double
+from strandline.parameters import Prior
 from strandline.testing import checks_of, require_parts
 
 LEVELS = np.linspace(0.001, 0.999, 999)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError
 from strandline.interface import Interface
 from strandline.models import ModelInput, Simulation
 from strandline.testing.models import Cantilever, TwoLoads

@@ -18,10 +18,10 @@ from strandline.calibration import (
     scaled_noise,
     with_prior,
 )
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import GaussianNoise, PointErrors
 from strandline.likelihood import FieldLikelihood
-from strandline.priors import Prior
+from strandline.parameters import Prior
 from strandline.questions import require
 from strandline.studies import (
     REMOVED,

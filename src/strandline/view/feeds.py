@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from strandline.calibration import Baseline, interim_posterior
-from strandline.errors import InvalidInput, InvalidStudy, NumericsError, TooFewRuns
-from strandline.numerics.threads import one_thread, use_double
+from strandline.foundations import InvalidInput, InvalidStudy, NumericsError, TooFewRuns, one_thread, use_double
 from strandline.posterior import systematic_indices
 from strandline.questions import baseline_of, field_knowledge
 from strandline.report import DRAWS, by_name, rounded

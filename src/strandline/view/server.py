@@ -19,7 +19,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from strandline.errors import InvalidInput, StrandlineError
+from strandline.foundations import InvalidInput, StrandlineError
 from strandline.models.umbridge import Access
 from strandline.questions import require
 from strandline.report import PANELS, template

@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
-from strandline.errors import StrandlineError
+from strandline.foundations import StrandlineError
 from strandline.view.viewed import ViewedStudy
 
 PAUSE = 0.5

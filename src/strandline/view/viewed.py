@@ -14,11 +14,9 @@ from matplotlib.tri import LinearTriInterpolator, Triangulation
 
 from strandline.calibration import Answer, Baseline, by_field
 from strandline.design import Knowledge
-from strandline.errors import InvalidInput, InvalidStudy
-from strandline.files import read_json
+from strandline.foundations import InvalidInput, InvalidStudy, one_thread, read_json, use_double
 from strandline.interface import Interface
 from strandline.models import DrawsFields, ForwardModel, declared_conditions
-from strandline.numerics.threads import one_thread, use_double
 from strandline.posterior import reliability_threshold, systematic_indices
 from strandline.questions import require
 from strandline.report import explore

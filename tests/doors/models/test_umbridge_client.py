@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from tests.unit.models.umbridge.served import running, served
 
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError
 from strandline.models.protocol import with_sensitivities
 from strandline.models.umbridge import client as client_module
 from strandline.models.umbridge.answers import ServedModel, answer

@@ -16,7 +16,7 @@ import umbridge
 from tests.doors.models.waiting import until
 from tests.unit.models.umbridge.served import AT, BARE, TOKEN, WHOLE, served
 
-from strandline.errors import ForwardModelError, InvalidInput
+from strandline.foundations import ForwardModelError, InvalidInput
 from strandline.models.umbridge.answers import ServedModel
 from strandline.models.umbridge.client import TOKEN_VARIABLE, Client
 from strandline.models.umbridge.server import Access, UMBridgeServer

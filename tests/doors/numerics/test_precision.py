@@ -6,7 +6,7 @@ import sys
 PROGRAM = """
 import jax
 import strandline as sl
-from strandline.numerics.threads import use_double
+from strandline.foundations import use_double
 
 assert not jax.config.jax_enable_x64
 use_double()

@@ -7,7 +7,7 @@ import pytest
 from tests.unit.questions.test_specimen import OUTLINE, begin
 
 from strandline.discrepancy import NormalOffset
-from strandline.errors import NumericsError
+from strandline.foundations import NumericsError
 from strandline.questions.many import RefusedSpecimen, Task, posteriors_of
 
 

@@ -17,7 +17,7 @@ from PIL import Image
 from scipy import ndimage
 from tests.doors.reader import Reader
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.imaging.clicks import Clicks, as_json, read_clicks
 from strandline.report.click_page import click_page
 

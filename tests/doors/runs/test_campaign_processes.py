@@ -16,7 +16,7 @@ from tests.doors.runs.processes import pids, wait_until
 from tests.unit.runs import fakes
 from tests.unit.runs.fakes import Seen, batches, calls, campaign, design, states, stiffnesses
 
-from strandline.errors import LedgerError
+from strandline.foundations import LedgerError
 from strandline.runs import Counts, Ledger, LocalProcesses
 from strandline.runs.journal import VARIABLE
 from strandline.runs.overview import Overview

@@ -15,7 +15,7 @@ import pytest
 from tests.doors.runs.processes import Unloadable, alive, driven_by, hanging_driver, pids, wait_until
 from tests.unit.runs.fakes import Seen, batches, campaign, counts, design
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.runs.executors.dask import DaskCluster
 from strandline.runs.executors.dask_cluster import opened
 from strandline.testing import executors as suite

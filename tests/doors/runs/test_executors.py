@@ -11,7 +11,7 @@ import pytest
 from tests.doors.runs.dying import KilledWhileLoading
 from tests.doors.runs.processes import Unloadable, hanging_driver, pids, processes_of_group, wait_until
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.runs import InProcess, LocalProcesses
 from strandline.runs.worker import packed_model
 from strandline.runs.worker_slot import WorkerSlot

@@ -7,7 +7,7 @@ import pytest
 from tests.doors.runs.processes import driven_by, wait_until
 from tests.unit.runs.fakes import campaign, design, states
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.runs.executors.dask import DaskCluster
 from strandline.runs.executors.dask_cluster import opened
 from strandline.testing.executors import requests_for

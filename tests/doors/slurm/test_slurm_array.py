@@ -11,7 +11,7 @@ import pytest
 from tests.doors.runs.processes import wait_until
 from tests.unit.runs.fakes import attempts, calls, counts, design, states
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.runs import Counts, Ledger, run_campaign
 from strandline.runs.executors.slurm_array import Detached, SlurmArray
 from strandline.testing.executors import CHECKS, CRASH_CHECKS, TIMEOUT_CHECKS, requests_for

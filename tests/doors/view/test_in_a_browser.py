@@ -22,7 +22,7 @@ from strandline.view import Server, serving
 
 SLOW = """
 import time
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError
 from strandline.testing.studies import beam as quick
 
 

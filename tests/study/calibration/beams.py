@@ -12,8 +12,7 @@ from strandline.calibration.problem import Stopwatch
 from strandline.design.active import Active
 from strandline.discrepancy import TrackedPoints
 from strandline.interface import Observation
-from strandline.parameters import Parameter, ParameterSpace
-from strandline.priors import Uniform
+from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.runs import InProcess, Ledger
 from strandline.smc import SMCSettings
 from strandline.testing.studies import beam

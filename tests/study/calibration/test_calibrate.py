@@ -14,11 +14,10 @@ from strandline.calibration.progress import cell_observer, observer_or_default
 from strandline.cli.run import show
 from strandline.design.refinement import Refinement
 from strandline.discrepancy import ClosestPoint, TrackedPoints
-from strandline.errors import ForwardModelError, InvalidInput, TooFewRuns
+from strandline.foundations import ForwardModelError, InvalidInput, TooFewRuns
 from strandline.interface import Interface, Observation
 from strandline.models.protocol import Simulation
-from strandline.parameters import Parameter, ParameterSpace
-from strandline.priors import Uniform
+from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.runs import InProcess
 from strandline.studies import load_study, run_study
 from strandline.surrogate import fit_log_likelihood

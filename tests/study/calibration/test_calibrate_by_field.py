@@ -7,7 +7,7 @@ import pytest
 from tests.study.calibration.beams import ACTIVE, NOISE, answer, exact, problem
 
 from strandline.design.active import Active
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError
 from strandline.interface import Interface
 from strandline.models.fidelities import WithCheaper, is_cheaper
 from strandline.models.protocol import Simulation

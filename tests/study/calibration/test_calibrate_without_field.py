@@ -9,13 +9,12 @@ from tests.study.calibration.beams import ACTIVE, answer, learnt, summed
 
 from strandline.calibration import Problem
 from strandline.design.active import Active
+from strandline.design.run_filter import RunFilter
 from strandline.discrepancy import Currents
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
-from strandline.likelihood.set_aside import RunFilter
 from strandline.models.protocol import Simulation
-from strandline.parameters import Parameter, ParameterSpace
-from strandline.priors import Uniform
+from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.report.warnings import find_warnings
 
 SPACE = ParameterSpace((Parameter("lift", Uniform(0.1, 0.9)), Parameter("tilt", Uniform(-0.2, 0.2))))

@@ -18,7 +18,7 @@ SMALL |= {"draft": True, "report": "none"}
 STAGES = ["observation", "forward runs", "surrogate", "sampling", "checks", "figures and report"]
 LICENSED = """
 from pathlib import Path
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError
 from strandline.testing.studies import undeclared_beam
 
 HERE = Path(__file__).parent

@@ -15,7 +15,7 @@ from tests.study.questions.conftest import content_of
 import strandline as sl
 from strandline.calibration.evidence import Evidence
 from strandline.cli import main
-from strandline.errors import InvalidInput, InvalidStudy
+from strandline.foundations import InvalidInput, InvalidStudy
 from strandline.likelihood import InterfaceLikelihood
 from strandline.questions import compare as module
 from strandline.testing.studies import undeclared_beam, write_study

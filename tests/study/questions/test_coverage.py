@@ -10,7 +10,7 @@ import strandline as sl
 from strandline.calibration import Observer
 from strandline.calibration.source import FieldQuality
 from strandline.cli import main
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import GaussianNoise, Interface
 from strandline.questions.coverage import coverage
 from strandline.studies.first_run import observations_of

@@ -11,7 +11,7 @@ from tests.study.questions.conftest import content_of, line_by_line
 
 import strandline as sl
 from strandline.cli import main
-from strandline.errors import InvalidInput, InvalidStudy
+from strandline.foundations import InvalidInput, InvalidStudy
 from strandline.questions import next_answers
 from strandline.testing.models import TwoLoads
 from strandline.testing.studies import TWO_LOADS_STUDY, write_study

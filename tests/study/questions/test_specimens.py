@@ -15,13 +15,12 @@ from tests.unit.cli.command_line import ends
 
 import strandline as sl
 from strandline.cli import main
-from strandline.errors import InvalidInput, InvalidStudy
+from strandline.foundations import InvalidInput, InvalidStudy, with_sd
 from strandline.interface import Interface
 from strandline.questions import specimens as module
 from strandline.questions.specimen import Certified
 from strandline.questions.specimens import specimens
 from strandline.testing.studies import beam as true_beam
-from strandline.text import with_sd
 
 SPECIMENS = {"files": "all/*.csv", "read": {"unit": "mm"}}
 TRUTHS = {f"s{k}.csv": (380.0 + 12 * k, 0.02) for k in range(5)}

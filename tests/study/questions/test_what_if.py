@@ -11,7 +11,7 @@ from tests.study.questions.conftest import content_of, line_by_line
 import strandline as sl
 from strandline.calibration.alternative import baseline
 from strandline.cli import main
-from strandline.errors import InvalidInput, InvalidStudy, NoCommonPoints
+from strandline.foundations import InvalidInput, InvalidStudy, NoCommonPoints
 from strandline.questions.knowledge import field_knowledge
 from strandline.questions.what_if import PLACE, alternative_of, what_if
 from strandline.studies.keys.study_file import WhatIf

@@ -21,8 +21,7 @@ from tests.unit.report.plots.drawn import entries, lines
 from strandline.calibration import Calibration
 from strandline.discrepancy.normal_offset import signed_distances
 from strandline.interface import Interface
-from strandline.parameters import Parameter, ParameterSpace
-from strandline.priors import LogNormal, Uniform
+from strandline.parameters import LogNormal, Parameter, ParameterSpace, Uniform
 from strandline.report import explore as section
 from strandline.report import write_report
 from strandline.report.explore import explore

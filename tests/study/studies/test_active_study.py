@@ -10,7 +10,7 @@ from tests.study.conftest import finish
 from tests.study.studies import exact
 
 from strandline.calibration import Observer
-from strandline.errors import InvalidStudy
+from strandline.foundations import InvalidStudy
 from strandline.models.fidelities import is_cheaper
 from strandline.posterior import read
 from strandline.runs import InProcess, Ledger

@@ -12,7 +12,7 @@ from tests.study.studies import exact
 
 from strandline.calibration import Observer
 from strandline.cli import main
-from strandline.errors import ForwardModelError, InvalidInput, TooFewRuns
+from strandline.foundations import ForwardModelError, InvalidInput, TooFewRuns
 from strandline.posterior import from_datatree, read
 from strandline.runs import InProcess
 from strandline.studies import check_posterior, load_study

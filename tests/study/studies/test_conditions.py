@@ -8,7 +8,7 @@ from tests.study.conftest import finish
 from tests.unit.cli.command_line import printed, refused
 from tests.unit.studies.test_refusals import BOTH
 
-from strandline.errors import InvalidStudy
+from strandline.foundations import InvalidStudy
 from strandline.posterior import read
 from strandline.runs import InProcess, Ledger
 from strandline.studies import check_posterior, load_study, run_study

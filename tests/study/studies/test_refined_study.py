@@ -7,7 +7,7 @@ import pytest
 from tests.study.conftest import SAMPLER, Finished
 
 from strandline.calibration import Observer
-from strandline.errors import InvalidStudy
+from strandline.foundations import InvalidStudy
 from strandline.runs import InProcess, Ledger
 from strandline.studies import load_study, run_study
 from strandline.studies.progress import progress_in, progress_of, recorded_plan

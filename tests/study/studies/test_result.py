@@ -8,7 +8,7 @@ import pytest
 from tests.unit.cli.command_line import contents, ends, printed, refused
 
 import strandline as sl
-from strandline.errors import InvalidInput, InvalidStudy
+from strandline.foundations import InvalidInput, InvalidStudy
 from strandline.runs import Ledger, RunRequest
 from strandline.testing.studies import write_study
 

@@ -13,7 +13,7 @@ from tests.unit.cli.command_line import contents
 
 from strandline import __version__
 from strandline.cli import main
-from strandline.errors import InvalidInput, InvalidStudy, NumericsError, ResultsNotWritten
+from strandline.foundations import InvalidInput, InvalidStudy, NumericsError, ResultsNotWritten
 from strandline.interface import GaussianNoise
 from strandline.posterior import read
 from strandline.posterior.sensitivity import SobolIndices

@@ -11,7 +11,7 @@ import pytest
 from tests.study.conftest import Finished
 
 import strandline as sl
-from strandline.errors import InvalidInput, InvalidStudy
+from strandline.foundations import InvalidInput, InvalidStudy
 from strandline.testing.studies import write_study
 from strandline.view import viewed as module
 from strandline.view.assumptions import Asked, answer_to, asked_by, knobs_of, save_as

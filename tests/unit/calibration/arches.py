@@ -8,8 +8,7 @@ from strandline.design.active import learn
 from strandline.discrepancy import TrackedPoints
 from strandline.interface import Interface
 from strandline.likelihood import InterfaceLikelihood
-from strandline.parameters import Parameter, ParameterSpace
-from strandline.priors import Uniform
+from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.runs import RunRecord
 
 SPACE = ParameterSpace((Parameter("height", Uniform(0.2, 0.4), "mm"), Parameter("lean", Uniform(-0.1, 0.2))))

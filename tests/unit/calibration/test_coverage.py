@@ -15,7 +15,7 @@ from strandline.calibration.coverage import CoverageFound, Replicate, repeatable
 from strandline.calibration.experiment import CoordinateErrors, footprint
 from strandline.calibration.source import field_quality, posterior_source, prior_source
 from strandline.discrepancy import ClosestPoint, NormalOffset, signed_distances
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import GaussianNoise, Interface, Observation, PointErrors
 from strandline.likelihood import compared
 from strandline.posterior import Posterior

@@ -15,9 +15,8 @@ from strandline.calibration.misfit.verdict import verdict_on
 from strandline.discrepancy import ClosestPoint, Currents, NormalOffset, TrackedPoints
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood.noise_rule import noise_variance
-from strandline.parameters import Parameter, ParameterSpace
+from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.posterior import Posterior
-from strandline.priors import Uniform
 from strandline.runs import RunRecord
 
 S = 0.002

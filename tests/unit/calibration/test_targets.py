@@ -14,9 +14,8 @@ from strandline.calibration.problem import Observer, Settings
 from strandline.calibration.sampler_check import LEVEL, compare_halves
 from strandline.calibration.targets import FieldTarget, central_hessian
 from strandline.discrepancy import Currents, NormalOffset
-from strandline.parameters import Parameter, ParameterSpace
+from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.posterior import Posterior, Weighted
-from strandline.priors import Uniform
 from strandline.smc import SMCResult, SMCSettings, StepInfo, combined, in_halves
 from strandline.smc.combined import joined
 

@@ -17,10 +17,9 @@ from strandline.calibration.what_if import reweight_or_resample
 from strandline.design import sobol
 from strandline.discrepancy import ClosestPoint, NormalOffset
 from strandline.interface import GaussianNoise, Observation, PointErrors, UnknownErrors
-from strandline.parameters import Parameter, ParameterSpace
+from strandline.parameters import LogNormal, LogUniform, Normal, Parameter, ParameterSpace, ScaledBeta, Uniform
 from strandline.posterior import Posterior
 from strandline.posterior.importance import pareto_smoothed
-from strandline.priors import LogNormal, LogUniform, Normal, ScaledBeta, Uniform
 
 INPUTS = with_prior(SPACE, {"height": Normal(0.32, 0.03), "lean": ScaledBeta(2.0, 3.0, -0.1, 0.2)})
 INPUTS = ParameterSpace((INPUTS["height"], replace(INPUTS["lean"], nuisance=True)))

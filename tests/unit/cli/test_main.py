@@ -11,7 +11,7 @@ from tests.unit.cli.test_runs import some_runs
 
 from strandline.cli import run
 from strandline.cli.main import EndedBySignal, end_as_ctrl_c
-from strandline.errors import CampaignStopped, InvalidInput
+from strandline.foundations import CampaignStopped, InvalidInput
 from strandline.testing.studies import write_study
 
 REFUSALS = {

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import qmc
 
 from strandline.design import sobol
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 
 
 @pytest.mark.parametrize("scramble", [None, 7])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from strandline.numerics.threads import use_double
+from strandline.foundations import use_double
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -8,7 +8,7 @@ from tests.unit.discrepancy.surfaces import sheet, sphere
 
 from strandline.discrepancy import ClosestPoint
 from strandline.discrepancy.closest_point import DIRECTIONS, WEIGHTINGS
-from strandline.errors import InvalidInterface
+from strandline.foundations import InvalidInterface
 from strandline.interface import Interface, PointErrors
 
 MEAN = ClosestPoint(direction="to_simulated", weighting="length")

@@ -19,7 +19,7 @@ from strandline.discrepancy.kernel_integrals import (
     triangle_rule,
 )
 from strandline.discrepancy.many_currents import Division, PiecePairs, compiled_sum, plain_sum
-from strandline.errors import InvalidInterface, NumericsError
+from strandline.foundations import InvalidInterface, NumericsError
 from strandline.interface import Interface, PointErrors, oriented_like
 
 ARC = np.array([[0.02 * i, 0.3 * math.sin(0.08 * i)] for i in range(40)])

@@ -19,7 +19,7 @@ from strandline.discrepancy import (
 )
 from strandline.discrepancy.closest_point import DIRECTIONS, WEIGHTINGS
 from strandline.discrepancy.many_currents import BLOCK, FEWEST, PiecePairs
-from strandline.errors import InvalidInterface
+from strandline.foundations import InvalidInterface
 from strandline.interface import Interface
 
 LINES = MeasurementLines(9, reach=0.2)

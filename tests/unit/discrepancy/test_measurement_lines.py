@@ -6,7 +6,7 @@ import shapely
 from tests.unit.discrepancy.curves import graph, line, ring
 
 from strandline.discrepancy import MeasurementLines
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import Interface, PointErrors
 
 STRAIGHT = line((0, 0), (1, 0))

@@ -25,7 +25,7 @@ from strandline.discrepancy import (
     unit_of,
 )
 from strandline.discrepancy.normal_offset import linear_sums
-from strandline.errors import InvalidInput, InvalidInterface
+from strandline.foundations import InvalidInput, InvalidInterface
 from strandline.interface import Interface
 
 LINE = level(0.0, 3, length=2.0)

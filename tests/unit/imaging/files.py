@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.imaging.read import read_picture
 from strandline.studies.pictures.photographed import picture_reading
 

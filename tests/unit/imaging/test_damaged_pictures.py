@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from PIL import Image
 from tests.unit.imaging.files import oct_file, of_size, png, read, reading, refusal, tiff, with_tag
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.imaging.files.tiff import require_parts
 from strandline.imaging.picture import PictureFile, require_pixels
 from strandline.imaging.read import read_stack

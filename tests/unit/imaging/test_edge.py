@@ -10,7 +10,7 @@ from tests.unit.imaging.pictures import circle, disc, grid, straight
 from verification.validation.rendered import Camera, Scan, arch, clicks
 
 from strandline.discrepancy.normal_offset import signed_distances
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.imaging.edge import find_edge
 from strandline.imaging.markov_path import MarkovPath, walk
 from strandline.imaging.noise_covariance import noise_covariance, roughness, scatter_of, sum_to_first_zero

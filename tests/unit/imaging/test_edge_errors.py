@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 from tests.unit.imaging.pictures import straight
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.imaging import Picture, errors_from_frames, find_edge, outline_of
 from strandline.imaging.frame_errors import _longest
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 from tests.unit.imaging.pictures import grid
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.imaging import registered
 from strandline.imaging.frame import Frame
 from strandline.studies.parse import made

@@ -6,7 +6,7 @@ import struct
 import numpy as np
 import pytest
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.imaging.clicks import Clicks, ScaleBar, as_json, read_clicks
 from strandline.imaging.first_path import typed_path
 from strandline.imaging.paths import read_path

@@ -8,7 +8,7 @@ import tifffile
 from PIL import Image
 from tests.unit.imaging.files import SQUARE, read, reading, refusal
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.imaging.read import read_frames, read_picture, read_stack
 from strandline.imaging.reading import PixelSize
 

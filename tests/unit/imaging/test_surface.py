@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from tests.unit.discrepancy.surfaces import sphere
 from verification.validation.rendered_stacks import Blob, Microscope
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.imaging import Stack
 from strandline.imaging.surfaces import StackFrame, StatedRegion, find_surface
 from strandline.imaging.surfaces.levels import _noise, two_levels

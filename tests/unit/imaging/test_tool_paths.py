@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 import pytest
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.imaging.files.plain import read_hdf5
 from strandline.imaging.paths import is_of_clicks, read_path
 from strandline.imaging.reading import PictureReading

@@ -8,7 +8,7 @@ import shapely
 from tests.unit.discrepancy.curves import graph, line
 from tests.unit.discrepancy.surfaces import divided, sheet, sphere, turned
 
-from strandline.errors import InvalidInput, InvalidInterface
+from strandline.foundations import InvalidInput, InvalidInterface
 from strandline.interface import Interface, Observation, UnknownErrors, is_condition, oriented_like, triangles
 
 ZIGZAG = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 5.0]])

@@ -7,7 +7,7 @@ from tests.unit.discrepancy.curves import graph, line, ring
 from tests.unit.discrepancy.surfaces import sheet, sphere
 
 from strandline.discrepancy.normal_offset import signed_distances
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors, arc_lengths, point_normals, spacings
 from strandline.interface.point_errors import correlated
 

@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal, qmc
 from tests.unit.discrepancy.curves import graph, ring
 
 from strandline.discrepancy import ClosestPoint, NormalOffset, WhitenedOffset
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors, arc_lengths
 from strandline.likelihood import FieldLikelihood, infer_noise
 from strandline.likelihood.field import evaluated, predicted

@@ -12,7 +12,7 @@ from tests.unit.discrepancy.curves import arch, level
 
 from strandline.discrepancy import ClosestPoint, Currents, MeasurementLines, NormalOffset, TrackedPoints
 from strandline.discrepancy.normal_offset import signed_distances
-from strandline.errors import InvalidInput, InvalidInterface, NumericsError
+from strandline.foundations import InvalidInput, InvalidInterface, NumericsError
 from strandline.interface import GaussianNoise, Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import InterfaceLikelihood, compared
 from strandline.likelihood.compared import Registered

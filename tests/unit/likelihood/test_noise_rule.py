@@ -7,7 +7,7 @@ from tests.unit.discrepancy.curves import arch, graph, ring
 from tests.unit.discrepancy.surfaces import sheet, sphere
 
 from strandline.discrepancy import ClosestPoint, Currents, MeasurementLines, NormalOffset, TrackedPoints
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.interface.point_errors import correlated
 from strandline.likelihood.noise_rule import (

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import Interface
 from strandline.models.fidelities import CHEAPER, FIRST_PAIRS, WithCheaper, by_cheaper, first_runs, run_identity
 from strandline.models.identity import fingerprint

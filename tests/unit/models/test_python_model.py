@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.models.identity import earlier_fingerprint, fingerprint, sources_of
 from strandline.models.protocol import declared_inputs
 from strandline.models.python import PythonModel, lies_in, modules_of

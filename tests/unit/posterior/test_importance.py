@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, norm
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.posterior import importance as module
 from strandline.posterior import reweight, subset, verdict_on
 from strandline.posterior.importance import GeneralisedPareto, fit_generalised_pareto, pareto_smoothed

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, gaussian_kde, truncnorm, uniform
 
-from strandline.errors import InvalidInput, NumericsError
+from strandline.foundations import InvalidInput, NumericsError
 from strandline.posterior import KernelDensity
 from strandline.posterior.kde import slope_correction
 

@@ -6,9 +6,9 @@ import pytest
 from scipy.special import logsumexp, ndtri
 from scipy.stats import multivariate_normal
 
-from strandline.errors import InvalidInput, NumericsError
+from strandline.foundations import InvalidInput, NumericsError
 from strandline.interface import Interface
-from strandline.parameters import Parameter, ParameterSpace
+from strandline.parameters import LogNormal, Normal, Parameter, ParameterSpace, ScaledBeta, Uniform
 from strandline.posterior import GaussianApproximation, Posterior, laplace, log_prior_hessian, prior_conflicts
 from strandline.posterior.marginals import (
     histogram,
@@ -17,7 +17,6 @@ from strandline.posterior.marginals import (
     normal_offsets,
     observed_offsets,
 )
-from strandline.priors import LogNormal, Normal, ScaledBeta, Uniform
 
 SPACE = ParameterSpace((Parameter("E", Uniform(-10.0, 10.0), "Pa"), Parameter("nu", Uniform(-10.0, 10.0))))
 MEAN, COVARIANCE = np.array([2.0, -1.0]), np.array([[1.0, 0.6], [0.6, 1.5]])

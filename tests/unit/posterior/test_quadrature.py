@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from tests.densities import banana, gaussian, linear_exponential, truncated_gaussian, uniform
 
-from strandline.errors import InvalidInput, NumericsError
-from strandline.parameters import Parameter, ParameterSpace
+from strandline.foundations import InvalidInput, NumericsError
+from strandline.parameters import LogNormal, Parameter, ParameterSpace, Uniform
 from strandline.posterior import SobolIndices, sobol_indices
 from strandline.posterior.quadrature import _Rule, integrate, mixture
-from strandline.priors import LogNormal, Uniform
 
 TARGETS = {
     "one dimension": gaussian(np.array([3.0]), np.array([[0.25]])),

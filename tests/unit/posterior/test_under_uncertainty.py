@@ -9,12 +9,11 @@ import xarray as xr
 from scipy.special import logsumexp, ndtri
 from scipy.stats import multivariate_normal, qmc
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import Interface, Observation
-from strandline.parameters import Parameter, ParameterSpace
+from strandline.parameters import Normal, Parameter, ParameterSpace, ScaledBeta, Uniform
 from strandline.posterior import Posterior, Reading, histogram_mode, mode_bins, nuisance_values, pooled
 from strandline.posterior.netcdf import cut_from_datatree, from_datatree, read, to_datatree, write
-from strandline.priors import Normal, ScaledBeta, Uniform
 
 BOX, NORMAL = (-8.0, 8.0), Normal(0.0, 1.0)
 SPACE = ParameterSpace(tuple(Parameter(name, NORMAL, box=BOX, nuisance=name == "t") for name in ("a", "t", "b")))

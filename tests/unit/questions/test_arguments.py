@@ -12,7 +12,7 @@ from filelock import FileLock
 import strandline as sl
 from strandline.calibration.evidence import Evidence, ModelComparison
 from strandline.design.candidates import Candidate, Look
-from strandline.errors import InvalidInput, InvalidStudy
+from strandline.foundations import InvalidInput, InvalidStudy
 from strandline.questions.answer import LineFile
 from strandline.questions.comparable import labels_of, may_err, require_comparable, require_settable, require_several
 from strandline.questions.comparison import _factor, _verdict

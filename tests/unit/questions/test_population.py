@@ -5,8 +5,7 @@ import pytest
 from scipy.special import ndtr
 from scipy.stats import norm
 
-from strandline.parameters import Parameter, ParameterSpace
-from strandline.priors import Normal, Uniform
+from strandline.parameters import Normal, Parameter, ParameterSpace, Uniform
 from strandline.questions.population import population_of, shrunk
 from strandline.questions.specimen import Certified, SpecimenPosterior
 

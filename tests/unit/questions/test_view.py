@@ -8,7 +8,7 @@ import pytest
 from strandline.calibration.experiment import CoordinateErrors, footprint
 from strandline.design import sobol
 from strandline.design.candidates import Look, candidates
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import Interface, PointErrors
 from strandline.questions.observing import Observing, View, crossing_share, focused, learn_failure_by_size, transfer
 from strandline.surrogate.field import FieldTraining, fit_field

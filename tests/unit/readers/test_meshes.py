@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.unit.readers.reads import read, refused
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.readers import READERS, Unreadable
 from strandline.readers.cells import Chain, _directed
 from strandline.readers.vtk_xml import _parts

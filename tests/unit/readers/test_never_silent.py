@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from tests.unit.readers.reads import read
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 
 SEEDS = pytest.mark.parametrize("seed", range(20))
 UNITS = {"mm": 1.0, "um": 1e-3, "m": 1e3}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.unit.readers.reads import read, refused
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.readers import Reading, Unreadable, read_interface, read_point_sds
 from strandline.studies.parse import made
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.imaging.clicks import Clicks, as_json
 from strandline.report.click_page import click_page, for_screen
 from strandline.report.html import bundled, embedded, write_page

@@ -17,8 +17,7 @@ from strandline.interface import Interface, Observation, PointErrors, UnknownErr
 from strandline.likelihood import InterfaceLikelihood
 from strandline.likelihood.noise_rule import StatedErrors
 from strandline.models.protocol import Simulation
-from strandline.parameters import Parameter, ParameterSpace
-from strandline.priors import Uniform
+from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.report.fit import Nearest, fit_as_json, nearest_runs, nothing_near
 from strandline.report.warnings import noise_at_an_end
 from strandline.runs import RunRecord

@@ -11,10 +11,10 @@ from matplotlib.image import imread
 from PIL import Image
 from tests.unit.report.plots.drawn import entries, posterior_of
 
+from strandline.foundations import with_sd
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
-from strandline.parameters import Parameter
+from strandline.parameters import Parameter, Uniform
 from strandline.posterior import Offsets, Reading
-from strandline.priors import Uniform
 from strandline.report.figure_files import Captioned, fitted, marked, saved
 from strandline.report.figures import _reading
 from strandline.report.html import fixed, number
@@ -22,7 +22,6 @@ from strandline.report.page import _without_bad_comparison
 from strandline.report.plots import plot_run_offsets, plot_tempering
 from strandline.report.plots.style import DOUBLE, SINGLE
 from strandline.report.surrogate_figures import _as_stated as as_stated
-from strandline.text import with_sd
 
 
 def test_a_prediction_says_what_the_whole_outline_may_still_do() -> None:

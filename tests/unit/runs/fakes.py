@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError
 from strandline.interface import Interface
 from strandline.models.identity import fingerprint
 from strandline.runs import NOT_NOW, InProcess, Ledger, RunRecord, RunRequest, run_batches, run_campaign, run_key

@@ -7,7 +7,7 @@ import pytest
 from tests.unit.runs import fakes
 from tests.unit.runs.fakes import Noted, Seen, batches, begun_before, design, states, stiffnesses
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.runs import NOT_NOW, Counts, InProcess, RunRecord
 from strandline.testing.models import Cantilever, Counted
 

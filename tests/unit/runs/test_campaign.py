@@ -9,7 +9,7 @@ import pytest
 from tests.unit.runs import fakes
 from tests.unit.runs.fakes import Elsewhere, Moody, Noted, Seen, Served, begun_before, campaign, counts, design, states
 
-from strandline.errors import CampaignStopped, ForwardModelError, InvalidInput, LedgerError, NumericsError
+from strandline.foundations import CampaignStopped, ForwardModelError, InvalidInput, LedgerError, NumericsError
 from strandline.runs import Counts, FailurePolicy, InProcess, Ledger, Progress, Retry, RunRecord, attempt, run_campaign
 from strandline.runs.campaign import Starts
 from strandline.runs.failures import IN_A_ROW, Outages

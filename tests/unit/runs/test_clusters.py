@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.runs import LocalProcesses, RunRecord
 from strandline.runs.array_task import _out_of_walltime
 from strandline.runs.executors import dask_cluster, slurm_batch, with_workers

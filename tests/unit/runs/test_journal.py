@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from tests.unit.runs.fakes import campaign, design, failed, put
 
-from strandline.errors import InvalidInput, LedgerError
+from strandline.foundations import InvalidInput, LedgerError
 from strandline.runs import Counts, Ledger, RunRequest, journal
 from strandline.runs.journal import VARIABLE, file_system, is_network, journal_for, note
 from strandline.runs.overview import Overview

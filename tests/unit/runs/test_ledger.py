@@ -12,7 +12,7 @@ import pytest
 from tests.unit.runs import fakes
 from tests.unit.runs.fakes import BAD, LINE, ONE, RECORDS, SURFACE, TWO, exact, failed, put, query, states
 
-from strandline.errors import LedgerError
+from strandline.foundations import LedgerError
 from strandline.interface import Interface
 from strandline.runs import Counts, FailurePolicy, Ledger, Retry, RunRecord, RunRequest, ledger_schema
 from strandline.runs.overview import Overview

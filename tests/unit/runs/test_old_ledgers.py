@@ -8,7 +8,7 @@ import pytest
 from tests.unit.runs.fakes import TWO, campaign, exact, put, query, states, stored
 from verification.upgrade_ledger import upgrade
 
-from strandline.errors import LedgerError
+from strandline.foundations import LedgerError
 from strandline.models.identity import fingerprint
 from strandline.runs import Counts, Ledger, run_key
 from strandline.runs.ledger_schema import copied

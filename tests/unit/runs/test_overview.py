@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.unit.runs.fakes import BAD, LINE, SLOPES, put, query
 
-from strandline.errors import LedgerError
+from strandline.foundations import LedgerError
 from strandline.runs import Ledger, RunRecord, RunRequest, ledger_schema
 from strandline.runs.overview import OPEN, STATES, Overview, is_at_work
 from strandline.runs.plans import Plan

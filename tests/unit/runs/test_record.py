@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.unit.runs.fakes import design, key_of
 
-from strandline.errors import ForwardModelError, InvalidInput
+from strandline.foundations import ForwardModelError, InvalidInput
 from strandline.interface import Interface
 from strandline.models.protocol import Simulation
 from strandline.runs import InProcess, RunRecord, RunRequest, attempt, run_key, scratch

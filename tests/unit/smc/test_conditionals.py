@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from strandline.errors import InvalidInput, NumericsError
+from strandline.foundations import InvalidInput, NumericsError
 from strandline.smc import SMCSettings, sample, sample_each
 
 QUICK = SMCSettings(rejuvenation_steps=4, zeta=0.5)

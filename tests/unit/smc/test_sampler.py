@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import brentq
 from tests.densities import gaussian
 
-from strandline.errors import InvalidInput, NumericsError
+from strandline.foundations import InvalidInput, NumericsError
 from strandline.smc import SMCResult, SMCSettings, StepInfo, carried_over, combined, metropolis, sample, sampler
 from strandline.smc.combined import joined
 from strandline.smc.moves import proposal_factor, proposal_scale

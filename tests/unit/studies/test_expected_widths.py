@@ -9,10 +9,9 @@ import pytest
 from scipy.linalg import block_diag
 
 from strandline.calibration import Observer
-from strandline.errors import NumericsError
+from strandline.foundations import NumericsError
 from strandline.interface import Interface, PointErrors
-from strandline.parameters import Parameter, ParameterSpace
-from strandline.priors import Uniform
+from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.runs import Progress, RunRecord, RunRequest, attempt
 from strandline.studies import load_study, widths
 from strandline.studies.widths import STEP, expected_sd, neighbours, noting_widths, predicted_at, slopes_by_differences

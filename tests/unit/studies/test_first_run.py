@@ -14,7 +14,7 @@ from tests.study.studies.exact import softer
 from strandline.calibration import Observer
 from strandline.cli import main
 from strandline.discrepancy import Currents, MeasurementLines, NormalOffset, WhitenedOffset
-from strandline.errors import ForwardModelError, InvalidStudy
+from strandline.foundations import ForwardModelError, InvalidStudy
 from strandline.interface import Interface, PointErrors
 from strandline.models.fidelities import is_cheaper
 from strandline.report import plots

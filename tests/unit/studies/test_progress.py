@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from strandline.design import sobol
-from strandline.errors import InvalidStudy, LedgerError
+from strandline.foundations import InvalidStudy, LedgerError
 from strandline.models.identity import fingerprint
 from strandline.runs import Ledger, RunRecord, RunRequest, attempt, run_key
 from strandline.runs.ledger_schema import ATTEMPTS

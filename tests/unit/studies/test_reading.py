@@ -11,12 +11,11 @@ import pytest
 from tests.unit.studies.test_refusals import BIOFILM, BOTH, EDGE, OWN, SHARED, TABLE, UM, UNDECLARED, message_of
 
 from strandline.discrepancy import ClosestPoint, Currents
-from strandline.errors import InvalidStudy
-from strandline.files import write_json
+from strandline.foundations import InvalidStudy, write_json
 from strandline.interface import GaussianNoise, Interface, PointErrors, UnknownErrors, spacings
 from strandline.models.biofilm.outline import Outline
 from strandline.models.python import PythonModel
-from strandline.priors import LogNormal, Normal, ScaledBeta, Uniform
+from strandline.parameters import LogNormal, Normal, ScaledBeta, Uniform
 from strandline.runs import InProcess, LocalProcesses
 from strandline.runs.executors import EXECUTORS, with_workers
 from strandline.runs.executors.dask import DaskCluster

@@ -10,7 +10,7 @@ import yaml
 
 import strandline
 from strandline.cli import main
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.command.model import CommandModel
 from strandline.models.umbridge.model import UMBridgeModel

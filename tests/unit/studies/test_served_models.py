@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from strandline.errors import InvalidStudy
+from strandline.foundations import InvalidStudy
 from strandline.interface import Interface
 from strandline.models.protocol import Simulation
 from strandline.models.umbridge.answers import answer

@@ -13,7 +13,7 @@ import pytest
 import yaml
 from tests.unit.cli.command_line import contents
 
-from strandline.errors import InvalidInput, InvalidStudy
+from strandline.foundations import InvalidInput, InvalidStudy
 from strandline.studies import changed_copy, load_study
 from strandline.studies import text as study_text
 from strandline.studies.changed_copy import changed_study

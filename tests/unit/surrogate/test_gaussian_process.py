@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.unit.surrogate.peers import EVERY, VARIANCE, conditioned, peer, runs
 
-from strandline.errors import InvalidInput, NumericsError
+from strandline.foundations import InvalidInput, NumericsError
 from strandline.surrogate import KERNELS, batched_mean, condition, validate
 
 MATERN = KERNELS["matern32"]

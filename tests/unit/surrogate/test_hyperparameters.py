@@ -11,7 +11,7 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 from tests.unit.surrogate.peers import EVERY, FLAT, drawn, hyperparameters, peer, standardised
 
 from strandline.design import sobol
-from strandline.errors import NumericsError
+from strandline.foundations import NumericsError
 from strandline.surrogate import KERNELS, evidence, fit_hyperparameters
 from strandline.surrogate import hyperparameters as module
 from strandline.surrogate.gaussian_process import standardisation

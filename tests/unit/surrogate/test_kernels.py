@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.unit.surrogate.peers import EVERY, lengths_of, peers_correlation
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.surrogate import tiles
 from strandline.surrogate.kernels import KERNELS, as_lengths, decay, kernel_named
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from strandline.design import sobol
-from strandline.errors import InvalidInput, NumericsError, TooFewRuns
+from strandline.foundations import InvalidInput, NumericsError, TooFewRuns
 from strandline.surrogate import fit_log_likelihood
 
 LOW, HIGH = np.array([100.0, -0.8]), np.array([800.0, 0.5])

@@ -15,7 +15,7 @@ from strandline.imaging.erf_step import ErfStep
 from strandline.imaging.markov_path import MarkovPath
 from strandline.interface import NOISES, GaussianNoise, Interface
 from strandline.models.protocol import Simulation
-from strandline.priors import PRIORS, Normal, Uniform
+from strandline.parameters import PRIORS, Normal, Uniform
 from strandline.readers import Contents, Reading
 from strandline.runs import InProcess
 from strandline.surrogate import fit_log_likelihood

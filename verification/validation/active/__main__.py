@@ -20,7 +20,7 @@ from typing import Any
 from verification.validation.active.designs import case, right, s3, s5, s6, stopped, truth_of
 from verification.validation.tables import DOCS, OUTPUT, Table, arguments, show, table
 
-from strandline.numerics.threads import use_double
+from strandline.foundations import use_double
 
 GOOD = {
     "S3": lambda p: p["total_variation"] < 0.05,

@@ -26,12 +26,11 @@ from strandline.design import sobol
 from strandline.design.active import Active, ActiveDesign, State, learn, posterior_state
 from strandline.design.active.coverage_runs import least_found
 from strandline.discrepancy import TrackedPoints
+from strandline.foundations import use_double
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
-from strandline.numerics.threads import use_double
-from strandline.parameters import Parameter, ParameterSpace
+from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.posterior import Weighted
-from strandline.priors import Uniform
 from strandline.runs import RunRecord
 
 X = np.linspace(0.0, 1.0, 21)

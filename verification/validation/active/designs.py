@@ -21,12 +21,11 @@ from strandline.calibration import Problem, Settings, calibrate
 from strandline.design import sobol
 from strandline.design.active import Active, ActiveDesign, Knowledge, State, learn, posterior_state
 from strandline.discrepancy import Currents
-from strandline.errors import TooFewRuns
+from strandline.foundations import TooFewRuns, one_thread
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
 from strandline.models.identity import fingerprint
 from strandline.models.protocol import with_sensitivities
-from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted, reweight, subset
 from strandline.runs import InProcess, Ledger, LocalProcesses, RunRecord, RunRequest, run_key

@@ -35,7 +35,7 @@ from strandline.discrepancy import (
     closest_points,
     squared_discrepancies,
 )
-from strandline.errors import StrandlineError
+from strandline.foundations import StrandlineError, listed
 from strandline.interface import GLOBAL, GaussianNoise, Interface, Observation, arc_lengths, steady_normals
 from strandline.likelihood import (
     Compared,
@@ -47,7 +47,6 @@ from strandline.likelihood import (
     shared_errors,
 )
 from strandline.posterior import Posterior
-from strandline.text import listed
 
 FEW_DRAWS = 32
 """Most draws of the posterior for surfaces, which are compared one by one; too few to flag a model."""

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from strandline.calibration.misfit.verdict import Effort
 from strandline.design import learn
 from strandline.discrepancy import Discrepancy
-from strandline.errors import StrandlineError
+from strandline.foundations import StrandlineError
 from strandline.interface import ErrorModel, Interface, Observation
 from strandline.likelihood import (
     JointErrors,

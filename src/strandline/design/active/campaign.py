@@ -15,16 +15,13 @@ from strandline.design.active.posterior_check import NONE, SimulatorNoise
 from strandline.design.active.sampling import posterior_state
 from strandline.design.active.settings import Active
 from strandline.design.active.state import Knowledge, State, hidden_shift, learn
+from strandline.design.run_filter import RunFilter
 from strandline.discrepancy import Discrepancy
-from strandline.errors import NoCommonPoints, TooFewRuns
-from strandline.likelihood import RunFilter
+from strandline.foundations import NoCommonPoints, TooFewRuns, html_table, one_thread, with_sd
 from strandline.models import by_cheaper
-from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord
 from strandline.smc import StepInfo
-from strandline.text import with_sd
-from strandline.typeset import html_table
 
 NEXT = {
     "batch": "a batch",

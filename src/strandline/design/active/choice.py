@@ -14,10 +14,9 @@ from jaxtyping import Bool, Float
 from strandline.design.active.checking import MOST_FAILED
 from strandline.design.active.state import Knowledge, State
 from strandline.design.space_filling import sobol
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput, lookup
 from strandline.parameters import ParameterSpace
 from strandline.posterior import subset
-from strandline.registry import lookup
 from strandline.runs import RunRecord
 
 MOST = 0.1

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import NoCommonPoints
+from strandline.foundations import NoCommonPoints
 from strandline.models import CHEAPER, FIRST_PAIRS, is_cheaper
 from strandline.runs import RunRecord
 from strandline.surrogate import FEWEST_PAIRS, Correction, fit_correction

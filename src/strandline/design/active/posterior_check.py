@@ -21,7 +21,7 @@ from strandline.design.active.coverage_runs import Surprise, points_elsewhere
 from strandline.design.active.parabola import WHOLE, LogRatios, fewest, smooth_effect
 from strandline.design.active.settings import Active
 from strandline.design.active.state import Knowledge, State
-from strandline.numerics.threads import one_thread
+from strandline.foundations import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.posterior import reweight, subset
 from strandline.runs import RunRecord

@@ -18,9 +18,9 @@ from scipy.special import log_softmax, logsumexp
 from strandline.design.active.state import Knowledge, State
 from strandline.design.refinement import SAMPLING
 from strandline.discrepancy import Discrepancy, WhitenedOffset, squared_discrepancies
+from strandline.foundations import one_thread
 from strandline.interface import Interface, Observation
 from strandline.likelihood import DRAWS, compared, follows_offsets, noise_length
-from strandline.numerics.threads import one_thread
 from strandline.parameters import ParameterSpace
 from strandline.smc import OnHost, SMCResult, SMCSettings, StepInfo, carried_over, sample
 

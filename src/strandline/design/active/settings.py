@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from strandline.design.active.checking import FEWEST_DRAWS, Tolerances, number_of_probes
 from strandline.design.active.choice import criterion_named
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 
 FEWEST_CHECKED = 20
 """Smallest number of draws of a whole check."""

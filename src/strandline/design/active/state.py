@@ -8,10 +8,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import log_softmax
 
+from strandline.design.run_filter import says_whether_runs_succeed
 from strandline.discrepancy import Discrepancy
-from strandline.errors import NoCommonPoints
+from strandline.foundations import NoCommonPoints
 from strandline.interface import Observation
-from strandline.likelihood import FieldLikelihood, noise_length, says_whether_runs_succeed
+from strandline.likelihood import FieldLikelihood, noise_length
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted
 from strandline.runs import RunRecord

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from strandline.foundations import suggestion
 from strandline.imaging.picture import PictureFile, require_pixels
 from strandline.imaging.reading import PictureReading
 from strandline.readers import Unreadable, refused
-from strandline.registry import suggestion
 
 READERS = {".png": ("PIL.PngImagePlugin", "PngImageFile")}
 """Suffix → module and class of Pillow; other suffixes are JPEG. `PIL.Image.open` has another bound of the size."""

@@ -12,10 +12,10 @@ from xml.etree import ElementTree
 import numpy as np
 from jaxtyping import Shaped
 
+from strandline.foundations import of_extra
 from strandline.imaging.picture import PictureFile, require_pixels
 from strandline.imaging.reading import PictureReading, PixelSize
 from strandline.readers import refused
-from strandline.registry import of_extra
 
 MIN_IS_WHITE, MIN_IS_BLACK, RGB = 0, 1, 2
 """TIFF's numbers of the ways in which a number becomes a colour."""

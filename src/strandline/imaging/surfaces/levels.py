@@ -9,9 +9,9 @@ from scipy.ndimage import gaussian_filter
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from strandline.foundations import of_extra
 from strandline.imaging.surfaces.mesh import Mesh
 from strandline.readers import unfit
-from strandline.registry import of_extra
 
 Voxels = Float32[np.ndarray, "z row column"]
 _BINS = 256

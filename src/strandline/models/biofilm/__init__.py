@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from strandline.doors import door
+from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
     from strandline.models.biofilm.fields import write_vtu

@@ -34,8 +34,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.interpolate import RBFInterpolator
 
-from strandline.errors import ForwardModelError
-from strandline.files import whole_file
+from strandline.foundations import ForwardModelError, whole_file
 from strandline.models import refused
 from strandline.models.biofilm import newton
 from strandline.models.biofilm.cell import FlowCell, Setting, Solution

@@ -8,7 +8,7 @@ import ngsolve as ng
 import numpy as np
 from jaxtyping import Float, Int
 
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError
 from strandline.interface import Interface
 from strandline.models.biofilm import newton
 from strandline.models.biofilm.fields import FlowFields, flow_fields

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError
 from strandline.models.biofilm import newton
 from strandline.models.biofilm.cell import FlowCell, Setting, Solution
 from strandline.models.biofilm.course import Course, Piece, pieces

@@ -8,12 +8,12 @@ import ngsolve as ng
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from strandline.foundations import of_extra
 from strandline.models import refused
 from strandline.models.biofilm.flow import STRESS_SCALE, VELOCITY_SCALE
 from strandline.models.biofilm.materials import deformation_gradient
 from strandline.models.biofilm.strain import on_elements, quadratic_nodes
 from strandline.models.biofilm.system import CoupledSystem
-from strandline.registry import of_extra
 
 Points = Float[np.ndarray, "point 2"]
 

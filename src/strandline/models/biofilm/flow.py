@@ -14,7 +14,7 @@ import ngsolve as ng
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput, lookup
 from strandline.interface import Interface
 from strandline.models import refused
 from strandline.models.biofilm.forms import FluidLoad
@@ -22,7 +22,6 @@ from strandline.models.biofilm.outline import Channel, Pairs, pairs_in
 from strandline.models.biofilm.system import CoupledSystem
 from strandline.models.protocol import ModelInput
 from strandline.readers import is_finite
-from strandline.registry import lookup
 
 UNKNOWN = "unknown"
 

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 from ngsolve import la
 
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError
 from strandline.models import refused
 
 STANDARD_OUTPUT = 1

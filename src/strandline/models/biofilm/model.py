@@ -11,7 +11,7 @@ from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError, imported
 from strandline.interface import Interface
 from strandline.models import refused
 from strandline.models.biofilm.anchors import (
@@ -46,7 +46,6 @@ from strandline.models.biofilm.outline import Channel, Outline, Pairs, check_cla
 from strandline.models.biofilm.transient import TransientCell
 from strandline.models.identity import fingerprint as fingerprint_of
 from strandline.models.protocol import ModelInput, Simulation
-from strandline.registry import imported
 
 __all__ = ["Biofilm"]
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import is_condition
 from strandline.models import refused
 from strandline.models.biofilm.course import QUASI_STATIC, TRANSIENT, Course

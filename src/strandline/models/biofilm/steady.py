@@ -21,7 +21,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError
 from strandline.models.biofilm import newton
 from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, NewtonStep, Vector
 from strandline.models.biofilm.strain import Strain

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 from ngsolve import la
 from scipy.sparse import csr_array
 
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError
 from strandline.models.biofilm.fluid_elements import Entries, FluidElements, Values
 from strandline.models.biofilm.forms import (
     FluidLoad,

@@ -14,12 +14,11 @@ import jinja2
 from jinja2 import meta, nodes
 from jinja2.sandbox import ImmutableSandboxedEnvironment
 
-from strandline.errors import ForwardModelError, InvalidInput
+from strandline.foundations import ForwardModelError, InvalidInput, decimal
 from strandline.interface import Interface
 from strandline.models import refused
 from strandline.models.protocol import ModelInput
 from strandline.readers import Reading, Unreadable, read_interface
-from strandline.text import decimal
 
 RUNS = "runs"
 LONGEST = 20

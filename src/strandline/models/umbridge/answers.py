@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from strandline.errors import ForwardModelError, InvalidInput
+from strandline.foundations import ForwardModelError, InvalidInput
 from strandline.models.umbridge.client import PROTOCOL_VERSION, as_vector, shortened
 
 Blocks = list[list[float]]

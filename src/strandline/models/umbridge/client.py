@@ -21,7 +21,7 @@ from urllib.parse import urlsplit
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError
 from strandline.models import refused
 
 if TYPE_CHECKING:

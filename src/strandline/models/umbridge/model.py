@@ -11,13 +11,12 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError, of_extra
 from strandline.interface import Interface
 from strandline.models import refused
 from strandline.models.protocol import ModelInput, Simulation
 from strandline.models.umbridge.client import PROTOCOL_VERSION, Client, Description
 from strandline.readers import TO_MM
-from strandline.registry import of_extra
 
 
 @dataclass(frozen=True)

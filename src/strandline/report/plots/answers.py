@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from strandline.foundations import figure_text, unit_text
 from strandline.posterior import Band
 from strandline.report.plots import style
-from strandline.typeset import figure_text, unit_text
 
 CANDIDATES_APART, LEVELS_APART = 0.16, 0.12
 """Distance of the marks of one candidate, and of one input."""

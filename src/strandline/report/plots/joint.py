@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from strandline.errors import NumericsError
+from strandline.foundations import NumericsError, unit_text
 from strandline.parameters import Parameter
 from strandline.posterior import (
     GaussianApproximation,
@@ -23,7 +23,6 @@ from strandline.posterior import (
     systematic_indices,
 )
 from strandline.report.plots import style
-from strandline.typeset import unit_text
 
 PERCENTILES = (0.1, 0.5, 0.9)
 _GRID = 71

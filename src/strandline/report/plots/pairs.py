@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from strandline.errors import InvalidInput, NumericsError
+from strandline.foundations import InvalidInput, NumericsError
 from strandline.parameters import ParameterSpace
 from strandline.posterior import KernelDensity, Posterior
 from strandline.report.plots import style

@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 from operator import length_hint
 from typing import Any, ClassVar
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput, of_extra
 from strandline.models import ForwardModel
-from strandline.registry import of_extra
 from strandline.runs.executors import shared
 from strandline.runs.executors.dask_cluster import EXTRA, JOB_OPTIONS, opened
 from strandline.runs.executors.dask_driver import DaskDispatcher

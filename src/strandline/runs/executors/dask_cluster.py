@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from strandline.errors import InvalidInput
-from strandline.registry import of_extra
+from strandline.foundations import InvalidInput, of_extra
 from strandline.runs.worker import require_not_loading
 from strandline.runs.worker_slot import interrupts_held_back
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.runs.executors.dask_cluster import Cluster
 from strandline.runs.executors.shared import SPARE_SECONDS, Dispatcher
 from strandline.runs.record import RunRecord, RunRequest, ended

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Generic, TypeVar
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.runs.record import NOT_NOW, RunRecord, RunRequest
 
 Place = TypeVar("Place")

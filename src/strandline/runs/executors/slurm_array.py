@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from strandline.errors import InvalidInput, StrandlineError
+from strandline.foundations import InvalidInput, StrandlineError
 from strandline.models import ForwardModel, asks_sensitivities
 from strandline.runs.executors import shared, slurm_batch
 from strandline.runs.executors.slurm_batch import ArrayBatch, SlurmUnreachable, read_run

@@ -23,8 +23,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from strandline.errors import InvalidInput
-from strandline.files import whole_file
+from strandline.foundations import InvalidInput, whole_file
 from strandline.models import ForwardModel, asks_sensitivities, fingerprint
 from strandline.runs.ledger_rows import inputs_text, record_of, rows_of
 from strandline.runs.ledger_schema import synchronise

@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
-from strandline.text import decimal, is_label, is_name
+from strandline.foundations import decimal, is_label, is_name
 
 MOST = 1_000_000
 """Largest count of runs, particles, workers and so on: more than anybody needs, and few enough for memory."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import InvalidInput, InvalidStudy
+from strandline.foundations import InvalidInput, InvalidStudy
 from strandline.imaging import (
     SAME,
     Clicks,

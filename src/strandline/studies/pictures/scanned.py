@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from strandline.errors import InvalidStudy
+from strandline.foundations import InvalidStudy
 from strandline.imaging import (
     PictureReading,
     Stack,

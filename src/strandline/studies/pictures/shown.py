@@ -12,7 +12,7 @@ from jaxtyping import Float
 from PIL import Image
 
 from strandline.discrepancy import Discrepancy, KnowsPointErrors, NormalOffset, Whitens, unit_of
-from strandline.files import whole_file, write_json
+from strandline.foundations import whole_file, write_json
 from strandline.imaging import FrameErrors
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood import adapted

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.discrepancy import path_of
-from strandline.errors import NoCommonPoints
+from strandline.foundations import NoCommonPoints
 from strandline.interface import Interface
 from strandline.surrogate.field.correspondence import (
     PointLayout,

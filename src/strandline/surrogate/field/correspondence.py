@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from strandline.discrepancy import node_weights, squared_distances
-from strandline.errors import NoCommonPoints
+from strandline.foundations import NoCommonPoints
 from strandline.interface import Interface
 from strandline.surrogate.field.projection import Reference, common_reference
 

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from strandline.errors import InvalidInput, TooFewRuns
+from strandline.foundations import InvalidInput, TooFewRuns, one_thread
 from strandline.interface import Interface
-from strandline.numerics.threads import one_thread
 from strandline.surrogate.field.correspondence import PointLayout, by_condition, common_layout, fields_of
 from strandline.surrogate.field.mode_process import ModeProcess
 from strandline.surrogate.field.warping import Data, Modes, Warping, choose_warping, fewest_runs, fit_modes

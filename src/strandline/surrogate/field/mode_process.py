@@ -19,7 +19,7 @@ from scipy.linalg import cholesky, lapack, solve_triangular
 from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 
-from strandline.errors import NumericsError
+from strandline.foundations import NumericsError
 
 Points = Float[np.ndarray, "point dim"]
 Inputs = Float[np.ndarray, "run dim"]

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from strandline.errors import NoCommonPoints
+from strandline.foundations import NoCommonPoints
 from strandline.interface import Interface
 from strandline.surrogate.field.correspondence import PointLayout, common_layout, registered
 from strandline.surrogate.field.projection import Reference

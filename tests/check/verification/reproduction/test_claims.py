@@ -12,9 +12,8 @@ from verification.reproduction.grid_posterior import posterior_on_grid, product_
 from verification.reproduction.judgement import LikelihoodField
 
 from strandline.design import sobol
-from strandline.parameters import Parameter, ParameterSpace
+from strandline.parameters import LogNormal, Parameter, ParameterSpace, ScaledBeta, Uniform
 from strandline.posterior import Posterior, laplace
-from strandline.priors import LogNormal, ScaledBeta, Uniform
 from strandline.runs import RunRecord
 
 SPACE = ParameterSpace((Parameter("E", Uniform(100.0, 800.0), "Pa"), Parameter("nu", Uniform(-0.8, 0.5))))

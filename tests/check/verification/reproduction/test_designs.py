@@ -18,9 +18,8 @@ from verification.reproduction.grid_posterior import posterior_on_grid, posterio
 from verification.reproduction.truth import spline_field
 
 from strandline.design import sobol
-from strandline.errors import InvalidInput
-from strandline.parameters import Parameter, ParameterSpace
-from strandline.priors import Uniform
+from strandline.foundations import InvalidInput
+from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.surrogate import fit_log_likelihood
 
 E, NU = Parameter("E", Uniform(100.0, 800.0), "Pa"), Parameter("nu", Uniform(-0.8, 0.5))

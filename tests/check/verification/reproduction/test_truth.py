@@ -12,8 +12,7 @@ from verification.reproduction.truth import log_likelihood_field, true_fields, t
 
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
-from strandline.parameters import Parameter, ParameterSpace
-from strandline.priors import LogNormal, ScaledBeta, Uniform
+from strandline.parameters import LogNormal, Parameter, ParameterSpace, ScaledBeta, Uniform
 from strandline.runs import InProcess, Ledger
 
 MODEL = Folding(softness=0.97)

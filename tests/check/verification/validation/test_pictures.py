@@ -9,9 +9,9 @@ from verification.validation.picture_coverage import KINDS, covered, seen_in
 from verification.validation.rendered import PIXEL
 
 from strandline.discrepancy import signed_distances
+from strandline.foundations import use_double
 from strandline.interface import PointErrors
 from strandline.models.biofilm.outline import Outline
-from strandline.numerics.threads import use_double
 
 TRUE = Outline(nodes=66).interface()
 

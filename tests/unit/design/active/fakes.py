@@ -9,7 +9,7 @@ import strandline as sl
 from strandline.design.active.parabola import LogRatios
 from strandline.design.active.posterior_check import PosteriorCheck
 from strandline.design.active.state import Knowledge, State
-from strandline.errors import TooFewRuns
+from strandline.foundations import TooFewRuns
 from strandline.likelihood import FieldLikelihood
 from strandline.surrogate.feasibility import learn_feasibility
 from strandline.surrogate.field import FieldTraining, fit_field

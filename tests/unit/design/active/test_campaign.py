@@ -16,8 +16,8 @@ from strandline.design.active.active_design import Step
 from strandline.design.active.campaign import BatchReport, Certificate, report_batch
 from strandline.design.active.fidelities import Fidelities
 from strandline.design.active.state import PosteriorMove
-from strandline.errors import InvalidInput, TooFewRuns
-from strandline.likelihood.set_aside import RunFilter
+from strandline.design.run_filter import RunFilter
+from strandline.foundations import InvalidInput, TooFewRuns
 from strandline.models.fidelities import by_cheaper
 from strandline.runs import FailurePolicy
 

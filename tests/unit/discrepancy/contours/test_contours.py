@@ -10,7 +10,7 @@ from tests.unit.discrepancy.surfaces import sheet
 
 from strandline.discrepancy import Repeats, errors_from_repeats, errors_from_roughness, repeats
 from strandline.discrepancy.contours import _removed, restored, smoothed, smoothing_weights
-from strandline.errors import InvalidInput, InvalidInterface
+from strandline.foundations import InvalidInput, InvalidInterface
 from strandline.interface import Interface, PointErrors
 
 LAGS = np.arange(60)

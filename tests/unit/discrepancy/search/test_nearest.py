@@ -9,7 +9,7 @@ from tests.unit.discrepancy.surfaces import sheet, sphere, turned
 
 from strandline.discrepancy import nearest
 from strandline.discrepancy.nearest import BLOCK, SMALL, brute_force, by_tree, closest_points, squared_distances
-from strandline.errors import InvalidInterface
+from strandline.foundations import InvalidInterface
 from strandline.interface import Interface
 
 

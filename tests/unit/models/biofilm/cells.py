@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError
 from strandline.models.biofilm.cell import FlowCell
 from strandline.models.biofilm.geometry import MESHES, Partition
 from strandline.models.biofilm.materials import LAWS

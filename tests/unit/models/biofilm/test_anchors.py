@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import qmc
 from tests.unit.models.biofilm.cells import INPUTS, rough
 
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError
 from strandline.models.biofilm import model as module
 from strandline.models.biofilm.anchors import LARGEST_STRAIN, States, load_anchors, save_anchors
 from strandline.models.biofilm.steady import DIRECT_STRAIN

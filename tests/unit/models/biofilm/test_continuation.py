@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import root
 from tests.unit.models.biofilm.cells import coarse_cell, failure, largest
 
-from strandline.errors import ForwardModelError
+from strandline.foundations import ForwardModelError
 from strandline.models.biofilm import cell as cell_module
 from strandline.models.biofilm import newton
 from strandline.models.biofilm.cell import Setting

@@ -10,7 +10,7 @@ from ngsolve import la
 from scipy.sparse.linalg import spsolve
 from tests.unit.models.biofilm.cells import rough, rough_cell
 
-from strandline.errors import ForwardModelError, InvalidInput
+from strandline.foundations import ForwardModelError, InvalidInput
 from strandline.models.biofilm import linear
 from strandline.models.biofilm.linear import SOLVERS, Factorisation, linear_solver
 from strandline.models.biofilm.model import Biofilm, _flow_cell

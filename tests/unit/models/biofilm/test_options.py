@@ -6,7 +6,7 @@ import re
 import pytest
 from tests.unit.models.biofilm.cells import LAYER, OWN, PAIR, coarse
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.models.biofilm.materials import law_named
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.identity import fingerprint

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from tests.unit.models.command.commands import ECHO, RESULT, filled, model, study
 
-from strandline.errors import ForwardModelError, InvalidInput, InvalidStudy
+from strandline.foundations import ForwardModelError, InvalidInput, InvalidStudy
 from strandline.models.command import model as command_model
 from strandline.models.command.options import InputTemplate, named_by
 from strandline.models.identity import fingerprint

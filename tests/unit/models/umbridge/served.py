@@ -3,7 +3,7 @@
 import threading
 from contextlib import contextmanager
 
-from strandline.errors import ForwardModelError, InvalidInput
+from strandline.foundations import ForwardModelError, InvalidInput
 from strandline.models.umbridge.answers import ServedModel
 from strandline.models.umbridge.server import UMBridgeServer
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tests.unit.models.umbridge.served import AT, TOKEN, WHOLE
 
-from strandline.errors import ForwardModelError, InvalidInput
+from strandline.foundations import ForwardModelError, InvalidInput
 from strandline.models.protocol import with_sensitivities
 from strandline.models.umbridge.answers import Rejected, ServedModel, answer
 from strandline.models.umbridge.model import BlockLayout, UMBridgeModel

@@ -7,9 +7,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from strandline.parameters import Parameter, ParameterSpace
+from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.posterior import Posterior
-from strandline.priors import Uniform
 
 E, NU = Parameter("E", Uniform(100.0, 800.0), "Pa"), Parameter("nu", Uniform(-0.8, 0.5), symbol="ν")
 

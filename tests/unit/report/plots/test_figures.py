@@ -9,7 +9,7 @@ from matplotlib.collections import LineCollection, QuadMesh, TriMesh
 from matplotlib.tri import Triangulation
 from tests.unit.report.plots.drawn import NU, E, entries, lines, posterior_of, rendered
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 from strandline.interface import Interface
 from strandline.posterior import Offsets, SobolIndices
 from strandline.posterior.rank_tests import uniformity

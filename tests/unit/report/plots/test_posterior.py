@@ -7,10 +7,9 @@ from matplotlib.patches import StepPatch
 from matplotlib.path import Path as Outline
 from tests.unit.report.plots.drawn import NU, E, entries, hexagon_mass, lines, posterior_of, rendered
 
-from strandline.errors import InvalidInput
-from strandline.parameters import Parameter, ParameterSpace
+from strandline.foundations import InvalidInput
+from strandline.parameters import LogNormal, Parameter, ParameterSpace, ScaledBeta, Uniform
 from strandline.posterior import GaussianApproximation, Posterior, histogram, laplace
-from strandline.priors import LogNormal, ScaledBeta, Uniform
 from strandline.report import plots
 from strandline.report.plots.joint import axis_limits
 from strandline.report.plots.pairs import DENSITY, PosteriorPlots, _order

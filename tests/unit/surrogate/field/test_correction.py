@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from strandline.errors import NoCommonPoints
+from strandline.foundations import NoCommonPoints
 from strandline.interface import Interface
 from strandline.surrogate.field.correction import fit_correction
 

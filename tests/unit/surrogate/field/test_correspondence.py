@@ -5,7 +5,7 @@ import pytest
 import shapely
 from tests.unit.discrepancy.surfaces import divided, sheet
 
-from strandline.errors import InvalidInterface
+from strandline.foundations import InvalidInterface
 from strandline.interface import Interface
 from strandline.surrogate.field.correspondence import FEWEST_POINTS, common_layout, fields_of, registered
 from strandline.surrogate.field.odd import flipped, odd_ones, stopped_early

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from strandline.design import sobol
-from strandline.errors import InvalidInput, TooFewRuns
+from strandline.foundations import InvalidInput, TooFewRuns
 from strandline.interface import Interface
 from strandline.surrogate.field import FieldTraining, fewest_runs, fit_field
 

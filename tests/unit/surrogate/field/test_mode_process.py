@@ -15,7 +15,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct
 
 from strandline.design import sobol
-from strandline.errors import NumericsError
+from strandline.foundations import NumericsError
 from strandline.surrogate.field import mode_process
 from strandline.surrogate.field.mode_process import ModeData, ModeProcess, condition_mode, fit_mode, restricted_evidence
 from strandline.surrogate.field.warping import decompose

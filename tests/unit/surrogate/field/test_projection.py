@@ -7,7 +7,7 @@ from shapely.geometry import LinearRing, Point
 from tests.unit.discrepancy.surfaces import divided, sheet, sphere
 
 from strandline.design import sobol
-from strandline.errors import InvalidInterface
+from strandline.foundations import InvalidInterface
 from strandline.interface import Interface
 from strandline.surrogate.field import FieldTraining, fit_field
 from strandline.surrogate.field.correspondence import common_layout, fields_of, registered

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput, lookup
 from strandline.models import refused
 from strandline.models.biofilm.materials.isotropic import Coefficients, IsotropicLaw, Number, exp, flaw
 from strandline.models.biofilm.materials.law import (
@@ -21,7 +21,6 @@ from strandline.models.biofilm.materials.law import (
     typical_value,
 )
 from strandline.models.protocol import ModelInput
-from strandline.registry import lookup
 
 __all__ = [
     "LAWS",

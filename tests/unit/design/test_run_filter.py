@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from strandline.design.run_filter import RunFilter, says_whether_runs_succeed
 from strandline.discrepancy import ClosestPoint, NormalOffset, TrackedPoints
-from strandline.errors import CampaignStopped, InvalidInterface, NoCommonPoints
+from strandline.foundations import CampaignStopped, InvalidInterface, NoCommonPoints
 from strandline.interface import Interface, Observation, PointErrors
-from strandline.likelihood.set_aside import RunFilter, says_whether_runs_succeed
 from strandline.runs import FailurePolicy, RunRecord
 
 CLOSEST, TRACKED = {"closest_point": ClosestPoint()}, {"tracked_points": TrackedPoints()}

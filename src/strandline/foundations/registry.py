@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from strandline.errors import InvalidInput
+from strandline.foundations.errors import InvalidInput
 
 __all__ = ["imported", "lookup", "of_extra", "suggestion"]
 

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 from scipy import special, stats
 
-from strandline.errors import InvalidInput
+from strandline.foundations import InvalidInput
 
 __all__ = [
     "PRIORS",

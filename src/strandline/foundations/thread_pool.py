@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from strandline.errors import InvalidInput
+from strandline.foundations.errors import InvalidInput
 
 Part = TypeVar("Part")
 Result = TypeVar("Result")

@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from strandline.errors import InvalidInput
-from strandline.parameters import Parameter, ParameterSpace
-from strandline.priors import LogNormal, Normal, ScaledBeta, Uniform
+from strandline.foundations import InvalidInput
+from strandline.parameters import LogNormal, Normal, Parameter, ParameterSpace, ScaledBeta, Uniform
 
 E = Parameter("E", LogNormal(5.86, 0.4), "Pa", (100.0, 800.0))
 NU = Parameter("nu", ScaledBeta(43 / 13, 22 / 13, -0.8, 0.5))

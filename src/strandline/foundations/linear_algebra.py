@@ -5,7 +5,7 @@ from jaxtyping import Float
 from scipy.linalg import lapack
 from scipy.spatial.distance import cdist
 
-from strandline.errors import NumericsError
+from strandline.foundations.errors import NumericsError
 
 Matrix = Float[np.ndarray, "run run"]
 

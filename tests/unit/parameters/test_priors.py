@@ -11,8 +11,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import integrate, stats
 
-from strandline.errors import InvalidInput
-from strandline.priors import PRIORS, LogNormal, LogUniform, Normal, Prior, ScaledBeta, Truncated, Uniform, truncate
+from strandline.foundations import InvalidInput
+from strandline.parameters import PRIORS, LogNormal, LogUniform, Normal, Prior, ScaledBeta, Truncated, Uniform, truncate
 
 
 def cut(base, low, high):

@@ -10,10 +10,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from strandline.errors import InvalidInput
-from strandline.priors import Prior, Truncated, require_span, truncate
-from strandline.text import require_label, require_name
-from strandline.typeset import figure_text, html_table, html_text, unit_text
+from strandline.foundations import (
+    InvalidInput,
+    figure_text,
+    html_table,
+    html_text,
+    require_label,
+    require_name,
+    unit_text,
+)
+from strandline.parameters.priors import Prior, Truncated, require_span, truncate
 
 __all__ = ["RESERVED", "Parameter", "ParameterSpace"]
 
@@ -43,7 +49,7 @@ class Parameter:
     """One uncertain input.
 
     Args:
-        name: name of the input in the simulator; see `strandline.text.require_name`.
+        name: name of the input in the simulator; see `strandline.foundations.require_name`.
         prior: the distribution before the data are seen.
         unit: e.g. ``Pa``; ``1`` for a pure number.
         box: interval in which forward runs are made; default: the support of the prior.

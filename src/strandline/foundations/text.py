@@ -3,7 +3,7 @@
 import re
 from collections.abc import Collection, Sequence
 
-from strandline.errors import InvalidInput
+from strandline.foundations.errors import InvalidInput
 
 __all__ = ["LONGEST", "decimal", "is_label", "is_name", "listed", "require_label", "require_name", "with_sd"]
 

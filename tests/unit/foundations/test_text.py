@@ -2,11 +2,19 @@
 
 import pytest
 
-from strandline.errors import InvalidInput
-from strandline.parameters import Parameter
-from strandline.priors import Uniform
-from strandline.text import decimal, is_label, is_name, require_label, require_name, with_sd
-from strandline.typeset import figure_text, html_text, unit_text
+from strandline.foundations import (
+    InvalidInput,
+    decimal,
+    figure_text,
+    html_text,
+    is_label,
+    is_name,
+    require_label,
+    require_name,
+    unit_text,
+    with_sd,
+)
+from strandline.parameters import Parameter, Uniform
 
 NAMES = ["E", "V_in", "ν", "E modulus", "a.b", "k[0]", "é" * 64]
 BAD_PARTS = ["/", "\\", "=", "$", "\n", "\0", "\u202e", "\ud800"]

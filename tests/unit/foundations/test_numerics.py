@@ -7,9 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from strandline.errors import InvalidInput
-from strandline.numerics.compiled import WHOLE, exp2_of_minus
-from strandline.numerics.threads import double, side_by_side, threads, use_double
+from strandline.foundations import WHOLE, InvalidInput, double, exp2_of_minus, side_by_side, threads, use_double
 
 
 def test_power_of_two_is_exact_to_2e_14_and_vanishes_where_it_should():
@@ -67,7 +65,7 @@ def test_a_part_that_fails_spares_those_behind_it(number):
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore:os.fork:RuntimeWarning")
 def test_a_forked_process_has_threads_of_its_own(monkeypatch, number):
-    monkeypatch.setattr("strandline.numerics.threads.double", lambda: True)  # JAX does not stand a fork
+    monkeypatch.setattr("strandline.foundations.thread_pool.double", lambda: True)  # JAX does not stand a fork
     assert list(side_by_side(abs, range(9))) == list(range(9))
     child = os.fork()
     if child == 0:

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 
 from strandline.discrepancy import Discrepancy, oriented_like_runs
-from strandline.errors import CampaignStopped, InvalidInput, NoCommonPoints, NumericsError
+from strandline.foundations import CampaignStopped, InvalidInput, NoCommonPoints, NumericsError
 from strandline.interface import Observation
-from strandline.likelihood import InterfaceLikelihood
-from strandline.likelihood.field import noise_length
+from strandline.likelihood import InterfaceLikelihood, noise_length
 from strandline.runs import EXCLUDED, FailurePolicy, RunRecord
 from strandline.surrogate import flipped, odd_ones
 

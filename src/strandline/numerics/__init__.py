@@ -1,1 +1,0 @@
-"""Internal numerical tools shared by several packages: threads, compiled functions, factorised matrices."""

@@ -1,0 +1,29 @@
+"""The inputs of a model, known and unknown, and their priors.
+
+In: names, units, fixed values, densities. Out: the space of inputs that designs fill and samplers move in.
+"""
+
+from strandline.parameters.parameter_space import RESERVED, Parameter, ParameterSpace
+from strandline.parameters.priors import (
+    PRIORS,
+    LogNormal,
+    LogUniform,
+    Normal,
+    Prior,
+    ScaledBeta,
+    Truncated,
+    Uniform,
+    truncate,
+)
+
+__all__ = [
+    "LogNormal",
+    "LogUniform",
+    "Normal",
+    "Parameter",
+    "ParameterSpace",
+    "Prior",
+    "ScaledBeta",
+    "Truncated",
+    "Uniform",
+]
