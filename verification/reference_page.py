@@ -13,7 +13,7 @@ from strandline.foundations import lookup
 from strandline.models import MODELS
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.schema import PLAIN, Options, listed
-from strandline.studies.template import EXAMPLES
+from strandline.studies.keys.template import EXAMPLES
 
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
 

@@ -26,7 +26,7 @@ from strandline.runs import RunRequest, attempt
 from strandline.studies import check_posterior
 from strandline.studies.keys import StudyFile
 from strandline.studies.keys.observation import ObservationFile
-from strandline.studies.models import build_model
+from strandline.studies.load.models import build_model
 from strandline.surrogate import KERNELS
 from strandline.testing.studies import BEAM_STUDY, write_study
 

@@ -12,7 +12,7 @@ from verification.reproduction.page import write_claims, write_page
 
 from strandline.calibration import Calibration, Observer
 from strandline.runs import Executor
-from strandline.studies.folder import told_if_unwritable
+from strandline.studies.keys.folder import told_if_unwritable
 
 GRID = 241
 

@@ -29,7 +29,7 @@ from strandline.foundations import one_thread, use_double
 from strandline.interface import GaussianNoise, PointErrors
 from strandline.questions.knowledge import runs_to_learn_from
 from strandline.studies import Study, load_study
-from strandline.studies.first_run import observations_of
+from strandline.studies.foresight.first_run import observations_of
 
 ERRORS = PointErrors(0.001)
 TOGETHER = PointErrors(0.001, shift=0.005, offset=0.002)

@@ -12,11 +12,10 @@ from jaxtyping import Float
 
 from strandline.calibration.misfit import Misfit
 from strandline.calibration.sampler_check import SamplerCheck
-from strandline.design import Active, BatchReport, FieldOutcome, Refinement, Round
+from strandline.design import Active, BatchReport, FieldOutcome, Refinement, Round, SetAside
 from strandline.discrepancy import Discrepancy
 from strandline.foundations import InvalidInput, html_table
 from strandline.interface import Observation
-from strandline.likelihood import SetAside
 from strandline.models import ForwardModel
 from strandline.parameters import ParameterSpace
 from strandline.posterior import (

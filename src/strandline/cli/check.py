@@ -128,7 +128,8 @@ def _as_dict(
 def _lines(study: "Study", record: "RunRecord", log_likelihoods: Mapping[str, float]) -> Iterator[str]:
     """Yield what the run shows: shapes, their distance, log-likelihoods, displacement, error of the mesh."""
     from strandline.cli.forward import attempted
-    from strandline.studies import cheaper_lines, first_run, measure_lines, node_lines
+    from strandline.studies import cheaper_lines, measure_lines, node_lines
+    from strandline.studies.foresight import first_run
 
     yield from first_run.shape_lines(study, record)
     yield from measure_lines(study, record)
@@ -150,7 +151,8 @@ def _widths(study: "Study", record: "RunRecord", *, asked: bool) -> Iterator[str
     from strandline.cli.forward import attempted
     from strandline.foundations import InvalidInput, NumericsError
     from strandline.interface import UnknownErrors
-    from strandline.studies import observations_of, widths
+    from strandline.studies import observations_of
+    from strandline.studies.foresight import widths
 
     seen = study.observations(study.observed or record.interfaces)
     guessed = [(one.noise, one.interface) for one in seen if isinstance(one.noise, UnknownErrors)]

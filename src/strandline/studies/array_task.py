@@ -5,8 +5,8 @@ from pathlib import Path
 
 from strandline.models import ForwardModel
 from strandline.runs import run_task
-from strandline.studies.models import build_model
-from strandline.studies.parse import parse_study
+from strandline.studies.keys.parse import parse_study
+from strandline.studies.load.models import build_model
 
 
 def main(arguments: list[str]) -> None:

@@ -16,7 +16,7 @@ from tests.unit.models.command.commands import RESULT
 
 from strandline.models.command.model import LOG_LIMIT, CommandModel
 from strandline.runs import Counts, InProcess, Ledger, LocalProcesses, RunRequest, run_campaign
-from strandline.studies.parse import made
+from strandline.studies.keys.parse import made
 from strandline.testing.studies import write_study
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked for in /proc")

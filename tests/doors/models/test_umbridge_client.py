@@ -20,7 +20,7 @@ from strandline.models.umbridge import client as client_module
 from strandline.models.umbridge.answers import ServedModel, answer
 from strandline.models.umbridge.model import UMBridgeModel
 from strandline.runs import RunRequest, attempt
-from strandline.studies.parse import made
+from strandline.studies.keys.parse import made
 from strandline.testing.models import Cantilever, TwoLoads
 
 BEAM = Cantilever(nodes=3)

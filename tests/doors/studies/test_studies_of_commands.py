@@ -6,7 +6,7 @@ from tests.unit.studies.test_stacks import RADIUS, V, loaded
 
 from strandline.runs import InProcess
 from strandline.studies import run_study
-from strandline.studies.pictures.shown import vtu
+from strandline.studies.write.shown import vtu
 
 PROGRAM = """
 radius, inside, out = float(open("input.txt").read()), False, []

@@ -18,7 +18,7 @@ from tests.study.conftest import SAMPLER
 from strandline.models.umbridge.answers import answer
 from strandline.runs import InProcess, Ledger
 from strandline.studies import load_study, run_study
-from strandline.studies.serve import Solver, served_models
+from strandline.studies.foresight.serve import Solver, served_models
 from strandline.testing.models import Cantilever, Counted, Faulty, Slow, TwoLoads
 from strandline.testing.studies import TWO_LOADS_STUDY, beam, write_study
 from strandline.testing.umbridge import CHECKS, STRICT_CHECKS, ModelUnderTest

@@ -90,11 +90,11 @@ def test_a_study_that_has_not_changed_is_shown_and_not_run(beam, capsys):
 
 def test_both_ways_to_the_status_print_the_same(beam, capsys, monkeypatch):
     loaded = Mock(side_effect=load_study)
-    monkeypatch.setattr("strandline.studies.load.load_study", loaded)
+    monkeypatch.setattr("strandline.studies.load.load.load_study", loaded)
     folder = str(beam.folder)
     quick = [printed(capsys, "status", folder, *options) for options in ([], ["--json"])]
     assert not loaded.called
-    monkeypatch.setattr("strandline.studies.progress.recorded_plan", lambda folder: None)
+    monkeypatch.setattr("strandline.studies.load.progress.recorded_plan", lambda folder: None)
     assert [printed(capsys, "status", folder, *options) for options in ([], ["--json"])] == quick
     assert loaded.call_args_list == [call(beam.folder)] * 2
     assert "beam: 64 of 64 runs of the design done\n  ok 64, failed 0, under way 0, to do 0\n" in quick[0]

@@ -13,7 +13,7 @@ from strandline.cli import main
 from strandline.foundations import InvalidInput
 from strandline.interface import GaussianNoise, Interface
 from strandline.questions.coverage import coverage
-from strandline.studies.first_run import observations_of
+from strandline.studies.foresight.first_run import observations_of
 
 FEWEST = "strandline.questions.coverage.FEWEST_REPLICATES"
 

@@ -14,9 +14,9 @@ from strandline.cli import main
 from strandline.foundations import InvalidInput, InvalidStudy, NoCommonPoints
 from strandline.questions.knowledge import field_knowledge
 from strandline.questions.what_if import PLACE, alternative_of, what_if
+from strandline.studies.keys.parse import checked
 from strandline.studies.keys.study_file import WhatIf
-from strandline.studies.parse import checked
-from strandline.studies.progress import results_of
+from strandline.studies.load.progress import results_of
 from strandline.testing.studies import write_study
 
 NARROW = {"prior": {"E": {"normal": [350, 20]}}, "name": "a softer beam"}

@@ -15,9 +15,9 @@ from strandline.models.fidelities import is_cheaper
 from strandline.posterior import read
 from strandline.runs import InProcess, Ledger
 from strandline.studies import load_study, run_study
-from strandline.studies.progress import progress_of
-from strandline.studies.result import load_result
-from strandline.studies.summary_field import certificate
+from strandline.studies.load.progress import progress_of
+from strandline.studies.write.result import load_result
+from strandline.studies.write.summary_field import certificate
 from strandline.testing.studies import write_study
 
 

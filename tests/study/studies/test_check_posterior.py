@@ -16,7 +16,7 @@ from strandline.foundations import ForwardModelError, InvalidInput, TooFewRuns
 from strandline.posterior import from_datatree, read
 from strandline.runs import InProcess
 from strandline.studies import check_posterior, load_study
-from strandline.studies.check import read_check
+from strandline.studies.foresight.check import read_check
 from strandline.testing.studies import undeclared_beam, write_study
 
 

@@ -12,7 +12,7 @@ from strandline.foundations import InvalidStudy
 from strandline.posterior import read
 from strandline.runs import InProcess, Ledger
 from strandline.studies import check_posterior, load_study, run_study
-from strandline.studies.progress import progress_of
+from strandline.studies.load.progress import progress_of
 from strandline.testing.models import TwoLoads
 from strandline.testing.studies import TWO_LOADS_STUDY, write_study
 

@@ -10,7 +10,7 @@ from verification.upgrade_ledger import upgrade
 
 from strandline.runs import InProcess
 from strandline.studies import load_study, run_study
-from strandline.studies.progress import progress_in, recorded_plan
+from strandline.studies.load.progress import progress_in, recorded_plan
 from strandline.testing.studies import write_study
 
 DATA = Path(__file__).parents[2] / "data"

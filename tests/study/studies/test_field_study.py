@@ -14,8 +14,8 @@ from strandline.posterior import read
 from strandline.report.warnings import find_warnings
 from strandline.runs import InProcess
 from strandline.studies import check_posterior, load_study
-from strandline.studies.observed import SyntheticNoise, noisy
-from strandline.studies.summary import summarise
+from strandline.studies.load.observed import SyntheticNoise, noisy
+from strandline.studies.write.summary import summarise
 from strandline.testing.studies import beam as simulator
 
 TRUTH = {"E": 400.0, "tilt": 0.02, "load": 1e-5}

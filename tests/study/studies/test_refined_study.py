@@ -10,7 +10,7 @@ from strandline.calibration import Observer
 from strandline.foundations import InvalidStudy
 from strandline.runs import InProcess, Ledger
 from strandline.studies import load_study, run_study
-from strandline.studies.progress import progress_in, progress_of, recorded_plan
+from strandline.studies.load.progress import progress_in, progress_of, recorded_plan
 from strandline.testing.studies import write_study
 
 SMALL = {

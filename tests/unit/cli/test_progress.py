@@ -13,7 +13,7 @@ from strandline.runs import Progress as Runs
 from strandline.runs.overview import Driver
 from strandline.smc import StepInfo
 from strandline.studies import load_study
-from strandline.studies.progress import Failures, RunReported, StudyProgress
+from strandline.studies.load.progress import Failures, RunReported, StudyProgress
 from strandline.testing.studies import write_study
 
 RECORD = RunRecord("key", {"E": 1.0}, "ok")

@@ -10,7 +10,7 @@ from tests.unit.imaging.pictures import grid
 from strandline.foundations import InvalidInput
 from strandline.imaging import registered
 from strandline.imaging.frame import Frame
-from strandline.studies.parse import made
+from strandline.studies.keys.parse import made
 
 PIXEL = (0.006, 0.003)
 PLACES = [

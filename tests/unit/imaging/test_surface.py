@@ -18,7 +18,7 @@ from strandline.imaging.surfaces.levels import _noise, two_levels
 from strandline.imaging.surfaces.mesh import Mesh, cut, thinned
 from strandline.imaging.surfaces.surface import _outside
 from strandline.interface import Interface
-from strandline.studies.parse import made
+from strandline.studies.keys.parse import made
 
 V = 1e-3
 CENTRE = (0.0242, 0.0235, 0.0238)

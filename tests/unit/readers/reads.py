@@ -3,7 +3,7 @@
 import pytest
 
 from strandline.readers import Reading, Unreadable, read_interface
-from strandline.studies.parse import made
+from strandline.studies.keys.parse import made
 
 
 def read(path, **options):

@@ -9,7 +9,7 @@ from tests.unit.readers.reads import read, refused
 
 from strandline.foundations import InvalidInput
 from strandline.readers import Reading, Unreadable, read_interface, read_point_sds
-from strandline.studies.parse import made
+from strandline.studies.keys.parse import made
 
 POINTS = np.array([[0.0, 0.0], [0.5, 0.25], [1.0, -0.125]])
 TABLE = "node, x coord, U1, y coord, U2\n7,0,0,0,0\n8,500,1,250,2\n9,1000,3,-125,4\n"

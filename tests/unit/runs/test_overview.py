@@ -13,7 +13,7 @@ from strandline.runs import Ledger, RunRecord, RunRequest, ledger_schema
 from strandline.runs.overview import OPEN, STATES, Overview, is_at_work
 from strandline.runs.plans import Plan
 from strandline.runs.record import ENDS
-from strandline.studies.study import settled
+from strandline.studies.load.study import settled
 
 KEYS = [f"k{number}" for number in range(40)]
 

@@ -13,8 +13,16 @@ from strandline.foundations import NumericsError
 from strandline.interface import Interface, PointErrors
 from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.runs import Progress, RunRecord, RunRequest, attempt
-from strandline.studies import load_study, widths
-from strandline.studies.widths import STEP, expected_sd, neighbours, noting_widths, predicted_at, slopes_by_differences
+from strandline.studies import load_study
+from strandline.studies.foresight import widths
+from strandline.studies.foresight.widths import (
+    STEP,
+    expected_sd,
+    neighbours,
+    noting_widths,
+    predicted_at,
+    slopes_by_differences,
+)
 from strandline.testing.models import TwoLoads
 from strandline.testing.studies import TWO_LOADS_STUDY, write_study
 

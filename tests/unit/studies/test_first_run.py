@@ -19,10 +19,11 @@ from strandline.interface import Interface, PointErrors
 from strandline.models.fidelities import is_cheaper
 from strandline.report import plots
 from strandline.runs import Progress, RunRecord, RunRequest, attempt
-from strandline.studies import first_run, load_study
-from strandline.studies.measure_doubts import _sagittas, measure_lines, node_lines
-from strandline.studies.models import cheaper_lines
-from strandline.studies.run import _checking_sizes
+from strandline.studies import load_study
+from strandline.studies.foresight import first_run
+from strandline.studies.foresight.measure_doubts import _sagittas, measure_lines, node_lines
+from strandline.studies.load.models import cheaper_lines
+from strandline.studies.run.run import _checking_sizes
 from strandline.testing.studies import beam, write_study
 
 TRUTH = {"E": 430.0, "tilt": 0.02, "load": 1e-5}

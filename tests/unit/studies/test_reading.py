@@ -22,12 +22,12 @@ from strandline.runs.executors.dask import DaskCluster
 from strandline.runs.executors.slurm_array import SlurmArray
 from strandline.smc import SMCSettings
 from strandline.studies import load_study
-from strandline.studies.inputs import require_prior
+from strandline.studies.keys.parse import parse_study
 from strandline.studies.keys.settings import ExecutorChoice
-from strandline.studies.noise import require_stated
-from strandline.studies.observed import SyntheticNoise, noisy, read_points, require_plausible
-from strandline.studies.parse import parse_study
-from strandline.studies.text import _not_yaml
+from strandline.studies.keys.text import _not_yaml
+from strandline.studies.load.inputs import require_prior
+from strandline.studies.load.noise import require_stated
+from strandline.studies.load.observed import SyntheticNoise, noisy, read_points, require_plausible
 from strandline.testing.models import TwoLoads
 from strandline.testing.studies import BEAM_STUDY, TWO_LOADS_STUDY, write_study
 

@@ -14,8 +14,8 @@ from strandline.models.protocol import Simulation
 from strandline.models.umbridge.answers import answer
 from strandline.runs import RunRecord, RunRequest, attempt
 from strandline.studies import load_study
-from strandline.studies.models import differentiating
-from strandline.studies.serve import served_models
+from strandline.studies.foresight.serve import served_models
+from strandline.studies.load.models import differentiating
 from strandline.testing.models import Cantilever, TwoLoads
 from strandline.testing.studies import beam, write_study
 

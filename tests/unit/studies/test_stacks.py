@@ -19,8 +19,8 @@ from strandline.readers import Reading, read_interface
 from strandline.studies import load_study
 from strandline.studies.keys.observation import StackFile
 from strandline.studies.pictures.scanned import Scanned
-from strandline.studies.pictures.shown import read_how, write_pictures
 from strandline.studies.pictures.undeformed import with_errors_of
+from strandline.studies.write.shown import read_how, write_pictures
 from strandline.testing.studies import BEAM_STUDY, write_study
 
 V, RADIUS = 1e-3, 0.014

@@ -14,13 +14,14 @@ import yaml
 from tests.unit.cli.command_line import contents
 
 from strandline.foundations import InvalidInput, InvalidStudy
-from strandline.studies import changed_copy, load_study
-from strandline.studies import text as study_text
-from strandline.studies.changed_copy import changed_study
-from strandline.studies.folder import QUESTION, digest_of
+from strandline.studies import load_study
 from strandline.studies.keys import StudyFile
+from strandline.studies.keys import text as study_text
+from strandline.studies.keys.folder import QUESTION, digest_of
 from strandline.studies.keys.schema import listed
-from strandline.studies.text import DEEPEST, REMOVED, changed_content, changed_text, load_yaml
+from strandline.studies.keys.text import DEEPEST, REMOVED, changed_content, changed_text, load_yaml
+from strandline.studies.write import changed_copy
+from strandline.studies.write.changed_copy import changed_study
 from strandline.testing.studies import TWO_LOADS_STUDY, write_study
 
 ROOT = Path(__file__).parents[3]

@@ -32,7 +32,7 @@ from strandline.runs import InProcess, Ledger, LocalProcesses, RunRecord, RunReq
 from strandline.runs.record import attempt
 from strandline.smc import OnHost, SMCSettings, sample
 from strandline.studies import load_study
-from strandline.studies.observed import noisy
+from strandline.studies.load.observed import noisy
 
 Options = dict[str, Any]
 """Of a design: seed, sensitivities, criterion."""

@@ -36,7 +36,7 @@ from strandline.imaging import (
 )
 from strandline.interface import Interface, PointErrors
 from strandline.studies.keys.observation import ConditionFile, ImageFile, ObservationFile
-from strandline.studies.parse import made, refused_at
+from strandline.studies.keys.parse import made, refused_at
 
 UNDEFORMED = "undeformed"
 """Name, in files and results, of the picture that gives the model its outline."""

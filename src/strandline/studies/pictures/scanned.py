@@ -16,7 +16,7 @@ from strandline.imaging import (
 )
 from strandline.interface import Interface, PointErrors
 from strandline.studies.keys.observation import StackFile
-from strandline.studies.parse import made, refused_at
+from strandline.studies.keys.parse import made, refused_at
 from strandline.studies.pictures.photographed import frame_note, picture_reading
 
 PLACE = "observation.stack"

@@ -11,7 +11,7 @@ import numpy as np
 from strandline.imaging import Outlined, outline_of
 from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
 from strandline.studies.keys.observation import ImageFile
-from strandline.studies.parse import checked, refused_at
+from strandline.studies.keys.parse import checked, refused_at
 from strandline.studies.pictures.photographed import Photographed, photographed
 
 IMAGE = "image"

@@ -12,7 +12,7 @@ from strandline.models.biofilm.geometry import MESHES, Partition
 from strandline.models.biofilm.materials import LAWS
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.biofilm.outline import Channel, Outline
-from strandline.studies.parse import made
+from strandline.studies.keys.parse import made
 
 SOLID = {"E": 400.0, "nu": 0.3}
 INPUTS = SOLID | {"V_in": 100.0}

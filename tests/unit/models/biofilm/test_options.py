@@ -10,7 +10,7 @@ from strandline.foundations import InvalidInput
 from strandline.models.biofilm.materials import law_named
 from strandline.models.biofilm.model import Biofilm
 from strandline.models.identity import fingerprint
-from strandline.studies.parse import made
+from strandline.studies.keys.parse import made
 
 TWO = {"channel": {"length": 4.0}, "outline": {"points": PAIR}}
 RANGES = {"E": [100, 800], "nu": [-0.8, 0.5], "V_in": 100}

@@ -1,7 +1,7 @@
 """A study folder with a template of one number and a simulator that writes it as a deflection."""
 
 from strandline.models.command.model import CommandModel
-from strandline.studies.parse import made
+from strandline.studies.keys.parse import made
 from strandline.testing.studies import write_study
 
 ECHO = "cat input.txt; printf 'x,y\\n0,0\\n1,%s\\n' \"$(cat input.txt)\" > out.csv"

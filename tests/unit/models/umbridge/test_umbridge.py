@@ -16,7 +16,7 @@ from strandline.models.protocol import with_sensitivities
 from strandline.models.umbridge.answers import Rejected, ServedModel, answer
 from strandline.models.umbridge.model import BlockLayout, UMBridgeModel
 from strandline.models.umbridge.server import Access
-from strandline.studies.parse import made
+from strandline.studies.keys.parse import made
 from strandline.testing.umbridge import CHECKS, ModelUnderTest
 
 

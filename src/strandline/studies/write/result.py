@@ -15,13 +15,13 @@ from strandline.models import is_cheaper
 from strandline.posterior import Posterior
 from strandline.report import PosteriorPlots
 from strandline.runs import InProcess
-from strandline.studies.check import finished_posterior
-from strandline.studies.first_run import observations_of
-from strandline.studies.folder import SUMMARY
-from strandline.studies.load import load_study
-from strandline.studies.models import cheaper_dropped
-from strandline.studies.parse import made, open_entry
-from strandline.studies.study import Study
+from strandline.studies.foresight.check import finished_posterior
+from strandline.studies.foresight.first_run import observations_of
+from strandline.studies.keys.folder import SUMMARY
+from strandline.studies.keys.parse import made, open_entry
+from strandline.studies.load.load import load_study
+from strandline.studies.load.models import cheaper_dropped
+from strandline.studies.load.study import Study
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -10,7 +10,7 @@ from strandline.calibration import Calibration
 from strandline.design import BatchCheck, FidelityReport, FieldOutcome, Step
 from strandline.interface import Observation, UnknownErrors, steady_lengths
 from strandline.likelihood import NoisePosterior
-from strandline.studies.provenance import named
+from strandline.studies.load.provenance import named
 
 TO_MICROMETRES = 1e3
 LEVELS = {"q05": 0.05, "median": 0.5, "q95": 0.95}

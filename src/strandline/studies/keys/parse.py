@@ -10,11 +10,11 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from strandline.foundations import InvalidInput, InvalidStudy, lookup, suggestion
-from strandline.studies.folder import STUDY
 from strandline.studies.keys import SCHEMA_VERSION, StudyFile
+from strandline.studies.keys.folder import STUDY
 from strandline.studies.keys.observation import ONE, SEVERAL, ConditionFile
 from strandline.studies.keys.schema import PLAIN, Options, annotation_of, keys_within, stated
-from strandline.studies.text import load_yaml
+from strandline.studies.keys.text import load_yaml
 
 T = TypeVar("T")
 WORDS = {

@@ -12,11 +12,11 @@ from strandline.discrepancy import DISCREPANCIES, Discrepancy, apart
 from strandline.foundations import InvalidInput, InvalidStudy, read_json
 from strandline.models import CHEAPER, MODELS, ForwardModel, UsesNames, WithCheaper, by_cheaper, with_sensitivities
 from strandline.runs import RunRecord
-from strandline.studies.folder import SUMMARY
 from strandline.studies.keys import StudyFile
+from strandline.studies.keys.folder import SUMMARY
+from strandline.studies.keys.parse import checked, made, open_entry, refused_at, require_parts
 from strandline.studies.keys.scalars import Choice, Number, Section
-from strandline.studies.observed import read_points
-from strandline.studies.parse import checked, made, open_entry, refused_at, require_parts
+from strandline.studies.load.observed import read_points
 from strandline.studies.pictures.undeformed import Undeformed, undeformed_in
 
 

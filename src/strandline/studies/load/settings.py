@@ -12,8 +12,8 @@ from strandline.models import ForwardModel, declared_failure_kinds
 from strandline.runs import COMMON_KINDS, ENDS, EXECUTORS, Executor, FailurePolicy, Retry
 from strandline.smc import SMCSettings
 from strandline.studies.keys import StudyFile
+from strandline.studies.keys.parse import entry, made, open_entry, refused_at, require_parts
 from strandline.studies.keys.settings import ExecutorChoice, Failures
-from strandline.studies.parse import entry, made, open_entry, refused_at, require_parts
 
 FEW_INPUTS = 3
 """Largest number of inputs with one length scale for all in a surrogate of the log-likelihood made for comparison."""

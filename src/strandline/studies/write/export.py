@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from strandline.foundations import whole_file
 from strandline.runs import Details, Overview, Run
-from strandline.studies.folder import told_if_unwritable
+from strandline.studies.keys.folder import told_if_unwritable
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -16,7 +16,7 @@ from strandline.models import WithCheaper, is_cheaper
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior
 from strandline.runs import Progress, RunRecord
-from strandline.studies.study import Study
+from strandline.studies.load.study import Study
 from strandline.surrogate import FieldTraining, fit_field
 
 HARDLY = 0.8

@@ -14,14 +14,14 @@ from strandline.likelihood import InterfaceLikelihood, adapted, compared
 from strandline.posterior import Posterior, QuadratureResult, Reading, mixture
 from strandline.report import as_json, find_warnings, fit_as_json, nearest_runs
 from strandline.runs import EXCLUDED, outcome_digest
-from strandline.studies.check import outcomes
-from strandline.studies.measure_doubts import contradictions
-from strandline.studies.parse import in_words
-from strandline.studies.pictures.shown import read_how
-from strandline.studies.provenance import facts_of, named, observation_digest
-from strandline.studies.study import Study
-from strandline.studies.summary_field import certificate, comparison, field_surrogate, inferred_noise
-from strandline.studies.widths import outline_effect
+from strandline.studies.foresight.check import outcomes
+from strandline.studies.foresight.measure_doubts import contradictions
+from strandline.studies.foresight.widths import outline_effect
+from strandline.studies.keys.parse import in_words
+from strandline.studies.load.provenance import facts_of, named, observation_digest
+from strandline.studies.load.study import Study
+from strandline.studies.write.shown import read_how
+from strandline.studies.write.summary_field import certificate, comparison, field_surrogate, inferred_noise
 from strandline.surrogate import GaussianProcess, LogLikelihoodSurrogate
 
 QUANTILES = (0.05, 0.5, 0.95)

@@ -8,7 +8,7 @@ from typing import Any
 import yaml
 
 from strandline.foundations import InvalidStudy
-from strandline.studies.folder import STUDY
+from strandline.studies.keys.folder import STUDY
 
 DEEPEST = 40
 """Largest depth of nested lists and mappings."""

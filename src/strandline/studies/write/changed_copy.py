@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from strandline.foundations import InvalidInput, InvalidStudy
-from strandline.studies.folder import STUDY, is_result, told_if_unwritable
-from strandline.studies.load import load_study, study_of
-from strandline.studies.parse import parse_study, parsed
-from strandline.studies.template import study_name
-from strandline.studies.text import Changes, changed_text, flow, load_yaml
+from strandline.studies.keys.folder import STUDY, is_result, told_if_unwritable
+from strandline.studies.keys.parse import parse_study, parsed
+from strandline.studies.keys.template import study_name
+from strandline.studies.keys.text import Changes, changed_text, flow, load_yaml
+from strandline.studies.load.load import load_study, study_of
 
 LONGEST = 63
 """Most characters in the name of a folder that is made up from settings."""

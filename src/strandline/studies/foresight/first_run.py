@@ -15,8 +15,8 @@ from strandline.interface import Interface, Observation, PointErrors, UnknownErr
 from strandline.likelihood import InterfaceLikelihood, compared, noise_length, sd_of_distances
 from strandline.models import SolvesOnFinerMesh, undeformed_interface
 from strandline.runs import RunRecord
-from strandline.studies.observed import noisy, require_plausible
-from strandline.studies.study import Study
+from strandline.studies.load.observed import noisy, require_plausible
+from strandline.studies.load.study import Study
 
 FAR_APART = 0.05
 """Share of the interface's length: ends or centres further apart than this are worth a warning."""

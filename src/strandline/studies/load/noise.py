@@ -13,8 +13,8 @@ from strandline.interface import GaussianNoise, Interface, Noise, PointErrors, U
 from strandline.likelihood import require_inferable_noise
 from strandline.readers import TO_MM
 from strandline.studies.keys.observation import COLUMN, IMAGE, ConditionNoise, Unknown
-from strandline.studies.observed import Found
-from strandline.studies.parse import entry, refused_at
+from strandline.studies.keys.parse import entry, refused_at
+from strandline.studies.load.observed import Found
 
 Stated = float | str | tuple[float, float] | None
 

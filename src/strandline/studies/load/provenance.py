@@ -13,8 +13,8 @@ from strandline.foundations import InvalidStudy, StrandlineError, __version__, r
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.report import FIGURES
 from strandline.runs import FailurePolicy, outcome_digest
-from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY
-from strandline.studies.study import Study
+from strandline.studies.keys.folder import POSTERIOR, REPORT, SUMMARY
+from strandline.studies.load.study import Study
 
 PACKAGES = ("numpy", "scipy", "jax", "ngsolve", "mkl", "xarray")
 FREE = frozenset({"folder", "text", "settings", "executor", "reuse", "as_loaded"})

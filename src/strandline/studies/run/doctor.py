@@ -7,7 +7,7 @@ from typing import Any
 
 from strandline.foundations import StrandlineError, __version__, read_json
 from strandline.runs import outcome_digest, unsound
-from strandline.studies.folder import (
+from strandline.studies.keys.folder import (
     CHECK,
     CHECK_LEDGER,
     LEDGER,
@@ -19,10 +19,10 @@ from strandline.studies.folder import (
     STUDY,
     SUMMARY,
 )
-from strandline.studies.load import load_study
-from strandline.studies.progress import StudyProgress, progress_of
-from strandline.studies.provenance import versions
-from strandline.studies.study import Study
+from strandline.studies.load.load import load_study
+from strandline.studies.load.progress import StudyProgress, progress_of
+from strandline.studies.load.provenance import versions
+from strandline.studies.load.study import Study
 
 LEDGERS = (LEDGER, CHECK_LEDGER, NEXT_LEDGER, SPECIMENS_LEDGER)
 LEFTOVERS = ("*.partial", ".*.partial", "*.sqlite.new", "*.sqlite.new-*")

@@ -17,11 +17,11 @@ from strandline.models import ForwardModel
 from strandline.models.umbridge import Blocks, ServedModel, flattened
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord, RunRequest, WorkerSlot, ended, packed_model, run_key
-from strandline.studies.first_run import require_ok, turned_like
-from strandline.studies.inputs import check_values
-from strandline.studies.noise import require_stated
-from strandline.studies.observed import noisy
-from strandline.studies.study import Study
+from strandline.studies.foresight.first_run import require_ok, turned_like
+from strandline.studies.load.inputs import check_values
+from strandline.studies.load.noise import require_stated
+from strandline.studies.load.observed import noisy
+from strandline.studies.load.study import Study
 
 REMEMBERED = 64
 

@@ -18,14 +18,14 @@ from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood import adapted
 from strandline.report import DOTS_PER_INCH, html, plot_picture, plot_stack
 from strandline.report.click_page import click_page
-from strandline.studies.folder import require_writable, told_if_unwritable
+from strandline.studies.keys.folder import require_writable, told_if_unwritable
 from strandline.studies.keys.observation import ImageFile
-from strandline.studies.parse import in_words, refused_at
+from strandline.studies.keys.parse import in_words, refused_at
+from strandline.studies.load.provenance import named
+from strandline.studies.load.study import Study
 from strandline.studies.pictures.photographed import UNDEFORMED, Photographed, clicked, read_only_picture
 from strandline.studies.pictures.scanned import Scanned
 from strandline.studies.pictures.undeformed import Undeformed
-from strandline.studies.provenance import named
-from strandline.studies.study import Study
 
 
 def read_how(study: Study) -> list[dict[str, Any]]:

@@ -16,12 +16,12 @@ from strandline.interface import Interface, Noise, Observation, PointErrors, Unk
 from strandline.models import CHEAPER, ForwardModel, asks_sensitivities, fingerprint, first_runs, run_identity
 from strandline.parameters import ParameterSpace
 from strandline.runs import ATTEMPTS, EXCLUDED, Executor, Ledger, Plan, RunRecord, run_key
-from strandline.studies.folder import LEDGER, REFINEMENT, digest_of
-from strandline.studies.observed import SyntheticNoise
+from strandline.studies.keys.folder import LEDGER, REFINEMENT, digest_of
+from strandline.studies.load.observed import SyntheticNoise
+from strandline.studies.load.settings import failure_words
 from strandline.studies.pictures.photographed import Photographed
 from strandline.studies.pictures.scanned import Scanned
 from strandline.studies.pictures.undeformed import Undeformed
-from strandline.studies.settings import failure_words
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from strandline.foundations import InvalidStudy
-from strandline.studies.folder import STUDY, is_result
+from strandline.studies.keys.folder import STUDY, is_result
 
 MEASURED = """\
 # The observed interface: a file with a point x, y per line, in the coordinates of the model.
@@ -49,7 +49,7 @@ class Observed:
 
     def section(self, folder: Path) -> str:
         """Return the part of study.yaml about the observation, for a study in `folder`."""
-        from strandline.studies.text import flow  # loads yaml, which `init` needs for nothing else
+        from strandline.studies.keys.text import flow  # loads yaml, which `init` needs for nothing else
 
         names = ("shift", "rotation", "scale", "offset")
         shared = {name: getattr(self, name) for name in names if getattr(self, name) > 0}

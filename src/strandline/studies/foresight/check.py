@@ -37,12 +37,12 @@ from strandline.posterior import (
 )
 from strandline.report import add_check
 from strandline.runs import Executor, Ledger, RunRecord, run_campaign, run_key
-from strandline.studies.first_run import observations_of, turned_like
-from strandline.studies.folder import CHECK, CHECK_LEDGER, POSTERIOR, require_writable, told_if_unwritable
-from strandline.studies.noise import require_stated
-from strandline.studies.progress import results_of
-from strandline.studies.provenance import facts_of
-from strandline.studies.study import Study, settled
+from strandline.studies.foresight.first_run import observations_of, turned_like
+from strandline.studies.keys.folder import CHECK, CHECK_LEDGER, POSTERIOR, require_writable, told_if_unwritable
+from strandline.studies.load.noise import require_stated
+from strandline.studies.load.progress import results_of
+from strandline.studies.load.provenance import facts_of
+from strandline.studies.load.study import Study, settled
 
 SHIFT_SHOWN, RATIO_SHOWN = 0.25, 0.2
 """A remark reports a mean off by more than this, in standard deviations, or an sd off by more than this share."""

@@ -22,15 +22,15 @@ from strandline.models import prepare_runs
 from strandline.posterior import to_datatree, write
 from strandline.report import FIGURES, nearest_runs, nothing_near, of_other_pages, remove_report, template, write_report
 from strandline.runs import Executor, FailurePolicy, Ledger, Progress, RunRecord, run_campaign
-from strandline.studies.check import read_check
-from strandline.studies.first_run import require_ok, require_same_axes, require_same_size
-from strandline.studies.folder import POSTERIOR, REPORT, SUMMARY, require_writable
-from strandline.studies.observed import noisy
-from strandline.studies.pictures.shown import pictures_in_page
-from strandline.studies.provenance import require_its_own_text
-from strandline.studies.study import Study
-from strandline.studies.summary import summarise
-from strandline.studies.widths import noting_widths
+from strandline.studies.foresight.check import read_check
+from strandline.studies.foresight.first_run import require_ok, require_same_axes, require_same_size
+from strandline.studies.foresight.widths import noting_widths
+from strandline.studies.keys.folder import POSTERIOR, REPORT, SUMMARY, require_writable
+from strandline.studies.load.observed import noisy
+from strandline.studies.load.provenance import require_its_own_text
+from strandline.studies.load.study import Study
+from strandline.studies.write.shown import pictures_in_page
+from strandline.studies.write.summary import summarise
 
 TELLING_RUNS = 4
 """A study ends if this many first successful runs are all ten times larger or smaller than the observation, or lie far

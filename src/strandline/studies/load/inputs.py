@@ -13,9 +13,9 @@ from strandline.foundations import InvalidStudy
 from strandline.models import ForwardModel, ModelInput, UsesNames, declared_conditions, declared_inputs
 from strandline.parameters import PRIORS, Parameter, ParameterSpace, Prior
 from strandline.readers import TO_MM
+from strandline.studies.keys.parse import entry, made, open_entry, refused_at, require_parts
 from strandline.studies.keys.study_file import Input, Next, Quantity, StudyFile
-from strandline.studies.observed import require_condition
-from strandline.studies.parse import entry, made, open_entry, refused_at, require_parts
+from strandline.studies.load.observed import require_condition
 
 MASS_CUT_ACCEPTED = 0.5
 """Largest share of an unbounded prior's mass that may lie outside the box."""

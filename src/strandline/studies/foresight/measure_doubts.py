@@ -12,8 +12,8 @@ from strandline.discrepancy import ClosestPoint, Discrepancy, MeasurementLines, 
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import adapted
 from strandline.runs import RunRecord
-from strandline.studies.first_run import observations_of
-from strandline.studies.study import Study
+from strandline.studies.foresight.first_run import observations_of
+from strandline.studies.load.study import Study
 
 MOST_SCATTER = 10.0
 """Scatter of the measurement lines' directions, degrees, above which it is worth a warning."""

@@ -14,7 +14,7 @@ from strandline.interface import Interface, PointErrors
 from strandline.models import ForwardModel, declared_conditions, undeformed_interface
 from strandline.readers import Reading, read_interface, read_point_sds
 from strandline.studies.keys.observation import ConditionFile, ObservationFile
-from strandline.studies.parse import made, refused_at
+from strandline.studies.keys.parse import made, refused_at
 from strandline.studies.pictures.photographed import Photographed, photographed
 from strandline.studies.pictures.scanned import Scanned, scanned
 

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from strandline.foundations import read_json
 from strandline.runs import EXCLUDED, INTERRUPTED, OPEN, Attempt, Driver, Overview, Plan, Run
-from strandline.studies.folder import LEDGER, REFINEMENT, STUDY, SUMMARY, digest_of
+from strandline.studies.keys.folder import LEDGER, REFINEMENT, STUDY, SUMMARY, digest_of
 
 if TYPE_CHECKING:
-    from strandline.studies.study import Study
+    from strandline.studies.load.study import Study
 
 
 Results = Literal["none", "current", "outdated"]
@@ -105,7 +105,7 @@ def progress_in(folder: Path) -> StudyProgress:
     plan = recorded_plan(folder)
     if plan is not None:
         return _progress(folder, plan)
-    from strandline.studies.load import load_study
+    from strandline.studies.load.load import load_study
 
     return progress_of(load_study(folder))
 

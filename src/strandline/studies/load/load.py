@@ -9,12 +9,13 @@ from pathlib import Path
 from strandline.foundations import InvalidStudy
 from strandline.interface import Noise, PointErrors, UnknownErrors
 from strandline.models import ForwardModel, declared_conditions
-from strandline.studies.folder import LEDGER
-from strandline.studies.inputs import build_fixed, build_space, check_complete, read_candidates
 from strandline.studies.keys import StudyFile
+from strandline.studies.keys.folder import LEDGER
 from strandline.studies.keys.observation import COLUMN, IMAGE, ConditionNoise
-from strandline.studies.models import build_discrepancies, build_model, with_cheaper
-from strandline.studies.noise import (
+from strandline.studies.keys.parse import parse_study
+from strandline.studies.load.inputs import build_fixed, build_space, check_complete, read_candidates
+from strandline.studies.load.models import build_discrepancies, build_model, with_cheaper
+from strandline.studies.load.noise import (
     build_noise,
     require_fits,
     require_inferable,
@@ -22,11 +23,10 @@ from strandline.studies.noise import (
     require_shared,
     require_unit,
 )
-from strandline.studies.observed import Found, SyntheticNoise, read_observations, require_condition
-from strandline.studies.parse import parse_study
+from strandline.studies.load.observed import Found, SyntheticNoise, read_observations, require_condition
+from strandline.studies.load.settings import build_executor, build_settings
+from strandline.studies.load.study import Study
 from strandline.studies.pictures.undeformed import undeformed_in, with_errors_of
-from strandline.studies.settings import build_executor, build_settings
-from strandline.studies.study import Study
 
 
 def load_study(folder: Path | str) -> Study:
