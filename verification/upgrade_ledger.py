@@ -10,7 +10,7 @@ from contextlib import closing
 from itertools import count
 from pathlib import Path
 
-from strandline.runs.ledger_schema import GUARDS, TABLES, VERSION, copied
+from strandline.runs.ledger.ledger_schema import GUARDS, TABLES, VERSION, copied
 
 
 def upgrade(path: Path) -> Path:

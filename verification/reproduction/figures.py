@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from verification.reproduction.designs import NestedStep
 from verification.reproduction.evidence import Evidence
 
-from strandline.models.biofilm.geometry import MESHES, mesh_flow_cell
+from strandline.models.biofilm.mesh.geometry import MESHES, mesh_flow_cell
 from strandline.report.figure_files import PAGE_PIXELS_PER_INCH
 from strandline.report.plots import style
 from strandline.report.plots.field import FieldGrid, plot_field

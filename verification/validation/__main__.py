@@ -16,7 +16,7 @@ from verification.reproduction.figures import plot_parts
 from verification.validation import analytic, biofilm_mesh, generality, turek_hron
 from verification.validation.tables import DOCS, Table, arguments, show
 
-from strandline.models.biofilm.geometry import Partition
+from strandline.models.biofilm.mesh.geometry import Partition
 from strandline.models.biofilm.model import Biofilm
 
 PAGE = DOCS / "results" / "forward-model.md"

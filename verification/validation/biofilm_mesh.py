@@ -16,10 +16,10 @@ from verification.validation.tables import Table, show, table
 
 from strandline.design import sobol
 from strandline.foundations import ForwardModelError
-from strandline.models.biofilm.cell import FlowCell, Setting
-from strandline.models.biofilm.geometry import MESHES, MeshSize, Partition
+from strandline.models.biofilm.cells.cell import FlowCell, Setting
 from strandline.models.biofilm.materials import LAWS
-from strandline.models.biofilm.outline import Channel, Outline
+from strandline.models.biofilm.mesh.geometry import MESHES, MeshSize, Partition
+from strandline.models.biofilm.mesh.outline import Channel, Outline
 
 CASES = (
     (400.0, 0.5, 100.0),

@@ -20,12 +20,12 @@ from verification.validation.analytic import YOUNG, LoadedSolid, square
 from verification.validation.biofilm_mesh import flow_cell
 from verification.validation.tables import DOCS, Table, arguments, show, table
 
-from strandline.models.biofilm.cell import Setting
-from strandline.models.biofilm.course import Course
-from strandline.models.biofilm.creeping_cell import CreepingCell, QuasiStatic
-from strandline.models.biofilm.flow import WATER
-from strandline.models.biofilm.geometry import MESHES
-from strandline.models.biofilm.memory import Branch
+from strandline.models.biofilm.cells.cell import Setting
+from strandline.models.biofilm.cells.creeping_cell import CreepingCell, QuasiStatic
+from strandline.models.biofilm.equations.flow import WATER
+from strandline.models.biofilm.equations.memory import Branch
+from strandline.models.biofilm.mesh.course import Course
+from strandline.models.biofilm.mesh.geometry import MESHES
 
 PAGE = DOCS / "results" / "forward-model.md"
 BRANCHES = (Branch(0.7, 0.5), Branch(1.5, 4.0))

@@ -24,10 +24,10 @@ from scipy.interpolate import CubicSpline
 from verification.validation.biofilm_mesh import BOX, RATE, box_points, flow_cell
 from verification.validation.tables import DOCS, OUTPUT, Cell, Table, arguments, show, table
 
-from strandline.models.biofilm.flow import STRESS_SCALE, VELOCITY_SCALE
-from strandline.models.biofilm.geometry import MESHES
+from strandline.models.biofilm.cells.steady import DIRECT_STRAIN, SAFE_STRAIN
+from strandline.models.biofilm.equations.flow import STRESS_SCALE, VELOCITY_SCALE
+from strandline.models.biofilm.mesh.geometry import MESHES
 from strandline.models.biofilm.model import Biofilm
-from strandline.models.biofilm.steady import DIRECT_STRAIN, SAFE_STRAIN
 from strandline.models.protocol import ForwardModel
 from strandline.report.plots.style import SKY
 from strandline.runs import Ledger, LocalProcesses, Progress, RunRecord, run_campaign

@@ -1,8 +1,8 @@
 """The fluid's balances as weak forms that NGSolve differentiates: what the product's elements are compared with.
 
-Notation of `strandline.models.biofilm.forms`; v, p are the fluid's velocity and pressure, C = cof F = J F⁻ᵀ, q is the
-test function of continuity. Source: Hron and Turek, A monolithic FEM/multigrid solver for an ALE formulation of
-fluid–structure interaction (2006).
+Notation of `strandline.models.biofilm.equations.forms`; v, p are the fluid's velocity and pressure, C = cof F = J F⁻ᵀ,
+q is the test function of continuity. Source: Hron and Turek, A monolithic FEM/multigrid solver for an ALE formulation
+of fluid–structure interaction (2006).
 """
 
 from typing import Any
@@ -10,9 +10,9 @@ from typing import Any
 import ngsolve as ng
 from ngsolve import Cof, Grad, InnerProduct, Inv
 
-from strandline.models.biofilm.forms import Form, add_loads, fluid_beside_interface, solid_form
+from strandline.models.biofilm.equations.forms import Form, add_loads, fluid_beside_interface, solid_form
+from strandline.models.biofilm.equations.system import CoupledSystem, SymbolicPart
 from strandline.models.biofilm.materials import deformation_gradient
-from strandline.models.biofilm.system import CoupledSystem, SymbolicPart
 
 
 def viscous(v: Form, d: Form, test: Form, viscosity: Form) -> Form:

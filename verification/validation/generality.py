@@ -11,11 +11,11 @@ from verification.benchmarks.figures import medians, timed
 from verification.validation.energies import FURTHER
 from verification.validation.tables import Table, table
 
-from strandline.models.biofilm.flow import Fluid
-from strandline.models.biofilm.geometry import Partition
+from strandline.models.biofilm.equations.flow import Fluid
 from strandline.models.biofilm.materials import LAWS, further_parameters
+from strandline.models.biofilm.mesh.geometry import Partition
+from strandline.models.biofilm.mesh.outline import Channel, Outline
 from strandline.models.biofilm.model import Biofilm
-from strandline.models.biofilm.outline import Channel, Outline
 
 Points = Float[np.ndarray, "node 2"]
 SPECIMENS = (

@@ -27,9 +27,9 @@ import yaml
 from verification.validation.tables import EXAMPLES, arguments, kept_or_scratch
 
 from strandline.posterior import read
-from strandline.runs.journal import VARIABLE, has_rollback_journal
-from strandline.runs.ledger_schema import connect_read_only
-from strandline.runs.scratch import PREFIX
+from strandline.runs.ledger.journal import VARIABLE, has_rollback_journal
+from strandline.runs.ledger.ledger_schema import connect_read_only
+from strandline.runs.ledger.scratch import PREFIX
 
 COMMAND = [sys.executable, "-m", "strandline", "run", "--quiet"]
 RUNS, ACTIVE_RUNS = 400, 220

@@ -12,11 +12,11 @@ import time
 import numpy as np
 from verification.validation.tables import show, table
 
-from strandline.models.biofilm.cell import FlowCell, Setting
-from strandline.models.biofilm.geometry import MESHES, MeshSize
+from strandline.models.biofilm.cells.cell import FlowCell, Setting
 from strandline.models.biofilm.materials import LAWS
+from strandline.models.biofilm.mesh.geometry import MESHES, MeshSize
+from strandline.models.biofilm.mesh.outline import Channel, Outline
 from strandline.models.biofilm.model import Biofilm
-from strandline.models.biofilm.outline import Channel, Outline
 
 REFERENCE = MeshSize(far=0.03, interface=0.006, foot=0.0028, grading=0.2)
 """Mesh of the truth, finer than the one that ``fine`` is compared with."""

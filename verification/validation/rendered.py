@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter
 
-from strandline.models.biofilm.outline import Outline
+from strandline.models.biofilm.mesh.outline import Outline
 
 Line, Corners = Float[np.ndarray, "point 2"], Float[np.ndarray, "corner 2"]
 Picture = Float[np.ndarray, "row column"]

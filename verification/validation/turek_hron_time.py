@@ -18,9 +18,9 @@ import numpy as np
 from verification.validation.tables import Table, arguments, show, table
 from verification.validation.turek_hron import COARSEST, DENSITY, POISSON, Benchmark, Size, norm_weights, set_inflow
 
-from strandline.models.biofilm.moving import Moment, MovingSystem
-from strandline.models.biofilm.newton import NewtonSettings
-from strandline.models.biofilm.transient import March, StepSettings
+from strandline.models.biofilm.cells.transient import March, StepSettings
+from strandline.models.biofilm.equations.moving import Moment, MovingSystem
+from strandline.models.biofilm.solver.newton import NewtonSettings
 
 RAMP = 2.0
 WAKE = Size(far=0.035, near=0.007, corner=0.004)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.foundations import InvalidInput, suggestion
-from strandline.imaging.first_path import as_points, require_inside, require_path, require_polygon
+from strandline.imaging.edges.first_path import as_points, require_inside, require_path, require_polygon
 from strandline.readers import content_of, keys_of, named, number, unfit
 
 Point = tuple[float, float]

@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from strandline.discrepancy import Repeats, errors_from_repeats
-from strandline.imaging.edge import Edge
-from strandline.imaging.edge_checks import require_edge
+from strandline.imaging.edges.edge import Edge
+from strandline.imaging.edges.edge_checks import require_edge
+from strandline.imaging.edges.strip import grey_values
 from strandline.imaging.picture import Picture
-from strandline.imaging.strip import grey_values
 from strandline.interface import Interface, PointErrors
 from strandline.readers import named
 

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.foundations import decimal
-from strandline.imaging.first_path import FirstPath, require_inside, require_path
+from strandline.imaging.edges.first_path import FirstPath, require_inside, require_path
 from strandline.readers import content_of, named, outlines, require_in_order, unfit
 
 READ = "a path saved by Fiji (.roi, XY coordinates), napari (.csv), labelme, QuPath or Cellpose"

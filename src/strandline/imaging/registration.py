@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from scipy.fft import irfft2, rfft2
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
-from strandline.imaging.strip import covered_by
+from strandline.imaging.edges.strip import covered_by
 from strandline.readers import unfit
 
 BLURS = (12.0, 6.0, 3.0, 1.5)

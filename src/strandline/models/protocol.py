@@ -144,7 +144,7 @@ class DrawsFields(Protocol):
     """A model that knows velocity, pressure and displacement in its domain: the report then draws them."""
 
     def fields(self, inputs: Mapping[str, float]) -> Any:
-        """Return the `strandline.models.biofilm.fields.FlowFields` of a run; may raise `ForwardModelError`."""
+        """Return the `strandline.models.biofilm.cells.fields.FlowFields` of a run; may raise `ForwardModelError`."""
 
 
 @runtime_checkable

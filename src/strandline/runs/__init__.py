@@ -17,13 +17,20 @@ if TYPE_CHECKING:
     from strandline.runs.executors.slurm_array import Detached, SlurmArray
     from strandline.runs.executors.slurm_batch import known_batches
     from strandline.runs.failures import COMMON_KINDS, FailurePolicy, Retry, counted, require_kinds
-    from strandline.runs.journal import note
-    from strandline.runs.ledger import Counts, Ledger
-    from strandline.runs.ledger_rows import outcome_digest, unsound
-    from strandline.runs.ledger_schema import ATTEMPTS, EXCLUDED, INTERRUPTED, LOG_TITLE, copied, opened_for_reading
-    from strandline.runs.overview import OPEN, STATES, Attempt, Details, Driver, Overview, Run
-    from strandline.runs.plans import Plan
-    from strandline.runs.record import ENDS, NOT_NOW, RunRecord, RunRequest, attempt, ended, run_key, told_folder
+    from strandline.runs.ledger.journal import note
+    from strandline.runs.ledger.ledger import Counts, Ledger
+    from strandline.runs.ledger.ledger_rows import outcome_digest, unsound
+    from strandline.runs.ledger.ledger_schema import (
+        ATTEMPTS,
+        EXCLUDED,
+        INTERRUPTED,
+        LOG_TITLE,
+        copied,
+        opened_for_reading,
+    )
+    from strandline.runs.ledger.overview import OPEN, STATES, Attempt, Details, Driver, Overview, Run
+    from strandline.runs.ledger.plans import Plan
+    from strandline.runs.ledger.record import ENDS, NOT_NOW, RunRecord, RunRequest, attempt, ended, run_key, told_folder
     from strandline.runs.worker import packed_model
     from strandline.runs.worker_slot import WorkerSlot
 else:

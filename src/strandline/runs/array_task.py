@@ -17,7 +17,7 @@ from strandline.foundations import InvalidInput
 from strandline.models import ForwardModel, PythonModel, asks_sensitivities, fingerprint, with_sensitivities
 from strandline.runs.executors.slurm_array import UNUSABLE
 from strandline.runs.executors.slurm_batch import ArrayBatch
-from strandline.runs.record import RunRecord, RunRequest, ended, with_log
+from strandline.runs.ledger.record import RunRecord, RunRequest, ended, with_log
 from strandline.runs.worker import packed_model
 from strandline.runs.worker_slot import WorkerSlot
 

@@ -9,8 +9,8 @@ from strandline.models import ForwardModel
 from strandline.runs.campaign import Campaign, Progress, Starts
 from strandline.runs.executors import Executor
 from strandline.runs.failures import FailurePolicy
-from strandline.runs.ledger import Ledger
-from strandline.runs.record import RunRecord, RunRequest
+from strandline.runs.ledger.ledger import Ledger
+from strandline.runs.ledger.record import RunRecord, RunRequest
 
 Batch = Sequence[Mapping[str, float]]
 """Inputs by name of the runs that are chosen together."""

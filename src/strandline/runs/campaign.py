@@ -11,9 +11,9 @@ from strandline.models import ForwardModel, asks_sensitivities, fingerprint, pre
 from strandline.runs.executors import Executor
 from strandline.runs.executors.shared import require_count
 from strandline.runs.failures import FailurePolicy, Outages, aborted
-from strandline.runs.ledger import Ledger
-from strandline.runs.ledger_schema import EXCLUDED, INTERRUPTED, another_model
-from strandline.runs.record import NOT_NOW, RunRecord, RunRequest, run_key
+from strandline.runs.ledger.ledger import Ledger
+from strandline.runs.ledger.ledger_schema import EXCLUDED, INTERRUPTED, another_model
+from strandline.runs.ledger.record import NOT_NOW, RunRecord, RunRequest, run_key
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 from strandline.foundations import CampaignStopped, ForwardModelError, InvalidInput
 from strandline.models import ForwardModel
-from strandline.runs.ledger_schema import EXCLUDED
-from strandline.runs.record import RunRecord
+from strandline.runs.ledger.ledger_schema import EXCLUDED
+from strandline.runs.ledger.record import RunRecord
 
 LINES_SHOWN = 6
 COMMON_KINDS = (

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from strandline.foundations import InvalidInput
 from strandline.models import ForwardModel
-from strandline.runs.record import attempt
+from strandline.runs.ledger.record import attempt
 
 READY, UNUSABLE = "ready", "unusable"
 _loading = threading.Event()

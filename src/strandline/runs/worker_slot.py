@@ -14,8 +14,8 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 
 from strandline.foundations import InvalidInput
-from strandline.runs.record import RunRecord, RunRequest, State, with_log
-from strandline.runs.scratch import scratch_folder
+from strandline.runs.ledger.record import RunRecord, RunRequest, State, with_log
+from strandline.runs.ledger.scratch import scratch_folder
 from strandline.runs.worker import UNUSABLE
 
 ONE_THREAD = dict.fromkeys(

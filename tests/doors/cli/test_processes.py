@@ -21,7 +21,7 @@ from strandline.cli.main import COMMANDS
 from strandline.cli.progress import observing
 from strandline.design.active import BatchReport
 from strandline.runs import Ledger, Progress, RunRecord, RunRequest
-from strandline.runs.plans import Plan
+from strandline.runs.ledger.plans import Plan
 from strandline.smc import StepInfo
 from strandline.testing.studies import write_study
 

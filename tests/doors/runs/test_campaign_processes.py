@@ -18,8 +18,8 @@ from tests.unit.runs.fakes import Seen, batches, calls, campaign, design, states
 
 from strandline.foundations import LedgerError
 from strandline.runs import Counts, Ledger, LocalProcesses
-from strandline.runs.journal import VARIABLE
-from strandline.runs.overview import Overview
+from strandline.runs.ledger.journal import VARIABLE
+from strandline.runs.ledger.overview import Overview
 from strandline.testing.executors import same_outcome
 from strandline.testing.models import Counted, Faulty, Slow
 
@@ -182,7 +182,7 @@ def test_a_second_driver_is_refused_and_told_who_the_first_is(path):
 
 KILLED_WHILE_WRITING = """
 import os, signal, sqlite3, sys
-from strandline.runs import ledger_schema
+from strandline.runs.ledger import ledger_schema
 connection = ledger_schema.connect(sys.argv[1])
 connection.execute("PRAGMA cache_size = 1")
 connection.execute("BEGIN IMMEDIATE")

@@ -31,7 +31,7 @@ from strandline.report.html import PLOTLY, script_hash
 from strandline.report.page import methods_paragraph
 from strandline.report.plots.style import DOUBLE, SINGLE
 from strandline.report.warnings import find_warnings
-from strandline.runs.ledger_schema import LOG_TITLE
+from strandline.runs.ledger.ledger_schema import LOG_TITLE
 
 FIGURES = [
     "interfaces", "leave_one_out", "likelihood", "log_likelihood", "log_likelihood_sd", "marginals", "offsets",

@@ -10,7 +10,7 @@ from strandline.cli.status import lines_of
 from strandline.design.active import BatchReport
 from strandline.runs import InProcess, RunRecord
 from strandline.runs import Progress as Runs
-from strandline.runs.overview import Driver
+from strandline.runs.ledger.overview import Driver
 from strandline.smc import StepInfo
 from strandline.studies import load_study
 from strandline.studies.load.progress import Failures, RunReported, StudyProgress

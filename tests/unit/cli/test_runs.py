@@ -10,7 +10,7 @@ from tests.unit.cli.command_line import printed, refused
 
 from strandline.interface import Interface
 from strandline.runs import Ledger, RunRecord, RunRequest
-from strandline.runs.overview import STATES
+from strandline.runs.ledger.overview import STATES
 from strandline.testing.models import Cantilever, TwoLoads
 
 LINE, QUOTED = Interface.polyline(np.arange(8.0).reshape(4, 2)), 'no "end",\nlong'

@@ -11,10 +11,10 @@ from verification.validation.rendered import Camera, Scan, arch, clicks
 
 from strandline.discrepancy.normal_offset import signed_distances
 from strandline.foundations import InvalidInput
-from strandline.imaging.edge import find_edge
-from strandline.imaging.markov_path import MarkovPath, walk
-from strandline.imaging.noise_covariance import noise_covariance, roughness, scatter_of, sum_to_first_zero
-from strandline.imaging.strip import course_through, grey_values, strip_along
+from strandline.imaging.edges.edge import find_edge
+from strandline.imaging.edges.markov_path import MarkovPath, walk
+from strandline.imaging.edges.noise_covariance import noise_covariance, roughness, scatter_of, sum_to_first_zero
+from strandline.imaging.edges.strip import course_through, grey_values, strip_along
 from strandline.interface import Interface
 
 LINE = np.array([[5.0, 31.5], [60.0, 29.0], [134.0, 31.0]])

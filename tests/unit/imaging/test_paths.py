@@ -8,7 +8,7 @@ import pytest
 
 from strandline.foundations import InvalidInput
 from strandline.imaging.clicks import Clicks, ScaleBar, as_json, read_clicks
-from strandline.imaging.first_path import typed_path
+from strandline.imaging.edges.first_path import typed_path
 from strandline.imaging.paths import read_path
 from strandline.readers.checked import LARGEST
 

@@ -13,7 +13,7 @@ from strandline.foundations import CampaignStopped, ForwardModelError, InvalidIn
 from strandline.runs import Counts, FailurePolicy, InProcess, Ledger, Progress, Retry, RunRecord, attempt, run_campaign
 from strandline.runs.campaign import Starts
 from strandline.runs.failures import IN_A_ROW, Outages
-from strandline.runs.ledger_schema import INTERRUPTED
+from strandline.runs.ledger.ledger_schema import INTERRUPTED
 from strandline.testing.executors import same_outcome
 from strandline.testing.models import Cantilever, Counted, Faulty, TwoLoads
 

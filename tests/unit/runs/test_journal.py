@@ -8,9 +8,10 @@ import pytest
 from tests.unit.runs.fakes import campaign, design, failed, put
 
 from strandline.foundations import InvalidInput, LedgerError
-from strandline.runs import Counts, Ledger, RunRequest, journal
-from strandline.runs.journal import VARIABLE, file_system, is_network, journal_for, note
-from strandline.runs.overview import Overview
+from strandline.runs import Counts, Ledger, RunRequest
+from strandline.runs.ledger import journal
+from strandline.runs.ledger.journal import VARIABLE, file_system, is_network, journal_for, note
+from strandline.runs.ledger.overview import Overview
 from strandline.testing.models import Cantilever
 
 MOUNTS = r"""22 1 254:0 / / rw,relatime - ext4 /dev/vda rw

@@ -14,9 +14,10 @@ from tests.unit.runs.fakes import BAD, LINE, ONE, RECORDS, SURFACE, TWO, exact, 
 
 from strandline.foundations import LedgerError
 from strandline.interface import Interface
-from strandline.runs import Counts, FailurePolicy, Ledger, Retry, RunRecord, RunRequest, ledger_schema
-from strandline.runs.overview import Overview
-from strandline.runs.plans import Plan
+from strandline.runs import Counts, FailurePolicy, Ledger, Retry, RunRecord, RunRequest
+from strandline.runs.ledger import ledger_schema
+from strandline.runs.ledger.overview import Overview
+from strandline.runs.ledger.plans import Plan
 from strandline.testing.executors import same_outcome
 from strandline.testing.models import Cantilever
 

@@ -11,9 +11,9 @@ from verification.upgrade_ledger import upgrade
 from strandline.foundations import LedgerError
 from strandline.models.identity import fingerprint
 from strandline.runs import Counts, Ledger, run_key
-from strandline.runs.ledger_schema import copied
-from strandline.runs.overview import STATES, Overview
-from strandline.runs.plans import read_plan
+from strandline.runs.ledger.ledger_schema import copied
+from strandline.runs.ledger.overview import STATES, Overview
+from strandline.runs.ledger.plans import read_plan
 from strandline.testing.models import Cantilever, TwoLoads
 
 BEAM = Cantilever(nodes=9)

@@ -9,10 +9,11 @@ import pytest
 from tests.unit.runs.fakes import BAD, LINE, SLOPES, put, query
 
 from strandline.foundations import LedgerError
-from strandline.runs import Ledger, RunRecord, RunRequest, ledger_schema
-from strandline.runs.overview import OPEN, STATES, Overview, is_at_work
-from strandline.runs.plans import Plan
-from strandline.runs.record import ENDS
+from strandline.runs import Ledger, RunRecord, RunRequest
+from strandline.runs.ledger import ledger_schema
+from strandline.runs.ledger.overview import OPEN, STATES, Overview, is_at_work
+from strandline.runs.ledger.plans import Plan
+from strandline.runs.ledger.record import ENDS
 from strandline.studies.load.study import settled
 
 KEYS = [f"k{number}" for number in range(40)]

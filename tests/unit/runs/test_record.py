@@ -19,9 +19,10 @@ from tests.unit.runs.fakes import design, key_of
 from strandline.foundations import ForwardModelError, InvalidInput
 from strandline.interface import Interface
 from strandline.models.protocol import Simulation
-from strandline.runs import InProcess, RunRecord, RunRequest, attempt, run_key, scratch
+from strandline.runs import InProcess, RunRecord, RunRequest, attempt, run_key
 from strandline.runs.executors.slurm_batch import read_run, write_run
-from strandline.runs.record import MESSAGE_CHARACTERS, with_log
+from strandline.runs.ledger import scratch
+from strandline.runs.ledger.record import MESSAGE_CHARACTERS, with_log
 from strandline.runs.worker_slot import _how_it_ended
 from strandline.testing.executors import same_outcome
 from strandline.testing.models import Cantilever, TwoLoads

@@ -9,7 +9,7 @@ from strandline.design import sobol
 from strandline.foundations import InvalidStudy, LedgerError
 from strandline.models.identity import fingerprint
 from strandline.runs import Ledger, RunRecord, RunRequest, attempt, run_key
-from strandline.runs.ledger_schema import ATTEMPTS
+from strandline.runs.ledger.ledger_schema import ATTEMPTS
 from strandline.studies import load_study
 from strandline.studies.load.progress import RATE_RUNS, _per_minute, progress_in, progress_of
 from strandline.studies.load.study import settled
@@ -106,7 +106,7 @@ def test_a_lost_run_is_to_do_and_told(study):
 
 def test_a_driver_elsewhere_may_be_at_work(study, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr("strandline.runs.ledger.socket.gethostname", lambda: "elsewhere")
+        patch.setattr("strandline.runs.ledger.ledger.socket.gethostname", lambda: "elsewhere")
         with opened(study) as ledger:
             ledger.started(requests(study)[0])
     state = progress_of(study)

@@ -13,7 +13,7 @@ from tests.unit.studies.test_refusals import BIOFILM, BOTH, EDGE, OWN, SHARED, T
 from strandline.discrepancy import ClosestPoint, Currents
 from strandline.foundations import InvalidStudy, write_json
 from strandline.interface import GaussianNoise, Interface, PointErrors, UnknownErrors, spacings
-from strandline.models.biofilm.outline import Outline
+from strandline.models.biofilm.mesh.outline import Outline
 from strandline.models.python import PythonModel
 from strandline.parameters import LogNormal, Normal, ScaledBeta, Uniform
 from strandline.runs import InProcess, LocalProcesses

@@ -10,7 +10,7 @@ import pytest
 from strandline.interface import Interface
 from strandline.report.explore import rounded
 from strandline.runs import Ledger, RunRecord, RunRequest
-from strandline.runs.overview import Overview
+from strandline.runs.ledger.overview import Overview
 from strandline.view.feeds import RunsFeed
 from strandline.view.server import refusal
 

@@ -29,7 +29,7 @@ from strandline.models.protocol import with_sensitivities
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted, reweight, subset
 from strandline.runs import InProcess, Ledger, LocalProcesses, RunRecord, RunRequest, run_key
-from strandline.runs.record import attempt
+from strandline.runs.ledger.record import attempt
 from strandline.smc import OnHost, SMCSettings, sample
 from strandline.studies import load_study
 from strandline.studies.load.observed import noisy

@@ -14,7 +14,7 @@ import numpy as np
 from strandline.foundations import ForwardModelError, imported
 from strandline.interface import Interface
 from strandline.models import refused
-from strandline.models.biofilm.anchors import (
+from strandline.models.biofilm.cells.anchors import (
     AnchoredCell,
     Box,
     Ranges,
@@ -24,15 +24,25 @@ from strandline.models.biofilm.anchors import (
     load_anchors,
     save_anchors,
 )
-from strandline.models.biofilm.cell import FlowCell, Setting, Solution
-from strandline.models.biofilm.course import Course
-from strandline.models.biofilm.creeping_cell import CreepingCell
-from strandline.models.biofilm.fields import FlowFields
-from strandline.models.biofilm.flow import DROP, PARABOLA, PRESSURE, RATE, WATER, Fluid, entering, inlet_bottom
-from strandline.models.biofilm.geometry import FINER, MESHES, MeshSize, Partition, is_adapted, subdivide
-from strandline.models.biofilm.linear import linear_solver
+from strandline.models.biofilm.cells.cell import FlowCell, Setting, Solution
+from strandline.models.biofilm.cells.creeping_cell import CreepingCell
+from strandline.models.biofilm.cells.fields import FlowFields
+from strandline.models.biofilm.cells.transient import TransientCell
+from strandline.models.biofilm.equations.flow import (
+    DROP,
+    PARABOLA,
+    PRESSURE,
+    RATE,
+    WATER,
+    Fluid,
+    entering,
+    inlet_bottom,
+)
+from strandline.models.biofilm.equations.memory import Branch, branch_inputs
 from strandline.models.biofilm.materials import LAWS, law_named
-from strandline.models.biofilm.memory import Branch, branch_inputs
+from strandline.models.biofilm.mesh.course import Course
+from strandline.models.biofilm.mesh.geometry import FINER, MESHES, MeshSize, Partition, is_adapted, subdivide
+from strandline.models.biofilm.mesh.outline import Channel, Outline, Pairs, check_clamped, check_inside, check_outline
 from strandline.models.biofilm.options import (
     SolidInputs,
     as_inflow,
@@ -42,8 +52,7 @@ from strandline.models.biofilm.options import (
     check_course,
     check_loads,
 )
-from strandline.models.biofilm.outline import Channel, Outline, Pairs, check_clamped, check_inside, check_outline
-from strandline.models.biofilm.transient import TransientCell
+from strandline.models.biofilm.solver.linear import linear_solver
 from strandline.models.identity import fingerprint as fingerprint_of
 from strandline.models.protocol import ModelInput, Simulation
 

@@ -11,10 +11,10 @@ import numpy as np
 from strandline.foundations import InvalidInput
 from strandline.interface import is_condition
 from strandline.models import refused
-from strandline.models.biofilm.course import QUASI_STATIC, TRANSIENT, Course
-from strandline.models.biofilm.flow import DROP, PRESSURE, PROFILES, RATE, as_pairs
+from strandline.models.biofilm.equations.flow import DROP, PRESSURE, PROFILES, RATE, as_pairs
+from strandline.models.biofilm.equations.memory import MOST_BRANCHES
 from strandline.models.biofilm.materials import Law, further_parameters
-from strandline.models.biofilm.memory import MOST_BRANCHES
+from strandline.models.biofilm.mesh.course import QUASI_STATIC, TRANSIENT, Course
 from strandline.models.protocol import ModelInput
 from strandline.readers import is_finite
 

@@ -160,7 +160,7 @@ def plot_flow(fields: Any, *, title: str = "") -> Figure:
     """Draw speed and pressure in the fluid and displacement magnitude in the solid, one below the other.
 
     The undeformed interface is grey; thin lines in the solid divide its parts. `fields` have the form of
-    `strandline.models.biofilm.fields.FlowFields`.
+    `strandline.models.biofilm.cells.fields.FlowFields`.
     """
     figure = style.new_figure(style.SINGLE, 5.4)
     speed = np.linalg.norm(fields.velocity, axis=1)

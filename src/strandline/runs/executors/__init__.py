@@ -11,7 +11,7 @@ from typing import Any, Protocol, cast, runtime_checkable
 
 from strandline.models import ForwardModel
 from strandline.runs.executors.local import InProcess, LocalProcesses, usable_cores
-from strandline.runs.record import RunRecord, RunRequest
+from strandline.runs.ledger.record import RunRecord, RunRequest
 
 __all__ = ["EXECUTORS", "Executor", "InProcess", "LocalProcesses", "usable_cores", "with_workers"]
 

@@ -17,7 +17,7 @@ from strandline.runs.executors import shared
 from strandline.runs.executors.dask_cluster import EXTRA, JOB_OPTIONS, opened
 from strandline.runs.executors.dask_driver import DaskDispatcher
 from strandline.runs.executors.local import usable_cores
-from strandline.runs.record import RunRecord, RunRequest
+from strandline.runs.ledger.record import RunRecord, RunRequest
 from strandline.runs.worker import packed_model, require_posix
 
 __all__ = ["DaskCluster"]

@@ -14,7 +14,7 @@ from typing import Any
 from strandline.foundations import InvalidInput
 from strandline.runs.executors.dask_cluster import Cluster
 from strandline.runs.executors.shared import SPARE_SECONDS, Dispatcher
-from strandline.runs.record import RunRecord, RunRequest, ended
+from strandline.runs.ledger.record import RunRecord, RunRequest, ended
 from strandline.runs.worker_slot import WorkerSlot
 
 SECONDS_BETWEEN_DISMISSALS = 2.0

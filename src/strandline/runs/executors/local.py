@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 
 from strandline.models import ForwardModel
 from strandline.runs.executors.shared import Dispatcher, require_count, require_seconds
-from strandline.runs.record import RunRecord, RunRequest, attempt
-from strandline.runs.scratch import scratch_folder
+from strandline.runs.ledger.record import RunRecord, RunRequest, attempt
+from strandline.runs.ledger.scratch import scratch_folder
 from strandline.runs.worker import packed_model, require_posix
 from strandline.runs.worker_slot import WorkerSlot
 

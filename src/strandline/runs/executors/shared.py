@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Generic, TypeVar
 
 from strandline.foundations import InvalidInput
-from strandline.runs.record import NOT_NOW, RunRecord, RunRequest
+from strandline.runs.ledger.record import NOT_NOW, RunRecord, RunRequest
 
 Place = TypeVar("Place")
 """Where one run at a time is made."""

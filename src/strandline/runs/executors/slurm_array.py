@@ -16,7 +16,7 @@ from strandline.foundations import InvalidInput, StrandlineError
 from strandline.models import ForwardModel, asks_sensitivities
 from strandline.runs.executors import shared, slurm_batch
 from strandline.runs.executors.slurm_batch import ArrayBatch, SlurmUnreachable, read_run
-from strandline.runs.record import RunRecord, RunRequest, State, ended, with_log
+from strandline.runs.ledger.record import RunRecord, RunRequest, State, ended, with_log
 
 __all__ = ["UNUSABLE", "Detached", "SlurmArray"]
 

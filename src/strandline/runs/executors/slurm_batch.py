@@ -25,9 +25,9 @@ from pathlib import Path
 
 from strandline.foundations import InvalidInput, whole_file
 from strandline.models import ForwardModel, asks_sensitivities, fingerprint
-from strandline.runs.ledger_rows import inputs_text, record_of, rows_of
-from strandline.runs.ledger_schema import synchronise
-from strandline.runs.record import RunRecord, RunRequest
+from strandline.runs.ledger.ledger_rows import inputs_text, record_of, rows_of
+from strandline.runs.ledger.ledger_schema import synchronise
+from strandline.runs.ledger.record import RunRecord, RunRequest
 
 HEADER = b"strandline run 2 "
 BATCH = "batch.json"

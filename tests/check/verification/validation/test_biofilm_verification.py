@@ -7,9 +7,9 @@ from verification.validation.biofilm_mesh import flow_cell
 from verification.validation.generality import SPECIMENS, sensitivity_errors, specimen
 from verification.validation.tables import observed_orders
 
-from strandline.models.biofilm.cell import Setting
-from strandline.models.biofilm.geometry import MESHES
+from strandline.models.biofilm.cells.cell import Setting
 from strandline.models.biofilm.materials import LAWS, MixedStress
+from strandline.models.biofilm.mesh.geometry import MESHES
 
 CORNERS = [("uniaxial", "saint_venant_kirchhoff", 0.5), ("uniaxial", "neo_hookean", 0.5), ("shear", "yeoh", -0.9)]
 

@@ -11,7 +11,7 @@ from verification.validation.rendered import PIXEL
 from strandline.discrepancy import signed_distances
 from strandline.foundations import use_double
 from strandline.interface import PointErrors
-from strandline.models.biofilm.outline import Outline
+from strandline.models.biofilm.mesh.outline import Outline
 
 TRUE = Outline(nodes=66).interface()
 

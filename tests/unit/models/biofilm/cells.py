@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from strandline.foundations import ForwardModelError
-from strandline.models.biofilm.cell import FlowCell
-from strandline.models.biofilm.geometry import MESHES, Partition
+from strandline.models.biofilm.cells.cell import FlowCell
 from strandline.models.biofilm.materials import LAWS
+from strandline.models.biofilm.mesh.geometry import MESHES, Partition
+from strandline.models.biofilm.mesh.outline import Channel, Outline
 from strandline.models.biofilm.model import Biofilm
-from strandline.models.biofilm.outline import Channel, Outline
 from strandline.studies.keys.parse import made
 
 SOLID = {"E": 400.0, "nu": 0.3}

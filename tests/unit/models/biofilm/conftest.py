@@ -3,7 +3,7 @@
 import pytest
 from tests.unit.models.biofilm.cells import OWN
 
-from strandline.models.biofilm.geometry import FINER, MESHES, MeshSize
+from strandline.models.biofilm.mesh.geometry import FINER, MESHES, MeshSize
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -9,8 +9,8 @@ from tests.unit.models.biofilm.cells import INPUTS, rough
 
 from strandline.foundations import ForwardModelError
 from strandline.models.biofilm import model as module
-from strandline.models.biofilm.anchors import LARGEST_STRAIN, States, load_anchors, save_anchors
-from strandline.models.biofilm.steady import DIRECT_STRAIN
+from strandline.models.biofilm.cells.anchors import LARGEST_STRAIN, States, load_anchors, save_anchors
+from strandline.models.biofilm.cells.steady import DIRECT_STRAIN
 from strandline.models.protocol import prepare_runs
 
 RANGES = {"E": [100, 800], "nu": [-0.8, 0.5], "V_in": 100}

@@ -5,7 +5,7 @@ import pytest
 from tests.unit.models.biofilm.cells import INPUTS, failure, largest, rough
 from verification.validation.creep import creep_error, oscillation_errors, relaxation_error
 
-from strandline.models.biofilm.memory import Branch
+from strandline.models.biofilm.equations.memory import Branch
 from strandline.models.protocol import with_sensitivities
 
 RISE = {"inflow": [[0, 0.2], [0.1, 0.8], [0.3, 0.8]], "times": {"half": 0.05, "risen": 0.1, "late": 0.3}}

@@ -9,11 +9,11 @@ from tests.unit.models.biofilm.cells import PAIR, SOLID, coarse, largest, moved,
 from verification.validation.analytic import force_imbalance, mass_imbalance
 from verification.validation.generality import BOTTOM, layer, velocities
 
-from strandline.models.biofilm.cell import FlowCell, Setting
-from strandline.models.biofilm.geometry import MeshSize, Partition
+from strandline.models.biofilm.cells.cell import FlowCell, Setting
 from strandline.models.biofilm.materials import LAWS
+from strandline.models.biofilm.mesh.geometry import MeshSize, Partition
+from strandline.models.biofilm.mesh.outline import Channel, Outline
 from strandline.models.biofilm.model import _flow_cell
-from strandline.models.biofilm.outline import Channel, Outline
 
 FLUID = dict.fromkeys(("viscosity", "density", "force_x", "force_y"), "unknown")
 

@@ -5,9 +5,16 @@ import numpy as np
 import pytest
 from tests.unit.models.biofilm.cells import LAYER
 
-from strandline.models.biofilm import geometry
-from strandline.models.biofilm.geometry import MESHES, MeshSize, Partition, is_adapted, mesh_flow_cell, segment_sizes
-from strandline.models.biofilm.outline import Channel, Outline
+from strandline.models.biofilm.mesh import geometry
+from strandline.models.biofilm.mesh.geometry import (
+    MESHES,
+    MeshSize,
+    Partition,
+    is_adapted,
+    mesh_flow_cell,
+    segment_sizes,
+)
+from strandline.models.biofilm.mesh.outline import Channel, Outline
 
 COARSE, ROUGH = MESHES["coarse"], MeshSize(0.3, 0.1, 0.1, 0.5)
 STUDY = Outline().interface()

@@ -9,14 +9,14 @@ from verification.validation.energies import ENERGIES, FURTHER, volume_piola
 from verification.validation.fluid_forms import add_fluid
 from verification.validation.generality import law_inputs
 
-from strandline.models.biofilm import fluid_elements, solid_elements
-from strandline.models.biofilm.cell import Setting, _boundaries
-from strandline.models.biofilm.forms import solid_form
-from strandline.models.biofilm.geometry import MESHES, Partition, mesh_flow_cell
+from strandline.models.biofilm.cells.cell import Setting, _boundaries
+from strandline.models.biofilm.equations import fluid_elements, solid_elements
+from strandline.models.biofilm.equations.forms import solid_form
+from strandline.models.biofilm.equations.system import CoupledSystem, SymbolicPart
 from strandline.models.biofilm.materials import LAWS, further_parameters
 from strandline.models.biofilm.materials.isotropic import flaw
-from strandline.models.biofilm.outline import Channel, Outline
-from strandline.models.biofilm.system import CoupledSystem, SymbolicPart
+from strandline.models.biofilm.mesh.geometry import MESHES, Partition, mesh_flow_cell
+from strandline.models.biofilm.mesh.outline import Channel, Outline
 
 NEO_HOOKEAN = {"material": "neo_hookean"}
 OPEN = {"channel": {"inlet": "right", "outlet": "traction_free"}}

@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 from netgen.geom2d import SplineGeometry
 
-from strandline.models.biofilm import moving
-from strandline.models.biofilm.cell import _boundaries
-from strandline.models.biofilm.geometry import MESHES, mesh_flow_cell
+from strandline.models.biofilm.cells.cell import _boundaries
+from strandline.models.biofilm.cells.transient import March, StepSettings
+from strandline.models.biofilm.equations import moving
+from strandline.models.biofilm.equations.moving import FluidInertia, Moment, MovingSystem
+from strandline.models.biofilm.equations.system import BoundaryNames
 from strandline.models.biofilm.materials import deformation_gradient
-from strandline.models.biofilm.moving import FluidInertia, Moment, MovingSystem
-from strandline.models.biofilm.newton import NewtonSettings
-from strandline.models.biofilm.outline import Channel, Outline
-from strandline.models.biofilm.system import BoundaryNames
-from strandline.models.biofilm.transient import March, StepSettings
+from strandline.models.biofilm.mesh.geometry import MESHES, mesh_flow_cell
+from strandline.models.biofilm.mesh.outline import Channel, Outline
+from strandline.models.biofilm.solver.newton import NewtonSettings
 
 TIGHT = NewtonSettings(tolerance=1e-11, maximum_jacobians=8)
 AMPLITUDE = 1e-5

@@ -1,0 +1,284 @@
+"""The edge as a path over all normals at once, for speckle: a template, a likelihood, and a random walk.
+
+All normals share the mean profile T(v) across the edge. A normal on which the edge lies at o has the log-likelihood
+-κ Σ k (I/m + log m) with m = g T(u - o): the grey values I are gamma distributed with mean m and shape k, like the
+intensity of speckle (k = 1 for one look), and light and shadow multiply them by a gain g: one for each column of the
+picture, down which the beam runs, times one that is smooth along the edge.
+If they are Gaussian it is -κ Σ (I - m)²/2σ² with m = T(u - o) + g: light adds to logarithms. Neighbouring samples are
+not independent, so κ is one over the number of them that count as one. The offsets follow a random walk along the edge.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import gaussian_filter
+
+from strandline.imaging.edges.located import NO_SCATTER, Located, Scatter
+from strandline.imaging.edges.noise_covariance import LEAST_LENGTH, autocovariance, sum_to_first_zero
+from strandline.imaging.edges.strip import GreyValues, PerNormal, Samples, SmoothPath, Strip, strip_along
+from strandline.imaging.edges.template import EdgeTemplate, columns_levelled, learnt_template, levelled
+from strandline.readers import unfit
+
+Table = Float[np.ndarray, "normal candidate"]
+Candidates = Float[np.ndarray, " candidate"]
+_SLOW = 7.5
+"""Standard deviation of the Gaussian whose result is taken off residuals before they are correlated: what varies over
+more than 15 px is no speckle."""
+_LAGS = 8.0
+"""Longest distance at which samples are taken as correlated, px."""
+_EDGE = 1.4
+"""Samples at an edge that count as one, over those away from it, measured on rendered scans: beside the edge both sides
+share the scatterers of the brighter one."""
+_SIDE = 10.0
+"""Side of the square over which grey values are averaged to define the contrast to noise, px."""
+_DRAWS, _SEED = 40, 16
+_LONGEST = 200
+"""Longest distance along the edge at which drawn paths are correlated, px."""
+_OVERLAP = 60
+"""Normals by which a closed path overlaps itself."""
+_SYMMETRIC = 0.5
+"""Skewness over the relative standard deviation below which grey values are no linear intensity: it is 2 for gamma
+distributed ones, 1.2 for amplitudes, 0 for a camera's noise and below 0 for logarithms."""
+
+
+@dataclass(frozen=True)
+class MarkovPath:
+    """Find the edge as a path over all normals at once.
+
+    Args:
+        likelihood: ``gamma`` for linear intensity, ``gaussian`` for cameras and for log intensity.
+        reach: Largest distance of the edge from the path, px.
+        support: Length of the profile beyond that, on either side, px.
+        step: Distance of samples and candidates, px.
+        drift: Standard deviation τ of a step of the random walk, px; at least half of `step`.
+        rounds: Number of times that template, gain, κ and path are found in turn, in each pass.
+        bias: Standard deviation of a common offset where the edge is straight, px.
+        passes: Number of passes.
+    """
+
+    likelihood: Literal["gamma", "gaussian"] = "gamma"
+    reach: float = 10.0
+    support: float = 10.0
+    step: float = 0.5
+    drift: float = 0.3
+    rounds: int = 4
+    bias: float = 0.4
+    passes: int = 2
+
+    def __post_init__(self) -> None:
+        if self.drift < 0.5 * self.step:
+            raise unfit(
+                "drift of the path of an edge",
+                self.drift,
+                f"at least half the distance of candidates, {0.5 * self.step:g} px",
+                "Raise the drift or lower the step: otherwise the path could not move.",
+            )
+
+    def locate(self, picture: GreyValues, course: SmoothPath, counted: Bool[np.ndarray, " normal"] | None) -> Located:
+        """Return the edge near a course; see `EdgeMethod`."""
+        relative = self.likelihood == "gamma"
+        if relative:
+            _require_intensity(picture)
+        strip = strip_along(picture, course, reach=self.reach + self.support, step=self.step)
+        places = strip.places[np.abs(strip.places) <= self.reach + 1e-9]
+        columns = _columns(picture, strip)
+        offsets, even = np.zeros(len(course.points)), strip
+        for turn in range(self.rounds):
+            template, shift = learnt_template(even, offsets)
+            expected = template.at(strip.places - (offsets + shift)[:, None])
+            even = columns_levelled(strip, expected, offsets + shift, columns) if relative else strip
+            even = levelled(even, expected, relative=relative)
+            speckle = _Speckle.of(even, expected, relative=relative)
+            table = self._table(even, template, places, speckle)
+            draws = _DRAWS if counted is not None and turn == self.rounds - 1 else 0
+            path = _walk(table, places, self.drift, course.closed, draws)
+            offsets = path.mean
+        if relative and counted is not None:
+            _require_speckle(speckle.skewness, math.sqrt(speckle.variance))
+        found = strip.usable[:, np.abs(strip.places) <= self.support / 2].mean(axis=1) > 0.5
+        return Located(
+            strip=strip,
+            offsets=offsets,
+            sds=path.sd,
+            found=found,
+            at_limit=found & (np.abs(offsets) > self.reach - 1.0),
+            scatter=NO_SCATTER if counted is None else _scatter(path, found & counted),
+            blur=template.blur,
+            contrast=template.left - template.right,
+            contrast_to_noise=speckle.contrast_to_noise(template),
+            facts={"kappa": speckle.kappa, "speckle_variance": speckle.variance, "skewness": speckle.skewness},
+        )
+
+    def _table(self, strip: Strip, template: EdgeTemplate, places: Candidates, speckle: "_Speckle") -> Table:
+        """Return the log-likelihood of each candidate on each normal."""
+        m = template.at(strip.places - places[:, None])
+        usable, weight = strip.usable.astype(float), speckle.kappa / speckle.variance
+        if self.likelihood == "gamma":
+            m = np.maximum(m, 1e-6 * float(m.max()))
+            return np.asarray(-weight * (strip.samples @ (1 / m).T + usable @ np.log(m).T))
+        return np.asarray(-0.5 * weight * (usable @ (m**2).T - 2 * strip.samples @ m.T))
+
+
+@dataclass(frozen=True)
+class _Speckle:
+    """Residuals of a strip: relative ones, I/m - 1, or additive ones.
+
+    Args:
+        variance: Their variance.
+        kappa: One over the number of samples that count as one.
+        area: Area that counts as one, px².
+        skewness: Their skewness.
+        relative: Whether they are relative.
+    """
+
+    variance: float
+    kappa: float
+    area: float
+    skewness: float
+    relative: bool
+
+    @classmethod
+    def of(cls, strip: Strip, expected: Samples, *, relative: bool) -> "_Speckle":
+        """Estimate them from a strip and what is expected of it."""
+        usable = strip.usable.astype(float)
+        scale = np.maximum(expected, 1e-6 * float(np.abs(expected).max())) if relative else 1.0
+        residuals = np.where(strip.usable, (strip.samples - expected) / scale, 0.0)
+        slow = gaussian_filter(residuals, (_SLOW, _SLOW / strip.step))
+        residuals = np.where(
+            strip.usable, residuals - slow / np.maximum(gaussian_filter(usable, (_SLOW, _SLOW / strip.step)), 1e-9), 0
+        )
+        number = max(float(usable.sum()), 1.0)
+        variance = max(float((residuals**2).sum()) / number, 1e-300)
+        covariance = autocovariance(residuals, strip.usable)
+        along, across = covariance[: round(_LAGS) + 1, 0], covariance[0, : round(_LAGS / strip.step) + 1]
+        together = math.prod(2 * sum_to_first_zero(lags / max(lags[0], 1e-300)) for lags in (along, across))
+        skewness = float((residuals**3).sum()) / number / variance**1.5
+        area = together * strip.step
+        kappa = 1 / max(_EDGE * together, 1.0)
+        return cls(variance, kappa, area, skewness, relative)
+
+    def contrast_to_noise(self, template: EdgeTemplate) -> float:
+        """Return the contrast over the noise of the mean over a square of 10 × 10 px on the brighter side."""
+        level = max(template.left, template.right) if self.relative else 1.0
+        return abs(template.left - template.right) / (level * math.sqrt(self.variance * self.area) / _SIDE)
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """The posterior of a random walk.
+
+    Args:
+        mean: Mean on each normal, shape (normal,).
+        sd: Standard deviation on each normal, shape (normal,).
+        draws: Paths drawn from it, shape (draw, normal).
+    """
+
+    mean: PerNormal
+    sd: PerNormal
+    draws: Float[np.ndarray, "draw normal"]
+
+
+def walk(
+    log_likelihood: Table,
+    candidates: Candidates,
+    drift: float,
+    *,
+    draws: int = 0,
+    random: np.random.Generator | None = None,
+) -> Walk:
+    """Return the posterior of a path that changes by N(0, drift²) from one normal to the next, by forward–backward.
+
+    Args:
+        log_likelihood: Logarithm of the likelihood of each candidate on each normal, up to a constant on each.
+        candidates: Equally spaced places.
+        drift: Standard deviation of a step; below half the spacing of candidates the path could hardly move.
+        draws: Number of paths to draw.
+        random: Generator for these.
+    """
+    likelihood = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
+    kernel = np.exp(-0.5 * (np.subtract.outer(candidates, candidates) / drift) ** 2)
+    kernel /= kernel.sum(axis=1, keepdims=True)
+    forward = np.empty_like(likelihood)
+    message = np.ones(len(candidates))
+    for i, row in enumerate(likelihood):
+        message = message * row + 1e-300
+        forward[i] = message / message.sum()
+        message = forward[i] @ kernel
+    backward, message = np.empty_like(likelihood), np.ones(len(candidates))
+    for i in range(len(likelihood) - 1, -1, -1):
+        backward[i] = message
+        message = kernel @ (message * likelihood[i])
+        message /= message.sum() or 1.0
+    posterior = forward * backward
+    posterior /= posterior.sum(axis=1, keepdims=True)
+    mean = posterior @ candidates
+    sd = np.sqrt(np.maximum(posterior @ candidates**2 - mean**2, 0.0))
+    drawn = _drawn(forward, kernel, draws, random) if random is not None else np.empty((0, len(mean)), dtype=int)
+    return Walk(mean, sd, candidates[drawn])
+
+
+def _drawn(
+    forward: Table, kernel: Float[np.ndarray, "candidate candidate"], number: int, random: np.random.Generator
+) -> Int[np.ndarray, "draw normal"]:
+    """Return candidates on paths drawn from the last normal to the first."""
+    out = np.empty((number, len(forward)), dtype=int)
+    uniform = random.random((len(forward), number))
+    weights = np.broadcast_to(forward[-1], (number, forward.shape[1]))
+    for i in range(len(forward) - 1, -1, -1):
+        total = np.cumsum(weights, axis=1)
+        out[:, i] = (total < uniform[i][:, None] * total[:, -1:]).sum(axis=1)
+        if i:
+            weights = forward[i - 1] * kernel[:, out[:, i]].T
+    return out
+
+
+def _require_intensity(picture: GreyValues) -> None:
+    """Refuse grey values below 0 where linear intensity is meant."""
+    least = float(picture.values[picture.usable].min(initial=math.inf))
+    if least < 0:
+        remedy = "Undo the logarithm (scale: log10 or dB), or use method `erf`."
+        raise unfit("intensity of the scan", f"{least:.6g}", "linear intensity, 0 or above", remedy)
+
+
+def _require_speckle(skewness: float, sd: float) -> None:
+    """Refuse grey values that scatter about their mean symmetrically or downwards, as no intensity of speckle does.
+
+    Skewness and standard deviation are those of the values over their mean.
+    """
+    if skewness < _SYMMETRIC * sd:
+        raise unfit(
+            "grey values of the scan do not scatter like the intensity of speckle: skewness over relative sd",
+            f"{skewness / sd:.2g}",
+            "about 2, as linear intensity has; logarithms are below 0",
+            "Undo the logarithm of a display scan (scale: log10 or dB); for a camera use method `erf`.",
+        )
+
+
+def _columns(picture: GreyValues, strip: Strip) -> Int[np.ndarray, "normal place"]:
+    """Return the column of the picture in which each sample lies, of those outside the nearest one."""
+    at = strip.course.at(np.broadcast_to(strip.places, strip.samples.shape))[..., 0] / picture.stretch[0]
+    return np.asarray(np.clip(at.round().astype(int), 0, picture.values.shape[1] - 1))
+
+
+def _walk(table: Table, places: Candidates, drift: float, closed: bool, draws: int) -> Walk:
+    """Return the path, of a closed one without the overlap that makes its ends meet."""
+    random = np.random.default_rng(_SEED) if draws else None
+    if not closed:
+        return walk(table, places, drift, draws=draws, random=random)
+    over = min(_OVERLAP, len(table))
+    path = walk(np.concatenate([table[-over:], table, table[:over]]), places, drift, draws=draws, random=random)
+    inner = slice(over, over + len(table))
+    return Walk(path.mean[inner], path.sd[inner], path.draws[:, inner])
+
+
+def _scatter(path: Walk, counted: Bool[np.ndarray, " normal"]) -> Scatter:
+    """Return standard deviation and correlation length of drawn paths about their mean."""
+    apart = (path.draws - path.mean)[:, counted]
+    lags = min(apart.shape[1] - 1, _LONGEST)
+    products = np.array([(apart[:, : apart.shape[1] - k] * apart[:, k:]).mean() for k in range(lags + 1)])
+    if not products[0] > 0:
+        return Scatter(float(path.sd[counted].mean()), LEAST_LENGTH)
+    return Scatter(math.sqrt(products[0]), max(sum_to_first_zero(products / products[0]), LEAST_LENGTH))

@@ -1,0 +1,1 @@
+"""Flow cells solved: steady, in time, creeping, from anchors near the inputs; fields of their flow."""

@@ -1,0 +1,190 @@
+"""Residual and Jacobian of the fluid's balances in all elements at once, differentiated by hand.
+
+An element with the deformed map x(ξ) = X(ξ) + d(ξ) is integrated in the coordinates ξ of the reference triangle. With
+∇ = ∂/∂ξ, M = ∇x, C = cof M, J = det M, g = ∇v M⁻¹ = ∇v Cᵀ/J and τ = μ (g + gᵀ) - p I, the balances of momentum and
+mass, tested with w and q, are
+
+    ∫ τ C : ∇w + ρ (∇v Cᵀ v) · w dξ    and    ∫ q C : ∇v dξ.
+
+The geometry enters through M alone. So shape functions and weights are the same in all elements, and each block of the
+Jacobian is one product of a constant matrix with coefficients at the quadrature points. In two dimensions C is linear
+in M: ∂C_ik/∂M_jb = ε_ij ε_kb with ε = [[0, 1], [-1, 0]].
+
+Source of the balances: Hron and Turek, A monolithic FEM/multigrid solver for an ALE formulation of fluid–structure
+interaction (2006).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import ngsolve as ng
+import numpy as np
+from jaxtyping import Float, Int
+
+from strandline.models.biofilm.mesh.triangles import AtPoints, Numbers, Rule, map_at_rest, numbers_of, places_of
+
+ORDER = 6
+"""Order of the quadrature rule: exact for all terms but the viscous one, which is rational."""
+
+Values = Float[np.ndarray, " dof"]
+Vector = list[AtPoints]
+Tensor = list[list[AtPoints]]
+Entries = Float[np.ndarray, " entry"]
+
+
+class FluidElements:
+    """The fluid's elements: their unknowns, and what they add to the residual and the Jacobian.
+
+    Components 0, 1 and 2 of `space` are v and d, quadratic, and p, linear. `cells` are triangles that may be curved;
+    those among them that are `loading` touch the interface, where the traction loads the solid. Viscosity and density
+    are NGSolve parameters, scaled.
+    """
+
+    def __init__(
+        self,
+        space: Any,
+        cells: Int[np.ndarray, " element"],
+        loading: Int[np.ndarray, " marked"],
+        *,
+        viscosity: Any,
+        density: Any,
+    ) -> None:
+        self._viscosity, self._density, self._size = viscosity, density, space.ndof
+        self._v, self._p, self._d = (numbers_of(space, component, cells) for component in (0, 1, 2))
+        self._loading = loading
+        rule = ng.IntegrationRule(ng.TRIG, ORDER)
+        self._rule, self._rest = Rule.of(space, rule), map_at_rest(space.mesh, cells, rule)
+
+    def residual(self, state: Any) -> Values:
+        """Return what the elements add to the residual of each row, from the coefficients in an NGSolve function."""
+        return self._residual(state, self._viscosity.Get(), self._density.Get())
+
+    def by_parameter(self, state: Any, parameter: Any) -> Values:
+        """Return the derivative of the residual, which is linear in viscosity and density, by one of them, or 0."""
+        one = [1.0 if parameter is given else 0.0 for given in (self._viscosity, self._density)]
+        difference: Values = self._residual(state, one[0], one[1]) - self._residual(state, 0.0, 0.0)
+        return difference
+
+    def _residual(self, state: Any, viscosity: float, density: float) -> Values:
+        at, rule = self._fields(state, viscosity, density), self._rule
+        stress, C, gradient = at.stress, at.cofactor, at.gradient
+        momentum = []
+        for i in (0, 1):
+            inertia = gradient[i][0] * at.transport[0] + gradient[i][1] * at.transport[1]
+            flux = [stress[i][0] * C[0][k] + stress[i][1] * C[1][k] for k in (0, 1)]
+            momentum.append(rule.momentum @ np.concatenate([inertia, *flux]))
+        inflow = sum(C[i][k] * gradient[i][k] for i in (0, 1) for k in (0, 1))
+        loads = [part[:, self._loading] for part in momentum]
+        parts = [part.ravel() for part in (*momentum, rule.mass @ inflow, *loads)]
+        return np.bincount(self._rows, weights=np.concatenate(parts), minlength=self._size)
+
+    def jacobian(self, state: Any) -> Entries:
+        at = self._fields(state, self._viscosity.Get(), self._density.Get())
+        momentum = [block for i in (0, 1) for block in self._momentum_blocks(at, i)]
+        loads = [block[:, self._loading] for block in momentum]
+        return np.concatenate([block.ravel() for block in (*momentum, *self._mass_blocks(at), *loads)])
+
+    def places(self) -> tuple[Numbers, Numbers]:
+        """Return row and column of each entry of `jacobian`."""
+        unknowns = (*self._v, *self._p, *self._d)
+        momentum = [(rows, columns) for rows in self._v for columns in unknowns]
+        mass = [(self._p[0], columns) for columns in (*self._v, *self._d)]
+        few = self._loading
+        loads = [(rows[:, few], columns[:, few]) for rows in self._d for columns in unknowns]
+        pairs = [places_of(rows, columns) for rows, columns in (*momentum, *mass, *loads)]
+        return np.concatenate([rows for rows, _ in pairs]), np.concatenate([columns for _, columns in pairs])
+
+    @cached_property
+    def _rows(self) -> Numbers:
+        loads = [rows[:, self._loading] for rows in self._d]
+        return np.concatenate([rows.ravel() for rows in (*self._v, *self._p, *loads)])
+
+    def _fields(self, state: Any, viscosity: float, density: float) -> "_Fields":
+        values = state.vec.FV().NumPy()
+        rule, shape = self._rule, (-1, self._rule.number, self._v[0].shape[1])
+        v = [(rule.velocity @ values[dofs]).reshape(shape) for dofs in self._v]
+        moved = [(rule.slopes @ values[dofs]).reshape(shape) for dofs in self._d]
+        M = [[moved[i][k] + self._rest[i][k] for k in (0, 1)] for i in (0, 1)]
+        p = rule.pressure @ values[self._p[0]]
+        gradient = [[v[i][1], v[i][2]] for i in (0, 1)]
+        return _Fields.of([v[0][0], v[1][0]], gradient, M, p, viscosity, density)
+
+    def _momentum_blocks(self, at: "_Fields", i: int) -> Iterator[Float[np.ndarray, "pair element"]]:
+        """Yield the derivatives of component i of the momentum by v₀, v₁, p, d₀, d₁."""
+        for j in (0, 1):
+            yield self._rule.by_velocity @ np.concatenate(list(at.momentum_by_velocity(i, j)))
+        yield self._rule.by_pressure @ np.concatenate([-one for one in at.cofactor[i]])
+        for j in (0, 1):
+            yield self._rule.by_displacement @ np.concatenate(list(at.momentum_by_displacement(i, j)))
+
+    def _mass_blocks(self, at: "_Fields") -> Iterator[Float[np.ndarray, "pair element"]]:
+        """Yield the derivatives of the mass balance by v₀, v₁, d₀, d₁."""
+        for coefficients in (*at.cofactor, *_cofactor(at.gradient)):
+            yield self._rule.mass_by_slopes @ np.concatenate(coefficients)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fields:
+    """Fields at the quadrature points, with S = (μ/J) CᵀC and (μ/J) C."""
+
+    v: Vector
+    gradient: Tensor
+    cofactor: Tensor
+    g: Tensor
+    stress: Tensor
+    transport: Vector
+    viscous: Tensor
+    density: float
+
+    @classmethod
+    def of(cls, v: Vector, gradient: Tensor, M: Tensor, p: AtPoints, viscosity: float, density: float) -> "_Fields":
+        """Return the fields from v, ∇v, M and p at the points, all scaled."""
+        C = _cofactor(M)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inverse = 1.0 / (M[0][0] * M[1][1] - M[0][1] * M[1][0])
+            g = [[(gradient[i][0] * C[j][0] + gradient[i][1] * C[j][1]) * inverse for j in (0, 1)] for i in (0, 1)]
+            shear = viscosity * (g[0][1] + g[1][0])
+            stress = [[2 * viscosity * g[0][0] - p, shear], [shear, 2 * viscosity * g[1][1] - p]]
+            viscous = [[viscosity * inverse * C[i][k] for k in (0, 1)] for i in (0, 1)]
+        transport = [density * (C[0][k] * v[0] + C[1][k] * v[1]) for k in (0, 1)]
+        return cls(v, gradient, C, g, stress, transport, viscous, density)
+
+    @cached_property
+    def metric(self) -> Tensor:
+        """S."""
+        C, mC = self.cofactor, self.viscous
+        off = mC[0][0] * C[0][1] + mC[1][0] * C[1][1]
+        return [[mC[0][0] * C[0][0] + mC[1][0] * C[1][0], off], [off, mC[0][1] * C[0][1] + mC[1][1] * C[1][1]]]
+
+    @cached_property
+    def pulled(self) -> Tensor:
+        """gᵀ C."""
+        g, C = self.g, self.cofactor
+        return [[g[0][j] * C[0][a] + g[1][j] * C[1][a] for a in (0, 1)] for j in (0, 1)]
+
+    def momentum_by_velocity(self, i: int, j: int) -> Iterator[AtPoints]:
+        """Yield ρ ∇v_i·C_j and δ_ij ρ Cᵀv, then for all a, b: (μ/J) C_ib C_ja + δ_ij S_ab."""
+        C, gradient = self.cofactor, self.gradient[i]
+        yield self.density * (gradient[0] * C[j][0] + gradient[1] * C[j][1])
+        yield from (one if i == j else np.zeros_like(one) for one in self.transport)
+        for a in (0, 1):
+            for b in (0, 1):
+                crossed = self.viscous[i][b] * C[j][a]
+                yield crossed + self.metric[a][b] if i == j else crossed
+
+    def momentum_by_displacement(self, i: int, j: int) -> Iterator[AtPoints]:
+        """Yield ρ (∇v ε)_ib (vᵀε)_j, then for all a, b: (τε)_ij ε_ab - g_ij S_ab - (μ/J) C_ib (gᵀC)_ja."""
+        turned = self.density * (-self.v[1] if j == 0 else self.v[0])
+        yield -self.gradient[i][1] * turned
+        yield self.gradient[i][0] * turned
+        pushed = -self.stress[i][1] if j == 0 else self.stress[i][0]
+        for a in (0, 1):
+            for b in (0, 1):
+                sheared = self.g[i][j] * self.metric[a][b] + self.viscous[i][b] * self.pulled[j][a]
+                yield -sheared if a == b else (pushed if a == 0 else -pushed) - sheared
+
+
+def _cofactor(A: Tensor) -> Tensor:
+    return [[A[1][1], -A[1][0]], [-A[0][1], A[0][0]]]

@@ -1,0 +1,1 @@
+"""Outlines in the channel, the mesh between them, and how loads and outlines change with time."""

@@ -1,0 +1,1 @@
+"""Linear systems and Newton's method."""
