@@ -114,7 +114,7 @@ OWN = ("biofilm", "python", "command")
 """Examples of a simulator whose observed interface may be replaced."""
 FOLDERS = {"python": "strip", "oct": "oct-biofilm"}
 """Folders of the examples that are not called by their names."""
-PACKAGE = Path(__file__).parents[1]
+PACKAGE = Path(__file__).parents[2]
 OF_OBSERVATION = ("observed.csv", "make_observation.py")
 OWN_TITLE = """\
 # Your observed interface with the simulator of an example, which yours replaces. Run it with:  strandline run {folder}
