@@ -163,25 +163,24 @@ def _unfit(what: str, value: object, expected: str) -> InvalidInput:
 
 @dataclass(frozen=True)
 class SourceFile:
-    """A file in the study folder that is copied for each run; digest and stamp are those when the study was loaded."""
+    """A file in the study folder that is copied for each run; the digest is that when the study was loaded."""
 
     name: str
     path: Path
     digest: str
-    stamp: tuple[int, int]
 
     @classmethod
     def of(cls, folder: Path, name: object, place: str) -> "SourceFile":
         path = file_in(folder, name, place)
-        return cls(str(name), path, _digest(path), _stamp(path))
+        return cls(str(name), path, _digest(path))
 
     def require_unchanged(self) -> None:
         """Refuse (``file_changed``) a file that has changed since then: its runs would belong to another model."""
         try:
-            same = _stamp(self.path) == self.stamp or _digest(self.path) == self.digest
+            now = _digest(self.path)
         except OSError as error:
             raise ForwardModelError("file_changed", f"{self.name} cannot be read any more: {error}") from None
-        if not same:
+        if now != self.digest:
             raise ForwardModelError("file_changed", f"{self.name} has changed since the study was loaded")
 
 
@@ -209,11 +208,6 @@ def file_in(folder: Path, name: object, place: str) -> Path:
 def _digest(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _stamp(path: Path) -> tuple[int, int]:
-    found = path.stat()
-    return found.st_size, found.st_mtime_ns
 
 
 def kept_folder(workdir: Path, study: Path, key: str) -> Path:

@@ -31,8 +31,6 @@ from strandline.models.umbridge.client import shortened
 
 SHORTEST_TOKEN = 16
 """Fewest characters of a token."""
-SOON_SECONDS = 0.5
-"""A connection that has just been made gets this long before it can be ended in favour of a new one."""
 LARGEST_REQUEST = 10 * 1000**2
 """Bytes of a request's body."""
 MOST_CONNECTIONS = 128
@@ -175,9 +173,10 @@ class UMBridgeServer(ThreadingHTTPServer):
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Answer in a thread, or turn the client away if all places are taken."""
-        if not self._admit(request):
+        if not self._free.acquire(blocking=False):
             self._turn_away(request)
             return
+        self.waits(request)
         try:
             super().process_request(request, client_address)
         except BaseException:
@@ -192,12 +191,15 @@ class UMBridgeServer(ThreadingHTTPServer):
 
     def service_actions(self) -> None:
         """End connections without a whole request in time, even if the client keeps sending; called twice a second."""
-        self._end_older_than(self.patience)
+        limit = time.monotonic() - self.patience
+        with self._lock:
+            for connection in [one for one, since in self._waiting.items() if since <= limit]:
+                with contextlib.suppress(OSError):
+                    connection.shutdown(socket.SHUT_RDWR)
 
     def waits(self, connection: socket.socket) -> None:
         """Note that the connection waits for its client's next request, from now on."""
         with self._lock:
-            self._waiting.pop(connection, None)
             self._waiting[connection] = time.monotonic()
 
     def works(self, connection: socket.socket) -> None:
@@ -211,26 +213,9 @@ class UMBridgeServer(ThreadingHTTPServer):
         if not isinstance(error, OSError):
             print(f"a request could not be answered: {type(error).__name__}: {str(error)[:200]!r}", file=sys.stderr)
 
-    def _admit(self, connection: socket.socket) -> bool:
-        """Give a new connection a place, if need be that of the one that has waited longest; return whether it has."""
-        for patience in (0.0, SOON_SECONDS, SOON_SECONDS):  # in the end, one that has just been made may be ended too
-            if patience:
-                self._end_older_than(SOON_SECONDS, most=1)
-            if self._free.acquire(timeout=patience):
-                self.waits(connection)
-                return True
-        return False
-
     def _leave(self, connection: socket.socket) -> None:
         self.works(connection)
         self._free.release()
-
-    def _end_older_than(self, seconds: float, *, most: int | None = None) -> None:
-        limit = time.monotonic() - seconds
-        with self._lock:
-            for connection in [one for one, since in self._waiting.items() if since <= limit][:most]:  # oldest first
-                with contextlib.suppress(OSError):
-                    connection.shutdown(socket.SHUT_RDWR)
 
     def _turn_away(self, request: Any) -> None:
         content = json.dumps(Rejected("Busy", "too many connections; try again later", 503).answer.content).encode()

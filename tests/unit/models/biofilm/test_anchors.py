@@ -135,7 +135,7 @@ def test_a_result_depends_on_its_inputs_alone_and_a_cache_may_be_broken_or_not_w
     assert outcome(model, points[1]) == first[1]
 
 
-def test_a_file_that_is_damaged_has_other_arrays_or_is_of_another_box_is_not_read(tmp_path):
+def test_a_file_that_is_damaged_or_has_other_arrays_is_not_read(tmp_path):
     path, other = tmp_path / "whole.npz", tmp_path / "another.npz"
     states = States(np.eye(3), np.arange(1.0, 4.0), np.array([True, True, False]), np.ones((2, 5)))
     save_anchors(states, path)
@@ -144,14 +144,12 @@ def test_a_file_that_is_damaged_has_other_arrays_or_is_of_another_box_is_not_rea
     for kept in (0, 100, len(content) // 2, len(content) - 22):  # the last record has 22 bytes
         other.write_bytes(content[:kept] + b"x" * 30)
         assert load_anchors(other) is None
-    other.write_bytes(content)
+    number = np.ones(5).tobytes()
+    other.write_bytes(content.replace(number, np.full(5, np.nextafter(1.0, 2.0)).tobytes(), 1))
+    assert content.count(number) > 0
     assert load_anchors(other) is None
-    with np.load(path) as arrays:
-        held = dict(arrays)
-    held["unknowns"][0, 0] = np.nextafter(1.0, 2.0)
-    for changed in ({"states": np.ones(3)}, held):
-        np.savez(path, **changed)
-        assert load_anchors(path) is None
+    np.savez(path, states=np.ones(3))
+    assert load_anchors(path) is None
 
 
 def test_where_newton_does_not_converge_from_the_prediction_the_run_is_cold(anchored, cold, monkeypatch):

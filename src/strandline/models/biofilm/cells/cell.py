@@ -225,15 +225,17 @@ class FlowCell:
 
         One back-substitution each with a fresh Jacobian at the solution that `solve` has just returned.
         """
-        system = self.system
+        system, flow = self.system, self.flow
         jacobian = system.factorise(solution.unknowns)
-        by_inflow = self._by_drive()
+        by_drive = system.by_prescribed(self.inflow / flow.scale)
+        if flow.pressure is not None:
+            by_drive = np.asarray(system.by_parameter(flow.pressure.parameter) / flow.scale)
         derivatives = [
             1.0 / scale * jacobian.solve(-system.by_parameter(parameter))
             for scale, parameters in zip(self._material_scales, system.material, strict=True)
             for parameter in parameters
         ]
-        derivatives.append(jacobian.solve(-by_inflow))
+        derivatives.append(jacobian.solve(-by_drive))
         derivatives += [jacobian.solve(-self._by_fluid(name)) for name in fluid]
         values = np.zeros((len(derivatives), len(system.values)))
         values[:, system.free] = derivatives
@@ -273,12 +275,6 @@ class FlowCell:
         self.system.values[:] = load * self._drive * self.inflow
         for one, full in zip(self.flow.loads, self._loads, strict=True):
             one.parameter.Set(load * full)
-
-    def _by_drive(self) -> Vector:
-        """Return the derivative of the residual with respect to the inflow rate [mm²/s] or the pressure drop [Pa]."""
-        if self.flow.pressure is not None:
-            return np.asarray(self.system.by_parameter(self.flow.pressure.parameter) / self.flow.scale)
-        return self.system.by_prescribed(self.inflow / self.flow.scale)
 
     def _by_fluid(self, name: str) -> Vector:
         """Return the derivative of the residual with respect to a quantity of the fluid, per its unit."""

@@ -16,7 +16,7 @@ local parametrisation.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -36,28 +36,8 @@ SHORTEST_PATH = 2
 """Smallest number of Jacobians for a path."""
 DIRECT = NewtonSettings(maximum_jacobians=4, smallest_damping=1.0)
 Shares = Float[np.ndarray, " share"]
-
-
-@runtime_checkable
-class LoadedSystem(Protocol):
-    """r(x, load) = 0; its methods may raise ForwardModelError."""
-
-    @property
-    def weights(self) -> Vector: ...
-
-    def residual(self, x: Vector, load: float) -> Vector: ...
-
-    def factorise(self, x: Vector, load: float) -> LinearSolver: ...
-
-    def by_load(self) -> Vector:
-        """Return the derivative of the residual with respect to the load, at the last factorised state."""
-
-    def critical_strain(self, x: Vector, tangent: Vector) -> Strain: ...
-
-    def check(self, x: Vector) -> Mapping[str, float]:
-        """Return figures that show how close a solution is to being invalid; raise ForwardModelError if it is."""
-
-
+Loaded = Any
+"""The system r(x, load) = 0: a `FlowCell`, or what has its methods; they may raise ForwardModelError."""
 CORRECTOR = NewtonSettings(1e-3, maximum_jacobians=1, smallest_damping=1.0, contraction=0.8)
 """For points along the path."""
 POLISH = NewtonSettings(1e-8, maximum_jacobians=2, smallest_damping=1.0)
@@ -88,7 +68,7 @@ class Steady:
     jacobians: int
 
 
-def trace(system: LoadedSystem, *, linear: Vector, load: float, first_load: float, budget: int) -> Steady:
+def trace(system: Loaded, *, linear: Vector, load: float, first_load: float, budget: int) -> Steady:
     """Follow the path of steady states from rest and return its state at `load`, above zero.
 
     The path begins at `first_load`; `linear` is the first-order solution at `load`. The `budget` of Jacobians does not
@@ -106,7 +86,7 @@ def trace(system: LoadedSystem, *, linear: Vector, load: float, first_load: floa
 class _Path:
     """One path; counts Jacobians against the budget and remembers the largest load reached."""
 
-    def __init__(self, system: LoadedSystem, load: float, budget: int) -> None:
+    def __init__(self, system: Loaded, load: float, budget: int) -> None:
         self.system, self.load = system, load
         self.jacobians, self.reached = 0, 0.0
         self.budget, self.bracketed = budget, False
@@ -291,24 +271,13 @@ def _between(
     return np.asarray(sum(h * one for h, one in zip(weights, (*values, *slopes), strict=True)))
 
 
-@runtime_checkable
-class Bending(LoadedSystem, Protocol):
-    """A loaded solid in a flow."""
-
-    def undeformed(self, load: float) -> Vector: ...
-
-    def largest_compression(self, x: Vector) -> float: ...
-
-    def largest_strain(self, x: Vector) -> Strain: ...
-
-
-def first_order(bending: Bending, load: float) -> tuple[Vector, NewtonStep]:
+def first_order(bending: Loaded, load: float) -> tuple[Vector, NewtonStep]:
     """Return the flow past a rigid body, and Newton's step from there; raises what `bending` raises."""
     start = bending.undeformed(load)
     return start, newton.step(AtLoad(bending, load), start)
 
 
-def steady_state(bending: Bending, load: float, *, budget: int = 0) -> Steady:
+def steady_state(bending: Loaded, load: float, *, budget: int = 0) -> Steady:
     """Return the steady state at a load that is connected with the one at rest.
 
     The `budget` is a number of Jacobians after which a search along the load path is given up; 0: no limit.
@@ -342,7 +311,7 @@ def steady_state(bending: Bending, load: float, *, budget: int = 0) -> Steady:
     return Steady(traced.x, spent + traced.jacobians)
 
 
-def _on_first_branch(bending: Bending, x: Vector, load: float) -> bool:
+def _on_first_branch(bending: Loaded, x: Vector, load: float) -> bool:
     """Return whether the most compressed element is compressed further as the load grows."""
     jacobian = bending.factorise(x, load)
     tangent = -jacobian.solve(bending.by_load())
@@ -352,7 +321,7 @@ def _on_first_branch(bending: Bending, x: Vector, load: float) -> bool:
 class AtLoad:
     """The equations of a loaded solid at one load, as `newton.solve` takes them."""
 
-    def __init__(self, system: LoadedSystem | _Path, load: float) -> None:
+    def __init__(self, system: Loaded, load: float) -> None:
         self._system, self._load = system, load
 
     def residual(self, x: Vector) -> Vector:

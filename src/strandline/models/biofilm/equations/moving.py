@@ -241,6 +241,12 @@ class MovingSystem(CoupledSystem):
         self.rates = Rates(self.space.ndof)
         self._parts = (*self._parts, *self._inertia(solid_density))
         self._follows, self._leads = self._moved_by_solid()
+        rows, columns = self._places
+        self._on_interface = np.flatnonzero(np.isin(columns, self._follows))
+        """Numbers of the entries in columns of the velocity on the interface."""
+        target = np.arange(self.space.ndof)
+        target[self._follows] = self._leads
+        self.__dict__["_places"] = rows, target[columns]
 
     def set_unknowns(self, x: Vector) -> None:
         """Write the unknowns into the state, and the velocity on the interface that follows from them."""
@@ -275,23 +281,6 @@ class MovingSystem(CoupledSystem):
         entries = super()._assemble()
         entries[self._on_interface] *= self.rates.leading
         return entries
-
-    @cached_property
-    def _own_places(self) -> tuple[Numbers, Numbers]:
-        places = [part.places() for part in self._parts]
-        return np.concatenate([rows for rows, _ in places]), np.concatenate([columns for _, columns in places])
-
-    @cached_property
-    def _on_interface(self) -> Numbers:
-        """Numbers of the entries in columns of the velocity on the interface."""
-        return np.flatnonzero(np.isin(self._own_places[1], self._follows))
-
-    @cached_property
-    def _places(self) -> tuple[Numbers, Numbers]:
-        rows, columns = self._own_places
-        target = np.arange(self.space.ndof)
-        target[self._follows] = self._leads
-        return rows, target[columns]
 
     @cached_property
     def _pattern(self) -> Pattern:
