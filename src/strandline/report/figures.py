@@ -195,7 +195,7 @@ def _posterior(calibration: Calibration, truth: Mapping[str, float] | None) -> I
         caption = "The particles; area and colour show the weight. After a resampling, all weights are equal."
         yield Captioned("particles", "posterior", caption, plots.plot_particles(posterior, names))
     elif space.dim > 2:
-        figure = plots.plot_pairs(posterior, truth=truth)
+        figure = plots.plot_corner(posterior, truth=truth)
         yield Captioned("posterior", "posterior", "Posterior of all pairs of inputs.", figure)
     if space.dim > 3:
         caption = (
@@ -239,7 +239,7 @@ def _reading(name: str, reading: Reading, truth: Mapping[str, float] | None) -> 
             "kernel density (black) and the Gaussian (orange), fullest bin (green), mean; marginals with priors."
         )
     elif len(names) > 2:
-        figure = plots.plot_pairs(reading.extended, names, truth=truth)
+        figure = plots.plot_corner(reading.extended, names, truth=truth)
         caption = f"Posterior under uncertainty, {name} reading: all pairs of calibrated inputs."
     else:
         return

@@ -19,7 +19,7 @@ from strandline.report.plots.answers import (
     plot_rank_band,
     plot_rank_bands,
 )
-from strandline.report.plots.field import FieldGrid, plot_field, plot_profile, three_measures
+from strandline.report.plots.field import FieldGrid, plot_field, three_measures
 from strandline.report.plots.interfaces import (
     ResidualsAlong,
     plot_conditions,
@@ -36,7 +36,7 @@ from strandline.report.plots.joint import (
     plot_marginals,
     plot_particles,
 )
-from strandline.report.plots.pairs import plot_corner, plot_failed_runs, plot_pairs, plot_parallel
+from strandline.report.plots.pairs import plot_corner, plot_failed_runs, plot_parallel
 from strandline.report.plots.style import mark_doubt
 from strandline.report.plots.surrogate import (
     ErrorsAlong,
@@ -52,8 +52,8 @@ __all__ = [
     "plot_alternatives", "plot_averaged", "plot_candidates", "plot_caterpillar", "plot_check", "plot_conditions",
     "plot_corner", "plot_directions", "plot_failed_runs", "plot_field", "plot_field_error", "plot_flow",
     "plot_hexagons", "plot_interfaces", "plot_intervals", "plot_joint", "plot_leave_one_out", "plot_marginal",
-    "plot_marginals", "plot_model_marginals", "plot_offsets", "plot_pairs", "plot_parallel", "plot_particles",
-    "plot_population", "plot_predictions", "plot_profile", "plot_rank_band", "plot_rank_bands", "plot_residuals",
+    "plot_marginals", "plot_model_marginals", "plot_offsets", "plot_parallel", "plot_particles",
+    "plot_population", "plot_predictions", "plot_rank_band", "plot_rank_bands", "plot_residuals",
     "plot_run_history", "plot_run_offsets", "plot_sensitivity", "plot_tempering",
     "three_measures",
 ]  # fmt: skip

@@ -109,28 +109,6 @@ def three_measures(fields: Mapping[str, FieldGrid], *, kind: Kind = "likelihood"
     return figure
 
 
-@style.drawn(style.SINGLE, 2.7)
-def plot_profile(
-    x: Parameter,
-    x_values: Float[np.ndarray, " x"],
-    values: Float[np.ndarray, " x"],
-    *,
-    sd: Float[np.ndarray, " x"] | None = None,
-    truth: float | None = None,
-    ax: Axes = style.NEW,
-) -> Axes:
-    """Draw a log-likelihood over a single input, with a band of two standard deviations."""
-    ax.plot(x_values, values, color=style.BLACK)
-    if sd is not None:
-        ax.fill_between(x_values, values - 2 * sd, values + 2 * sd, color=style.GREY, alpha=0.4, label="± 2 sd")
-    if truth is not None:
-        ax.axvline(truth, color=style.RED, linestyle=":", label="ground truth")
-    ax.set(xlabel=x.figure_label(), ylabel="log-likelihood", xlim=x.interval)
-    if ax.get_legend_handles_labels()[0]:
-        ax.legend()
-    return ax
-
-
 def _norm(values: Float[np.ndarray, "x y"], kind: Kind) -> Normalize:
     top = float(values.max())
     if kind == "likelihood":

@@ -25,8 +25,8 @@ from strandline.posterior import (
 from strandline.report.plots import style
 
 PERCENTILES = (0.1, 0.5, 0.9)
-_GRID = 71
-"""Points per axis of the grid on which percentile lines are computed."""
+GRID, MOST = 71, 5000
+"""Points of the grid along an input on which lines are computed, and most particles that these follow from."""
 NEGLIGIBLE = 1e-3
 """Hexagons with less than this share of the fullest one's mass are left out."""
 
@@ -82,27 +82,22 @@ def plot_hexagons(
     percentiles: Sequence[float] = PERCENTILES,
     bins: int = 30,
     colour_bar: bool = True,
-    particles: int = 5000,
     ax: Axes = style.NEW,
 ) -> Axes:
     """Draw the weighted hexagonal histogram of two inputs with percentile lines of a kernel density estimate.
 
-    `percentiles` are the probabilities that the lines enclose, as fractions. At most `particles` are used for the
-    lines, a fifth of them for the bandwidth; more are thinned by systematic resampling. Hexagons, `bins` across, use
-    all.
+    `percentiles` are the probabilities that the lines enclose, as fractions. There are `bins` hexagons across.
     """
     x, y = (posterior.space[name] for name in names)
     across, up = (axis_limits(posterior, name) for name in names)
-    values = posterior.columns(names)
     sums: Any = {"C": posterior.weights, "reduce_C_function": np.sum, "extent": (*across, *up)}
-    drawn = ax.hexbin(*values.T, gridsize=bins, cmap="Blues", linewidths=0.1, **sums)
+    drawn = ax.hexbin(*posterior.columns(names).T, gridsize=bins, cmap="Blues", linewidths=0.1, **sums)
     mass: Any = drawn.get_array()
     drawn.set_array(np.ma.masked_less(mass, NEGLIGIBLE * mass.max()))
     drawn.set_clim(vmin=0.0)
-    few = thinned(values, posterior.weights, particles)
-    bounds = x.interval, y.interval
-    judged = max(particles // 5, 200)
-    _draw_kde(ax, *few, bounds=bounds, shown=(across, up), percentiles=percentiles, loo_points=judged)
+    if (found := smoothed(posterior, names, percentiles, MOST)) is not None:
+        *grid, levels = found
+        ax.contour(*grid, levels=levels, colors=style.BLACK, linewidths=1.2)
     ax.set(xlabel=x.figure_label(), ylabel=y.figure_label(), xlim=across, ylim=up)
     if colour_bar:
         ax.figure.colorbar(drawn, ax=ax, label="probability of a hexagon")
@@ -121,36 +116,29 @@ def _layout(figure: Figure) -> tuple[Axes, Axes, Axes]:
     return main, top, right
 
 
-def thinned(
-    values: Float[np.ndarray, "particle 2"], weights: Float[np.ndarray, " particle"], number: int
-) -> tuple[Float[np.ndarray, "draw 2"], Float[np.ndarray, " draw"]]:
-    """Return at most `number` draws and their weights; the same ones at every call."""
-    if len(values) <= number:
-        return values, weights
-    chosen = systematic_indices(weights, number, np.random.default_rng(0))
-    return values[chosen], np.full(number, 1.0 / number)
+def smoothed(
+    posterior: Posterior, names: tuple[str, str], masses: Sequence[float], most: int
+) -> (
+    tuple[Float[np.ndarray, " x"], Float[np.ndarray, " y"], Float[np.ndarray, "y x"], Float[np.ndarray, " level"]]
+    | None
+):
+    """Return a grid over the shown parts of two inputs, a kernel density estimate on it, and its levels, ascending,
+    whose contours enclose these probabilities; None for draws on a line, which have no density in the plane.
 
-
-def _draw_kde(
-    ax: Axes,
-    values: Float[np.ndarray, "particle 2"],
-    weights: Float[np.ndarray, " particle"],
-    *,
-    bounds: tuple[tuple[float, float], tuple[float, float]],
-    shown: tuple[tuple[float, float], tuple[float, float]],
-    percentiles: Sequence[float],
-    loo_points: int,
-) -> None:
+    More than `most` particles are thinned by systematic resampling, and a fifth of them judge the bandwidth.
+    """
+    draws, weights = posterior.columns(names), posterior.weights
+    if len(draws) > most:
+        draws = draws[systematic_indices(weights, most, np.random.default_rng(0))]
+        weights = np.full(most, 1.0 / most)
+    bounds = [posterior.space[name].interval for name in names]
     try:
-        estimate = KernelDensity.fit(values, weights, bounds=bounds, loo_points=loo_points)
+        estimate = KernelDensity.fit(draws, weights, bounds=bounds, loo_points=most // 5)
     except NumericsError:
-        return  # draws on a line have no density in the plane: the hexagons show everything
-    axes = [np.linspace(*limits, _GRID) for limits in shown]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    levels = np.unique(estimate.percentile_levels(percentiles))
-    ax.contour(
-        *axes, estimate.density(points).reshape(_GRID, _GRID).T, levels=levels, colors=style.BLACK, linewidths=1.2
-    )
+        return None
+    x, y = (np.linspace(*axis_limits(posterior, name), GRID) for name in names)
+    density = estimate.density(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)).reshape(GRID, GRID)
+    return x, y, density, np.unique(estimate.percentile_levels(masses))
 
 
 def _ellipses(

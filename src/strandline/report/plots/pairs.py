@@ -1,6 +1,6 @@
 """Several inputs: marginals on the diagonal, and each pair below it; parallel axes (Fig. 15); a posterior's figures."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,157 +15,80 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from strandline.foundations import InvalidInput, NumericsError
+from strandline.foundations import InvalidInput
 from strandline.parameters import ParameterSpace
-from strandline.posterior import KernelDensity, Posterior
+from strandline.posterior import Posterior
 from strandline.report.plots import style
 from strandline.report.plots.joint import (
     axis_limits,
-    draw_marginal,
     plot_hexagons,
     plot_marginal,
     plot_marginals,
     plot_particles,
-    thinned,
+    smoothed,
 )
 
 MASSES = (0.68, 0.95)
 """Probabilities of the two regions."""
-INNER, OUTER = 0.5, 0.2
+INNER, OUTER = 0.7, 0.3
 """Opacities of the regions; the inner one is drawn over the outer one."""
-GRID, PARTICLES, JUDGED = 61, 2000, 400
-"""Grid points along an input, draws behind a region, and draws that its bandwidth is judged by."""
+MOST = 2000
+"""Most particles behind a region."""
 PANEL = 1.35
 """Width of a panel, inches."""
-MANY = 4
-"""Number of inputs above which the panels of pairs have few ticks."""
 
 
 @style.drawn()
 def plot_corner(
-    posterior: Posterior,
-    names: Sequence[str] | None = None,
-    *,
-    prior: bool = True,
-    truth: Mapping[str, float] | None = None,
+    posterior: Posterior, names: Sequence[str] | None = None, *, truth: Mapping[str, float] | None = None
 ) -> Figure:
-    """Draw the marginal density of each input, and for each pair the smallest regions that hold 68 and 95 %.
+    """Draw the marginal of each input with its prior, and for each pair the smallest regions that hold 68 and 95 %.
 
     `truth` may have some inputs only.
     """
     chosen = posterior.space.names if names is None else tuple(names)
-    width = max(style.SINGLE, 0.5 + PANEL * len(chosen))
-
-    def panel(ax: Axes, across: str, up: str) -> None:
-        if across == up:
-            _density(ax, posterior, across, prior=prior, truth=truth)
+    width = min(max(style.SINGLE, 0.5 + PANEL * len(chosen)), style.DOUBLE)
+    figure = style.new_figure(width, width + 0.2)
+    panels: Any = figure.subplots(len(chosen), len(chosen), squeeze=False)
+    for row, column in np.ndindex(panels.shape):
+        ax, left, last = panels[row, column], column == 0 and row > 0, row == len(chosen) - 1
+        across, up = chosen[column], chosen[row]
+        if row < column:
+            ax.remove()
+            continue
+        if row == column:
+            plot_marginal(posterior, up, truth=(truth or {}).get(up), legend=False, ax=ax)
+            ax.set(yticks=[])
         else:
-            _regions(ax, posterior, (across, up), truth)
-
-    figure, panels = _triangle(posterior, chosen, (width, width + 0.2), panel, few_ticks=True)
-    entries = style.labelled(panels[0, 0])
+            _regions(ax, posterior, (across, up), truth or {})
+            ax.yaxis.set_major_locator(MaxNLocator(3, prune="both"))
+        ax.xaxis.set_major_locator(MaxNLocator(3, prune="both"))
+        ax.set_xlabel(posterior.space[across].figure_label() if last else "")
+        ax.set_ylabel(posterior.space[up].figure_label() if left else "")
+        ax.tick_params(labelbottom=last, labelleft=left)
+    entries = style.labelled(*panels.diagonal())
     if len(chosen) > 1:
         for mass, alpha in zip(MASSES, (1 - (1 - INNER) * (1 - OUTER), OUTER), strict=True):
-            entries[f"{100 * mass:g} %"] = Patch(facecolor=style.BLUE, alpha=alpha, edgecolor=style.BLUE)
+            entries[f"{100 * mass:g} %"] = Patch(facecolor=style.SKY, alpha=alpha, edgecolor=style.BLUE)
     style.legend_under(figure, entries)
     return figure
 
 
-@style.drawn()
-def plot_pairs(
-    posterior: Posterior,
-    names: Sequence[str] | None = None,
-    *,
-    bins: int = 20,
-    truth: Mapping[str, float] | None = None,
-) -> Figure:
-    """Draw the joint marginals of all pairs of inputs below a diagonal of their marginals; one input or more."""
-    chosen = posterior.space.names if names is None else tuple(names)
-    count = len(chosen)
-    size = (style.SINGLE, 0.9 + 1.5 * count) if count < 3 else (style.DOUBLE, 7.1)
-
-    def panel(ax: Axes, across: str, up: str) -> None:
-        if across == up:
-            shown, values = axis_limits(posterior, across), posterior.columns([across])[:, 0]
-            draw_marginal(ax, posterior.space[across], values, posterior.weights, shown=shown, bins=bins)
-            ax.set(yticks=[], xlim=shown)
-        else:
-            plot_hexagons(posterior, (across, up), bins=bins, colour_bar=False, particles=1500, ax=ax)
-            if truth is not None and across in truth and up in truth:
-                style.mark(ax, [truth[across], truth[up]], style.BLUE, "ground truth", marker="o", size=11.0)
-
-    figure, panels = _triangle(posterior, chosen, size, panel, few_ticks=count > MANY)
-    style.legend_under(figure, style.labelled(*panels[:2, 0]))
-    return figure
-
-
-def _triangle(
-    posterior: Posterior,
-    names: Sequence[str],
-    size: tuple[float, float],
-    panel: Callable[[Axes, str, str], None],
-    *,
-    few_ticks: bool,
-) -> tuple[Figure, Any]:
-    """Return a figure and its panels, on the diagonal and below it, drawn by `panel` and labelled at the outside."""
-    figure = style.new_figure(*size)
-    panels: Any = figure.subplots(len(names), len(names), squeeze=False)
-    for row, column in np.ndindex(panels.shape):
-        ax, left, last = panels[row, column], column == 0 and row > 0, row == len(names) - 1
-        if row < column:
-            ax.remove()
-            continue
-        panel(ax, names[column], names[row])
-        ax.set_xlabel(posterior.space[names[column]].figure_label() if last else "")
-        ax.set_ylabel(posterior.space[names[row]].figure_label() if left else "")
-        ax.tick_params(labelbottom=last, labelleft=left)
-        for axis in (ax.xaxis, ax.yaxis)[: 2 if row > column else 1] if few_ticks else ():
-            axis.set_major_locator(MaxNLocator(3, prune="both"))
-    return figure, panels
-
-
-def _density(ax: Axes, posterior: Posterior, name: str, *, prior: bool, truth: Mapping[str, float] | None) -> None:
-    parameter, values = posterior.space[name], posterior.columns([name])
-    shown = axis_limits(posterior, name)
-    grid = np.linspace(*shown, 301)
-    try:
-        estimate = KernelDensity.fit(values, posterior.weights, bounds=[parameter.interval])
-        density = estimate.density(grid[:, None])
-        ax.plot(grid, density, color=style.BLACK, label="posterior")
-        ax.fill_between(grid, density, color=style.BLUE, alpha=0.15, linewidth=0)
-    except NumericsError:
-        ax.axvline(float(values[0, 0]), color=style.BLACK, label="posterior")
-    if prior:
-        before = np.exp(np.asarray(parameter.truncated_prior.log_density(grid)))
-        ax.plot(grid, np.where(np.isfinite(before), before, np.nan), color=style.GREY, linestyle="--", label="prior")
-    if truth is not None and name in truth:
-        ax.axvline(truth[name], color=style.RED, linewidth=1.0, label="truth")
-    ax.set(xlim=shown, ylim=(0.0, None), yticks=[])
-    ax.spines["left"].set_visible(False)
-
-
-def _regions(ax: Axes, posterior: Posterior, pair: tuple[str, str], truth: Mapping[str, float] | None) -> None:
-    """Draw the smallest regions of two inputs that hold 68 and 95 %."""
-    across, up = (axis_limits(posterior, name) for name in pair)
-    draws, weights = thinned(posterior.columns(pair), posterior.weights, PARTICLES)
-    bounds = [posterior.space[name].interval for name in pair]
-    try:
-        estimate = KernelDensity.fit(draws, weights, bounds=bounds, loo_points=JUDGED)
-    except NumericsError:
-        ax.plot(*draws.T, ".", color=style.BLUE, markersize=2)
+def _regions(ax: Axes, posterior: Posterior, pair: tuple[str, str], truth: Mapping[str, float]) -> None:
+    """Draw the smallest regions of two inputs that hold 68 and 95 %; the draws themselves if they lie on a line."""
+    found = smoothed(posterior, pair, MASSES, MOST)
+    if found is None:
+        ax.plot(*posterior.columns(pair).T, ".", color=style.BLUE, markersize=2)
     else:
-        x, y = np.linspace(*across, GRID), np.linspace(*up, GRID)
-        points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        density = estimate.density(points).reshape(GRID, GRID)
-        edges = sorted({float(one) for one in estimate.percentile_levels(MASSES)})
-        top = max(float(density.max()), edges[-1]) * 1.001
-        for edge, alpha in zip(edges, (OUTER, INNER), strict=False):
-            ax.contourf(x, y, density, levels=[edge, top], colors=[style.BLUE], alpha=alpha)
-        ax.contour(x, y, density, levels=edges, colors=style.BLUE, linewidths=0.8)
+        *grid, levels = found
+        top = max(float(grid[2].max()), float(levels[-1])) * 1.001
+        for level, alpha in zip(levels.tolist(), (OUTER, INNER), strict=False):
+            ax.contourf(*grid, levels=[level, top], colors=[style.SKY], alpha=alpha)
+        ax.contour(*grid, levels=levels, colors=style.BLUE, linewidths=0.8)
     for name, line in zip(pair, (ax.axvline, ax.axhline), strict=True):
-        if truth is not None and name in truth:
-            line(truth[name], color=style.RED, linewidth=1.0)
-    ax.set(xlim=across, ylim=up)
+        if name in truth:
+            line(truth[name], color=style.BLUE, linestyle=":")
+    ax.set(xlim=axis_limits(posterior, pair[0]), ylim=axis_limits(posterior, pair[1]))
 
 
 @dataclass(frozen=True, repr=False)
@@ -175,7 +98,7 @@ class PosteriorPlots:
     posterior: Posterior
 
     def __repr__(self) -> str:
-        return "<plots: corner, joint, marginal, marginals, pairs, particles>"
+        return "<plots: corner, joint, marginal, marginals, particles>"
 
     def corner(self, **options: Any) -> Any:
         """Draw all marginals and the regions with 68 and 95 % of each pair of inputs; options of `plot_corner`."""
@@ -196,10 +119,6 @@ class PosteriorPlots:
     def marginals(self, **options: Any) -> Any:
         """Draw the marginals of all inputs; options of `plot_marginals`."""
         return plot_marginals(self.posterior, **options)
-
-    def pairs(self, **options: Any) -> Any:
-        """Draw the joint densities of all pairs of inputs; options of `plot_pairs`."""
-        return plot_pairs(self.posterior, **options)
 
     def _two(self, x: str | None, y: str | None) -> tuple[str, str]:
         names = self.posterior.space.names

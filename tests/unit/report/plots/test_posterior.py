@@ -137,8 +137,8 @@ def test_regions_of_a_corner_plot_hold_their_probabilities_and_all_is_in_the_leg
     outlines = figure.axes[1].collections[-1]
     held = [np.mean(Outline.contains_points(path, DRAWS)) for path in outlines.get_paths()]
     np.testing.assert_allclose(held, (0.95, 0.68), atol=0.04, err_msg="the largest region first")
-    assert entries(figure) == ["posterior", "prior", "truth", "68 %", "95 %"]
-    assert entries(plots.plot_corner(posterior_of(DRAWS[:, :1], E), prior=False)) == ["posterior"]
+    assert entries(figure) == ["particles", "KDE", "prior", "ground truth", "68 %", "95 %"]
+    assert entries(plots.plot_corner(posterior_of(DRAWS[:, :1], E))) == ["particles", "KDE", "prior"]
 
 
 def test_a_notebook_shows_figures_and_axes():
@@ -165,11 +165,9 @@ def test_parallel_axes_hold_every_particle_of_weight_from_low_to_high_density():
     assert _order(posterior_of(SEVEN.draws[:, :3], flow, *INPUTS[:2])) == ("E", "nu", DENSITY, "flow")
 
 
-def test_pairs_hold_the_weights_and_the_ground_truth():
-    figure = plots.plot_pairs(SEVEN, NAMES[:3], truth={"E": 500.0, "nu": 0.2})
-    drawn = [ax for ax in figure.axes if ax.axison and any(isinstance(c, PolyCollection) for c in ax.collections)]
-    assert [hexagon_mass(ax) for ax in drawn] == [pytest.approx(1.0, abs=0.02)] * 3
-    assert "ground truth" in entries(figure)
+def test_a_corner_has_a_panel_for_each_pair_and_marks_the_truth_of_the_inputs_that_have_one():
+    panels = rendered(plots.plot_corner(SEVEN, NAMES[:3], truth={"E": 500.0, "nu": 0.2})).axes
+    assert [ax.get_ylabel().split()[0] for ax in panels if ax.get_ylabel()] == ["nu", "V"]
+    dotted = [sum(line.get_linestyle() == ":" for line in ax.lines) for ax in panels]
+    assert dotted == [1, 2, 1, 1, 1, 0], "E; nu over E, nu; V over E, V over nu, V"
     assert [ax.get_xlabel().split()[0] for ax in rendered(plots.plot_marginals(SEVEN)).axes] == list(NAMES)
-    rendered(plots.plot_pairs(ridge_posterior(1, 200), truth={"E": 400.0}))
-    assert [len(lines(ax, "ground truth")) for ax in drawn] == [1, 0, 0]
