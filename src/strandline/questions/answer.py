@@ -56,12 +56,15 @@ class Table:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of an answer: its table, sentences, each on a line of its own, and notes, which are on the page alone."""
+    """A part of an answer: its table, sentences, each on a line of its own, and the name of its notes.
+
+    The notes are on the page alone, from notes.html.j2.
+    """
 
     heading: str
     table: Table | None = None
     lines: Sequence[str] = ()
-    notes: Sequence[str] = ()
+    notes: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,14 +149,6 @@ def facts_of_surrogate(runs: int, quality: FieldQuality) -> dict[str, Any]:
         "error_um": {"median": TO_MICROMETRES * quality.median, "q95": TO_MICROMETRES * quality.q95},
         "beyond": quality.beyond,
     }
-
-
-def surrogate_note(surrogate: Mapping[str, Any], where: str) -> str:
-    """Return these facts in words; `where` says over what the errors were taken."""
-    error = surrogate["error_um"]
-    return f"""The surrogate of the interface was learnt from {surrogate["runs"]} runs. Its error {where} is
-        {digits(error["median"], 2)} µm in the median ({digits(error["q95"], 2)} µm at 95 %); the local noise hides
-        a shift of {digits(surrogate["hidden_um"], 2)} µm."""
 
 
 @dataclass(frozen=True)

@@ -227,20 +227,10 @@ def _answer(content: dict[str, Any], found: Comparison, folder: Path) -> Answer[
     )
 
 
-MARGINALS = (
-    "Posterior of the inputs that all models share, under each model, and averaged over the models with their "
-    "probabilities."
-)
-PREDICTIVE = (
-    "Predicted interfaces under each model and the observed one, as offsets along the normals of the median of the "
-    "predicted interfaces. The band holds 90 % of the draws of the posterior, without the noise of the observation."
-)
-
-
 def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
     """Yield the figure of the inputs shared by the models of compare.json, and that of predictions of polylines."""
     if content["averaged"]:
-        yield Captioned("compare_marginals", "compare", MARGINALS, plots.plot_averaged(content["averaged"]))
+        yield Captioned.of("compare_marginals", "compare", plots.plot_averaged(content["averaged"]))
     bands = {
         (str(item["condition"]), str(name)): found
         for item in content["predictive"]
@@ -248,7 +238,7 @@ def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
         if (found := plots.OffsetBand.of(band)) is not None
     }
     if bands:
-        yield Captioned("compare_predictive", "compare", PREDICTIVE, plots.plot_predictions(bands))
+        yield Captioned.of("compare_predictive", "compare", plots.plot_predictions(bands))
 
 
 def _parts(content: Mapping[str, Any]) -> Iterator[Part]:
@@ -263,7 +253,7 @@ def _parts(content: Mapping[str, Any]) -> Iterator[Part]:
     yield Part("Does each model explain the data?", lines=[f"{name}: {said}" for name, said in verdicts.items()])
     if content["separate"]:
         yield _separate(content["separate"])
-    yield _how(content)
+    yield Part("How it was computed", notes="how_compared")
 
 
 def _models(content: Mapping[str, Any]) -> Part:
@@ -285,12 +275,7 @@ def _models(content: Mapping[str, Any]) -> Part:
         )
         for name, one in content["models"].items()
     ]
-    before = ", ".join(f"{one['prior_probability']:.1%}" for one in content["models"].values())
-    note = f"""The log-evidence is the logarithm of the mean likelihood over the prior, in nats. It is below the
-        best log-likelihood by about the information that the data give about the inputs: a model pays for inputs
-        that must be just right. The probabilities are posterior ones, if one of these models is right, with prior
-        probabilities of {before}."""
-    return Part("The models", Table(head, rows), notes=[note])
+    return Part("The models", Table(head, rows), notes="compared_models")
 
 
 def _factors(content: Mapping[str, Any]) -> Part:
@@ -307,13 +292,7 @@ def _factors(content: Mapping[str, Any]) -> Part:
         )
         for one in content["bayes_factors"]
     ]
-    scale, least = content["scale"], content["scale"][0]["least"]
-    note = f"""Scale of Kass and Raftery (1995), in nats of ln B:
-        {", ".join(f"{one['words']} from {one['least']:g}" for one in scale)}. Below {least:g}, or below
-        {content["errors_needed"]:g} errors of ln B, the data cannot tell. ln B is the sum of two parts: how much
-        better the posterior fits, and how much less the prior had to give way. The last column has uniform priors
-        of the shared inputs, on the same boxes."""
-    return Part("Bayes factors", Table(head, rows), notes=[note])
+    return Part("Bayes factors", Table(head, rows), notes="bayes_factors")
 
 
 def _of_average(averaged: Mapping[str, Any]) -> Part:
@@ -339,20 +318,4 @@ def _separate(candidates: Sequence[Mapping[str, Any]]) -> Part:
         )
         for one in candidates
     ]
-    note = f"""Predictions for experiments that have not been made, if one of these models is right. A model wins
-        clearly if its log posterior odds exceed those of every other one by at least
-        {candidates[0]["clear_from"]:g} nats."""
-    return Part("Which experiment would tell them apart", Table(head, rows), notes=[note])
-
-
-def _how(content: Mapping[str, Any]) -> Part:
-    notes = [
-        f"""{name} ({one["folder"]}): the interface was learnt from {one["runs"]} runs. Errors of the log-evidence:
-        {digits(one["errors"]["sampling"], 1)} from the number of draws, {digits(one["errors"]["surrogate"], 1)}
-        from the surrogate, {digits(one["errors"]["failing"], 1)} from where runs fail."""
-        for name, one in content["models"].items()
-    ]
-    runs = "No forward run was made."
-    if content["separate"]:
-        runs = "The comparison needed no forward run; runs of the candidates are in next.sqlite of each study."
-    return Part("How it was computed", notes=[*notes, f"{runs} Errors of the simulators themselves do not show here."])
+    return Part("Which experiment would tell them apart", Table(head, rows), notes="separate")

@@ -40,7 +40,6 @@ from strandline.questions.answer import (
     digits,
     facts_of_surrogate,
     label_and_unit,
-    surrogate_note,
 )
 from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require, require_seed
 from strandline.report import Captioned, plots
@@ -286,6 +285,7 @@ def _in_words(errors: PointErrors | CoordinateErrors, noise: Noise | PointErrors
 
 def _answer(content: dict[str, Any], found: CoverageFound, folder: Path) -> Answer[CoverageFound]:
     sentence, *remarks = content["remarks"]
+    noise = [f"{one['condition'] or 'Drawn with'}: {one['in_words']}." for one in content["noise"]]
     return Answer(
         title=f"{content['study']}: coverage",
         lead=f"Would the intervals contain the truth as often as they say? {content['replicates']} replicates, truths "
@@ -293,22 +293,12 @@ def _answer(content: dict[str, Any], found: CoverageFound, folder: Path) -> Answ
         sentence=sentence,
         remarks=remarks,
         good=content["calibrated"],
-        parts=[_of_inputs(content), _how(content)],
+        parts=[_of_inputs(content), Part("How it was tested", lines=noise, notes="how_covered")],
         content=content,
         found=found,
         page=folder / "coverage.html",
         drawn=_drawn,
     )
-
-
-RANKS = (
-    "Ranks of the truths in their posteriors: share of the ranks up to each place, minus the share that uniform ranks "
-    "would have. If the posteriors are right, all lines stay inside their bands together with a probability of 95 %. "
-    "A line that rises first and then falls below zero means posteriors that are too narrow; the reverse, too wide. "
-    "The last panel ranks the truth's log-likelihood among those of the draws: a line above zero means posteriors that "
-    "are too narrow in all inputs together, one below zero too wide."
-)
-COVERED = "Share of the central 50 % and 90 % intervals that contain the truth, with its 95 % interval (Wilson)."
 
 
 def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
@@ -318,9 +308,9 @@ def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
         name: Band(**{key: np.array(values, float) for key, values in item["band"].items()}, p_value=item["p_value"])
         for name, item in ranked.items()
     }
-    yield Captioned("coverage_ranks", "coverage", RANKS, plots.plot_rank_bands(bands))
+    yield Captioned.of("coverage_ranks", "coverage", plots.plot_rank_bands(bands))
     found = {name: item["intervals"] for name, item in content["inputs"].items()}
-    yield Captioned("coverage_intervals", "coverage", COVERED, plots.plot_intervals(found))
+    yield Captioned.of("coverage_intervals", "coverage", plots.plot_intervals(found))
 
 
 def _of_inputs(content: Mapping[str, Any]) -> Part:
@@ -335,32 +325,8 @@ def _of_inputs(content: Mapping[str, Any]) -> Part:
         )
         for item in content["inputs"].values()
     ]
-    fit = content["log_likelihood"]
-    best = f"""The truth is among the 50 % and the 90 % of the draws that fit best in
-        {" and ".join(map(_in_percent, fit["regions"]))} of the replicates; p of these ranks
-        {digits(fit["p_value"], 2)}."""
-    note = """p of the ranks: how often ranks of a right posterior are as uneven. Intervals: share that contain the
-        truth, with its 95 % interval. z: truth minus posterior mean, in posterior standard deviations; its standard
-        deviation is 1 if widths are right, more if they are too small. The limit is that of Cramér and Rao for the
-        same errors and a Gaussian prior of the same covariance: a measure that wastes information is wider; a prior
-        that cuts the posterior off makes it narrower."""
-    return Part("The inputs", Table((*head, "sd / limit"), rows), notes=[best, note])
+    return Part("The inputs", Table((*head, "sd / limit"), rows), notes="covered_inputs")
 
 
 def _in_percent(one: Mapping[str, float]) -> str:
     return f"{one['found']:.1%} ({one['low']:.1%} to {one['high']:.1%})"
-
-
-def _how(content: Mapping[str, Any]) -> Part:
-    surrogate, sampling = content["surrogate"], content["sampling"]
-    prior = ", with the posterior of the real observation as its prior" if content["source"] == "posterior" else ""
-    drawn = f"""{content["replicates"]} times, with seed {content["seed"]}: true inputs were drawn from the
-        {content["source"]}, the interface there was predicted by the surrogate, observed at the same places as the
-        real one, and disturbed. The posterior followed from the measure
-        {content["measure"].replace("_", " ")}{prior}. No forward run was made."""
-    errors = f"""{surrogate_note(surrogate, "at the truths")} Errors of the simulator and of the surrogate
-        themselves do not show here: `strandline posterior check` looks for the latter."""
-    sampled = f"""{sampling["importance"]} posteriors by importance sampling, {sampling["smc"]} by tempering, with
-        {digits(sampling["effective"], 3)} effective draws in the median."""
-    noise = [f"{one['condition'] or 'Drawn with'}: {one['in_words']}." for one in content["noise"]]
-    return Part("How it was tested", lines=noise, notes=[drawn, errors, sampled])

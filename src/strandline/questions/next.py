@@ -251,7 +251,7 @@ def _answer(content: dict[str, Any], found: Answers, folder: Path) -> Answer[Ans
         remarks=(),
         good=True,
         parts=[
-            _of_candidates(content, after=after),
+            _of_candidates(content),
             Part(
                 f"What {'the picture determines' if after else 'the planned picture would determine'}",
                 lines=content["identifiability"],
@@ -259,7 +259,7 @@ def _answer(content: dict[str, Any], found: Answers, folder: Path) -> Answer[Ans
             Part(
                 "How it was computed",
                 lines=[*(f"{one['condition'] or 'Noise'}: {one['in_words']}." for one in content["noise"]), made],
-                notes=[_how(content, after=after)],
+                notes="how_planned",
             ),
         ],
         content=content,
@@ -271,14 +271,6 @@ def _answer(content: dict[str, Any], found: Answers, folder: Path) -> Answer[Ans
 
 MOST_CANDIDATES = 20
 """Candidates that are drawn."""
-GAINS = (
-    "Left: expected information about the inputs from each candidate; the pale part is lost where the specimen folds "
-    "or the run fails. Right: expected standard deviation of each input, as a share of the present one."
-)
-DIRECTIONS = (
-    "Combinations of the inputs, in prior standard deviations, one in each column, from the least to the best known. "
-    "Below each column: the share of the prior's width that is left."
-)
 
 
 def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
@@ -286,12 +278,12 @@ def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
     drawn = [one for one in content["candidates"] if one["gain"] is not None][:MOST_CANDIDATES]
     names = {name: item["label"] for name, item in content["inputs"].items()}
     if drawn:
-        yield Captioned("next_candidates", "next", GAINS, plots.plot_candidates(drawn, names))
+        yield Captioned.of("next_candidates", "next", plots.plot_candidates(drawn, names))
     if len(names) > 1:
-        yield Captioned("next_directions", "next", DIRECTIONS, plots.plot_directions(content["directions"], names))
+        yield Captioned.of("next_directions", "next", plots.plot_directions(content["directions"], names))
 
 
-def _of_candidates(content: Mapping[str, Any], *, after: bool) -> Part:
+def _of_candidates(content: Mapping[str, Any]) -> Part:
     inputs = content["inputs"]
     units = [unit_text(item["unit"]) for item in inputs.values()]
     within = [f" [{unit}]" if unit else "" for unit in units]
@@ -299,15 +291,9 @@ def _of_candidates(content: Mapping[str, Any], *, after: bool) -> Part:
     head = ("candidate", "gain, nats", *sds, "fails", "moved, sd", "by")
     now = ("(now)", "", *(digits(item["sd"], 3) for item in inputs.values()), "", "", "")
     rows = [now, *(_row(one, list(inputs)) for one in content["candidates"])]
-    calibrated = "" if all(item["calibrated"] for item in inputs.values()) else "calibrated "
-    note = f"""Gain: expected information about the {calibrated}inputs (Lindley 1956), the mean of log (posterior /
-        {"present posterior" if after else "prior"}); ½ log 2 = 0.35 nats make the width of one input 1.4 times
-        smaller. sd: expected standard deviation after the experiment. Fails: probability that the specimen folds or
-        the simulation fails. Moved: displacement from the undeformed state, in standard deviations of the points'
-        errors. A column of which nothing is known is left out."""
     known = [k for k in range(len(head)) if any(row[k] not in ("", "–") for row in rows if len(row) == len(head))]
     kept = [[row[k] for k in known] if len(row) == len(head) else row for row in (head, *rows)]
-    return Part("The candidates", Table(kept[0], kept[1:]), notes=[note])
+    return Part("The candidates", Table(kept[0], kept[1:]), notes="candidates")
 
 
 def _row(one: Mapping[str, Any], names: Sequence[str]) -> tuple[str, ...]:
@@ -322,16 +308,3 @@ def _row(one: Mapping[str, Any], names: Sequence[str]) -> tuple[str, ...]:
         "–" if one["displacement_in_sd"] is None else digits(one["displacement_in_sd"], 3),
         one["by"],
     )
-
-
-def _how(content: Mapping[str, Any], *, after: bool) -> str:
-    if after:
-        return f"""By nested Monte Carlo with {content["draws"]} draws of the posterior and seed {content["seed"]};
-            linearised where the table says so. Candidates that the surrogate of the interface covers cost no run.
-            For each other setting, the interface was extrapolated from one run at the posterior mean. The gain
-            assumes that all points of the outline are used in the best way; a measure that wastes information
-            learns less."""
-    return """Each experiment was run at a few draws of the prior, with sensitivities or with a run beside for each
-        input. The gains are linearised: they assume that the interface is linear in the inputs near each draw, and
-        that the prior is normal. Use them to rank the candidates; after the first experiment, this command starts
-        from the posterior."""

@@ -190,28 +190,16 @@ def answer_of(content: dict[str, Any], found: SpecimensFound, folder: Path) -> A
     )
 
 
-OF_SPECIMENS = (
-    "90 % intervals of {} for each specimen, from its own outline alone (grey) and given all specimens (blue), with "
-    "their medians, in the order of the blue ones. The less certain specimens move most towards the population; as the "
-    "inputs of a specimen move together, a single one may move away."
-)
-ALONE = "90 % intervals of {} for each specimen, with their medians."
-DENSITY = (
-    "Density of {} over the population, median and 90 % band. Each stroke is the mean of a specimen given all of them."
-)
-
-
 def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
     """Yield the intervals of each input of specimens.json, and its density in the population."""
     specimens, population = content["specimens"], content["population"]
     for name, item in content["inputs"].items() if specimens else ():
-        label, caption = axis_label(item), ALONE if population is None else OF_SPECIMENS
-        axes = plots.plot_caterpillar(specimens, name, label)
-        yield Captioned(f"specimens_intervals_{name}", "specimens", caption.format(item["label"]), axes)
+        axes, facts = plots.plot_caterpillar(specimens, name, axis_label(item)), {"of": name, "label": item["label"]}
+        yield Captioned.of("specimens_intervals", "specimens", axes, together=population is not None, **facts)
         if population is not None:
             means = [one["inputs"][name]["shrunk"]["mean"] for one in specimens]
-            axes = plots.plot_population(population["inputs"][name]["density"], means, label)
-            yield Captioned(f"specimens_population_{name}", "specimens", DENSITY.format(item["label"]), axes)
+            axes = plots.plot_population(population["inputs"][name]["density"], means, axis_label(item))
+            yield Captioned.of("specimens_population", "specimens", axes, **facts)
 
 
 def _parts(content: Mapping[str, Any]) -> Iterator[Part]:
@@ -228,14 +216,8 @@ def _of_population(population: Mapping[str, Any], inputs: Mapping[str, Any]) -> 
         parts = [item["mean"], item["spread"]]
         cells = [(_with_sd(one), f"{digits(one['q05'], 4)} to {digits(one['q95'], 4)}") for one in parts]
         rows.append((*label_and_unit(inputs[name]), *cells[0], *cells[1]))
-    note = f"""Mean and spread (standard deviation) of each input over the population, with their posterior standard
-        deviations. The model of the population: independent normal distributions, truncated to the box. The prior
-        of the mean is uniform over the box, and that of the spread is uniform up to half the width of the box. A
-        specimen is called an outlier if the population of the others has one as far out with a probability below
-        {digits(population["limit"], 2)}. If there is no outlier, the chance that any of the
-        {population["specimens"]} specimens is called one is 5 %."""
     head = "input", "unit", "mean", "90 % interval", "spread", "90 % interval"
-    return Part("The population", Table(head, rows), notes=[note])
+    return Part("The population", Table(head, rows), notes="population")
 
 
 def _of_specimens(content: Mapping[str, Any]) -> Part:
@@ -257,10 +239,7 @@ def _of_specimens(content: Mapping[str, Any]) -> Part:
         p_value = [digits(one["p_value"], 2)] if together else []
         name = f"{one['specimen']}{' (outlier)' if one.get('outlier') else ''}"
         rows.append((name, *known, one["certificate"], *chain(*cells), *p_value))
-    note = f"""Certificate: good if the surrogate's error moves no posterior mean by more than
-        {content["tolerated_shift"]:g} of its standard deviation. The error is the one that the surrogate expects,
-        enlarged if left-out runs show larger ones."""
-    return Part("The specimens", Table(head, rows), notes=[note])
+    return Part("The specimens", Table(head, rows), notes="specimens")
 
 
 def _with_sd(item: Mapping[str, float]) -> str:

@@ -27,7 +27,7 @@ from strandline.foundations import InvalidStudy, figure_text, listed, one_thread
 from strandline.interface import Observation
 from strandline.likelihood import FieldLikelihood
 from strandline.posterior import Weighted
-from strandline.questions.answer import Answer, Part, Symbol, Table, digits, facts_of_surrogate, moments, surrogate_note
+from strandline.questions.answer import Answer, Part, Symbol, Table, facts_of_surrogate, moments
 from strandline.questions.knowledge import baseline_of, require, require_seed
 from strandline.report import Captioned, axis_label, plots
 from strandline.runs import Progress
@@ -318,16 +318,12 @@ def _inputs(one: Changed, draws: Weighted) -> dict[str, Any]:
 
 
 def _answer(content: dict[str, Any], found: tuple[Changed, ...], folder: Path) -> Answer[tuple[Changed, ...]]:
-    some, inputs, limits = content["alternatives"], content["present"]["inputs"], content["limits"]
+    some, inputs = content["alternatives"], content["present"]["inputs"]
     symbols = [Symbol(item["label"]) for item in inputs.values()]
     table = Table(
         ("what changed", *symbols, "log-evidence", "by", "k̂", "effective draws", "moves"),
         [_row(one, list(inputs)) for one in some],
     )
-    meaning = f"""Each entry: shift of the mean in present standard deviations, and the ratio of the standard
-        deviations. An input moves by more than {limits["shift"]:g} sd, or by a ratio outside
-        {digits(1 / limits["sd_ratio"], 2)} to {digits(limits["sd_ratio"], 3)}. The change of the log-evidence is
-        given where data, noise and measure stay the same."""
     return Answer(
         title=f"{content['study']}: what if",
         lead=f"How would the posterior change with other assumptions? {len(some)} alternative{'s' * (len(some) != 1)}, "
@@ -335,19 +331,15 @@ def _answer(content: dict[str, Any], found: tuple[Changed, ...], folder: Path) -
         sentence=content["conclusion"],
         remarks=content["remarks"],
         good=not any(one["moves"] for one in some),
-        parts=[Part("The alternatives", table, notes=[" ".join(_details(some)), meaning]), _how(content)],
+        parts=[
+            Part("The alternatives", table, notes="alternatives"),
+            Part("How it was computed", notes="how_changed"),
+        ],
         content=content,
         found=found,
         page=folder / "what-if.html",
         drawn=_drawn,
     )
-
-
-ALTERNATIVES = (
-    "Mean and 90 % interval of each input under each alternative. The band and the line are the present posterior. "
-    "Orange: the mean moves by more than {shift:g} present standard deviations, or the standard deviation changes by "
-    "more than a factor of {sd_ratio:g}. An input that is taken as known has no mark."
-)
 
 
 def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
@@ -359,7 +351,7 @@ def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
         if one["by"] is not None
     ]
     figure = plots.plot_alternatives({axis_label(item): item for item in inputs.values()}, alternatives)
-    yield Captioned("what_if", "what_if", ALTERNATIVES.format(**content["limits"]), figure)
+    yield Captioned.of("what_if", "what_if", figure, **content["limits"])
 
 
 def _row(one: Mapping[str, Any], names: Sequence[str]) -> tuple[str, ...]:
@@ -376,27 +368,3 @@ def _row(one: Mapping[str, Any], names: Sequence[str]) -> tuple[str, ...]:
         f"{one['effective']:.0f}",
         ", ".join(name for name, item in one["inputs"].items() if item["moves"]) or "–",
     )
-
-
-def _details(some: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Yield what was changed in numbers, and how much of a prior is lost outside the box."""
-    for one in some:
-        cut = [f"{share:.1%} of the prior of {name} is outside the box" for name, share in one["mass_cut"].items()]
-        if one["detail"] or cut:
-            yield f"{one['name']}: {'; '.join([one['detail']] * bool(one['detail']) + cut)}."
-
-
-def _how(content: Mapping[str, Any]) -> Part:
-    surrogate = content["surrogate"]
-    notes = [
-        f"""By reweighting: each draw of the posterior gets the ratio of the new density to the old one as its
-        weight. The shape k̂ of the largest weights and the effective number of draws show whether these suffice.
-        Where they do not, or where an input is taken as known, the posterior is sampled again through the surrogate
-        of the interface (seed {content["seed"]}). No forward run was made."""
-    ]
-    if surrogate is not None:
-        where = "over the present posterior"
-        notes.append(
-            f"{surrogate_note(surrogate, where)} Where it is too coarse for an alternative, new runs are needed."
-        )
-    return Part("How it was computed", notes=notes)

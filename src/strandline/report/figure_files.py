@@ -12,6 +12,7 @@ from typing import Any
 from matplotlib.figure import Figure
 from PIL import Image
 
+from strandline.report.html import said
 from strandline.report.plots.style import DOTS_PER_INCH, DRAFT_DOTS_PER_INCH, mark_doubt, styled
 
 PAGE_PIXELS_PER_INCH = 138
@@ -28,6 +29,12 @@ class Captioned:
     section: str
     caption: str
     drawing: Any
+
+    @classmethod
+    def of(cls, name: str, section: str, drawing: Any, *, of: str = "", **facts: Any) -> "Captioned":
+        """Return a figure with its caption from the template; one of several has what it is `of` in its name too."""
+        caption = said(name, **({"of": of} if of else {}), **facts)
+        return cls(f"{name}_{of}" if of else name, section, caption, drawing)
 
     @property
     def figure(self) -> Figure:

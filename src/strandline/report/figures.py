@@ -2,8 +2,10 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -50,12 +52,8 @@ def fit_figures(calibration: Calibration) -> Iterator[Captioned]:
     """Yield the residuals along the observed polylines; nothing for surfaces."""
     found = calibration.misfit
     drawn = {one.condition: _along(one) for one in (found.conditions if found else ()) if not one.surface}
-    caption = (
-        "Signed distance of each observed point from the prediction that fits best, and twice the standard deviation "
-        "of the noise. A correct model leaves residuals that scatter about zero within the band."
-    )
     if drawn:
-        yield Captioned("residuals", "fit", caption, plots.plot_residuals(drawn))
+        yield Captioned.of("residuals", "fit", plots.plot_residuals(drawn))
 
 
 def _along(found: ConditionMisfit) -> plots.ResidualsAlong:
@@ -66,36 +64,27 @@ def _along(found: ConditionMisfit) -> plots.ResidualsAlong:
 def _data(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
     problem, space = calibration.problem, calibration.problem.space
     at = truth if truth is not None else {**problem.fixed, **space.as_mapping(calibration.posterior.map_estimate)}
-    where = "the inputs of the synthetic observation" if truth is not None else "the MAP estimate"
     if isinstance(problem.model, DrawsFields):
-        try:
+        with suppress(ForwardModelError):
             figure = plots.plot_flow(problem.model.fields(at))
-        except ForwardModelError:
-            figure = None
-        if figure is not None:
-            where += " where the flow is strongest" if len(problem.observations) > 1 else ""
-            caption = f"Fluid velocity, fluid pressure and displacement of the solid on the deformed mesh at {where}."
-            yield Captioned("flow", "data", caption, figure)
+            several = len(problem.observations) > 1
+            yield Captioned.of("flow", "data", figure, truth=truth is not None, several=several)
     undeformed = undeformed_interface(problem.model)
     observed = {o.condition: o.interface for o in problem.observations}
     examples = _examples(calibration, undeformed)
-    among = "" if undeformed is None else ", the undeformed one,"
-    caption = f"The observed interface{among} and the interfaces of a few runs of the design"
     surfaces = {condition: one for condition, one in observed.items() if one.dim == 3}
     for condition, interface in surfaces.items():
-        figure = plot_surfaces(interface, examples[condition])
-        of = f", {condition}" if condition else ""
-        text = f"The observed surface and those of a few runs of the design, cut by three planes{of}."
-        yield Captioned(f"surfaces-{condition}" if condition else "surfaces", "data", text, figure)
+        yield Captioned.of("surfaces", "data", plot_surfaces(interface, examples[condition]), of=condition)
     if surfaces:
         return
+    drawing: Any
     if len(observed) == 1:
         ((condition, interface),) = observed.items()
-        axes = plots.plot_interfaces(interface, reference=undeformed, simulated=examples[condition])
-        yield Captioned("interfaces", "data", f"{caption}.", axes)
+        drawing = plots.plot_interfaces(interface, reference=undeformed, simulated=examples[condition])
     else:
-        figure = plots.plot_conditions(observed, reference=undeformed, simulated=examples)
-        yield Captioned("interfaces", "data", f"{caption}, by condition.", figure)
+        drawing = plots.plot_conditions(observed, reference=undeformed, simulated=examples)
+    facts = {"undeformed": undeformed is not None, "several": len(observed) > 1}
+    yield Captioned.of("interfaces", "data", drawing, **facts)
 
 
 def _examples(calibration: Calibration, undeformed: Interface | None) -> dict[str, dict[str, Interface]]:
@@ -146,13 +135,8 @@ def _offsets(calibration: Calibration) -> Iterator[Captioned]:
             continue
         labels = [f"{BEST_RUNS[k]} best run, log-likelihood {number(values[i])}" for k, i in enumerate(ranked)][1:]
         runs = {label: observed_offsets(interface, best) for label, interface in zip(labels, others, strict=True)}
-        of, end = (f" of {seen.condition}", f"_{seen.condition}") if seen.condition else ("", "")
-        caption = (
-            f"Normal offsets{of} from the best run, whose log-likelihood is {number(values[ranked[0]])}: of the "
-            "observed interface and of the next best runs. They are runs of the design, not draws of the posterior."
-        )
         axes = plots.plot_run_offsets(observed_offsets(seen.interface, best), runs)
-        yield Captioned(f"offsets{end}", "data", caption, axes)
+        yield Captioned.of("offsets", "data", axes, of=seen.condition, best=float(values[ranked[0]]))
 
 
 def failed_runs(calibration: Calibration) -> Iterator[Captioned]:
@@ -165,8 +149,7 @@ def failed_runs(calibration: Calibration) -> Iterator[Captioned]:
     inputs = np.array([[record.inputs[name] for name in space.names] for record in calibration.records], float)
     by_kind = {kind: inputs[[its == kind for its in kinds]] for kind, _ in failed.most_common()}
     axes = plots.plot_failed_runs(space, inputs[[not its for its in kinds]], by_kind)
-    caption = "Inputs of all runs, one line each: grey if the run succeeded, coloured by kind if it failed."
-    yield Captioned("failed_runs", "runs", caption, axes)
+    yield Captioned.of("failed_runs", "runs", axes)
 
 
 def _sampler(calibration: Calibration) -> Iterator[Captioned]:
@@ -177,9 +160,7 @@ def _sampler(calibration: Calibration) -> Iterator[Captioned]:
         [s.acceptance for s in steps],
         particles=calibration.settings.particles if halves is None else len(halves[0].positions),
     )
-    whose = "The sampler's steps" if halves is None else "The steps of the first half of the particles"
-    caption = f"{whose}: tempering exponent (of the likelihood), effective sample size, share of accepted moves."
-    yield Captioned("tempering", "sampler", caption, figure)
+    yield Captioned.of("tempering", "sampler", figure, halves=halves is not None)
 
 
 def _posterior(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
@@ -187,26 +168,15 @@ def _posterior(calibration: Calibration, truth: Mapping[str, float] | None) -> I
     if space.dim == 2:
         names = (space.names[0], space.names[1])
         figure = plots.plot_joint(posterior, names, laplace=calibration.laplace, truth=truth)
-        caption = (
-            "Posterior: weighted hexagonal histogram of the particles with percentile lines of the kernel density "
-            "(black), the Gaussian (orange) and the Laplace approximation (green); marginals with priors (dashes)."
-        )
-        yield Captioned("posterior", "posterior", caption, figure)
-        caption = "The particles; area and colour show the weight. After a resampling, all weights are equal."
-        yield Captioned("particles", "posterior", caption, plots.plot_particles(posterior, names))
+        yield Captioned.of("posterior", "posterior", figure, two=True)
+        yield Captioned.of("particles", "posterior", plots.plot_particles(posterior, names))
     elif space.dim > 2:
-        figure = plots.plot_corner(posterior, truth=truth)
-        yield Captioned("posterior", "posterior", "Posterior of all pairs of inputs.", figure)
+        yield Captioned.of("posterior", "posterior", plots.plot_corner(posterior, truth=truth), two=False)
     if space.dim > 3:
-        caption = (
-            "Each line is a particle, coloured by its log posterior density; lines of high density are drawn on top. "
-            "An input whose axis the red lines cross everywhere is not known from the data."
-        )
-        yield Captioned("parallel", "posterior", caption, plots.plot_parallel(posterior, truth=truth))
+        yield Captioned.of("parallel", "posterior", plots.plot_parallel(posterior, truth=truth))
     curves = _quadrature_curves(space.names, calibration.quadrature)
     figure = plots.plot_marginals(posterior, overlays=curves, truth=truth)
-    exact = " and the direct quadrature of the same surrogate" if calibration.quadrature else ""
-    yield Captioned("marginals", "posterior", f"Marginal posteriors with priors{exact}.", figure)
+    yield Captioned.of("marginals", "posterior", figure, exact=calibration.quadrature is not None)
 
 
 def _under_uncertainty(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
@@ -219,14 +189,10 @@ def _under_uncertainty(calibration: Calibration, truth: Mapping[str, float] | No
     exact = None if calibration.cut_quadrature is None else mixture(calibration.cut_quadrature)
     curves = _quadrature_curves(found.cut.names, exact)
     figure = plots.plot_marginals(found.cut.extended, found.cut.names, overlays=curves, truth=truth)
-    caption = "Marginals of the cut reading with priors" + (" and direct quadrature." if curves else ".")
-    yield Captioned("cut_marginals", "uncertainty", caption, figure)
+    yield Captioned.of("cut_marginals", "uncertainty", figure, exact=bool(curves))
     names = [space.names[i] for i in space.nuisance]
     figure = plots.plot_marginals(calibration.posterior, names, truth=truth, whole_box=True)
-    caption = (
-        f"Prior of {', '.join(names)} (orange dashes), kept by the cut reading, and its posterior in the joint one."
-    )
-    yield Captioned("nuisance", "uncertainty", caption, figure)
+    yield Captioned.of("nuisance", "uncertainty", figure, names=names)
 
 
 def _reading(name: str, reading: Reading, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
@@ -234,16 +200,11 @@ def _reading(name: str, reading: Reading, truth: Mapping[str, float] | None) -> 
     names = reading.names
     if len(names) == 2:
         figure = plots.plot_joint(reading.extended, (names[0], names[1]), truth=truth)
-        caption = (
-            f"Posterior under uncertainty, {name} reading: weighted hexagonal histogram with percentile lines of the "
-            "kernel density (black) and the Gaussian (orange), fullest bin (green), mean; marginals with priors."
-        )
     elif len(names) > 2:
         figure = plots.plot_corner(reading.extended, names, truth=truth)
-        caption = f"Posterior under uncertainty, {name} reading: all pairs of calibrated inputs."
     else:
         return
-    yield Captioned(f"posterior_{name}", "uncertainty", caption, figure)
+    yield Captioned.of("posterior", "uncertainty", figure, of=name, two=len(names) == 2)
 
 
 def _quadrature_curves(names: Sequence[str], exact: QuadratureResult | None) -> dict[str, plots.Curve]:

@@ -32,6 +32,16 @@ def template(name: str, *, package: str = "strandline.report") -> Any:
     return _environment(package).get_template(name)
 
 
+def said(name: str, /, **facts: Any) -> str:
+    """Return the caption `name` of captions.txt.j2; line breaks and indents are single spaces, as in a paragraph."""
+    return one_line(str(getattr(template("captions.txt.j2").module, name)(**facts)))
+
+
+def one_line(text: str) -> str:
+    """Return a text of a template as one paragraph; spaces that no line break splits stay."""
+    return re.sub("[ \n]+", " ", text).strip()
+
+
 def write_page(path: Path, page: str) -> Path:
     """Write a page whole or not at all, and return its path."""
     unfinished = path.with_name(f".{path.name}.partial")

@@ -1,6 +1,5 @@
 """A finished study as one self-contained HTML page, and its figures as files; the pages of answers."""
 
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
@@ -14,21 +13,15 @@ from strandline.report import plots
 from strandline.report.explore import explore
 from strandline.report.figure_files import Captioned, fitted, marked, saved, whole_folder
 from strandline.report.figures import figure_groups
-from strandline.report.html import template, write_page
+from strandline.report.html import one_line, template, write_page
 from strandline.report.warnings import LOO_LIMIT, reason_to_doubt
-
-CHECK = (
-    "Draws of the posterior, run with the true model. Left: their true log-likelihood against the surrogate's; a "
-    "common offset does no harm. Right: the interfaces of the draws and the observed one, as offsets along the normals "
-    "of the median interface."
-)
 
 
 def draw_check(check: Mapping[str, Any]) -> Captioned:
     """Return the figure of a check of the posterior, check.json."""
     true, surrogate = (np.array(check["particles"][name], float) for name in ("true", "surrogate"))
     bands = {item["condition"]: plots.OffsetBand.of(item["offset"]) for item in check["interfaces"]}
-    return Captioned("check", "check", CHECK, plots.plot_check(true, surrogate, bands))
+    return Captioned.of("check", "check", plots.plot_check(true, surrogate, bands))
 
 
 FILE_NAME = "report.html"
@@ -102,7 +95,7 @@ def methods_paragraph(summary: Mapping[str, Any]) -> str:
     It also says what speaks against the result: runs that failed, a design that did not converge, a model that does not
     explain the observation.
     """
-    return re.sub("[ \n]+", " ", template("methods.txt.j2").render(s=summary)).strip()
+    return one_line(template("methods.txt.j2").render(s=summary))
 
 
 def _without_bad_comparison(summary: Mapping[str, Any]) -> Mapping[str, Any]:

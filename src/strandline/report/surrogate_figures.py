@@ -10,13 +10,11 @@ from jaxtyping import Float, Int
 
 from strandline.calibration import Calibration
 from strandline.design import FieldOutcome
-from strandline.foundations import listed
 from strandline.interface import GLOBAL, Interface, Observation
 from strandline.likelihood import evaluated, predicted
 from strandline.posterior import interface_band, normal_offsets, observed_offsets, subset
 from strandline.report import plots
 from strandline.report.figure_files import Captioned
-from strandline.report.html import number
 
 DRAWS = 400
 GRID = 121
@@ -31,30 +29,27 @@ def likelihood_figures(calibration: Calibration, truth: Mapping[str, float] | No
     """Yield likelihood, log-likelihood and the surrogate's standard deviation over two inputs."""
     if calibration.problem.space.dim != 2:
         return
-    crosses = " Grey crosses are failed forward runs." if len(_failed(calibration)) else ""
-    several, of = "", f"of the interface that the surrogate predicts.{crosses}"
     if calibration.field is not None:
         functions: dict[str, Callable[[Any], Any]] = {
             next(iter(calibration.problem.discrepancies)): calibration.field.knowledge.plug_in
         }
     else:  # compiled: takes a quarter of the time of `process.mean`
         functions = {name: evaluated(predicted(one.process)) for name, one in calibration.surrogates.items()}
-        several = "by discrepancy measure; " if len(functions) > 1 else ""
-        of = f"{several}mean of the surrogate.{crosses}"
     means = {
         name.replace("_", " "): _with_detail(partial(_grid, calibration, function, truth))
         for name, function in functions.items()
     }
+    by_field = calibration.field is not None
+    facts = {"several": len(functions) > 1, "failed": len(_failed(calibration)) > 0}
     figure = plots.three_measures(means, kind="likelihood")
-    yield Captioned("likelihood", "surrogate", f"Likelihood over its maximum, {of}", figure)
+    yield Captioned.of("likelihood", "surrogate", figure, by_field=by_field, **facts)
     figure = plots.three_measures(means, kind="log_likelihood")
-    yield Captioned("log_likelihood", "surrogate", f"Log-likelihood, {of}", figure)
+    yield Captioned.of("log_likelihood", "surrogate", figure, by_field=by_field, **facts)
     if calibration.field is not None:
         return
     variances = {name: _grid(calibration, one.process.variance, truth) for name, one in calibration.surrogates.items()}
     deviations = {name.replace("_", " "): replace(one, values=np.sqrt(one.values)) for name, one in variances.items()}
-    caption = f"Standard deviation of the surrogate, {several}in units of log-likelihood.{crosses}"
-    yield Captioned("log_likelihood_sd", "surrogate", caption, plots.three_measures(deviations, kind="sd"))
+    yield Captioned.of("log_likelihood_sd", "surrogate", plots.three_measures(deviations, kind="sd"), **facts)
 
 
 def _with_detail(grid_on: Callable[[Part], plots.FieldGrid]) -> plots.FieldGrid:
@@ -105,24 +100,12 @@ def surrogate_figures(calibration: Calibration) -> Iterator[Captioned]:
         validation, how = calibration.surrogate.validation, calibration.surrogate.left_out
         known = values - validation.residuals
         axes = plots.plot_leave_one_out(values, known, near_mode=validation.near_mode, left_out=how)
-        called = "the surrogate" if calibration.field is None else "a surrogate of the log-likelihood"
-        decide = "" if calibration.field is not None else " The runs near the mode decide the posterior:"
-        others = "all other runs" if calibration.settings.fit is None else "nine tenths of the runs, without it"
-        caption = (
-            f"Each run's log-likelihood as {called} predicts it from {others}.{decide} "
-            f"Root-mean-square error of the runs near the mode: {number(validation.loo_rms_near_mode, 3)}."
-        )
-        yield Captioned("leave_one_out", "surrogate", caption, axes)
+        facts = {"by_field": calibration.field is not None, "tenth": calibration.settings.fit is not None}
+        yield Captioned.of("leave_one_out", "surrogate", axes, error=validation.loo_rms_near_mode, **facts)
     if calibration.sensitivity is not None:
         symbols = [replace(parameter, unit="1").figure_label() for parameter in calibration.problem.space]
         axes = plots.plot_sensitivity(calibration.sensitivity, symbols)
-        caption = (
-            "Sobol' indices: the share of the log-likelihood's variance under the prior that each input explains "
-            "alone, and that it is part of, with bootstrap intervals of 95 %. A share lies between 0 and 1, but its "
-            "estimate may not. The far tail has most of this variance; the marginal of an input shows how well it is "
-            "known."
-        )
-        yield Captioned("sensitivity", "surrogate", caption, axes)
+        yield Captioned.of("sensitivity", "surrogate", axes)
 
 
 def field_figures(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
@@ -133,11 +116,7 @@ def field_figures(calibration: Calibration, truth: Mapping[str, float] | None) -
     yield from _history(calibration, found, truth)
     chosen = subset(calibration.posterior.weights, min(DRAWS, calibration.posterior.number), 0)
     x = calibration.posterior.draws[chosen]
-    caption = (
-        "Error of the surrogate along the interface: the median over the runs, each predicted from all others, and "
-        "the surrogate's own estimate, the median over draws of the posterior."
-    )
-    yield Captioned("field_error", "surrogate", caption, plots.plot_field_error(_errors(found, x)))
+    yield Captioned.of("field_error", "surrogate", plots.plot_field_error(_errors(found, x)))
     yield from _predictive(calibration, found, x)
 
 
@@ -154,8 +133,7 @@ def _history(calibration: Calibration, found: FieldOutcome, truth: Mapping[str, 
         checked=np.array([step.kind == "check" for step in steps]),
         truth=None if truth is None else [truth[name] for name in space.names],
     )
-    caption = "The posterior against the number of runs: means with a band of one standard deviation."
-    yield Captioned("run_history", "certificate", caption, figure)
+    yield Captioned.of("run_history", "certificate", figure)
 
 
 def _errors(found: FieldOutcome, x: Float[np.ndarray, "draw dim"]) -> dict[str, plots.ErrorsAlong]:
@@ -186,17 +164,13 @@ def _predictive(calibration: Calibration, found: FieldOutcome, x: Float[np.ndarr
         drawn, observed = normal_offsets(points[name], centre), observed_offsets(seen.interface, centre)
         low, median, high = np.quantile(drawn.offset, (0.05, 0.5, 0.95), axis=0)
         band = plots.OffsetBand(drawn.arc_length, low, median, high, observed.arc_length, observed.offset)
-        of, end = (f" of {name}", f"_{name}") if name else ("", "")
-        caption = f"What the posterior predicts{of}: the interface of its draws, and the observed one."
-        yield Captioned(f"predictive{end}", "certificate", caption + _as_stated(seen), plots.plot_offsets(band))
+        unknown = unknown_errors(seen)
+        yield Captioned.of("predictive", "certificate", plots.plot_offsets(band), of=name, unknown=unknown)
 
 
-def _as_stated(seen: Observation) -> str:
-    """Return a sentence on the errors of the whole observed interface that the figure does not take out of it."""
-    unknown = [name for name in GLOBAL if getattr(seen.noise, name, 0.0) > 0]
-    if not unknown:
-        return ""
-    return f" The observed one is drawn where it was measured: its unknown {listed(unknown)} can explain a distance."
+def unknown_errors(seen: Observation) -> list[str]:
+    """Return the errors of the whole observed interface that the figure does not take out of it."""
+    return [name for name in GLOBAL if getattr(seen.noise, name, 0.0) > 0]
 
 
 def _arc_length(interface: Interface) -> Float[np.ndarray, " point"]:

@@ -17,19 +17,24 @@ from strandline.parameters import Parameter, Uniform
 from strandline.posterior import Offsets, Reading
 from strandline.report.figure_files import Captioned, fitted, marked, saved
 from strandline.report.figures import _reading
-from strandline.report.html import fixed, number
+from strandline.report.html import fixed, number, said
 from strandline.report.page import _without_bad_comparison
 from strandline.report.plots import plot_run_offsets, plot_tempering
 from strandline.report.plots.style import DOUBLE, SINGLE
-from strandline.report.surrogate_figures import _as_stated as as_stated
+from strandline.report.surrogate_figures import unknown_errors
 
 
 def test_a_prediction_says_what_the_whole_outline_may_still_do() -> None:
     """The figure shows the observed interface as measured; a caption without that would blame the model."""
     line = Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]))
-    assert as_stated(Observation(line, PointErrors(0.01, length=0.1))) == ""
-    assert "its unknown shift can" in as_stated(Observation(line, PointErrors(0.01, shift=0.1)))
-    assert "its unknown rotation and scale can" in as_stated(Observation(line, UnknownErrors(rotation=1.0, scale=0.01)))
+    for noise, unknown in (
+        (PointErrors(0.01, length=0.1), None),
+        (PointErrors(0.01, shift=0.1), "its unknown shift can"),
+        (UnknownErrors(rotation=1.0, scale=0.01), "its unknown rotation and scale can"),
+    ):
+        caption = said("predictive", unknown=unknown_errors(Observation(line, noise)), of="<slow>")
+        assert (unknown or "observed one.") in caption
+        assert ("unknown" in caption, type(caption), "of <slow>:" in caption) == (unknown is not None, str, True)
 
 
 def captioned(name: str, section: str = "data") -> Captioned:
