@@ -1,6 +1,5 @@
 """Gaussian approximations of a posterior: by mean and covariance, and by the curvature at its mode (Laplace)."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
@@ -25,35 +24,21 @@ class GaussianApproximation:
     mean: Float[np.ndarray, " dim"]
     covariance: Float[np.ndarray, "dim dim"]
 
-    @property
-    def dim(self) -> int:
-        return len(self.mean)
-
-    def log_density(self, x: Float[np.ndarray, "*point dim"]) -> Float[np.ndarray, "*point"]:
-        """Return the log density at points (…, dim)."""
-        factor = self.factor()
-        log_volume = np.log(np.diag(factor)).sum() + 0.5 * self.dim * np.log(2 * np.pi)
-        return np.asarray(-0.5 * self.radius(x) ** 2 - log_volume)
-
     def radius(self, x: Float[np.ndarray, "*point dim"]) -> Float[np.ndarray, "*point"]:
         """Return the Mahalanobis distance of points (…, dim) from the mean."""
-        flat = (np.asarray(x) - self.mean).reshape(-1, self.dim)
+        flat = (np.asarray(x) - self.mean).reshape(-1, len(self.mean))
         white = solve_triangular(self.factor(), flat.T, lower=True)
         return np.asarray(np.linalg.norm(white, axis=0).reshape(np.shape(x)[:-1]))
 
     def percentile_radius(self, p: float) -> float:
         """Return the Mahalanobis radius inside which the probability is p, 0 < p < 1."""
         require_fraction(p)
-        return float(np.sqrt(chi2.ppf(p, df=self.dim)))
-
-    def marginal(self, indices: Sequence[int]) -> "GaussianApproximation":
-        """Return the marginal distribution of the inputs with the given numbers."""
-        chosen = list(indices)
-        return GaussianApproximation(self.mean[chosen], self.covariance[np.ix_(chosen, chosen)])
+        return float(np.sqrt(chi2.ppf(p, df=len(self.mean))))
 
     def ellipse(self, p: float, *, pair: tuple[int, int] = (0, 1), number: int = 200) -> Float[np.ndarray, "point 2"]:
         """Return a closed curve (point, 2) that encloses probability p of the marginal of two inputs."""
-        plane = self.marginal(pair)
+        chosen = list(pair)
+        plane = GaussianApproximation(self.mean[chosen], self.covariance[np.ix_(chosen, chosen)])
         angle = np.linspace(0.0, 2 * np.pi, number)
         circle = plane.percentile_radius(p) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         return np.asarray(plane.mean + circle @ plane.factor().T)

@@ -15,20 +15,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from strandline.foundations import InvalidInput, NumericsError
+from strandline.posterior.marginals import Histogram
 
-__all__ = ["LogDensity", "Marginal", "QuadratureResult", "integrate", "mixture"]
+__all__ = ["LogDensity", "QuadratureResult", "integrate", "mixture"]
 LogDensity = Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, " point"]]
 _CELLS = {1: 256, 2: 32, 3: 16}  # initial cells per direction
 _NODES = {1: 4, 2: 4, 3: 3}  # nodes per direction and cell
 _LEFT_ALONE = 0.1  # cells that together carry less than this share of the tolerance are not refined
-
-
-@dataclass(frozen=True, eq=False)
-class Marginal:
-    """A one-dimensional marginal density as a normalised histogram; `edges` is one longer than `density`."""
-
-    edges: Float[np.ndarray, " edge"]
-    density: Float[np.ndarray, " bin"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +43,7 @@ class QuadratureResult:
     error_log_evidence: float
     error_mean: float
     error_sd: float
-    marginals: tuple[Marginal, ...]
+    marginals: tuple[Histogram, ...]
 
 
 class _Cells(NamedTuple):
@@ -197,7 +190,7 @@ def mixture(parts: Sequence[QuadratureResult]) -> QuadratureResult:
     covariance = np.mean([part.covariance for part in parts], axis=0) + apart.T @ apart / len(parts)
     logs = np.array([part.log_evidence for part in parts])
     marginals = [
-        Marginal(same[0].edges, np.mean([m.density for m in same], axis=0))
+        Histogram(same[0].edges, np.mean([one.mass for one in same], axis=0))
         for same in zip(*(part.marginals for part in parts), strict=True)
     ]
     return QuadratureResult(
@@ -276,14 +269,14 @@ def _result(
     )
 
 
-def _marginal(rule: _Rule, cells: _Cells, axis: int) -> Marginal:
+def _marginal(rule: _Rule, cells: _Cells, axis: int) -> Histogram:
     """Return the masses of slabs half as thick as the first cells; an unrefined cell fills two of them."""
     number = 2 * _CELLS[rule.dim]
     halves = cells.low[:, axis, None] + cells.width[:, None] * np.array([0.25, 0.75])
     slab = np.minimum((halves * number).astype(int), number - 1)
     mass = np.bincount(slab.ravel(), weights=np.repeat(0.5 * cells.integral[:, 0], 2), minlength=number)
     edges = np.linspace(rule.low[axis], rule.high[axis], number + 1)
-    return Marginal(edges, mass / (mass.sum() * np.diff(edges)))
+    return Histogram(edges, mass / mass.sum())
 
 
 def _require_box(low: Float[np.ndarray, " dim"], high: Float[np.ndarray, " dim"]) -> None:

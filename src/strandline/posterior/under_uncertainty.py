@@ -16,7 +16,6 @@ from scipy.stats import qmc
 
 from strandline.foundations import InvalidInput
 from strandline.parameters import ParameterSpace
-from strandline.posterior.gaussian import GaussianApproximation
 from strandline.posterior.marginals import histogram_mode
 from strandline.posterior.posterior import Posterior
 
@@ -62,11 +61,6 @@ class Reading:
     def sd(self) -> Float[np.ndarray, " x"]:
         """Standard deviations."""
         return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def gaussian(self) -> GaussianApproximation:
-        """The global Gaussian approximation."""
-        return GaussianApproximation(self.mean, self.covariance)
 
     def quantiles(self, p: Sequence[float]) -> Float[np.ndarray, "level x"]:
         """Return the weighted quantiles, input by input."""

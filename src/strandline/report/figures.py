@@ -15,7 +15,7 @@ from strandline.foundations import ForwardModelError
 from strandline.interface import Interface
 from strandline.models import DrawsFields, undeformed_interface
 from strandline.parameters import ParameterSpace
-from strandline.posterior import QuadratureResult, Reading, mixture, observed_offsets
+from strandline.posterior import Histogram, QuadratureResult, Reading, mixture, observed_offsets
 from strandline.report import plots
 from strandline.report.figure_files import Captioned
 from strandline.report.html import number
@@ -174,9 +174,9 @@ def _posterior(calibration: Calibration, truth: Mapping[str, float] | None) -> I
         yield Captioned.of("posterior", "posterior", plots.plot_corner(posterior, truth=truth), two=False)
     if space.dim > 3:
         yield Captioned.of("parallel", "posterior", plots.plot_parallel(posterior, truth=truth))
-    curves = _quadrature_curves(space.names, calibration.quadrature)
-    figure = plots.plot_marginals(posterior, overlays=curves, truth=truth)
-    yield Captioned.of("marginals", "posterior", figure, exact=calibration.quadrature is not None)
+    exact = _by_quadrature(space.names, calibration.quadrature)
+    figure = plots.plot_marginals(posterior, exact=exact, truth=truth)
+    yield Captioned.of("marginals", "posterior", figure, exact=bool(exact))
 
 
 def _under_uncertainty(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
@@ -187,8 +187,8 @@ def _under_uncertainty(calibration: Calibration, truth: Mapping[str, float] | No
     for name, reading in {"joint": found.joint, "cut": found.cut}.items():
         yield from _reading(name, reading, truth)
     exact = None if calibration.cut_quadrature is None else mixture(calibration.cut_quadrature)
-    curves = _quadrature_curves(found.cut.names, exact)
-    figure = plots.plot_marginals(found.cut.extended, found.cut.names, overlays=curves, truth=truth)
+    curves = _by_quadrature(found.cut.names, exact)
+    figure = plots.plot_marginals(found.cut.extended, found.cut.names, exact=curves, truth=truth)
     yield Captioned.of("cut_marginals", "uncertainty", figure, exact=bool(curves))
     names = [space.names[i] for i in space.nuisance]
     figure = plots.plot_marginals(calibration.posterior, names, truth=truth, whole_box=True)
@@ -207,6 +207,5 @@ def _reading(name: str, reading: Reading, truth: Mapping[str, float] | None) -> 
     yield Captioned.of("posterior", "uncertainty", figure, of=name, two=len(names) == 2)
 
 
-def _quadrature_curves(names: Sequence[str], exact: QuadratureResult | None) -> dict[str, plots.Curve]:
-    marginals = () if exact is None else zip(names, exact.marginals, strict=True)
-    return {name: plots.Curve(0.5 * (one.edges[1:] + one.edges[:-1]), one.density) for name, one in marginals}
+def _by_quadrature(names: Sequence[str], exact: QuadratureResult | None) -> dict[str, Histogram]:
+    return {} if exact is None else dict(zip(names, exact.marginals, strict=True))

@@ -4,7 +4,6 @@ import jax
 import numpy as np
 import pytest
 from scipy.special import logsumexp, ndtri
-from scipy.stats import multivariate_normal
 
 from strandline.foundations import InvalidInput, NumericsError
 from strandline.interface import Interface
@@ -122,9 +121,7 @@ GAUSSIAN = GaussianApproximation(np.array([400.0, 0.1, 80.0]), SCALED)
 DRAWS = np.random.default_rng(1).multivariate_normal(GAUSSIAN.mean, SCALED, 20_000)
 
 
-def test_the_density_is_that_of_scipy_each_radius_encloses_its_share_and_an_ellipse_that_of_the_plane():
-    expected = multivariate_normal(GAUSSIAN.mean, SCALED).logpdf(DRAWS[:20])
-    np.testing.assert_allclose(GAUSSIAN.log_density(DRAWS[:20]), expected)
+def test_each_radius_encloses_its_share_and_an_ellipse_that_of_the_plane():
     for p in (0.1, 0.5, 0.9):
         inside = (GAUSSIAN.radius(DRAWS) < GAUSSIAN.percentile_radius(p)).mean()
         assert inside == pytest.approx(p, abs=4 * np.sqrt(p * (1 - p) / len(DRAWS)))

@@ -81,27 +81,18 @@ def plot_directions(
 
 @style.drawn()
 def plot_rank_bands(bands: Mapping[str, Band]) -> Figure:
-    """Draw `plot_rank_band` for each input, three in a row."""
+    """Draw how far the distribution of each input's ranks is from uniform, and the band that it must stay inside."""
     figure, panels = style.panel_grid(len(bands), 2.2)
     for ax, (name, band) in zip(panels, bands.items(), strict=True):
-        plot_rank_band(band, legend=False, ax=ax).set_title(figure_text(name))
+        places = band.places
+        low, high = band.low - places, band.high - places
+        ax.fill_between(places, low, high, color=style.SKY, alpha=0.6, linewidth=0, label="95 % band")
+        ax.axhline(0.0, color=style.GREY, linewidth=0.8)
+        colour, label = (style.BLUE, "ranks") if band.inside else (style.RED, "ranks that leave it")
+        ax.plot(places, band.found - places, color=colour, label=label)
+        ax.set(xlabel="rank of the truth", ylabel="share below minus rank", xlim=(0, 1), title=figure_text(name))
     style.legend_under(figure, style.labelled(*panels))
     return figure
-
-
-@style.drawn(style.SINGLE, 2.7)
-def plot_rank_band(band: Band, *, legend: bool = True, ax: Axes = style.NEW) -> Axes:
-    """Draw how far the distribution of the ranks is from uniform, and the band that it must stay inside."""
-    places = band.places
-    low, high = band.low - places, band.high - places
-    ax.fill_between(places, low, high, color=style.SKY, alpha=0.6, linewidth=0, label="95 % band")
-    ax.axhline(0.0, color=style.GREY, linewidth=0.8)
-    colour, label = (style.BLUE, "ranks") if band.inside else (style.RED, "ranks that leave it")
-    ax.plot(places, band.found - places, color=colour, label=label)
-    ax.set(xlabel="rank of the truth", ylabel="share below minus rank", xlim=(0, 1))
-    if legend:
-        style.below(ax)
-    return ax
 
 
 @style.drawn(style.SINGLE, 2.7)
@@ -291,25 +282,19 @@ def plot_offsets(band: OffsetBand | None, *, legend: bool = True, ax: Axes = sty
 
 @style.drawn()
 def plot_averaged(inputs: Mapping[str, Mapping[str, Any]]) -> Figure:
-    """Draw `plot_model_marginals` for each input, three in a row."""
+    """Draw the histograms of each input under each model, as compare.json has them, and their average on top."""
     figure, panels = style.panel_grid(len(inputs), 2.3)
     for ax, one in zip(panels, inputs.values(), strict=True):
-        plot_model_marginals(one, ax=ax)
+        edges, models = np.array(one["histogram"]["edges"], float), one["histogram"]["models"]
+        for (name, density), colour in zip(models.items(), np.resize(style.CYCLE, len(models)), strict=True):
+            ax.stairs(density, edges, color=colour, linewidth=1.4, label=name.replace("$", r"\$"))
+        average = one["histogram"]["averaged"]
+        ax.stairs(average, edges, color=style.BLACK, linewidth=1.6, linestyle="--", label="averaged")
+        around = MARGIN * (edges[-1] - edges[0])  # a step at an end would seem to be cut off
+        ends = edges[0] - around, edges[-1] + around
+        ax.set(xlabel=axis_label(one), ylabel="density", xlim=ends, ylim=(0, None))
     style.legend_under(figure, style.labelled(panels[0]))
     return figure
-
-
-@style.drawn(style.SINGLE, 2.6)
-def plot_model_marginals(one: Mapping[str, Any], *, ax: Axes = style.NEW) -> Axes:
-    """Draw the histograms of an input under each model, as compare.json has it, and their average on top."""
-    histogram, models = one["histogram"], one["histogram"]["models"]
-    edges = np.array(histogram["edges"], float)
-    for (name, density), colour in zip(models.items(), np.resize(style.CYCLE, len(models)), strict=True):
-        ax.stairs(density, edges, color=colour, linewidth=1.4, label=name.replace("$", r"\$"))
-    ax.stairs(histogram["averaged"], edges, color=style.BLACK, linewidth=1.6, linestyle="--", label="averaged")
-    around = MARGIN * (edges[-1] - edges[0])  # a step at an end would seem to be cut off
-    ax.set(xlabel=axis_label(one), ylabel="density", xlim=(edges[0] - around, edges[-1] + around), ylim=(0, None))
-    return ax
 
 
 def axis_label(item: Mapping[str, Any]) -> str:

@@ -1,7 +1,6 @@
 """Joint marginal of two inputs with all that the study draws into it (Figs. 9, 14), particles, marginals (9, 13)."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -15,6 +14,7 @@ from strandline.foundations import NumericsError, unit_text
 from strandline.parameters import Parameter
 from strandline.posterior import (
     GaussianApproximation,
+    Histogram,
     KernelDensity,
     LaplaceApproximation,
     Posterior,
@@ -191,33 +191,28 @@ WHOLE_BOX_FROM = 0.75
 """Share of the box from which all of it is shown."""
 
 
-@dataclass(frozen=True, eq=False)
-class Curve:
-    """A density from another source to draw over a marginal, e.g. from quadrature of the same surrogate."""
-
-    x: Float[np.ndarray, " point"]
-    density: Float[np.ndarray, " point"]
-    label: str = "quadrature"
-
-
 @style.drawn(style.SINGLE, 2.6)
 def plot_marginal(
     posterior: Posterior,
     name: str,
     *,
     bins: int = 30,
-    overlay: Curve | None = None,
+    exact: Histogram | None = None,
     truth: float | None = None,
     legend: bool = True,
     whole_box: bool = False,
     ax: Axes = style.NEW,
 ) -> Axes:
-    """Draw the marginal posterior of one input with its prior; `whole_box` shows all of the prior (Fig. 10)."""
+    """Draw the marginal posterior of one input with its prior, and the one by quadrature of the same surrogate on top.
+
+    `whole_box` shows all of the prior (Fig. 10).
+    """
     parameter = posterior.space[name]
     shown = parameter.interval if whole_box else axis_limits(posterior, name)
     draw_marginal(ax, parameter, posterior.columns([name])[:, 0], posterior.weights, shown=shown, bins=bins)
-    if overlay is not None:
-        ax.plot(overlay.x, overlay.density, color=style.PURPLE, linestyle="-.", linewidth=1.6, label=overlay.label)
+    if exact is not None:
+        middles = 0.5 * (exact.edges[1:] + exact.edges[:-1])
+        ax.plot(middles, exact.density, color=style.PURPLE, linestyle="-.", linewidth=1.6, label="quadrature")
     if truth is not None:
         ax.axvline(truth, color=style.BLUE, linestyle=":", label="ground truth")
     ax.set(xlabel=parameter.figure_label(), ylabel=density_label(parameter), xlim=shown)
@@ -232,7 +227,7 @@ def plot_marginals(
     names: Sequence[str] | None = None,
     *,
     bins: int = 30,
-    overlays: Mapping[str, Curve] | None = None,
+    exact: Mapping[str, Histogram] | None = None,
     truth: Mapping[str, float] | None = None,
     whole_box: bool = False,
 ) -> Figure:
@@ -241,7 +236,7 @@ def plot_marginals(
     height, columns = 2.2 if len(chosen) < 3 else 1.8, 3 if len(chosen) <= 6 else 4
     figure, panels = style.panel_grid(len(chosen), height, columns=columns)
     for ax, name in zip(panels, chosen, strict=True):
-        own: Any = {"overlay": (overlays or {}).get(name), "truth": (truth or {}).get(name)}
+        own: Any = {"exact": (exact or {}).get(name), "truth": (truth or {}).get(name)}
         plot_marginal(posterior, name, bins=bins, **own, legend=False, whole_box=whole_box, ax=ax)
     style.legend_under(figure, style.labelled(*panels))
     return figure

@@ -178,7 +178,7 @@ def test_predictions_have_a_row_for_each_condition_and_a_column_for_each_model()
 
 def test_a_histogram_does_not_end_at_the_frame() -> None:
     histogram = {"edges": [50.0, 60.0, 70.0], "averaged": [0.05, 0.05], "models": {"a": [0.1, 0.0], "b": [0.0, 0.1]}}
-    ax = plots.plot_model_marginals({"label": "E", "unit": "Pa", "histogram": histogram})
+    (ax,) = plots.plot_averaged({"E": {"label": "E", "unit": "Pa", "histogram": histogram}}).axes
     low, high = ax.get_xlim()
     assert low < 50.0 < 70.0 < high
     assert ax.get_xlabel() == "E [Pa]"

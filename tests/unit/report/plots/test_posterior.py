@@ -9,7 +9,7 @@ from tests.unit.report.plots.drawn import NU, E, entries, hexagon_mass, lines, p
 
 from strandline.foundations import InvalidInput
 from strandline.parameters import LogNormal, Parameter, ParameterSpace, ScaledBeta, Uniform
-from strandline.posterior import GaussianApproximation, Posterior, histogram, laplace
+from strandline.posterior import GaussianApproximation, Histogram, Posterior, histogram, laplace
 from strandline.report import plots
 from strandline.report.plots.joint import axis_limits
 from strandline.report.plots.pairs import DENSITY, PosteriorPlots, _order
@@ -82,8 +82,9 @@ def test_hexagons_sum_the_weights_of_all_particles():
 
 
 def test_a_marginal_is_weighted_and_normalised():
-    overlay = plots.Curve(np.array([100.0, 800.0]), np.array([1.0, 1.0]))
-    ax = plots.plot_marginal(TWO, "E", bins=20, truth=400.0, overlay=overlay)
+    exact = Histogram(np.array([100.0, 800.0]), np.array([1.0]))
+    ax = plots.plot_marginal(TWO, "E", bins=20, truth=400.0, exact=exact)
+    np.testing.assert_allclose(lines(ax, "quadrature")[0], [[450.0, 1 / 700]])
     (bars,) = [patch for patch in ax.patches if isinstance(patch, StepPatch)]
     heights, _, _ = bars.get_data()
     expected = histogram(TWO.draws[:, 0], TWO.weights, bounds=(100.0, 800.0), bins=20).density
