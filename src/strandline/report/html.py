@@ -32,9 +32,9 @@ def template(name: str, *, package: str = "strandline.report") -> Any:
     return _environment(package).get_template(name)
 
 
-def said(name: str, /, **facts: Any) -> str:
-    """Return the caption `name` of captions.txt.j2; line breaks and indents are single spaces, as in a paragraph."""
-    return one_line(str(getattr(template("captions.txt.j2").module, name)(**facts)))
+def said(name: str, /, page: str = "captions.txt.j2", **facts: Any) -> str:
+    """Return the text that a macro of a template makes of facts, as one paragraph."""
+    return one_line(str(getattr(template(page).module, name)(**facts)))
 
 
 def one_line(text: str) -> str:

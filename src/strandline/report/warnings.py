@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from strandline.interface import Interface, UnknownErrors
 from strandline.likelihood import noise_length, sd_of_distances
 from strandline.parameters import Parameter
 from strandline.posterior import Posterior, QuadratureResult, Reading, mixture, prior_conflicts
-from strandline.report.html import number, small_share
+from strandline.report.html import number, said
 from strandline.runs import EXCLUDED, RunRecord
 from strandline.surrogate import learn_feasibility, stopped_early
 
@@ -56,17 +57,14 @@ TOUCHED, HALF = 0.05, 0.5
 """Posterior mass where runs are likely to fail, above which a warning reports it; from which more runs do not help."""
 
 
+_said = partial(said, page="warnings.txt.j2")
+
+
 def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> Iterator[str]:
     """Yield one sentence per doubt; none if all is well. `turned`: conditions observed from the other end."""
-    for condition in turned:
-        where = f" of {condition}" if condition else ""
-        yield f"The observed points{where} ran opposite to the model's interface and were turned round."
+    yield from (_said("turned", condition=condition) for condition in turned)
     if calibration.no_field is not None:
-        yield (
-            f"NO FIELD surrogate could be built from the runs' interfaces: {calibration.no_field}. The surrogate "
-            "learns the log-likelihood instead, and nothing was checked with the true model: `strandline posterior "
-            "check` does that."
-        )
+        yield _said("no_field", why=calibration.no_field)
     yield from _fit(calibration)
     if calibration.field is None:
         yield from _impossible(calibration)
@@ -84,10 +82,7 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
     if (found := calibration.under_uncertainty) is not None:
         yield from _bounds_of(found.cut.extended, "cut reading", found.cut.names)
     if not calibration.laplace.definite:
-        yield (
-            "The Hessian of the log-posterior at the MAP is not negative definite, so there is no Laplace "
-            "approximation: the surrogate is rough there, or the MAP lies on a bound."
-        )
+        yield _said("no_laplace")
 
 
 def reason_to_doubt(
@@ -118,11 +113,7 @@ def reason_to_doubt(
 def _impossible(calibration: Calibration) -> Iterator[str]:
     highest = float(calibration.posterior.log_likelihood.max())
     if highest > ABOVE_ZERO:
-        yield (
-            f"DO NOT TRUST THIS POSTERIOR: the surrogate predicts log-likelihoods up to {number(highest, 3)}, "
-            "although none above 0 is possible. There are too few runs for such small noise: make many more, or state "
-            "a larger noise."
-        )
+        yield _said("impossible", highest=highest)
 
 
 def _fit(calibration: Calibration) -> Iterator[str]:
@@ -140,11 +131,7 @@ def _fit(calibration: Calibration) -> Iterator[str]:
         return
     chance = inferred.posterior.probability_of_model_error
     if chance > ERRS:
-        surely = f" with probability {number(chance, 2)}" if chance < NEARLY_SURE else ", almost surely"
-        yield (
-            f"The model has an error{surely}. The posterior allows for it, but nothing is known of the error at other "
-            "loads."
-        )
+        yield _said("model_error", chance=chance, sure=chance >= NEARLY_SURE)
     stated = next((seen.noise for seen in calibration.problem.observations), None)
     if isinstance(stated, UnknownErrors):
         yield from noise_at_an_end({k: one[0] for k, one in inferred.posterior.quantiles([0.5]).items()}, stated)
@@ -156,27 +143,18 @@ def noise_at_an_end(medians: Mapping[str, float], stated: UnknownErrors) -> Iter
         given = getattr(stated, name)
         for end, value in zip(("lower", "upper"), given if isinstance(given, tuple) else (), strict=False):
             if abs(medians[name] / value - 1) < AT_THE_END:
-                yield (
-                    f"The inferred {words} of the noise lies at the {end} end of its range, "
-                    f"{number(1e3 * value, 3)} µm: widen the range, or look for an error of the model."
-                )
+                yield _said("noise_at_an_end", words=words, end=end, mm=value)
 
 
 def _runs(calibration: Calibration) -> Iterator[str]:
     judged = [record for record in calibration.records if says_whether_runs_succeed(record)]
     failed = sum(not record.ok for record in judged)
     if failed > FAILED_SHARE * len(judged):
-        yield (
-            f"{failed} of {len(judged)} forward runs failed: the surrogate knows nothing there. "
-            "See where they lie before you trust a posterior close to them."
-        )
+        yield _said("runs_failed", failed=failed, judged=len(judged))
     good, hung = ([one.seconds for one in calibration.all_runs if one.state == state] for state in ("ok", "timeout"))
     longest = max(good, default=math.inf)
     if hung and min(hung) > PATIENCE * longest:
-        yield (
-            f"Runs ended at their time limit ({len(hung)}, {sum(hung):.0f} s together), but no good run took longer "
-            f"than {number(longest, 2)} s: `timeout: {math.ceil(PATIENCE / 2 * longest)}` would save most of that."
-        )
+        yield _said("runs_hung", hung=hung, longest=longest, timeout=math.ceil(PATIENCE / 2 * longest))
 
 
 def _failing(calibration: Calibration) -> float:
@@ -194,13 +172,13 @@ def _stopped_early(calibration: Calibration) -> Iterator[str]:
     good = [record for record in calibration.records if record.ok]
     found = stopped_early([_observed(calibration, record) for record in good])
     if found:
-        number, why = next(iter(found.items()))
-        key, where = good[number].key[:12], _place(good[number].inputs)
-        yield (
-            f"{len(found)} of {len(good)} runs seem to have STOPPED EARLY; the first is {key} at {where}: {why}. "
-            "The surrogate takes the jump for the model's. Let the simulator fail there, or leave such runs out: "
-            f"`strandline runs STUDY --exclude {key} --why early`."
-        )
+        first, why = next(iter(found.items()))
+        yield _said("stopped_early", found=len(found), good=len(good), **_run(good[first]), why=why)
+
+
+def _run(record: RunRecord) -> dict[str, str]:
+    where = ", ".join(f"{name} = {value:.6g}" for name, value in record.inputs.items())
+    return {"key": record.key[:12], "where": where}
 
 
 def _observed(calibration: Calibration, record: RunRecord) -> dict[str, Interface]:
@@ -217,67 +195,44 @@ def _in_steps(calibration: Calibration) -> Iterator[str]:
         seen = next(one for one in known if one.condition == found.condition)
         noise = sd_of_distances(seen, measure, good[0].interfaces[found.condition]) or noise_length(seen, measure)
         if found.step > STEPS * noise:
-            yield (
-                f"The runs' {found.axis} comes in STEPS of {number(found.step, 3)} mm, "
-                f"{number(found.step / noise, 2)} times the noise. No smooth surrogate follows them, so that the "
-                "posterior may lie elsewhere and its width be wrong: let the simulator print more digits."
-            )
+            yield _said("in_steps", axis=found.axis, step=found.step, noises=found.step / noise)
 
 
 def _set_aside(calibration: Calibration) -> Iterator[str]:
     """Yield a sentence on the runs that ended ok and were not used, and one on those excluded by hand."""
     for measure in dict.fromkeys(one.measure for one in calibration.set_aside):
         some = [one for one in calibration.set_aside if one.measure == measure]
-        where = _place(some[0].inputs)
-        what = "run that ended ok was" if len(some) == 1 else "runs that ended ok were"
-        beside = "" if measure in (None, next(iter(calibration.problem.discrepancies))) else f" for {measure} alone"
-        yield (
-            f"{len(some)} {what} set aside as invalid{beside}; the first is {some[0].key[:12]} at {where}: "
-            f"{some[0].why.rstrip('.')}. `strandline runs STUDY --state invalid` lists them."
-        )
+        only = None if measure in (None, next(iter(calibration.problem.discrepancies))) else measure
+        why = some[0].why.rstrip(".")
+        yield _said("set_aside", number=len(some), measure=only, **_run(some[0]), why=why)
     excluded = [record for record in calibration.records if record.state == EXCLUDED]
     if excluded:
-        what = "run was" if len(excluded) == 1 else "runs were"
-        yield (
-            f"{len(excluded)} {what} excluded by hand and not used; the first is {excluded[0].key[:12]}: "
-            f"{excluded[0].message}."
-        )
+        yield _said("excluded", number=len(excluded), key=excluded[0].key[:12], message=excluded[0].message)
 
 
 def _prior(calibration: Calibration) -> Iterator[str]:
     if calibration.posterior.information < NOTHING:
-        yield (
-            "The data tell nothing: the posterior is the prior. The noise hides what the inputs change; check the "
-            "noise and its unit, and the unit of the observation."
-        )
+        yield _said("nothing_learnt")
     yield from prior_conflicts(calibration.posterior)
     for parameter in calibration.problem.space:
         if parameter.mass_cut > MASS_CUT_TOLD:
             low, high = parameter.interval
-            yield (
-                f"The prior of {parameter.name} was truncated to the design box [{low:g}, {high:g}]{_of(parameter)}: "
-                f"{small_share(parameter.mass_cut)} of its mass was cut off."
-            )
+            cut = {"low": low, "high": high, "unit": _of(parameter), "share": parameter.mass_cut}
+            yield _said("prior_cut", name=parameter.name, **cut)
 
 
 def _surrogate(calibration: Calibration) -> Iterator[str]:
     validation, how = calibration.surrogate.validation, calibration.surrogate.left_out
-    measure = calibration.problem.measure
-    remedy = "More runs will lower it."
-    if getattr(measure, "quadrature", None) == "centre":
-        remedy = "More runs will lower it, and so will the refined quadrature of the measure."
     if validation.loo_rms_near_mode > LOO_LIMIT:
-        yield (
-            f"The surrogate's {how} error near the mode is {number(validation.loo_rms_near_mode, 2)} in "
-            f"log-likelihood (over {validation.near_mode_count} runs; above {LOO_LIMIT:g} the posterior's shape is in "
-            f"doubt). {remedy}"
-        )
+        error, runs = validation.loo_rms_near_mode, validation.near_mode_count
+        centre = getattr(calibration.problem.measure, "quadrature", None) == "centre"
+        yield _said("left_out_error", how=how, error=error, runs=runs, limit=LOO_LIMIT, centre=centre)
 
 
 def _sampler(calibration: Calibration) -> Iterator[str]:
     particles, effective = calibration.settings.particles, min(calibration.sampling.ess, calibration.posterior.ess)
     if effective < ESS_SHARE * particles:
-        yield f"Only {effective:.0f} effective samples among {particles} particles."
+        yield _said("few_samples", effective=effective, particles=particles)
     halves = calibration.sampler_check
     if halves is not None and not halves.agree:
         yield halves.verdict
@@ -288,10 +243,7 @@ def _sampler(calibration: Calibration) -> Iterator[str]:
         yield "The quadrature that checks the sampler has not converged."
     mean_error, sd_error = _apart(posterior, exact)
     if mean_error > QUADRATURE_MEAN or sd_error > QUADRATURE_SD:
-        yield (
-            f"Sampler and quadrature of the same surrogate differ: means by up to {mean_error:.3f} standard "
-            f"deviations, standard deviations by up to {sd_error:.1%}. More particles or steps will help."
-        )
+        yield _said("quadrature_differs", mean=mean_error, sd=sd_error, cut=False, converged=True)
 
 
 def _apart(found: Posterior | Reading, exact: QuadratureResult) -> tuple[float, float]:
@@ -311,44 +263,24 @@ def _cut(calibration: Calibration) -> Iterator[str]:
     above = validation.near_mode | (next(iter(calibration.log_likelihoods.values())) >= lowest)
     error = float(np.sqrt(np.mean(validation.residuals[above] ** 2)))
     if error > max(LOO_LIMIT, validation.loo_rms_near_mode):
-        yield (
-            f"The cut reading uses log-likelihoods down to {number(lowest, 3)}. Over the {int(above.sum())} runs above "
-            f"that, the surrogate's {calibration.surrogate.left_out} error is {number(error, 2)}, so that the cut "
-            "reading is less certain than the joint one."
-        )
+        yield _said("cut_tail", lowest=lowest, runs=int(above.sum()), how=calibration.surrogate.left_out, error=error)
     if calibration.cut_quadrature is None:
         return
     exact = mixture(calibration.cut_quadrature)
     mean_error, sd_error = _apart(cut, exact)
     if not exact.converged or mean_error > QUADRATURE_MEAN or sd_error > QUADRATURE_SD:
-        yield (
-            f"Sampler and quadrature of the cut reading differ: means by up to {mean_error:.3f} standard deviations, "
-            f"standard deviations by up to {sd_error:.1%}{'' if exact.converged else ', the latter not converged'}. "
-            "More particles will help."
-        )
+        yield _said("quadrature_differs", mean=mean_error, sd=sd_error, cut=True, converged=exact.converged)
 
 
 def _bounds_of(posterior: Posterior, called: str, names: Sequence[str] | None = None) -> Iterator[str]:
-    touched = [end for end in _touched(posterior) if names is None or end[0].name in names]
+    touched = [end for end in _touched(posterior) if names is None or end["name"] in names]
     if len(touched) >= MANY_BOUNDS:
-        ends = ", ".join(
-            f"{parameter.name} {'from' if side == 'lower' else 'up to'} {bound:g}{_of(parameter)} ({mass:.1%})"
-            for parameter, side, bound, mass in touched
-        )
-        yield (
-            f"The {called} reaches {len(touched)} ends of its box, with the mass within 2% of each: {ends}. "
-            "What lies beyond was excluded by the prior, not by the data."
-        )
-        return
-    for parameter, side, bound, mass in touched:
-        yield (
-            f"The {called} of {parameter.name} reaches the {side} end of its box, {bound:g}{_of(parameter)}: "
-            f"{mass:.1%} of its mass lies within 2% of it. "
-            "What lies beyond was excluded by the prior, not by the data."
-        )
+        yield _said("bounds", called=called, ends=touched)
+    else:
+        yield from (_said("bound", called=called, one=one) for one in touched)
 
 
-def _touched(posterior: Posterior) -> Iterator[tuple[Parameter, str, float, float]]:
+def _touched(posterior: Posterior) -> Iterator[dict[str, Any]]:
     """Yield the ends of the box that the posterior reaches: input, lower or upper, bound, mass next to it."""
     unit = posterior.space.to_unit(posterior.draws)
     for i, parameter in enumerate(posterior.space):
@@ -356,11 +288,7 @@ def _touched(posterior: Posterior) -> Iterator[tuple[Parameter, str, float, floa
         for (side, touching), bound in zip(sides.items(), parameter.interval, strict=True):
             mass = float(posterior.weights @ touching)
             if mass > BOUND_MASS:
-                yield parameter, side, bound, mass
-
-
-def _place(inputs: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} = {value:.6g}" for name, value in inputs.items())
+                yield {"name": parameter.name, "side": side, "bound": bound, "unit": _of(parameter), "mass": mass}
 
 
 def _of(parameter: Parameter) -> str:
@@ -372,45 +300,33 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
     """Yield one sentence per doubt."""
     certificate, surrogate = found.certificate, found.knowledge.surrogate
     if certificate is not None and not certificate.converged:
-        advice = " Allow more runs: design.active.runs."
-        if calibration.misfit is not None and calibration.misfit.flagged:
-            advice = " More runs do not help while the model does not explain the observation."
-        elif 1.0 - found.feasible >= HALF:
-            advice = " More runs do not help: find out why they fail where the observation leads them."
-        yield f"NOT CONVERGED: {'; '.join(certificate.reasons)}.{'' if certificate.scattered else advice}"
+        facts = {
+            "scattered": bool(certificate.scattered),
+            "misfit": calibration.misfit is not None and bool(calibration.misfit.flagged),
+            "failing": 1.0 - found.feasible >= HALF,
+        }
+        yield _said("not_converged", reasons=certificate.reasons, **facts)
     if certificate is not None and certificate.overlooks:
-        yield (
-            "There were too few runs to search for other regions that fit as thoroughly as design.active.unseen "
-            f"asks. {certificate.statement} Allow more runs: design.active.runs."
-        )
+        yield _said("overlooks", statement=certificate.statement)
     shift, ratio = float(np.abs(found.effect.shift).max()), float(np.abs(np.log(found.effect.sd_ratio)).max())
     if max(shift, ratio) > EFFECT:
-        by = f"by up to {np.expm1(ratio):.0%}" if ratio < TENFOLD else "more than tenfold"
-        yield (
-            f"The surrogate's uncertainty about the interface moves means by up to {number(shift, 3)} standard "
-            f"deviations and changes standard deviations {by}. More runs will lower it."
-        )
+        yield _said("uncertain_surrogate", shift=shift, sd=float(np.expm1(ratio)) if ratio < TENFOLD else None)
     yield from likely_to_fail(1.0 - found.feasible)
     checked = None if certificate is None or certificate.checked is None else certificate.checked.check
     if checked is not None and checked.failed:
-        yield f"{checked.failed} of {checked.draws} runs at draws of the posterior failed; the check leaves them out."
+        yield _said("failed_check", failed=checked.failed, draws=checked.draws)
     yield from _unsure_cut(calibration, found)
     if certificate is not None and certificate.fidelities is not None and certificate.fidelities.dropped is not None:
-        yield f"The cheaper model is not used: {certificate.fidelities.dropped}."
+        yield _said("cheaper_dropped", why=certificate.fidelities.dropped)
     if surrogate.registration_error > surrogate.modes.remainder and surrogate.registration_error > 0:
-        yield (
-            "The runs' interfaces do not share their nodes and were brought to common points by "
-            f"{' and '.join(way for way in surrogate.ways if way != 'nodes')}, which moves them by up to "
-            f"{number(1e3 * surrogate.registration_error, 2)} µm."
-        )
+        ways = [way for way in surrogate.ways if way != "nodes"]
+        yield _said("registered", ways=ways, error=surrogate.registration_error)
 
 
 def likely_to_fail(share: float) -> Iterator[str]:
     """Yield a sentence if a share worth mentioning of the posterior lies where runs are likely to fail."""
     if share > TOUCHED:
-        yield (
-            f"{share:.0%} of the posterior lies where runs are likely to fail: what the data say there is not known."
-        )
+        yield _said("likely_to_fail", share=share)
 
 
 def _unsure_cut(calibration: Calibration, found: FieldOutcome) -> Iterator[str]:
@@ -424,9 +340,5 @@ def _unsure_cut(calibration: Calibration, found: FieldOutcome) -> Iterator[str]:
     of_value = np.array([np.median(errors[cut.value_index == k]) for k in range(len(cut.values))])
     unsure = of_value > UNSURE * hidden
     if unsure.any():
-        yield (
-            f"The cut reading is a guess for {int(unsure.sum())} of its {len(cut.values)} values of the nuisance "
-            "inputs: runs are rare there, and the interface is uncertain by up to "
-            f"{number(1e3 * of_value.max(), 2)} µm where the local noise hides {number(1e3 * hidden, 2)} µm. The joint "
-            "reading does not depend on them."
-        )
+        facts = {"unsure": int(unsure.sum()), "values": len(cut.values), "error": float(of_value.max())}
+        yield _said("unsure_cut", **facts, hidden=hidden)
