@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -15,7 +16,7 @@ from matplotlib.figure import Figure
 from strandline.calibration import FieldQuality
 from strandline.foundations import InvalidStudy, html_table, html_text, unit_text, write_json
 from strandline.posterior import Weighted
-from strandline.report import Captioned, write_answer
+from strandline.report import Captioned, said, write_answer
 from strandline.studies import told_if_unwritable
 
 __all__ = ["Answer", "Part", "Symbol", "Table"]
@@ -122,6 +123,9 @@ class Answer(Generic[Found]):
             write_answer(self, draft=draft)
             write_json(self.page.with_suffix(".json"), self.content)
         return self
+
+
+remark = partial(said, page="remarks.txt.j2")
 
 
 def digits(value: float, number: int = 4) -> str:

@@ -13,7 +13,7 @@ from strandline.design import Knowledge, sobol
 from strandline.foundations import __version__, listed
 from strandline.interface import Interface
 from strandline.posterior import FLAT, Posterior, Weighted, interface_band, prior_conflicts
-from strandline.questions.answer import moments
+from strandline.questions.answer import moments, remark
 from strandline.questions.comparable import CandidateSignals, may_err
 from strandline.questions.information import CLEAR, Discrimination
 from strandline.studies import Study, in_words, offset_band, posterior_digest, versions
@@ -220,26 +220,20 @@ def _band(one: ComparedStudy, condition: str) -> dict[str, Any] | None:
 def _remarks(found: ModelComparison, compared: Mapping[str, ComparedStudy], shared: Sequence[str]) -> Iterator[str]:
     """Yield sentences on what the verdict depends on."""
     if compared[found.order[0]].misfit_noticed:
-        yield (
-            f"{found.order[0]} has the largest evidence, but does not explain the observation within the noise. "
-            "Even the best of these models is not good enough: do not trust its posterior, nor the average."
-        )
+        yield remark("none_explains", best=found.order[0])
     for name, one in compared.items():
         yield from (f"{name}: {conflict}" for conflict in prior_conflicts(one.posterior))
     yield from _occam(found, compared, shared)
     for name in shared:
         priors = {in_words(one.study.space[name].truncated_prior) for one in compared.values()}
         if len(priors) > 1:
-            yield f"The priors of {name} differ, which counts too: {'; '.join(sorted(priors))}."
+            yield remark("priors_differ", name=name, priors=sorted(priors))
     for name, one in compared.items():
         evidence, stored = found.evidences[name], one.posterior.log_evidence + one.constant
         if abs(stored - evidence.log) > max(OFF * evidence.error, TOLERATED):
-            yield (
-                f"The log-evidence of {name} is {stored:.3g} by its sampler and its own surrogate, and "
-                f"{evidence.log:.3g} by the surrogate of the interface, which is used here."
-            )
+            yield remark("evidences_differ", name=name, stored=stored, found=evidence.log)
     if not shared:
-        yield "The models share no input, so there is nothing to average."
+        yield remark("nothing_shared")
 
 
 def _occam(found: ModelComparison, compared: Mapping[str, ComparedStudy], shared: Sequence[str]) -> Iterator[str]:
@@ -249,9 +243,4 @@ def _occam(found: ModelComparison, compared: Mapping[str, ComparedStudy], shared
         own = {other: one.narrowing(other) for other in one.study.space.names if other not in shared}
         narrowed = {other: factor for other, factor in own.items() if factor > 1}
         if sum(map(math.log, narrowed.values())) >= NARROWED:
-            factors = ", ".join(f"{other} by {factor:.2g}" for other, factor in narrowed.items())
-            yield (
-                f"Not all models have these inputs of {name}, whose priors the data narrow: {factors}. Its evidence "
-                "pays for their width: a prior twice as wide costs up to ln 2 = 0.7 for each. State these priors with "
-                "care."
-            )
+            yield remark("pays_for_width", name=name, factors=narrowed)

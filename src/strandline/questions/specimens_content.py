@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.foundations import whole_file, with_sd
-from strandline.questions.answer import Answer, Part, Symbol, Table, digits, label_and_unit
+from strandline.questions.answer import Answer, Part, Symbol, Table, digits, label_and_unit, remark
 from strandline.questions.many import RefusedSpecimen
 from strandline.questions.opened import Specimens
 from strandline.questions.population import FEWEST_SPECIMENS, Population, Shrunk
@@ -21,8 +21,6 @@ from strandline.studies import facts_of
 
 QUANTILES = ("q05", "q50", "q95")
 PLACES = 200
-NAMED = 5
-"""Specimens named in a remark."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,29 +121,15 @@ def _quantiles(values: Float[np.ndarray, " three"]) -> dict[str, float]:
 def _remarks(content: Mapping[str, Any]) -> Iterator[str]:
     counts, population = content["counts"], content["population"]
     if counts["refine"]:
-        names = [one["specimen"] for one in content["specimens"] if one["certificate"] == "refine"]
-        yield (
-            f"The surrogate is not accurate enough for {_named(names)}: make further runs with --refine, or run the "
-            "study with a larger design."
-        )
+        refine = [one["specimen"] for one in content["specimens"] if one["certificate"] == "refine"]
+        yield remark("inaccurate", names=refine)
     if counts["set_aside"]:
-        yield f"Set aside: {_named([one['specimen'] for one in content['set_aside']])}; see the reasons below."
-    for names in content["alike"]:
-        yield f"The files of {_named(names)} are the same: is it one specimen under several names?"
+        yield remark("set_aside", names=[one["specimen"] for one in content["set_aside"]])
+    yield from (remark("alike", names=names) for names in content["alike"])
     if population is None:
-        number = counts["analysed"]
-        yield (
-            f"No population: {number} specimen{'s' if number != 1 else ''} with a posterior, and at least "
-            f"{FEWEST_SPECIMENS} are needed."
-        )
+        yield remark("no_population", number=counts["analysed"], fewest=FEWEST_SPECIMENS)
     elif population["outliers"]:
-        yield f"Outliers: {_named(population['outliers'])} (p below {population['limit']:.2g})."
-
-
-def _named(names: Sequence[str]) -> str:
-    """Return some names, and how many more there are."""
-    more = len(names) - NAMED
-    return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")
+        yield remark("outliers", names=population["outliers"], limit=population["limit"])
 
 
 def write_table(path: Path, content: Mapping[str, Any]) -> None:

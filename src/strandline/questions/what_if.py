@@ -27,7 +27,7 @@ from strandline.foundations import InvalidStudy, figure_text, listed, one_thread
 from strandline.interface import Observation
 from strandline.likelihood import FieldLikelihood
 from strandline.posterior import Weighted
-from strandline.questions.answer import Answer, Part, Symbol, Table, facts_of_surrogate, moments
+from strandline.questions.answer import Answer, Part, Symbol, Table, facts_of_surrogate, moments, remark
 from strandline.questions.knowledge import baseline_of, require, require_seed
 from strandline.report import Captioned, axis_label, plots
 from strandline.runs import Progress
@@ -218,7 +218,7 @@ def _described(study: Study, now: Baseline, answers: Sequence[Changed], seed: in
     return {
         **facts_of(study, seed),
         "conclusion": _conclusion(answers),
-        "remarks": _remarks(study, now, answers),
+        "remarks": list(_remarks(study, now, answers)),
         "limits": {"shift": LEAST_SHIFT, "sd_ratio": LEAST_RATIO},
         "surrogate": _surrogate(now),
         "present": {
@@ -256,24 +256,16 @@ def _with_priors_together(subjects: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(together if one.removeprefix(PRIOR) in names else one for one in subjects))
 
 
-def _remarks(study: Study, now: Baseline, answers: Sequence[Changed]) -> list[str]:
-    out = []
+def _remarks(study: Study, now: Baseline, answers: Sequence[Changed]) -> Iterator[str]:
     number = sum(one.by is None for one in answers)
     if number:
-        out.append(
-            f"{number} of {len(answers)} alternatives cannot be computed without new runs. Copy the study, make the "
-            f"change in its study.yaml with `reuse: [../{study.folder.resolve().name}]`, and run it."
-        )
+        yield remark("new_runs", number=number, of=len(answers), folder=study.folder.resolve().name)
     if now.knowledge is None:
-        out.append(f"Only other priors were tried: {now.why_not}.")
+        yield remark("priors_only", why=now.why_not)
     elif now.shift > LARGE:
-        out.append(
-            f"Through the surrogate of the interface, the posterior is {now.shift:.2g} sd away from that of the study, "
-            "which learns the log-likelihood. Both sides of each comparison use the surrogate."
-        )
+        yield remark("another_posterior", shift=now.shift)
     if now.space.nuisance:
-        out.append("The posterior is the joint one, in which the data inform the nuisance inputs too.")
-    return out
+        yield remark("joint")
 
 
 def _surrogate(now: Baseline) -> dict[str, Any] | None:

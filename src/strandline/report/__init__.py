@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from strandline.report.explore import DRAWS, by_name, rounded
     from strandline.report.figure_files import Captioned, of_other_pages
     from strandline.report.fit import as_json, fit_as_json, nearest_runs, nothing_near
-    from strandline.report.html import PANELS, small_share, template
+    from strandline.report.html import PANELS, said, small_share, template
     from strandline.report.page import FIGURES, add_check, remove_report, write_answer, write_report
     from strandline.report.plots import plot_conditions, plot_flow, plot_interfaces
     from strandline.report.plots.answers import axis_label

@@ -116,7 +116,7 @@ def _examples(calibration: Calibration, undeformed: Interface | None) -> dict[st
 def _in_legend(space: ParameterSpace, values: Sequence[float] | Float[np.ndarray, " dim"]) -> str:
     """Return inputs with their symbols, as a legend shows them."""
     symbols = [replace(parameter, unit="1").figure_label() for parameter in space]
-    return ", ".join(f"{symbol} = {value:.3g}" for symbol, value in zip(symbols, values, strict=True))
+    return ", ".join(f"{symbol} = {number(float(value), 3)}" for symbol, value in zip(symbols, values, strict=True))
 
 
 def _offsets(calibration: Calibration) -> Iterator[Captioned]:

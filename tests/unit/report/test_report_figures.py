@@ -13,10 +13,10 @@ from tests.unit.report.plots.drawn import entries, posterior_of
 
 from strandline.foundations import with_sd
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
-from strandline.parameters import Parameter, Uniform
+from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.posterior import Offsets, Reading
 from strandline.report.figure_files import Captioned, fitted, marked, saved
-from strandline.report.figures import _reading
+from strandline.report.figures import _in_legend, _reading
 from strandline.report.html import fixed, number, said
 from strandline.report.page import _without_bad_comparison
 from strandline.report.plots import plot_run_offsets, plot_tempering
@@ -115,3 +115,7 @@ def test_numbers_have_a_proper_minus_and_a_power_of_ten_only_where_it_reads_bett
         "+0.5",
     ]
     assert [with_sd(-0.3, 30.0), with_sd(-0.004, 0.12), with_sd(396.1, 30.4)] == ["0 ± 30", "0.00 ± 0.12", "396 ± 30"]
+    space = ParameterSpace((Parameter("nu", Uniform(-1.0, 1.0)), Parameter("E", Uniform(1.0, 800.0), "Pa")))
+    assert _in_legend(space, [-0.3, 400.0]) == "nu = −0.3, E = 400"
+    end = {"name": "nu", "side": "lower", "bound": -0.8, "unit": "", "mass": 0.5}
+    assert "end of its box, −0.8: 50.0%" in said("bound", page="warnings.txt.j2", called="posterior", one=end)
