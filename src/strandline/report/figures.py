@@ -83,7 +83,7 @@ def _data(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterat
         drawing = plots.plot_interfaces(interface, reference=undeformed, simulated=examples[condition])
     else:
         drawing = plots.plot_conditions(observed, reference=undeformed, simulated=examples)
-    facts = {"undeformed": undeformed is not None, "several": len(observed) > 1}
+    facts: dict[str, Any] = {"undeformed": undeformed is not None, "several": len(observed) > 1}
     yield Captioned.of("interfaces", "data", drawing, **facts)
 
 

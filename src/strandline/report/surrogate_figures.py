@@ -40,7 +40,7 @@ def likelihood_figures(calibration: Calibration, truth: Mapping[str, float] | No
         for name, function in functions.items()
     }
     by_field = calibration.field is not None
-    facts = {"several": len(functions) > 1, "failed": len(_failed(calibration)) > 0}
+    facts: dict[str, Any] = {"several": len(functions) > 1, "failed": len(_failed(calibration)) > 0}
     figure = plots.three_measures(means, kind="likelihood")
     yield Captioned.of("likelihood", "surrogate", figure, by_field=by_field, **facts)
     figure = plots.three_measures(means, kind="log_likelihood")
@@ -100,7 +100,10 @@ def surrogate_figures(calibration: Calibration) -> Iterator[Captioned]:
         validation, how = calibration.surrogate.validation, calibration.surrogate.left_out
         known = values - validation.residuals
         axes = plots.plot_leave_one_out(values, known, near_mode=validation.near_mode, left_out=how)
-        facts = {"by_field": calibration.field is not None, "tenth": calibration.settings.fit is not None}
+        facts: dict[str, Any] = {
+            "by_field": calibration.field is not None,
+            "tenth": calibration.settings.fit is not None,
+        }
         yield Captioned.of("leave_one_out", "surrogate", axes, error=validation.loo_rms_near_mode, **facts)
     if calibration.sensitivity is not None:
         symbols = [replace(parameter, unit="1").figure_label() for parameter in calibration.problem.space]

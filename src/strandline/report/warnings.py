@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from strandline.calibration import Calibration, steps_of, unlikely_errors
-from strandline.design import FieldOutcome, says_whether_runs_succeed
+from strandline.design import FieldOutcome, SetAside, says_whether_runs_succeed
 from strandline.interface import Interface, UnknownErrors
 from strandline.likelihood import noise_length, sd_of_distances
 from strandline.parameters import Parameter
@@ -176,7 +176,7 @@ def _stopped_early(calibration: Calibration) -> Iterator[str]:
         yield _said("stopped_early", found=len(found), good=len(good), **_run(good[first]), why=why)
 
 
-def _run(record: RunRecord) -> dict[str, str]:
+def _run(record: RunRecord | SetAside) -> dict[str, str]:
     where = ", ".join(f"{name} = {value:.6g}" for name, value in record.inputs.items())
     return {"key": record.key[:12], "where": where}
 
@@ -217,7 +217,7 @@ def _prior(calibration: Calibration) -> Iterator[str]:
     for parameter in calibration.problem.space:
         if parameter.mass_cut > MASS_CUT_TOLD:
             low, high = parameter.interval
-            cut = {"low": low, "high": high, "unit": _of(parameter), "share": parameter.mass_cut}
+            cut: dict[str, Any] = {"low": low, "high": high, "unit": _of(parameter), "share": parameter.mass_cut}
             yield _said("prior_cut", name=parameter.name, **cut)
 
 
@@ -300,7 +300,7 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
     """Yield one sentence per doubt."""
     certificate, surrogate = found.certificate, found.knowledge.surrogate
     if certificate is not None and not certificate.converged:
-        facts = {
+        facts: dict[str, Any] = {
             "scattered": bool(certificate.scattered),
             "misfit": calibration.misfit is not None and bool(calibration.misfit.flagged),
             "failing": 1.0 - found.feasible >= HALF,
@@ -340,5 +340,5 @@ def _unsure_cut(calibration: Calibration, found: FieldOutcome) -> Iterator[str]:
     of_value = np.array([np.median(errors[cut.value_index == k]) for k in range(len(cut.values))])
     unsure = of_value > UNSURE * hidden
     if unsure.any():
-        facts = {"unsure": int(unsure.sum()), "values": len(cut.values), "error": float(of_value.max())}
+        facts: dict[str, Any] = {"unsure": int(unsure.sum()), "values": len(cut.values), "error": float(of_value.max())}
         yield _said("unsure_cut", **facts, hidden=hidden)
