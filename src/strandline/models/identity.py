@@ -25,18 +25,20 @@ def fingerprint(model: ForwardModel) -> str:
 
     This is its own `fingerprint` if it has one, plus the options of the instance if the class has one fingerprint for
     all instances. Otherwise it is a hash of the class or function, the file that defines it, the files of the same
-    package that this file imports, and the fields except `sensitivities`, which change no interface.
+    package that this file imports, and the fields except `sensitivities`, which change no interface. Of what was typed
+    into a notebook or a terminal, only the source of the class or function counts.
     """
     own = getattr(model, "fingerprint", None)
     if isinstance(own, str):
         return own + _options_beside(model)
     subject, fields = _described(model)
+    sources: Any
     try:
-        sources = sources_of(subject.__module__)
-    except OSError:  # typed into a notebook or a terminal
-        return earlier_fingerprint(model)
+        kind, sources = "python-files", sources_of(subject.__module__)
+    except OSError:
+        kind, sources = "python", inspect.getsource(subject)
     text = json.dumps([subject.__module__, subject.__qualname__, sources, fields], default=repr)
-    return "python-files:" + hashlib.sha256(text.encode()).hexdigest()[:16]
+    return f"{kind}:{hashlib.sha256(text.encode()).hexdigest()[:16]}"
 
 
 def _options_beside(model: Any) -> str:
@@ -58,16 +60,6 @@ def _options_beside(model: Any) -> str:
 
 def _default(field: "dataclasses.Field[Any]") -> Any:
     return field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
-
-
-def earlier_fingerprint(model: ForwardModel) -> str:
-    """Return the fingerprint used before the whole file counted: it covers only the source of the class or function."""
-    own = getattr(model, "fingerprint", None)
-    if isinstance(own, str):
-        return own
-    subject, fields = _described(model)
-    text = json.dumps([subject.__module__, subject.__qualname__, inspect.getsource(subject), fields], default=repr)
-    return "python:" + hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _described(model: ForwardModel) -> tuple[Any, dict[str, Any]]:

@@ -16,7 +16,7 @@ import numpy as np
 from strandline.foundations import imported
 from strandline.interface import Interface
 from strandline.models import refused
-from strandline.models.identity import OWN, earlier_fingerprint, fingerprint
+from strandline.models.identity import OWN, fingerprint
 from strandline.models.protocol import (
     ModelInput,
     Simulation,
@@ -127,7 +127,6 @@ class PythonModel:
     Args:
         function: ``module:name``; the module must be in the study folder, installed, or on PYTHONPATH.
         sensitivities: Whether to compute sensitivities too; the callable is then a dataclass with a field of that name.
-        function_alone: Whether the fingerprint covers only the function's own source, as in ledgers of version 0.1.
         folder: Folder of the study. If the module lies there, it and the modules beside it are imported from there;
             else this becomes None. Modules of two folders may have the same names.
 
@@ -137,7 +136,6 @@ class PythonModel:
 
     function: str
     sensitivities: bool = False
-    function_alone: bool = False
     folder: Path | None = field(default=None, kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
@@ -165,7 +163,7 @@ class PythonModel:
         """The function's own ``fingerprint``, or a text that changes with the source of its file and package."""
         try:
             with modules_of(self.folder):
-                return (earlier_fingerprint if self.function_alone else fingerprint)(self._function())
+                return fingerprint(self._function())
         except (OSError, TypeError):
             what = f"the source of {self.function} cannot be read"
             expected = "a function written in Python, or one with an attribute `fingerprint`"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from strandline.foundations import InvalidInput
-from strandline.models.identity import earlier_fingerprint, fingerprint, sources_of
+from strandline.models.identity import fingerprint, sources_of
 from strandline.models.protocol import declared_inputs
 from strandline.models.python import PythonModel, lies_in, modules_of
 from strandline.runs import RunRequest, attempt
@@ -132,11 +132,9 @@ def test_it_is_the_same_model_as_on_the_python_path_and_wherever_the_folder_lies
     assert pickle.loads(pickle.dumps(beside)) == beside
     assert end(pickle.loads(pickle.dumps(beside))) == [1.0, 2.0]
     found = [beside, PythonModel(BEND, folder=study(tmp_path / "moved", 2.0, 1.0))]
-    alone = fingerprint(PythonModel(BEND, function_alone=True, folder=two[0]))
     monkeypatch.syspath_prepend(two[0])
     found.append(PythonModel(BEND))
     assert len({fingerprint(model) for model in found}) == 1
-    assert fingerprint(PythonModel(BEND, function_alone=True)) == alone
 
 
 def test_packages_and_what_is_no_module_there(tmp_path):
@@ -186,20 +184,19 @@ def forget():
     importlib.invalidate_caches()
 
 
-def identity(**options):
+def identity():
     forget()
-    return fingerprint(PythonModel("fp_package.model:f", **options))
+    return fingerprint(PythonModel("fp_package.model:f"))
 
 
 def test_a_change_of_what_the_function_calls_is_another_model(package):
-    before, alone = identity(), identity(function_alone=True)
+    before = identity()
     for name in ("fp_package/model.py", "fp_package/deep/shape.py", "fp_package/constants.py"):
         text = (package / name).read_text()
         changed = text.replace("1.0\n", "1.5\n").replace("* a", "* a * a").replace("WIDTH *", "WIDTH +")
         assert changed != text
         (package / name).write_text(changed)
         assert identity() != before
-        assert identity(function_alone=True) == alone
         (package / name).write_text(text)
     written(package, dict.fromkeys(("unrelated_model", "fp_package/unused"), "CHANGED = 1\n"))
     assert identity() == before
@@ -216,12 +213,3 @@ def test_of_an_installed_package_its_own_modules_count_and_of_strandline_its_ver
     forget()
     assert covered("fp_package.model") == used
     assert covered("strandline.testing.studies") == ["strandline.testing.studies"]
-
-
-def test_the_earlier_fingerprint_is_what_ledgers_hold(tmp_path, monkeypatch):
-    """The value that version 0.1 gave: with another one, old ledgers of unchanged models are refused."""
-    source = "def f(inputs, workdir):\n    return [[0, 0], [1, 1]]\n"
-    monkeypatch.syspath_prepend(written(tmp_path, {"fp_first_model": source}))
-    found = importlib.import_module("fp_first_model").f
-    assert earlier_fingerprint(found) == "python:02ca610c26e4e6c5"
-    assert fingerprint(found).startswith("python-files:")

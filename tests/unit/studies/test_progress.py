@@ -171,21 +171,18 @@ def test_finished_means_the_observation_too(study):
     assert not {*study.runs.design_keys} & {*replace(study, fixed={"load": 2e-5}).runs.design_keys}
 
 
-OLD = "def helper(a):\n    return a\n\ndef f(inputs, workdir):\n    return [[0.0, 0.0], [1.0, helper(inputs['a'])]]\n"
-
-
-def test_an_earlier_ledger_of_an_unchanged_function_is_accepted_if_the_study_says_so(tmp_path, monkeypatch):
-    (tmp_path / "old_ledger_model.py").write_text(OLD)
+def test_a_ledger_of_an_earlier_fingerprint_is_accepted_if_the_function_has_it(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
-    model = {"function": "old_ledger_model:f"}
     keys = {"inputs": {"a": {"prior": {"uniform": [0, 1]}}}, "fixed": None, "observation": {"synthetic": {"a": 0.5}}}
-    folder = write_study(tmp_path / "now", model={"python": model}, **keys)
-    earlier = replace(load_study(folder).model, function_alone=True)
-    with Ledger.open(folder / "ledger.sqlite", model=earlier) as ledger:
+    text = "def f(inputs, workdir):\n    return [[0.0, 0.0], [1.0, inputs['a']]]\n"
+    for name, more in (("old_model", ""), ("named_model", "f.fingerprint = 'python:0123456789abcdef'\n")):
+        (tmp_path / f"{name}.py").write_text(text + more)
+    folder = write_study(tmp_path / "now", model={"python": {"function": "old_model:f"}}, **keys)
+    with Ledger.open(folder / "ledger.sqlite", model="python:0123456789abcdef") as ledger:
         ledger.started(RunRequest("one", {"a": 0.5}))
-    with pytest.raises(LedgerError, match="function_alone: true"):
+    with pytest.raises(LedgerError, match="as its attribute `fingerprint`"):
         load_study(folder).runs.require_sound_ledgers()
-    folder = write_study(folder, model={"python": {**model, "function_alone": True}}, **keys)
+    folder = write_study(folder, model={"python": {"function": "named_model:f"}}, **keys)
     load_study(folder).runs.require_sound_ledgers()
 
 

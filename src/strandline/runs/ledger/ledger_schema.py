@@ -215,14 +215,14 @@ def require_model(path: Path, connection: sqlite3.Connection, model: str) -> Non
 
 def another_model(path: Path, kept: str, model: str) -> LedgerError:
     """Return the error about a ledger of the model `kept` that is opened for `model`."""
-    undo = "Write `function_alone: true` under model.python if strandline 0.1 began it" if kept[:7] == "python:" else ""
+    own = " (of a function as it was under strandline 0.1: give it the ledger's text as its attribute `fingerprint`)"
     return LedgerError(
         f"{path} keeps the runs of another model",
         value=f"{kept} in the ledger, {model} now",
         expected="one and the same model",
-        remedy=f"{undo or 'Undo the change of the model'}, or move {path.name} away and run the study again; if the "
-        "study names it in `reuse`, remove it there. A further condition makes another model: each run returns all "
-        "conditions.",
+        remedy=f"Undo the change of the model{own if kept.startswith('python:') else ''}, or move {path.name} away and "
+        "run the study again; if the study names it in `reuse`, remove it there. A further condition makes another "
+        "model: each run returns all conditions.",
     )
 
 
