@@ -170,7 +170,7 @@ def without_model_error(folder: Path, name: str) -> Found:
     """Return the posterior of a finished study if the model is taken to be right."""
     result = load_result(folder)
     noise = result.study.noise_of("")
-    found = result.with_noise(errors=noise.known(noise.sd, noise.length))
+    found = result.with_noise(noise.known(noise.sd, noise.length))
     return _found(name, found.posterior, found.misfit.flagged, found.misfit.verdict)
 
 

@@ -109,7 +109,7 @@ def test_the_summary_counts_runs_of_both_models_and_other_posteriors_take_them(c
     assert found["equivalents"] == pytest.approx(found["model_runs"] + 0.2 * found["cheaper_runs"])
     with Ledger.open(cheaper.folder / "ledger.sqlite", model=None, read_only=True) as ledger:
         assert sum(is_cheaper(record.inputs) for record in ledger) == found["cheaper_runs"]
-    other = load_result(cheaper.folder).with_noise(sd=0.006)
+    other = load_result(cheaper.folder).with_noise(0.006**2)
     posterior = cheaper.outcome.calibration.posterior
     assert np.abs((other.posterior.mean - posterior.mean) / posterior.sd).max() < 0.1
 

@@ -1,16 +1,14 @@
 """The results of a finished study, read back: its posterior, its figures, and other posteriors from the same runs."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from strandline.calibration import Calibration, Problem, Settings, calibrate
 from strandline.design import Refinement
-from strandline.discrepancy import DISCREPANCIES, Discrepancy
-from strandline.foundations import InvalidInput, read_json
-from strandline.interface import GaussianNoise, PointErrors, UnknownErrors
+from strandline.discrepancy import Discrepancy
+from strandline.foundations import read_json
+from strandline.interface import GaussianNoise, Noise, PointErrors, UnknownErrors
 from strandline.models import is_cheaper
 from strandline.posterior import Posterior
 from strandline.report import PosteriorPlots
@@ -18,7 +16,6 @@ from strandline.runs import InProcess
 from strandline.studies.foresight.check import finished_posterior
 from strandline.studies.foresight.first_run import observations_of
 from strandline.studies.keys.folder import SUMMARY
-from strandline.studies.keys.parse import made, open_entry
 from strandline.studies.load.load import load_study
 from strandline.studies.load.models import cheaper_dropped
 from strandline.studies.load.study import Study
@@ -44,69 +41,25 @@ class Result:
         return PosteriorPlots(self.posterior)
 
     def with_noise(
-        self,
-        *,
-        sd: float | None = None,
-        variance: float | None = None,
-        errors: PointErrors | UnknownErrors | None = None,
-        measure: Discrepancy | None = None,
+        self, noise: float | Noise | PointErrors | UnknownErrors, measure: Discrepancy | None = None
     ) -> Calibration:
         """Return the posterior under another noise, from the existing runs; nothing is written.
 
-        The noise is a standard deviation σ_N in the unit of d, or a variance σ_N² in that of d², or errors of the
-        observed points. The measure is the study's by default.
+        The noise is a variance σ_N² in the unit of d², or a model of it, or errors of the observed points. The measure
+        is the study's by default.
 
         Raises:
-            InvalidInput: Not one of the three is given, or the number is not above 0.
+            InvalidInput: The variance is not above 0.
         """
-        if sum(one is not None for one in (sd, variance, errors)) != 1:
-            raise InvalidInput(
-                "noise of another posterior",
-                value="none" if sd is None and variance is None and errors is None else "more than one",
-                expected="one of sd, variance and errors",
-                remedy="Give one, e.g. with_noise(sd=0.01).",
-            )
         others = {} if measure is None else {"discrepancies": {type(measure).__name__: measure}}
-        if errors is not None:
-            return self._calibrated(noise=errors, noises={}, **others)
-        noise = GaussianNoise(float(variance if sd is None else sd**2))  # type: ignore[arg-type]
-        return self._calibrated(noise=noise, noises={}, **others)
-
-    def with_measure(self, measure: str | Discrepancy, **options: Any) -> Calibration:
-        """Return the posterior under another measure, from the existing runs; nothing is written.
-
-        The measure is an object, or its name in study files, with its options.
-
-        Raises:
-            InvalidInput: There is no such measure, or it has no such option.
-        """
-        if isinstance(measure, str):
-            factory = open_entry(DISCREPANCIES, measure, "measure", "a discrepancy")
-            return self._calibrated(discrepancies={measure: made(factory, options, f"measure {measure}")})
-        if options:
-            raise InvalidInput(
-                "options of a measure that is an object",
-                value=", ".join(options),
-                expected="options with a name only",
-                remedy="Give them where the measure is made.",
-            )
-        return self._calibrated(discrepancies={type(measure).__name__: measure})
-
-    @cached_property
-    def _inputs(self) -> list[Mapping[str, float]]:
-        """Inputs of all runs that are used, in the order in which the study asked for them."""
-        runs, truth = self.study.runs, self.study.truth
-        synthetic = None if truth is None else runs.key(truth)
-        with runs.ledger() as ledger:
-            records = ledger.latest([key for key in runs.needed_keys if key != synthetic]).values()
-        dropped = cheaper_dropped(self.study.folder)
-        return [record.inputs for record in records if not (dropped and is_cheaper(record.inputs))]
-
-    def _calibrated(self, **changes: Any) -> Calibration:
-        study = replace(self.study, **changes)
+        stated = GaussianNoise(noise) if isinstance(noise, float) else noise
+        study = replace(self.study, noise=stated, noises={}, **others)
         settings: Settings = replace(study.settings, active=None, refine=Refinement())
-        given = self._inputs
+        synthetic = None if study.truth is None else study.runs.key(study.truth)
+        dropped = cheaper_dropped(study.folder)
         with study.runs.ledger() as ledger:
+            records = ledger.latest([key for key in study.runs.needed_keys if key != synthetic]).values()
+            given = [record.inputs for record in records if not (dropped and is_cheaper(record.inputs))]
             observations = study.observations(observations_of(study))
             problem = Problem(study.model, study.space, study.fixed, observations, study.discrepancies)
             return calibrate(problem, settings, ledger=ledger, executor=InProcess(), given=given)
