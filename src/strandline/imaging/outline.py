@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
-from scipy.linalg import cho_factor, cho_solve, cholesky
+from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
 
@@ -44,22 +44,11 @@ class Outlined:
         points: Points (x, y) from one foot to the other, on the floor y = 0 at both ends, mm, shape (point, 2).
         sd: Standard deviation of a point along its normal, mm: what is left of the edge's errors.
         length: Correlation length of these errors, mm.
-        root: Matrix whose product with standard normal numbers draws an error of each point, shape (point, point).
-        normals: Unit normals, shape (point, 2).
     """
 
     points: Points
     sd: float
     length: float
-    root: Float[np.ndarray, "point point"]
-    normals: Points
-
-    def draws(self, number: int, seed: int) -> Float[np.ndarray, "draw point 2"]:
-        """Return outlines that the edge allows, shape (draw, point, 2), mm; their feet stay on the floor."""
-        random = np.random.default_rng(seed).standard_normal((number, self.root.shape[1]))
-        moved = self.points + (random @ self.root.T)[:, :, None] * self.normals
-        moved[:, [0, -1], 1] = 0.0
-        return np.asarray(moved)
 
 
 def outline_of(edge: Points, path: Float[np.ndarray, "click 2"], *, sd: float, length: float) -> Outlined:
@@ -84,11 +73,9 @@ def outline_of(edge: Points, path: Float[np.ndarray, "click 2"], *, sd: float, l
     mean, covariance = _process(places, offsets, level / spacing, at, reach=reach, least=sd)
     line = base.points(at) + mean[:, None] * base.normals(at)
     points, kept = _on_floor(line)
-    inner = covariance[kept, kept]
     seen = (at[kept] >= places.min()) & (at[kept] <= places.max())
-    left = math.sqrt(float(np.median(np.diag(inner)[seen])))
-    root = cholesky(inner + 1e-9 * inner.diagonal().max() * np.eye(len(inner)), lower=True)
-    return Outlined(np.round(points, ROUNDED), left, level / (2 * left**2), root, base.normals(at[kept]))
+    left = math.sqrt(float(np.median(np.diag(covariance)[kept][seen])))
+    return Outlined(np.round(points, ROUNDED), left, level / (2 * left**2))
 
 
 class _Base:

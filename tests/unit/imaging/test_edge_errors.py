@@ -117,16 +117,11 @@ def test_the_errors_of_an_outline_are_its_own():
     assert [0.7 < by * ratio < 1.35 for by in (0.5, 1.0, 2.0)] == [False, True, False]
 
 
-def test_an_outline_stands_on_the_floor_and_its_draws_scatter_as_it_says():
+def test_an_outline_stands_on_the_floor():
     found = outline(1)
     assert found.points[[0, -1], 1].tolist() == [0.0, 0.0]
     assert found.points[1:-1, 1].min() > 0
     np.testing.assert_allclose(found.points[[0, -1], 0], [0.6, 1.4], atol=0.03)
-    draws = found.draws(400, seed=3)
-    away = ((draws - found.points) * found.normals).sum(axis=2)[:, 60:-60]
-    assert np.sqrt((away**2).mean()) == pytest.approx(found.sd, rel=0.2)
-    assert (draws[:, [0, -1], 1] == 0).all()
-    np.testing.assert_array_equal(draws[:5], found.draws(400, seed=3)[:5])
 
 
 def test_a_path_that_does_not_stand_on_the_floor_is_refused():
