@@ -7,7 +7,7 @@ biofilm's. Paths are 12 clicks, off by 2.5 px; both ends are trimmed by 5 %.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,12 +18,10 @@ from strandline.discrepancy.normal_offset import signed_distances
 from strandline.foundations import InvalidInput
 from strandline.imaging.edges.edge import Edge, find_edge
 from strandline.imaging.edges.located import EdgeMethod
-from strandline.imaging.edges.markov_path import MarkovPath
 from strandline.interface import Interface
 
 CAMERA, SCAN = (136, 280), (170, 233)
 """Rows and columns."""
-GAUSSIAN = MarkovPath(likelihood="gaussian", step=0.25, drift=0.2, bias=0.1)
 FAR = 4.0
 """Distance from the truth beyond which a point is wrong, px."""
 
@@ -35,7 +33,6 @@ class Case:
     name: str
     method: str | EdgeMethod
     render: Camera | Scan
-    change: Callable[[np.ndarray], np.ndarray] = np.asarray
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -45,7 +42,6 @@ class Case:
 CASES = (
     Case("camera, erf", "erf", Camera()),
     Case("camera, contour", "contour", Camera()),
-    Case("camera, path gaussian", GAUSSIAN, Camera()),
     Case("camera, contrast/noise 3, erf", "erf", Camera(contrast_to_noise=3.0)),
     Case("camera, blur 4, erf", "erf", Camera(blur=4.0)),
     Case("OCT 10 dB, path", "path", Scan()),
@@ -53,7 +49,6 @@ CASES = (
     Case("OCT 10 dB, unshadowed noise floor, path", "path", Scan(floor=0.5)),
     Case("OCT 6 dB, path", "path", Scan(contrast=6.0)),
     Case("OCT 10 dB, shadows anywhere, path", "path", Scan(over=(0.0, 1.0))),
-    Case("OCT 10 dB, log, path gaussian", MarkovPath(likelihood="gaussian"), Scan(), np.log),
 )
 
 
@@ -61,7 +56,7 @@ def found(case: Case, seed: int) -> tuple[np.ndarray, Edge, float] | None:
     """Return the edge in one picture with its signed distances from the truth, px, and seconds; None if refused."""
     random = np.random.default_rng([3, seed])
     line, region = arch(case.shape, random)
-    picture, path = case.change(case.render(region, case.shape, random)), clicks(line, random)
+    picture, path = case.render(region, case.shape, random), clicks(line, random)
     path = np.clip(path, 0.0, np.array(case.shape[::-1]) - 1.0)
     start = time.perf_counter()
     try:

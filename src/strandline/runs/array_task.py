@@ -1,12 +1,9 @@
 """What one job of a SLURM array does: make one run of a batch in a fresh folder, and write its record to the batch.
 
-The command for a model that can be imported is
-``python -m strandline.runs.array_task my_model:simulate BATCH NUMBER``; for the model of a study, use
-`strandline.studies.array_task`.
+`strandline.studies.array_task` is the command for the model of a study.
 """
 
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -14,18 +11,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from strandline.foundations import InvalidInput
-from strandline.models import ForwardModel, PythonModel, asks_sensitivities, fingerprint, with_sensitivities
+from strandline.models import ForwardModel, asks_sensitivities, fingerprint, with_sensitivities
 from strandline.runs.executors.slurm_array import UNUSABLE
 from strandline.runs.executors.slurm_batch import ArrayBatch
 from strandline.runs.ledger.record import RunRecord, RunRequest, ended, with_log
 from strandline.runs.worker import packed_model
 from strandline.runs.worker_slot import WorkerSlot
-
-
-def main(arguments: list[str]) -> None:
-    """Make run NUMBER of the batch in the folder BATCH with the model ``module:name``."""
-    target, folder, number = arguments
-    run_task(Path(folder), int(number), lambda: PythonModel(target))
 
 
 def run_task(folder: Path, index: int, load: Callable[[], ForwardModel]) -> None:
@@ -78,9 +69,3 @@ def _out_of_walltime(record: RunRecord | None, request: RunRequest, seconds: flo
         return record
     killed = ended(request, "timeout", "walltime", "still running at the end of its job's walltime, and killed")
     return with_log(replace(killed, seconds=seconds), "" if record is None else record.log)
-
-
-if __name__ == "__main__":
-    from strandline.runs.array_task import main as imported_main  # a model must not be pickled as part of __main__
-
-    imported_main(sys.argv[1:])

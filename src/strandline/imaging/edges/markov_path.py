@@ -4,13 +4,12 @@ All normals share the mean profile T(v) across the edge. A normal on which the e
 -κ Σ k (I/m + log m) with m = g T(u - o): the grey values I are gamma distributed with mean m and shape k, like the
 intensity of speckle (k = 1 for one look), and light and shadow multiply them by a gain g: one for each column of the
 picture, down which the beam runs, times one that is smooth along the edge.
-If they are Gaussian it is -κ Σ (I - m)²/2σ² with m = T(u - o) + g: light adds to logarithms. Neighbouring samples are
-not independent, so κ is one over the number of them that count as one. The offsets follow a random walk along the edge.
+Neighbouring samples are not independent, so κ is one over the number of them that count as one. The offsets follow a
+random walk along the edge.
 """
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -49,7 +48,6 @@ class MarkovPath:
     """Find the edge as a path over all normals at once.
 
     Args:
-        likelihood: ``gamma`` for linear intensity, ``gaussian`` for cameras and for log intensity.
         reach: Largest distance of the edge from the path, px.
         support: Length of the profile beyond that, on either side, px.
         step: Distance of samples and candidates, px.
@@ -59,7 +57,6 @@ class MarkovPath:
         passes: Number of passes.
     """
 
-    likelihood: Literal["gamma", "gaussian"] = "gamma"
     reach: float = 10.0
     support: float = 10.0
     step: float = 0.5
@@ -79,9 +76,7 @@ class MarkovPath:
 
     def locate(self, picture: GreyValues, course: SmoothPath, counted: Bool[np.ndarray, " normal"] | None) -> Located:
         """Return the edge near a course; see `EdgeMethod`."""
-        relative = self.likelihood == "gamma"
-        if relative:
-            _require_intensity(picture)
+        _require_intensity(picture)
         strip = strip_along(picture, course, reach=self.reach + self.support, step=self.step)
         places = strip.places[np.abs(strip.places) <= self.reach + 1e-9]
         columns = _columns(picture, strip)
@@ -89,14 +84,13 @@ class MarkovPath:
         for turn in range(self.rounds):
             template, shift = learnt_template(even, offsets)
             expected = template.at(strip.places - (offsets + shift)[:, None])
-            even = columns_levelled(strip, expected, offsets + shift, columns) if relative else strip
-            even = levelled(even, expected, relative=relative)
-            speckle = _Speckle.of(even, expected, relative=relative)
+            even = levelled(columns_levelled(strip, expected, offsets + shift, columns), expected)
+            speckle = _Speckle.of(even, expected)
             table = self._table(even, template, places, speckle)
             draws = _DRAWS if counted is not None and turn == self.rounds - 1 else 0
             path = _walk(table, places, self.drift, course.closed, draws)
             offsets = path.mean
-        if relative and counted is not None:
+        if counted is not None:
             _require_speckle(speckle.skewness, math.sqrt(speckle.variance))
         found = strip.usable[:, np.abs(strip.places) <= self.support / 2].mean(axis=1) > 0.5
         return Located(
@@ -115,36 +109,32 @@ class MarkovPath:
     def _table(self, strip: Strip, template: EdgeTemplate, places: Candidates, speckle: "_Speckle") -> Table:
         """Return the log-likelihood of each candidate on each normal."""
         m = template.at(strip.places - places[:, None])
+        m = np.maximum(m, 1e-6 * float(m.max()))
         usable, weight = strip.usable.astype(float), speckle.kappa / speckle.variance
-        if self.likelihood == "gamma":
-            m = np.maximum(m, 1e-6 * float(m.max()))
-            return np.asarray(-weight * (strip.samples @ (1 / m).T + usable @ np.log(m).T))
-        return np.asarray(-0.5 * weight * (usable @ (m**2).T - 2 * strip.samples @ m.T))
+        return np.asarray(-weight * (strip.samples @ (1 / m).T + usable @ np.log(m).T))
 
 
 @dataclass(frozen=True)
 class _Speckle:
-    """Residuals of a strip: relative ones, I/m - 1, or additive ones.
+    """Relative residuals of a strip, I/m - 1.
 
     Args:
         variance: Their variance.
         kappa: One over the number of samples that count as one.
         area: Area that counts as one, px².
         skewness: Their skewness.
-        relative: Whether they are relative.
     """
 
     variance: float
     kappa: float
     area: float
     skewness: float
-    relative: bool
 
     @classmethod
-    def of(cls, strip: Strip, expected: Samples, *, relative: bool) -> "_Speckle":
+    def of(cls, strip: Strip, expected: Samples) -> "_Speckle":
         """Estimate them from a strip and what is expected of it."""
         usable = strip.usable.astype(float)
-        scale = np.maximum(expected, 1e-6 * float(np.abs(expected).max())) if relative else 1.0
+        scale = np.maximum(expected, 1e-6 * float(np.abs(expected).max()))
         residuals = np.where(strip.usable, (strip.samples - expected) / scale, 0.0)
         slow = gaussian_filter(residuals, (_SLOW, _SLOW / strip.step))
         residuals = np.where(
@@ -158,11 +148,11 @@ class _Speckle:
         skewness = float((residuals**3).sum()) / number / variance**1.5
         area = together * strip.step
         kappa = 1 / max(_EDGE * together, 1.0)
-        return cls(variance, kappa, area, skewness, relative)
+        return cls(variance, kappa, area, skewness)
 
     def contrast_to_noise(self, template: EdgeTemplate) -> float:
         """Return the contrast over the noise of the mean over a square of 10 × 10 px on the brighter side."""
-        level = max(template.left, template.right) if self.relative else 1.0
+        level = max(template.left, template.right)
         return abs(template.left - template.right) / (level * math.sqrt(self.variance * self.area) / _SIDE)
 
 

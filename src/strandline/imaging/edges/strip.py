@@ -221,17 +221,14 @@ def grey_values(
     return GreyValues(np.where(np.isfinite(values), values, 0.0), usable, (float(pixel[0]), float(pixel[1])))
 
 
-def strip_along(
-    picture: GreyValues, course: SmoothPath, *, reach: float = 8.0, step: float = 0.5, order: int = 1
-) -> Strip:
-    """Return the picture along the normals of a course.
+def strip_along(picture: GreyValues, course: SmoothPath, *, reach: float = 8.0, step: float = 0.5) -> Strip:
+    """Return the picture along the normals of a course, by bilinear interpolation.
 
     Args:
         picture: The picture.
         course: The path, in units of the smaller side of a pixel.
         reach: Largest distance from the path, in these units.
         step: Distance of the samples, in these units.
-        order: Order of the interpolation: 1 is bilinear, 3 that of cubic splines.
     """
     number = round(reach / step)
     places = step * np.arange(-number, number + 1)
@@ -239,11 +236,11 @@ def strip_along(
     low, high = np.zeros(2), picture.extent - 1
     usable = ((at >= low) & (at <= high)).all(axis=2) & course.own(places)
     where = np.moveaxis(at[..., ::-1], 2, 0)
-    samples = map_coordinates(picture.values, where, order=order, mode="nearest")
+    samples = map_coordinates(picture.values, where, order=1, mode="nearest")
     if not picture.usable.all():
         usable &= map_coordinates((~picture.usable).astype(float), where, order=1, mode="nearest") < 1e-9
     between = at % 1.0
-    kept = float((1 - 2 * between * (1 - between)).prod(axis=2).mean()) if order == 1 else 1.0
+    kept = float((1 - 2 * between * (1 - between)).prod(axis=2).mean())
     return Strip(np.where(usable, samples, 0.0), usable, places, course, kept)
 
 

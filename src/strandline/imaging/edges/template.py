@@ -104,20 +104,17 @@ def columns_levelled(
     return replace(strip, samples=np.where(strip.usable, strip.samples / light[columns], 0.0))
 
 
-def levelled(strip: Strip, expected: Samples, *, relative: bool) -> Strip:
+def levelled(strip: Strip, expected: Samples) -> Strip:
     """Return a strip without the differences in brightness between normals, smooth along the edge, due to light.
 
-    Light multiplies grey values (`relative`), so that samples are divided by a gain, or adds to them, as to logarithms.
+    Light multiplies grey values, so that samples are divided by a gain.
     """
     mode = "wrap" if strip.course.closed else "nearest"
-    apart = strip.samples / np.where(expected > 0, expected, np.inf) if relative else strip.samples - expected
+    apart = strip.samples / np.where(expected > 0, expected, np.inf)
     total = gaussian_filter1d((strip.usable * apart).sum(axis=1), _SHADOW, mode=mode)
     light = total / np.maximum(gaussian_filter1d(strip.usable.sum(axis=1).astype(float), _SHADOW, mode=mode), 1e-9)
-    if relative:
-        light = np.maximum(light, 1e-3)
-        samples = strip.samples / (light / np.exp(np.mean(np.log(light))))[:, None]
-    else:
-        samples = strip.samples - (light - light.mean())[:, None]
+    light = np.maximum(light, 1e-3)
+    samples = strip.samples / (light / np.exp(np.mean(np.log(light))))[:, None]
     return replace(strip, samples=np.where(strip.usable, samples, 0.0))
 
 

@@ -55,7 +55,7 @@ class SlurmArray:
     Args:
         folder: Folder of the batches, on a file system that the nodes see.
         command: Command that a job runs, followed by the batch's folder and the run's number;
-            `strandline.runs.array_task` shows what it must do.
+            `strandline.studies.array_task` shows what it must do.
         timeout: Seconds after which a run is killed; default: never.
         walltime: Walltime of a job, in quotes as for ``dask``; a run that reaches its end is a ``timeout``; default:
             the partition's.

@@ -95,14 +95,8 @@ class ArrayBatch:
         for part in ("logs", "results"):
             (folder / part).mkdir(parents=True)
         batch = cls(folder, time.time(), fingerprint(model), asks_sensitivities(model), timeout, tuple(requests))
-        content = {
-            "version": VERSION,
-            "created": batch.created,
-            "fingerprint": batch.fingerprint,
-            "sensitivities": batch.sensitivities,
-            "timeout": timeout,
-            "runs": [{"key": request.key, "inputs": dict(request.inputs)} for request in requests],
-        }
+        content = {"version": VERSION, **vars(batch), "runs": [vars(request) for request in requests]}
+        del content["folder"], content["requests"]
         put_durably(folder / BATCH, json.dumps(content, indent=1).encode())
         return batch
 
@@ -114,10 +108,9 @@ class ArrayBatch:
             FileNotFoundError: There is no batch, or it has been removed.
         """
         content = json.loads((folder / BATCH).read_text(encoding="utf-8"))
-        requests = tuple(RunRequest(run["key"], run["inputs"]) for run in content["runs"])
-        return cls(
-            folder, content["created"], content["fingerprint"], content["sensitivities"], content["timeout"], requests
-        )
+        requests = tuple(RunRequest(**run) for run in content.pop("runs"))
+        del content["version"]
+        return cls(folder, requests=requests, **content)
 
     @property
     def name(self) -> str:

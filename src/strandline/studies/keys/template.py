@@ -122,12 +122,12 @@ OWN_TITLE = """\
 SUFFIXES = {".yaml", ".py", ".j2", ".csv", ".png"}
 
 
-def write_example(name: str, folder: Path, observed: Observed | None = None, *, package: Path = PACKAGE) -> Path:
+def write_example(name: str, folder: Path, observed: Observed | None = None) -> Path:
     """Write the files of one of `EXAMPLES` into `folder`, created if needed; return the path of its study.yaml.
 
     An observed interface takes the place of the example's, which must be one of `OWN`.
     """
-    source = _source(name, package)
+    source = _source(name)
     files = {path.name: path.read_bytes() for path in source.iterdir() if _belongs(path)}
     text = files.pop(STUDY).decode("utf-8").replace(f"examples/{source.name}", str(folder))
     text = re.sub(r"^name: .*$", f"name: {study_name(folder)}", text, count=1, flags=re.MULTILINE)
@@ -154,10 +154,10 @@ def _observing(text: str, observed: Observed, folder: Path) -> str:
     return re.sub(r"^(?:#.*\n)*observation: .*\n\n?", lambda _: f"{section}\n", text, flags=re.MULTILINE)
 
 
-def _source(name: str, package: Path) -> Path:
+def _source(name: str) -> Path:
     """Return the folder of an example: in the installed package, or in the checkout that the package is used from."""
     folder = FOLDERS.get(name, name)
-    places = (package / "examples", package.parents[1] / "examples")
+    places = (PACKAGE / "examples", PACKAGE.parents[1] / "examples")
     return next(place / folder for place in places if (place / folder / STUDY).is_file())
 
 
