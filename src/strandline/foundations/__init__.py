@@ -22,7 +22,7 @@ if TYPE_CHECKING:
         StrandlineError,
         TooFewRuns,
     )
-    from strandline.foundations.files import read_json, whole_file, write_json
+    from strandline.foundations.files import end_of, how_it_ended, read_json, whole_file, write_json
     from strandline.foundations.linear_algebra import distances, factorise, invert, solve
     from strandline.foundations.registry import imported, lookup, of_extra, suggestion
     from strandline.foundations.text import decimal, is_label, is_name, listed, require_label, require_name, with_sd

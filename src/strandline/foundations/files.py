@@ -1,8 +1,9 @@
-"""Files that are written whole or not at all, and files with JSON."""
+"""Files that are written whole or not at all, files with JSON, and what a process leaves behind."""
 
 import json
 import math
 import os
+import signal
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -36,6 +37,24 @@ def read_json(path: Path) -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}
+
+
+def end_of(log: Path, size: int = 8192) -> str:
+    """Return the last `size` bytes of a log as text; nothing if it cannot be read."""
+    try:
+        with log.open("rb") as stream:
+            stream.seek(max(0, stream.seek(0, os.SEEK_END) - size))
+            return stream.read().decode("utf-8", "replace")
+    except OSError:
+        return ""
+
+
+def how_it_ended(code: int | None) -> str:
+    """Return the exit code of a process, minus the number of a signal that ended it, in words."""
+    try:
+        return f"exit code {code}" if code is None or code >= 0 else f"signal {signal.Signals(-code).name}"
+    except ValueError:
+        return f"signal {-(code or 0)}"
 
 
 def _finite(value: Any) -> Any:

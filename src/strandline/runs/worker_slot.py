@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 
-from strandline.foundations import InvalidInput
+from strandline.foundations import InvalidInput, end_of, how_it_ended
 from strandline.runs.ledger.record import RunRecord, RunRequest, State, with_log
 from strandline.runs.ledger.scratch import scratch_folder
 from strandline.runs.worker import UNUSABLE
@@ -21,7 +21,6 @@ from strandline.runs.worker import UNUSABLE
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
 )
-LOG_TAIL_BYTES = 8192
 LOOKED_AFTER_SECONDS = 0.25
 """Time after which a worker that has said nothing is checked."""
 KILLED_STARTS_BORNE = 10
@@ -95,7 +94,7 @@ class WorkerSlot:
             self._drop()
             (state, kind, message), seconds = ended, time.monotonic() - began
             ended = RunRecord(request.key, request.inputs, state, seconds=seconds, failure_kind=kind, message=message)
-        return with_log(ended, self._log_tail())
+        return with_log(ended, end_of(self._log))
 
     def close(self) -> None:
         """End the worker process, whatever it is doing, and remove its folder."""
@@ -117,7 +116,7 @@ class WorkerSlot:
                 break
             elif not worker.gone():
                 continue
-            how = _how_it_ended(_ended(worker))
+            how = how_it_ended(_ended(worker))
             return "killed", "worker_died", f"the worker process of this run ended with {how}"
         worker.kill()
         seconds = min(time.monotonic() - began, timeout or math.inf)
@@ -143,7 +142,7 @@ class WorkerSlot:
                 continue
             code = _ended(worker)
             if code != -signal.SIGKILL:
-                raise _unusable(f"the worker process ended with {_how_it_ended(code)}\n{self._log_tail()}")
+                raise _unusable(f"the worker process ended with {how_it_ended(code)}\n{end_of(self._log)}")
             self._drop()
             killed += 1
             if killed > KILLED_STARTS_BORNE:
@@ -188,12 +187,6 @@ class WorkerSlot:
         if worker.process.stdin is not None:
             worker.process.stdin.close()
 
-    def _log_tail(self) -> str:
-        with self._log.open("rb") as stream:
-            size = stream.seek(0, os.SEEK_END)
-            stream.seek(max(0, size - LOG_TAIL_BYTES))
-            return stream.read().decode("utf-8", "replace")
-
 
 @contextlib.contextmanager
 def interrupts_held_back() -> Iterator[None]:
@@ -211,14 +204,6 @@ def _ended(worker: _Worker) -> int | None:
         worker.process.wait(1.0)
     worker.kill()
     return worker.process.returncode
-
-
-def _how_it_ended(code: int | None) -> str:
-    if code is None or code >= 0:
-        return f"exit code {code}"
-    with contextlib.suppress(ValueError):
-        return f"signal {signal.Signals(-code).name}"
-    return f"signal {-code}"
 
 
 def _unusable(text: str) -> InvalidInput:

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from strandline.foundations import InvalidInput
+from strandline.foundations import InvalidInput, end_of
 from strandline.runs import LocalProcesses, RunRecord
 from strandline.runs.array_task import _out_of_walltime
 from strandline.runs.executors import dask_cluster, slurm_batch, with_workers
@@ -117,7 +117,8 @@ def test_a_batch_is_read_as_it_was_written_and_keeps_what_came_back(tmp_path):
     batch.put(0, other)
     assert batch.present() == ({}, {0, 1})
     (batch.folder / "logs" / "0.txt").write_text("x" * 9000 + "end")
-    assert len(batch.log_tail(0)) == 8192
+    assert len(end_of(batch.folder / "logs" / "0.txt")) == 8192
+    assert end_of(batch.folder / "logs" / "1.txt") == ""
     batch.remove()
     assert list(tmp_path.iterdir()) == []
 

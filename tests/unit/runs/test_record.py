@@ -16,14 +16,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.unit.runs.fakes import design, key_of
 
-from strandline.foundations import ForwardModelError, InvalidInput
+from strandline.foundations import ForwardModelError, InvalidInput, how_it_ended
 from strandline.interface import Interface
 from strandline.models.protocol import Simulation
 from strandline.runs import InProcess, RunRecord, RunRequest, attempt, run_key
 from strandline.runs.executors.slurm_batch import read_run, write_run
 from strandline.runs.ledger import scratch
 from strandline.runs.ledger.record import MESSAGE_CHARACTERS, with_log
-from strandline.runs.worker_slot import _how_it_ended
 from strandline.testing.executors import same_outcome
 from strandline.testing.models import Cantilever, TwoLoads
 
@@ -259,4 +258,4 @@ def test_folders_of_other_machines_and_users_and_links_stay(parent, monkeypatch)
 
 
 def test_how_a_worker_ended():
-    assert [_how_it_ended(code) for code in (None, 3, -9)] == ["exit code None", "exit code 3", "signal SIGKILL"]
+    assert [how_it_ended(code) for code in (None, 3, -9)] == ["exit code None", "exit code 3", "signal SIGKILL"]

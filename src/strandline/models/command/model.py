@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, ClassVar, Literal
 
-from strandline.foundations import ForwardModelError
+from strandline.foundations import ForwardModelError, end_of, how_it_ended
 from strandline.models import refused
 from strandline.models.command.options import (
     InputTemplate,
@@ -42,7 +42,6 @@ LONGEST_SECONDS = 366 * 24 * 3600
 SUPERVISOR = Path(__file__).with_name("supervisor.py")
 LOG_LIMIT = 1_000_000
 """Bytes kept of the beginning, and of the end, of a command's output."""
-LOG_TAIL_BYTES = 8192
 KILLED_IN_A_SHELL = 128 + signal.SIGKILL
 """Exit code of a shell, or a launcher such as mpirun, whose own child was killed by SIGKILL."""
 SHORT_OF_MEMORY = frozenset({errno.ENOMEM, errno.EAGAIN})
@@ -70,15 +69,6 @@ class ProcessEnd:
     def killed(self) -> bool:
         """Whether a SIGKILL from outside ended it: from an operator, the kernel or a batch system."""
         return not self.timed_out and self.exit_code in (-signal.SIGKILL, KILLED_IN_A_SHELL)
-
-    @property
-    def how(self) -> str:
-        """Exit code or signal, in words."""
-        if self.exit_code is None or self.exit_code >= 0:
-            return f"exit code {self.exit_code}"
-        with contextlib.suppress(ValueError):
-            return f"signal {signal.Signals(-self.exit_code).name}"
-        return f"signal {-self.exit_code}"
 
 
 @dataclass(frozen=True)
@@ -241,7 +231,7 @@ class CommandModel:
             raise _killed(ended, program)
         if code is None or (codes is not None and code not in codes):
             evidence = {} if code is None else {"exit_code": float(code)}
-            raise ForwardModelError("exit_code", f"{program} ended with {ended.how}", evidence)
+            raise ForwardModelError("exit_code", f"{program} ended with {how_it_ended(code)}", evidence)
 
     def _way_to_start(self, program: str) -> str:
         """Return what lets a program of the study folder start, as the end of a message; nothing for other programs."""
@@ -319,8 +309,8 @@ def _killed(ended: ProcessEnd, program: str) -> ForwardModelError:
     kind, why = "simulator_killed", ": something killed it from outside"
     if ended.out_of_memory:
         kind, why = "out_of_memory", " while the machine was out of memory"
-    evidence = {"exit_code": float(ended.exit_code or 0)}
-    return ForwardModelError(kind, f"{program} ended with {ended.how}{why}", evidence, state="killed")
+    message = f"{program} ended with {how_it_ended(ended.exit_code)}{why}"
+    return ForwardModelError(kind, message, {"exit_code": float(ended.exit_code or 0)}, state="killed")
 
 
 def _now(workdir: Path) -> int:
@@ -394,9 +384,9 @@ def _ended(answer: bytes, code: int, log: Path) -> ProcessEnd:
     try:
         told: dict[str, Any] = json.loads(answer)
     except ValueError:  # nothing, or the beginning of an answer
-        how = ProcessEnd(code, False, "").how
+        how = how_it_ended(code)
         message = f"the process that watches over the simulator ended with {how}, and the simulator with it"
-        raise ForwardModelError("supervisor_died", message, state="killed", log=_end_of(log)) from None
+        raise ForwardModelError("supervisor_died", message, state="killed", log=end_of(log)) from None
     if told.get("errno") in SHORT_OF_MEMORY:
         raise _no_room(told["error"])
     if "error" in told:
@@ -410,10 +400,3 @@ def _ended(answer: bytes, code: int, log: Path) -> ProcessEnd:
 def _no_room(reason: str) -> ForwardModelError:
     message = f"the system had no room for the simulator's process: {reason}"
     return ForwardModelError("out_of_memory", message, state="killed")
-
-
-def _end_of(log: Path) -> str:
-    """Return the end of the log file, for a supervisor that died and cannot report it."""
-    with contextlib.suppress(OSError):
-        return log.read_bytes()[-LOG_TAIL_BYTES:].decode("utf-8", "replace")
-    return ""

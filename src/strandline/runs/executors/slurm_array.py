@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from strandline.foundations import InvalidInput, StrandlineError
+from strandline.foundations import InvalidInput, StrandlineError, end_of
 from strandline.models import ForwardModel, asks_sensitivities
 from strandline.runs.executors import shared, slurm_batch
 from strandline.runs.executors.slurm_batch import ArrayBatch, SlurmUnreachable, read_run
@@ -291,7 +291,7 @@ def _found(batch: ArrayBatch) -> bool:
 def _without_result(batch: ArrayBatch, index: int, request: RunRequest, job_state: str | None) -> RunRecord:
     """Return the record of a run whose job ended with this state and left no result."""
     word = (job_state or "").split("+")[0]
-    log = batch.log_tail(index)
+    log = end_of(batch.folder / "logs" / f"{index}.txt")
     died = "out_of_memory" if MEMORY_KILL.search(log) else "worker_died"
     state, kind = ENDINGS.get(word, ("killed", died))
     told = f"SLURM says {job_state}" if job_state else "SLURM no longer knows it"

@@ -146,12 +146,6 @@ class ArrayBatch:
         except FileNotFoundError:
             self._taken(index).touch()
 
-    def log_tail(self, index: int, size: int = 8192) -> str:
-        try:
-            return (self.folder / "logs" / f"{index}.txt").read_bytes()[-size:].decode("utf-8", "replace")
-        except OSError:
-            return ""
-
     def remove(self) -> None:
         """Remove the batch; jobs that start later find nothing to do."""
         (self.folder / BATCH).unlink(missing_ok=True)

@@ -124,8 +124,6 @@ def attempt(model: ForwardModel, request: RunRequest, workdir: Path) -> RunRecor
         ending = _accepted(request, returned, model)
     except ForwardModelError as error:
         ending, log = ended(request, error.state, error.kind, error.message, error.evidence), error.log
-    except InvalidResult as error:
-        ending = ended(request, "invalid", error.kind, str(error))
     except InvalidInterface as error:
         ending = ended(request, "invalid", "invalid_interface", str(error))
     except (Exception, SystemExit) as error:
@@ -246,40 +244,34 @@ def _short(text: str) -> str:
     return text if len(text) <= MESSAGE_CHARACTERS else f"{text[:half]}\n[…]\n{text[-half:]}"
 
 
-class InvalidResult(Exception):
-    """What a model returned cannot be kept; `kind` and message become the failure kind and message of the run."""
-
-    def __init__(self, kind: str, message: str) -> None:
-        self.kind = kind
-        super().__init__(message)
-
-
 def checked(result: object, *, conditions: Collection[str], inputs: Collection[str], sensitivities: bool) -> Simulation:
     """Check what a model returned and return a copy that shares no memory with the model.
 
     It must have the declared conditions and, if these were requested, sensitivities in the run's inputs.
 
     Raises:
-        InvalidResult: there is no interface, the conditions differ from those declared, a number is not finite, or
-            sensitivities are missing or do not belong to the interfaces.
+        ForwardModelError: ``invalid``: there is no interface, the conditions differ from those declared, a number is
+            not finite, or sensitivities are missing or do not belong to the interfaces.
     """
     simulation = Simulation.of(result) if isinstance(result, Interface) else result
     found: Any = getattr(simulation, "interfaces", None)
     sound = isinstance(found, Mapping) and found and all(isinstance(one, Interface) for one in found.values())
     if not isinstance(simulation, Simulation) or not sound:
-        raise InvalidResult(
+        raise ForwardModelError(
             "not_an_interface",
             f"the model returned {_described(result)}; expected a Simulation or an Interface. "
             "Correct the model's return value.",
+            state="invalid",
         )
     _require_conditions(simulation.interfaces, conditions)
     interfaces = {name: _copied(name, interface) for name, interface in simulation.interfaces.items()}
     given = simulation.sensitivities
     if sensitivities and not (isinstance(given, Mapping) and all(given.get(name) for name in interfaces)):
-        raise InvalidResult(
+        raise ForwardModelError(
             "sensitivities",
             "the model was asked for sensitivities and returned none for at least one condition. Return them by "
             "condition and input, or take the field `sensitivities` from the model.",
+            state="invalid",
         )
     return Simulation(interfaces, simulation.diagnostics, _sensitivities(given, interfaces, inputs))
 
@@ -287,16 +279,18 @@ def checked(result: object, *, conditions: Collection[str], inputs: Collection[s
 def _require_conditions(given: Mapping[str, Interface], declared: Collection[str]) -> None:
     bad = [name for name in given if not is_condition(name)]
     if bad:
-        raise InvalidResult(
+        raise ForwardModelError(
             "conditions",
             f"the model returned an interface of the condition {bad[0]!r}; expected a short name without slashes. "
             "Correct the name.",
+            state="invalid",
         )
     if set(given) != set(declared):
-        raise InvalidResult(
+        raise ForwardModelError(
             "conditions",
             f"the model returned interfaces of {_listed(given)}; expected {_listed(declared)}. Its attribute "
             "`conditions`, a tuple, must name those that it returns.",
+            state="invalid",
         )
 
 
@@ -304,7 +298,8 @@ def _copied(condition: str, interface: Interface) -> Interface:
     points = np.array(interface.points, dtype=np.float64, order="C")
     if not np.isfinite(points).all():
         bad, where = np.count_nonzero(~np.isfinite(points)), f" of {condition}" if condition else ""
-        raise InvalidResult("non_finite", f"{bad} of {points.size} coordinates of the interface{where} are not finite")
+        message = f"{bad} of {points.size} coordinates of the interface{where} are not finite"
+        raise ForwardModelError("non_finite", message, state="invalid")
     return Interface(points, np.array(interface.cells, dtype=np.int64, order="C"))
 
 
@@ -336,8 +331,9 @@ def _derivative(condition: str, name: str, value: Any, interfaces: Mapping[str, 
     return array
 
 
-def _unfit(problem: str) -> InvalidResult:
-    return InvalidResult("sensitivities", f"sensitivities: {problem}. Correct what the model returns.")
+def _unfit(problem: str) -> ForwardModelError:
+    message = f"sensitivities: {problem}. Correct what the model returns."
+    return ForwardModelError("sensitivities", message, state="invalid")
 
 
 def _of(condition: str) -> str:
