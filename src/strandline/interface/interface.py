@@ -68,7 +68,7 @@ class Interface:
         if not np.isfinite(self.points).all():
             where = int(np.argmax(~np.isfinite(self.points).all(axis=1)))
             raise InvalidInterface(
-                f"point {where} of the interface is not finite",
+                f"point {where + 1} of the interface is not finite",
                 value=self.points[where].tolist(),
                 expected="finite coordinates in mm",
                 remedy="Remove or correct the point.",
@@ -80,7 +80,7 @@ class Interface:
         elif (self.lengths == 0).any():
             where = int(np.argmax(self.lengths == 0))
             raise InvalidInterface(
-                f"segment {where} of the interface has no length",
+                f"segment {where + 1} of the interface has no length",
                 value=self.points[self.cells[where, 0]].tolist(),
                 expected="consecutive points that differ",
                 remedy="Remove the repeated point.",
@@ -196,13 +196,13 @@ class Interface:
         """Refuse a polyline that crosses or touches itself.
 
         Raises:
-            InvalidInterface: it does; the message names the two segments and the place.
+            InvalidInterface: it does; the message names the two segments, counted from 1, and the place.
         """
         crossing = self._first_crossing()
         if crossing is not None:
             i, j, place = crossing
             raise InvalidInterface(
-                f"the interface crosses itself: segments {i} and {j}",
+                f"the interface crosses itself: segments {i + 1} and {j + 1}",
                 value=f"({place[0]:.6g}, {place[1]:.6g}) mm",
                 expected="a polyline without crossings, its points in order along the interface",
                 remedy=remedy,
@@ -233,7 +233,7 @@ class Interface:
         if flat.any():
             where = int(np.argmax(flat))
             raise InvalidInterface(
-                f"triangle {where} of the interface has no area",
+                f"triangle {where + 1} of the interface has no area",
                 value=self.points[self.cells[where]].tolist(),
                 expected="three corners that are not on one line",
                 remedy="Remove the triangle, or merge the points that coincide.",
@@ -241,7 +241,7 @@ class Interface:
         unused = np.bincount(self.cells.ravel(), minlength=len(self.points)) == 0
         if unused.any():
             raise InvalidInterface(
-                f"point {int(np.argmax(unused))} of the surface belongs to no triangle",
+                f"point {int(np.argmax(unused)) + 1} of the surface belongs to no triangle",
                 value=f"{int(unused.sum())} such point(s)",
                 expected="every point a corner",
                 remedy="Leave such points out and renumber the corners.",

@@ -49,9 +49,9 @@ def test_names_of_conditions():
 def test_what_is_no_polyline_is_refused():
     for points, closed, found in (
         ([[1.0, 2.0]], False, "too few points"),
-        ([[0.0, 0.0], [1.0, math.nan]], False, "point 1 of the interface is not finite"),
-        ([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [2.0, 0.0]], False, "segment 1 of the interface has no length"),
-        ([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 0.0]], True, "segment 3 of the interface has no length"),
+        ([[0.0, 0.0], [1.0, math.nan]], False, "point 2 of the interface is not finite"),
+        ([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [2.0, 0.0]], False, "segment 2 of the interface has no length"),
+        ([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 0.0]], True, "segment 4 of the interface has no length"),
     ):
         with pytest.raises(InvalidInterface, match=found):
             Interface.polyline(np.array(points), closed=closed)
@@ -69,11 +69,11 @@ def test_what_is_no_surface_is_refused():
         ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]]),
         ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2], [0, 1, 1]]),
     ):
-        with pytest.raises(InvalidInterface, match="triangle 1 of the interface has no area"):
+        with pytest.raises(InvalidInterface, match="triangle 2 of the interface has no area"):
             Interface(np.array(points, float), np.array(cells))
     sliver = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 1e-9, 0.0]])
     assert Interface(sliver, np.array([[0, 1, 2]])).areas == pytest.approx([0.5e-9])
-    with pytest.raises(InvalidInterface, match="point 3 of the surface belongs to no triangle"):
+    with pytest.raises(InvalidInterface, match="point 4 of the surface belongs to no triangle"):
         Interface(CORNERS, np.array([[0, 1, 2]]))
 
 

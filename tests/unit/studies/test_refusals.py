@@ -249,7 +249,7 @@ def test_a_template_that_is_no_text_to_be_compiled(tmp_path):
 def test_files_that_hold_no_interface(tmp_path):
     for name, content, words in (
         ("o.csv", b"0,0\n1,one\n", "no point in line 2: got 1 one"),
-        ("o.csv", b"0,0\n1,1\n1,0\n0,1\n", "crosses itself: segments 0 and 2: got (0.5, 0.5) mm"),
+        ("o.csv", b"0,0\n1,1\n1,0\n0,1\n", "crosses itself: segments 1 and 3: got (0.5, 0.5) mm"),
         ("o.png", b"\x89PNG\r\n\x1a\n" + bytes(range(256)), "o.png is a picture: got a PNG image;"),
         ("o.csv", b"MM\x00*" + bytes(range(256)), "o.csv is a picture: got a TIFF image;"),
     ):
