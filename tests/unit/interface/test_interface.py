@@ -136,12 +136,12 @@ def test_closed_surfaces_are_compared_by_volume_wherever_they_lie():
 
 
 CROSSINGS = {
-    "returning to a node": ([(1, 0), (2, 1), (0, 1), (1, 0), (1, -1)], False, "0 and 2"),
-    "collinear overlap": ([(0, 0), (3, 0), (3, 1), (4, 0), (1, 0)], False, "0 and 3"),
-    "end on a slanted segment": ([(0, 0), (1, 1), (3, 3), (4, 3), (2, 2)], False, "1 and 3"),
-    "slanted fold-back": ([(0, 0), (1, 1), (4, 4), (2, 2), (5, 2)], False, "1 and 2"),
+    "returning to a node": ([(1, 0), (2, 1), (0, 1), (1, 0), (1, -1)], False, "1 and 3"),
+    "collinear overlap": ([(0, 0), (3, 0), (3, 1), (4, 0), (1, 0)], False, "1 and 4"),
+    "end on a slanted segment": ([(0, 0), (1, 1), (3, 3), (4, 3), (2, 2)], False, "2 and 4"),
+    "slanted fold-back": ([(0, 0), (1, 1), (4, 4), (2, 2), (5, 2)], False, "2 and 3"),
     "closed, straight across the joint": ([(1, 0), (2, 0), (2, 1), (0, 0)], True, ""),
-    "closed, fold-back at the joint": ([(1, 0), (2, 0), (2, 1), (3, 1), (3, 0)], True, "4 and 0"),
+    "closed, fold-back at the joint": ([(1, 0), (2, 0), (2, 1), (3, 1), (3, 0)], True, "5 and 1"),
     "hairpin": ([(0, 0), (1, 0), (1, 1e-9), (0, 1e-9)], False, ""),
 }
 

@@ -140,7 +140,7 @@ def test_what_is_not_promised_is_invalid():
         assert (record.interfaces, record.sensitivities) == ({}, {})
     record = outcome(lambda inputs, workdir: Interface.polyline(np.array([[0.0, np.nan], [1.0, 0.0]])))
     assert (record.state, record.failure_kind) == ("invalid", "invalid_interface")
-    assert "point 0" in record.message
+    assert "point 1 " in record.message
 
 
 def test_an_exception_is_a_failure_with_a_bounded_message_that_can_be_stored():

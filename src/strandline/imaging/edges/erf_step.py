@@ -71,10 +71,10 @@ class ErfStep:
         noise, scatter = math.nan, NO_SCATTER
         if counted is not None and (counted & steps.found).any():
             kept = counted & steps.found
-            influence, weights = _influence(strip, steps, contrast), strip.usable & kept[:, None]
+            (basis, row), weights = _influence(strip, steps, contrast), strip.usable & kept[:, None]
             residuals = np.where(weights, strip.samples - _values(strip, steps), 0.0)
-            covariance = noise_covariance(residuals, weights, influence.basis)
-            scatter = scatter_of(np.where(kept, steps.places, math.nan), covariance, influence.row)
+            covariance = noise_covariance(residuals, weights, basis)
+            scatter = scatter_of(np.where(kept, steps.places, math.nan), covariance, row)
             noise = math.sqrt(max(float(covariance[0, 0]), 0.0) / strip.kept)
         sds = scatter.sd * abs(contrast) / np.maximum(np.abs(jumps), 0.01 * abs(contrast) + 1e-300)
         return Located(
@@ -183,16 +183,9 @@ def _values(strip: Strip, steps: FittedSteps) -> Samples:
     return np.asarray(steps.low[:, None] + (steps.high - steps.low)[:, None] * phi)
 
 
-@dataclass(frozen=True, eq=False)
-class _Influence:
-    """What noise does to a typical normal: its basis (place, 3), and the change of u₀ per unit of noise, (place,)."""
-
-    basis: Float[np.ndarray, "place 3"]
-    row: PerPlace
-
-
-def _influence(strip: Strip, steps: FittedSteps, contrast: float) -> _Influence:
+def _influence(strip: Strip, steps: FittedSteps, contrast: float) -> tuple[Float[np.ndarray, "place 3"], PerPlace]:
+    """Return what noise does to a typical normal: its basis, and the change of u₀ per unit of noise."""
     middle = np.array([float(np.median(steps.places[steps.found]))])
     phi, (slope, _) = _phi(strip, middle, steps.width)[0], _slopes(strip, middle, steps.width)
     basis = np.stack([-(contrast or 1e-300) * slope[0], 1 - phi, phi], axis=1)
-    return _Influence(basis, np.asarray(np.linalg.pinv(basis)[0]))
+    return basis, np.asarray(np.linalg.pinv(basis)[0])

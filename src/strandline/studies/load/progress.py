@@ -23,6 +23,8 @@ Results = Literal["none", "current", "outdated"]
 RATE_RUNS = 50
 """Number of runs, the last to end, that give the pace."""
 LOG_LINES = 2
+_Ended = tuple[str, Attempt]
+"""The key of a run, and how it ended."""
 
 
 @dataclass(frozen=True)
@@ -147,95 +149,83 @@ def _progress(folder: Path, plan: Plan) -> StudyProgress:
     results, path = _results(folder, plan.study_sha256), folder / LEDGER
     if not path.is_file():
         return StudyProgress(plan.name, plan.planned, results=results)
+    detached = any((folder / "slurm").glob("*/batch.json"))  # each batch has a folder until it is collected
     with Overview(path, model=plan.model) as ledger:
-        wanted, driver = frozenset(plan.keys), ledger.driver()
-        runs = [run for run in ledger.runs() if run.key in wanted]
-        detached = any((folder / "slurm").glob("*/batch.json"))  # each batch has a folder until it is collected
-        state = _Counted(plan, driver, runs, detached=detached).told(ledger, results)
+        state = _counted(plan, ledger, detached=detached)
     noted = read_json(folder / REFINEMENT)
     noted = noted if noted.get("study_sha256") == plan.study_sha256 else {}
     under_way = "given" in noted and not noted.get("finished")
-    return replace(state, active=under_way, last_batch=str(noted.get("last_batch", "")))
+    return replace(state, results=results, active=under_way, last_batch=str(noted.get("last_batch", "")))
 
 
-class _Counted:
-    """The planned runs that were started, sorted by outcome."""
-
-    def __init__(self, plan: Plan, driver: Driver | None, runs: Sequence[Run], *, detached: bool) -> None:
-        self.plan, self.driver, self.runs, self.detached = plan, driver, runs, detached
-        self.ok: list[Attempt] = []
-        self.failed: list[Attempt] = []
-        self.open = self.lost = 0
-        self.keys = {attempt.number: run.key for run in runs for attempt in run.attempts}
-        for run in runs:
-            self._count(run)
-
-    def _count(self, run: Run) -> None:
-        if run.last.state == OPEN and self._may_be_under_way(run.last):
-            self.open += 1
-        elif (outcome := run.outcome) is not None and run.settled(sensitivities=self.plan.sensitivities):
-            ended = outcome if run.exclusion is None else outcome._replace(state=EXCLUDED, kind=EXCLUDED)
-            (self.ok if ended.state == "ok" else self.failed).append(ended)
+def _counted(plan: Plan, ledger: Overview, *, detached: bool) -> StudyProgress:
+    """Return the counts of the planned runs that were started, with examples from the ledger."""
+    wanted, driver = frozenset(plan.keys), ledger.driver()
+    runs = [run for run in ledger.runs() if run.key in wanted]
+    session = None if driver is None or driver.at_work is False else driver.session
+    open_runs, lost, ended = 0, 0, list[_Ended]()
+    for run in runs:
+        outcome = run.outcome
+        if run.last.state == OPEN and (detached or run.last.session == session):
+            open_runs += 1
+        elif outcome is not None and run.settled(sensitivities=plan.sensitivities):
+            excluded = run.exclusion is not None
+            ended.append((run.key, outcome._replace(state=EXCLUDED, kind=EXCLUDED) if excluded else outcome))
         elif run.last.state == OPEN:
-            self.lost += 1
+            lost += 1
+    failed = sorted((one for one in ended if one[1].state != "ok"), key=lambda one: one[1].number)
+    ok = [one for one in ended if one[1].state == "ok"]
+    slowest = max([*ok, *failed], key=lambda one: one[1].seconds or 0.0, default=None)
+    rate, left = _pace(runs, driver, plan.planned - len(ended))
+    return StudyProgress(
+        plan.name,
+        plan.planned,
+        ok=len(ok),
+        failed=len(failed),
+        open=open_runs,
+        lost=lost,
+        failures=_failures(failed, plan, ledger),
+        rate=rate,
+        seconds_left=left,
+        median_seconds=median(attempt.seconds or 0.0 for _, attempt in ended) if ended else None,
+        slowest=None if slowest is None else _shown(slowest, plan),
+        driver=driver,
+        detached=detached,
+    )
 
-    def _may_be_under_way(self, start: Attempt) -> bool:
-        driver = self.driver
-        if self.detached:
-            return True
-        return driver is not None and driver.at_work is not False and start.session == driver.session
 
-    def told(self, ledger: Overview, results: Results) -> StudyProgress:
-        """Return the counts, with examples from the ledger."""
-        ended = [*self.ok, *self.failed]
-        slowest = max(ended, key=_seconds, default=None)
-        rate, left = self._pace()
-        return StudyProgress(
-            self.plan.name,
-            self.plan.planned,
-            ok=len(self.ok),
-            failed=len(self.failed),
-            open=self.open,
-            lost=self.lost,
-            failures=self._failures(ledger),
-            rate=rate,
-            seconds_left=left,
-            median_seconds=median(map(_seconds, ended)) if ended else None,
-            slowest=None if slowest is None else self._shown(slowest),
-            driver=self.driver,
-            results=results,
-            detached=self.detached,
-        )
+def _failures(failed: Sequence[_Ended], plan: Plan, ledger: Overview) -> dict[str, Failures]:
+    kinds = [attempt.kind or attempt.state for _, attempt in failed]
+    return {
+        kind: Failures(count, _shown(failed[kinds.index(kind)], plan, ledger))
+        for kind, count in Counter(kinds).most_common()
+    }
 
-    def _failures(self, ledger: Overview) -> dict[str, Failures]:
-        failed = sorted(self.failed, key=lambda attempt: attempt.number)
-        counts = Counter(attempt.kind or attempt.state for attempt in failed).most_common()
-        examples = {attempt.kind or attempt.state: attempt for attempt in reversed(failed)}
-        return {kind: Failures(count, self._explained(examples[kind], ledger)) for kind, count in counts}
 
-    def _shown(self, attempt: Attempt, message: str = "", log: tuple[str, ...] = ()) -> RunReported:
-        known = json.loads(attempt.inputs)
-        inputs = {name: known[name] for name in self.plan.inputs}
-        return RunReported(self.keys[attempt.number], inputs, _seconds(attempt), message, log)
-
-    def _explained(self, attempt: Attempt, ledger: Overview) -> RunReported:
+def _shown(one: _Ended, plan: Plan, ledger: Overview | None = None) -> RunReported:
+    """Return a run to show, with its message and log if the ledger is given."""
+    key, attempt = one
+    known, message, log = json.loads(attempt.inputs), "", list[str]()
+    if ledger is not None:
         details = ledger.details([attempt.number])[attempt.number]
+        message = next(iter(details.message.splitlines()), "")
         log = [line.rstrip() for line in details.log.splitlines() if line.strip()][-LOG_LINES:]
-        return self._shown(attempt, next(iter(details.message.splitlines()), ""), tuple(log))
+    inputs = {name: known[name] for name in plan.inputs}
+    return RunReported(key, inputs, attempt.seconds or 0.0, message, tuple(log))
 
-    def _pace(self) -> tuple[float | None, float | None]:
-        """Return the runs per minute of the last driver that finished any, and the seconds left at its pace."""
-        made = [
-            attempt
-            for run in self.runs
-            for attempt in run.attempts
-            if attempt.finished_at is not None and attempt.origin is None and attempt.kind != INTERRUPTED
-        ]
-        session = max((attempt.session for attempt in made), default=None)
-        rate = _per_minute([attempt for attempt in made if attempt.session == session])
-        left = self.plan.planned - len(self.ok) - len(self.failed)
-        at_work = self.driver is not None and self.driver.at_work and self.driver.session == session
-        return rate, 60.0 * left / rate if rate and at_work else None
+
+def _pace(runs: Sequence[Run], driver: Driver | None, left: int) -> tuple[float | None, float | None]:
+    """Return the runs per minute of the last driver that finished any, and the seconds left at its pace."""
+    made = [
+        attempt
+        for run in runs
+        for attempt in run.attempts
+        if attempt.finished_at is not None and attempt.origin is None and attempt.kind != INTERRUPTED
+    ]
+    session = max((attempt.session for attempt in made), default=None)
+    rate = _per_minute([attempt for attempt in made if attempt.session == session])
+    at_work = driver is not None and driver.at_work and driver.session == session
+    return rate, 60.0 * left / rate if rate and at_work else None
 
 
 def _per_minute(made: Sequence[Attempt]) -> float | None:
@@ -256,7 +246,3 @@ def _results(folder: Path, study_sha256: str) -> Results:
     if not summary:
         return "none"
     return "current" if summary.get("study_sha256") == study_sha256 else "outdated"
-
-
-def _seconds(attempt: Attempt) -> float:
-    return attempt.seconds or 0.0

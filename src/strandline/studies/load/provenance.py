@@ -1,8 +1,8 @@
 """Results must belong to the study.yaml in their folder, its observation and its runs."""
 
+import dataclasses
 import json
 import platform
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from hashlib import sha256
@@ -21,25 +21,19 @@ FREE = frozenset({"folder", "text", "settings", "executor", "reuse", "as_loaded"
 """Fields that change no result, and those that are compared separately."""
 
 
-def replaced(study: Study) -> Iterator[str]:
-    """Yield the names of the fields that differ from the study.yaml that `study` was loaded from."""
-    loaded = study.as_loaded
-    if loaded is None:
-        return
-    for name in vars(loaded):
-        if name not in FREE and not _same(getattr(study, name), getattr(loaded, name)):
-            yield name
-    now, then = (replace(one.settings, failures=FailurePolicy()) for one in (study, loaded))
-    yield from (f"settings.{name}" for name in vars(then) if not _same(getattr(now, name), getattr(then, name)))
-
-
 def require_its_own_text(study: Study) -> None:
     """Refuse a study that was changed after it was loaded: its results would not match its study.yaml.
 
     The executor, the policy for failed runs and the reused ledgers may be changed.
     """
-    changed = list(replaced(study))
-    if changed and study.as_loaded is not None and study.text == study.as_loaded.text:
+    loaded = study.as_loaded
+    if loaded is None or study.text != loaded.text:
+        return
+    fields = [field.name for field in dataclasses.fields(Study) if field.name not in FREE]
+    changed = [name for name in fields if not _same(getattr(study, name), getattr(loaded, name))]
+    now, then = (vars(replace(one.settings, failures=FailurePolicy())) for one in (study, loaded))
+    changed += [f"settings.{name}" for name in then if not _same(now[name], then[name])]
+    if changed:
         raise InvalidStudy(
             "the study was changed after it was loaded",
             value=", ".join(changed),
