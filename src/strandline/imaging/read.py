@@ -240,10 +240,8 @@ def intensity(
 ) -> tuple[Values, tuple[str, ...]]:
     """Return the intensity of each pixel, and sentences that say what was done.
 
-    Args:
-        raw: Numbers of the file, shape (row, column) or (row, column, channel).
-        how: How to read the picture; its channel and its scale count.
-        name: Name of the file in messages.
+    `raw`: numbers of the file, shape (row, column) or (row, column, channel). `how`: how to read the picture; its
+    channel and its scale count. `name`: name of the file in messages.
     """
     if raw.dtype.kind not in "fiub":
         raise refused(f"{name} holds no picture", f"numbers of the type {raw.dtype}", "real numbers")

@@ -143,9 +143,7 @@ def _once(rings: Int[np.ndarray, "face node"]) -> Bool[np.ndarray, " face"]:
 class Chain:
     """Nodes in their order along a polyline.
 
-    Args:
-        nodes: node numbers, each once.
-        closed: whether the last node is joined to the first.
+    `nodes`: node numbers, each once; `closed`: whether the last node is joined to the first.
     """
 
     nodes: Int[np.ndarray, " node"]

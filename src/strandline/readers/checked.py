@@ -43,11 +43,8 @@ def content_of(path: Path, expected: str) -> bytes:
 def keys_of(options: object, known: Collection[str], place: str, example: str) -> Mapping[str, Any]:
     """Return `options` if they are keys with values and all keys are known.
 
-    Args:
-        options: Options as a study file gives them.
-        known: Names of the options that exist.
-        place: Place of the options in the study file.
-        example: Example of correct options, for the message.
+    `options`: options as a study file gives them; `known`: names of the options that exist; `place`: place of the
+    options in the study file; `example`: example of correct options, for the message.
     """
     if not isinstance(options, Mapping):
         raise unfit(place, options, f"keys with values, e.g. {example}")

@@ -55,10 +55,8 @@ CLOSED |= {"Polygon": True, "MultiPolygon": True, "LineString": False, "MultiLin
 class TableRow:
     """A line of a table.
 
-    Args:
-        number: Number of the line in the file, from 1.
-        fields: Its fields, without blanks and quotes around them.
-        after_gap: Whether a blank line or a comment stands between it and the row before.
+    `number`: number of the line in the file, from 1; `fields`: its fields, without blanks and quotes around them;
+    `after_gap`: whether a blank line or a comment stands between it and the row before.
     """
 
     number: int

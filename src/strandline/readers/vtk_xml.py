@@ -54,8 +54,7 @@ POINT_LIKE = (0, 1, 2)
 class Allowance:
     """Number of bytes that the data of one file may still take.
 
-    Args:
-        packed: Size of the file.
+    `packed`: size of the file.
     """
 
     def __init__(self, packed: int) -> None:

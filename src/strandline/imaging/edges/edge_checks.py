@@ -149,10 +149,8 @@ class EdgeCheck:
 def edge_checks(points: int, errors: EdgeErrors, *, unit: float) -> tuple[EdgeCheck, ...]:
     """Return what the picture shows of an edge, each number with its limit.
 
-    Args:
-        points: Number of points that are left after trimming and exclusion.
-        errors: Errors of these points.
-        unit: Length of the smaller side of a pixel in the unit of the errors.
+    `points`: number of points that are left after trimming and exclusion; `errors`: errors of these points; `unit`:
+    length of the smaller side of a pixel in the unit of the errors.
     """
     blur, radius = errors.blur / unit, errors.radius / unit
     ratio, share = f"{errors.contrast_to_noise:.3g}", f"{100 * errors.limit_share:.1f} % of it"

@@ -31,12 +31,8 @@ _TOGETHER = 3.0
 class FittedSteps:
     """Fitted steps.
 
-    Args:
-        places: u₀ on each normal, shape (normal,).
-        low: Grey value before the step (u < u₀), shape (normal,).
-        high: Grey value after it, shape (normal,).
-        width: Blur w.
-        found: Normals with enough usable samples on both sides.
+    `places`: u₀ on each normal, shape (normal,); `low`: grey value before the step (u < u₀), shape (normal,); `high`:
+    grey value after it, shape (normal,); `width`: blur w; `found`: normals with enough usable samples on both sides.
     """
 
     places: PerNormal
@@ -94,9 +90,7 @@ class ErfStep:
 def fit_steps(strip: Strip, *, tolerance: float = 1e-5) -> FittedSteps:
     """Return the blurred steps that fit the strip best in the sense of least squares.
 
-    Args:
-        strip: The samples.
-        tolerance: Root mean square of the last change of u₀, and last change of w, in px.
+    `strip`: the samples; `tolerance`: root mean square of the last change of u₀, and last change of w, in px.
     """
     places, found = _first_places(strip)
     weights = strip.usable * found[:, None].astype(float)

@@ -17,10 +17,8 @@ FEWEST, MOST = 3, 20_000
 class FirstPath(NamedTuple):
     """A polyline near the edge, from which the search for the edge starts.
 
-    Args:
-        points: Pixel coordinates (x, y), in their order along the edge; y points down and the centre of the top left
-            pixel is (0, 0).
-        closed: Whether the last point is joined to the first.
+    `points`: pixel coordinates (x, y), in their order along the edge; y points down and the centre of the top left
+    pixel is (0, 0). `closed`: whether the last point is joined to the first.
     """
 
     points: Float[np.ndarray, "point 2"]

@@ -118,11 +118,8 @@ class MarkovPath:
 class _Speckle:
     """Relative residuals of a strip, I/m - 1.
 
-    Args:
-        variance: Their variance.
-        kappa: One over the number of samples that count as one.
-        area: Area that counts as one, px².
-        skewness: Their skewness.
+    `variance`: their variance; `kappa`: one over the number of samples that count as one; `area`: area that counts as
+    one, px²; `skewness`: their skewness.
     """
 
     variance: float
@@ -160,10 +157,8 @@ class _Speckle:
 class Walk:
     """The posterior of a random walk.
 
-    Args:
-        mean: Mean on each normal, shape (normal,).
-        sd: Standard deviation on each normal, shape (normal,).
-        draws: Paths drawn from it, shape (draw, normal).
+    `mean`: mean on each normal, shape (normal,); `sd`: standard deviation on each normal, shape (normal,); `draws`:
+    paths drawn from it, shape (draw, normal).
     """
 
     mean: PerNormal

@@ -31,10 +31,8 @@ def noise_covariance(
 ) -> Lags:
     """Return the autocovariance of the noise at lags (normals along the edge, samples across it), both from 0.
 
-    Args:
-        residuals: Residuals of a fit, 0 where not usable.
-        usable: Samples that count.
-        basis: Columns of the linearised fit on one normal: what it took out of the residuals.
+    `residuals`: residuals of a fit, 0 where not usable; `usable`: samples that count; `basis`: columns of the
+    linearised fit on one normal: what it took out of the residuals.
     """
     found = autocovariance(residuals, usable)
     remaining = np.eye(len(basis)) - basis @ np.linalg.pinv(basis)
@@ -50,10 +48,8 @@ def scatter_of(places: PerNormal, covariance: Lags, influence: PerPlace) -> Scat
 
     One carries the noise through the linearised fit, the other is the roughness of the edge.
 
-    Args:
-        places: Distances of the points from a smooth course; NaN where the edge was not found.
-        covariance: Autocovariance of the noise.
-        influence: Change of a point per unit of noise in each sample of its normal.
+    `places`: distances of the points from a smooth course; NaN where the edge was not found. `covariance`:
+    autocovariance of the noise. `influence`: change of a point per unit of noise in each sample of its normal.
     """
     lags = np.abs(np.subtract.outer(np.arange(len(influence)), np.arange(len(influence))))
     padded = np.zeros((len(covariance), len(influence)))
@@ -69,9 +65,8 @@ def scatter_of(places: PerNormal, covariance: Lags, influence: PerPlace) -> Scat
 def roughness(places: PerNormal, shares: Float[np.ndarray, " along"]) -> float:
     """Return the standard deviation of points about a smooth line through them, corrected for what that line follows.
 
-    Args:
-        places: Distances of the points from a smooth course; NaN where the edge was not found.
-        shares: Autocorrelation of their errors along the edge, from lag 0.
+    `places`: distances of the points from a smooth course; NaN where the edge was not found. `shares`: autocorrelation
+    of their errors along the edge, from lag 0.
     """
     known = np.isfinite(places)
     if known.sum() < 3:

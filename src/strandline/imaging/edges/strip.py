@@ -33,9 +33,7 @@ this slack."""
 class SmoothPath:
     """A smooth path, its points about one pixel apart.
 
-    Args:
-        points: Points (x, y), shape (point, 2).
-        closed: Whether the last point is followed by the first.
+    `points`: points (x, y), shape (point, 2); `closed`: whether the last point is followed by the first.
     """
 
     points: PathPoints
@@ -92,10 +90,8 @@ def course_through(points: PathPoints, *, closed: bool, sigma: float) -> SmoothP
 
     Between two of them both coordinates are monotone: the path does not bulge.
 
-    Args:
-        points: Points (x, y), at least two that differ; consecutive equal ones count once.
-        closed: Whether the path returns to its first point.
-        sigma: Standard deviation of the Gaussian along the path that smooths it.
+    `points`: points (x, y), at least two that differ; consecutive equal ones count once. `closed`: whether the path
+    returns to its first point. `sigma`: standard deviation of the Gaussian along the path that smooths it.
     """
     around = np.concatenate([points[-3:], points, points[:3]]) if closed else points
     steps = np.linalg.norm(np.diff(around, axis=0), axis=1)
@@ -148,10 +144,8 @@ def _slope(values: PathPoints, closed: bool) -> PathPoints:
 class GreyValues:
     """Grey values, and which of them count.
 
-    Args:
-        values: Grey values [row, column].
-        usable: Pixels that are finite numbers and not excluded, same shape.
-        pixel: Width and height of a pixel, in any unit of length.
+    `values`: grey values [row, column]; `usable`: pixels that are finite numbers and not excluded, same shape; `pixel`:
+    width and height of a pixel, in any unit of length.
     """
 
     values: Float[np.ndarray, "row column"]
@@ -203,10 +197,8 @@ def grey_values(
 ) -> GreyValues:
     """Return grey values with the pixels that count.
 
-    Args:
-        values: Grey values [row, column]; those that are not finite do not count.
-        pixel: Width and height of a pixel, in any unit.
-        exclude: Polygons in pixel coordinates; pixels whose centres they contain do not count.
+    `values`: grey values [row, column]; those that are not finite do not count. `pixel`: width and height of a pixel,
+    in any unit. `exclude`: polygons in pixel coordinates; pixels whose centres they contain do not count.
     """
     values = np.asarray(values)
     if values.ndim != 2 or not (np.issubdtype(values.dtype, np.number) or values.dtype == bool):

@@ -24,11 +24,8 @@ _FEW = 0.2
 class EdgeTemplate:
     """A mean profile across an edge.
 
-    Args:
-        values: Mean grey value at each place.
-        places: Distances v from the edge, shape (place,), above 0 on the left.
-        left: Mean grey value on the left, 3 to 7 px away.
-        right: Mean grey value on the right.
+    `values`: mean grey value at each place; `places`: distances v from the edge, shape (place,), above 0 on the left;
+    `left`: mean grey value on the left, 3 to 7 px away; `right`: mean grey value on the right.
     """
 
     values: PerPlace

@@ -168,10 +168,8 @@ def require_whole_chain(file: Any) -> None:
 def require_parts(path: Path, page: Any, *, most: int = MOST_UNPACKED) -> None:
     """Refuse a page that lacks strips or tiles, which tifffile fills with 0, or that unpacks to much more than it is.
 
-    Args:
-        path: Path of the file.
-        page: Page that tifffile read.
-        most: Bytes to which each may unpack, if the page is not larger.
+    `path`: path of the file; `page`: page that tifffile read; `most`: bytes to which each may unpack, if the page is
+    not larger.
     """
     expected = math.prod(page.keyframe.chunked)
     found = sum(offset > 0 and count > 0 for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True))

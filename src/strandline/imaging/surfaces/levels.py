@@ -33,11 +33,8 @@ class Field:
 
     Lengths are in sides of a cube with a voxel's volume, so that a voxel need not be a cube.
 
-    Args:
-        values: Smoothed grey values, shape (z, row, column).
-        raw: Grey values as read, of the same shape.
-        stretch: Size of a voxel along x, y and z.
-        sigma: Standard deviation of the Gaussian that smoothed them.
+    `values`: smoothed grey values, shape (z, row, column); `raw`: grey values as read, of the same shape; `stretch`:
+    size of a voxel along x, y and z; `sigma`: standard deviation of the Gaussian that smoothed them.
     """
 
     values: Voxels

@@ -34,9 +34,8 @@ _THIN = 0.1
 class Mesh:
     """Triangles in space.
 
-    Args:
-        points: Corners (x, y, z), shape (point, 3).
-        cells: Numbers of the corners of each triangle, counter-clockwise seen from the tip of the normal.
+    `points`: corners (x, y, z), shape (point, 3); `cells`: numbers of the corners of each triangle, counter-clockwise
+    seen from the tip of the normal.
     """
 
     points: Points

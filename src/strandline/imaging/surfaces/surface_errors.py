@@ -66,10 +66,8 @@ class SurfaceErrors:
 class StackNoise:
     """Noise of a stack beside a surface.
 
-    Args:
-        sd: Standard deviation in the smoothed stack, in its grey values.
-        length: Correlation length ℓ there, in sides of a voxel, with 2πℓ² = ∬ρ along the surface.
-        voxel: Standard deviation of a voxel of the stack as it was read.
+    `sd`: standard deviation in the smoothed stack, in its grey values; `length`: correlation length ℓ there, in sides
+    of a voxel, with 2πℓ² = ∬ρ along the surface; `voxel`: standard deviation of a voxel of the stack as it was read.
     """
 
     sd: float
