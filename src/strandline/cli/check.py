@@ -136,12 +136,10 @@ def _lines(study: "Study", record: "RunRecord", log_likelihoods: Mapping[str, fl
     yield from first_run.noise_lines(study, record)
     for name, value in log_likelihoods.items():
         yield f"{name}: log-likelihood {value:.6g} there"
-    yield from first_run.known_lines(study)
     yield from first_run.displacement_lines(study, record)
     yield from first_run.mesh_lines(study, record)
     yield from cheaper_lines(study.model, record, attempted)
     yield from node_lines(study, record)
-    yield from first_run.batch_lines(study, record)
 
 
 def _widths(study: "Study", record: "RunRecord", *, asked: bool) -> Iterator[str]:

@@ -10,7 +10,6 @@ from strandline.foundations.doors import door
 if TYPE_CHECKING:
     from strandline.design.active import (
         KINDS,
-        SLOW_BATCH,
         Active,
         ActiveRuns,
         BatchCheck,
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
         Step,
         VarianceEffect,
         learn,
-        seconds_of_a_batch,
         simulator_noise,
         training_of,
     )

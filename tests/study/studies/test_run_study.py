@@ -14,12 +14,10 @@ from tests.unit.cli.command_line import contents
 from strandline import __version__
 from strandline.cli import main
 from strandline.foundations import InvalidInput, InvalidStudy, NumericsError, ResultsNotWritten
-from strandline.interface import GaussianNoise
 from strandline.posterior import read
 from strandline.posterior.sensitivity import SobolIndices
 from strandline.runs import InProcess
 from strandline.studies import load_study, run_study
-from strandline.studies.foresight.first_run import known_lines
 from strandline.studies.load.progress import progress_of
 from strandline.studies.load.provenance import observation_digest, results_at_hand
 from strandline.studies.run.run import Results, submit_study
@@ -65,12 +63,6 @@ def test_the_posterior_is_that_of_the_model_itself(beam):
         assert abs(found["mean"] - mean) < 0.2 * sd
         assert abs(found["sd"] / sd - 1) < 0.15
     assert beam.outcome.summary["log_evidence"] == pytest.approx(evidence, abs=0.3)
-    values = next(iter(beam.outcome.calibration.log_likelihoods.values()))
-    low, high, middle = (f"{value:.4g}" for value in (values.min(), values.max(), np.median(values)))
-    told = f"log-likelihood over the box: from {low} to {high}, median {middle}, by 64 known runs"
-    assert list(known_lines(beam.study)) == [told]
-    (_, warning) = known_lines(replace(beam.study, noise=GaussianNoise(1e3)))
-    assert warning.startswith("warning: the data tell nothing: the log-likelihoods of 64 runs differ by at most ")
 
 
 def test_sensitivities_of_each_input_are_told(beam):

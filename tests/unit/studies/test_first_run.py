@@ -64,7 +64,7 @@ def told(study, simulator=beam):
     record = attempt(simulator, RunRequest("key", TRUTH), Path())
     study = first_run.facing(replace(study, model=simulator), record)
     first_run.require_same_size(study, record)
-    parts = (first_run.shape_lines, first_run.displacement_lines, first_run.mesh_lines, first_run.batch_lines)
+    parts = (first_run.shape_lines, first_run.displacement_lines, first_run.mesh_lines)
     return "\n".join([*first_run.turned_lines(study), *(line for lines in parts for line in lines(study, record))])
 
 

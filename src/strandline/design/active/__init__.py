@@ -5,14 +5,13 @@ from strandline.design.active.campaign import ActiveRuns, BatchReport, Certifica
 from strandline.design.active.checking import BatchCheck
 from strandline.design.active.choice import CRITERIA, Criterion
 from strandline.design.active.posterior_check import SimulatorNoise, simulator_noise
-from strandline.design.active.sampling import SLOW_BATCH, posterior_state, seconds_of_a_batch
+from strandline.design.active.sampling import posterior_state
 from strandline.design.active.settings import Active
 from strandline.design.active.state import Knowledge, State, learn, training_of
 
 __all__ = [
     "CRITERIA",
     "KINDS",
-    "SLOW_BATCH",
     "Active",
     "ActiveDesign",
     "ActiveRuns",
@@ -29,7 +28,6 @@ __all__ = [
     "VarianceEffect",
     "learn",
     "posterior_state",
-    "seconds_of_a_batch",
     "simulator_noise",
     "training_of",
 ]

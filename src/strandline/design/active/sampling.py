@@ -1,4 +1,4 @@
-"""The posterior that follows from what is known, as particles, and what comparing their interfaces costs.
+"""The posterior that follows from what is known, as particles.
 
 From one batch to the next the posterior moves little, so its particles are reweighted, resampled and moved: a tenth of
 the evaluations of sampling from the prior. Particles that start from the last posterior cannot see a mode that has
@@ -7,8 +7,7 @@ the prior. A likelihood that is quick near the best fit, if there is one, leads 
 particles go on to that of the measure in the same way.
 """
 
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import jax
 import numpy as np
@@ -17,10 +16,7 @@ from scipy.special import log_softmax, logsumexp
 
 from strandline.design.active.state import Knowledge, State
 from strandline.design.refinement import SAMPLING
-from strandline.discrepancy import Discrepancy, WhitenedOffset, squared_discrepancies
 from strandline.foundations import one_thread
-from strandline.interface import Interface, Observation
-from strandline.likelihood import DRAWS, compared, follows_offsets, noise_length
 from strandline.parameters import ParameterSpace
 from strandline.smc import OnHost, SMCResult, SMCSettings, StepInfo, carried_over, sample
 
@@ -34,20 +30,6 @@ TEMPERATURE = 0.5
 """γ of the sampled π_γ ∝ L^γ p; its particles are reweighted to the posterior, and runs are chosen from them."""
 STREAM = 4
 """Keeps the random numbers of the active design apart from all others of the same seed."""
-SLOW_BATCH = 30.0
-"""Seconds from which a batch counts as slow."""
-TEMPERING_STEPS = 20
-"""Tempering steps from the prior to a much narrower posterior: 21 for a drop with five inputs."""
-FROM_THE_PRIOR = 1 + TEMPERING_STEPS * SAMPLING.rejuvenation_steps + DRAWS
-"""Comparisons of each particle that is sampled from the prior."""
-NEARBY = 2 + SAMPLING.rejuvenation_steps
-"""Comparisons of each particle that a likelihood nearby has led to the posterior."""
-TRIED = 32, 1024
-"""Interfaces compared to measure the cost of one; the larger number if the smaller takes less than `QUICK`."""
-QUICK = 0.2
-REPEATS = 3
-"""The fastest comparison counts, because other work on the machine slows comparisons down."""
-Clocks = tuple[Callable[[], float], ...]
 
 
 def posterior_state(
@@ -121,53 +103,3 @@ def _state(knowledge: Knowledge, found: SMCResult) -> State:
         log_plug_in=exact,
         log_evidence_tempered=found.log_evidence,
     )
-
-
-def seconds_of_a_batch(
-    observations: tuple[Observation, ...],
-    discrepancy: Discrepancy,
-    simulated: Mapping[str, Interface],
-    dim: int,
-    *,
-    clocks: Clocks = (time.perf_counter, time.process_time),
-) -> float:
-    """Return the seconds that comparing interfaces takes in the choice of one batch, estimated by a trial.
-
-    Of several clocks, the one counts by which a comparison takes least.
-    """
-    total = 0.0
-    for seen in observations:
-        template = simulated[seen.condition]
-        measure, width = compared(seen, discrepancy, len(template.points)).measure, noise_length(seen, discrepancy)
-        each = _seconds_of_one(seen, measure, template, width, clocks)
-        nearby = seen.interface.dim == 2 and (
-            isinstance(measure, WhitenedOffset) or follows_offsets(measure, seen, len(template.points))
-        )
-        total += each * (NEARBY if nearby else FROM_THE_PRIOR)
-    return total * PARTICLES.get(dim, MANY_INPUTS_PARTICLES)
-
-
-def _seconds_of_one(
-    seen: Observation, measure: Discrepancy, simulated: Interface, width: float, clocks: Clocks
-) -> float:
-    """Return the seconds per comparison in a batch of interfaces that are at most `width`, mm, apart."""
-    for number in TRIED:
-        points = simulated.points + width * np.linspace(-1.0, 1.0, number)[:, None, None]
-        squared_discrepancies(measure, points, simulated, seen.interface)  # compiles, and fills caches
-        seconds = min(_seconds(seen, measure, simulated, points, clocks) for _ in range(REPEATS))
-        if seconds > QUICK:
-            break
-    return seconds / number
-
-
-def _seconds(
-    seen: Observation,
-    discrepancy: Discrepancy,
-    simulated: Interface,
-    points: Float[np.ndarray, "run point xyz"],
-    clocks: Clocks,
-) -> float:
-    """Return the seconds to compare all interfaces once: wall-clock time, or processor time if that is less."""
-    begun = [clock() for clock in clocks]
-    squared_discrepancies(discrepancy, points, simulated, seen.interface)
-    return min(clock() - start for clock, start in zip(clocks, begun, strict=True))

@@ -2,17 +2,15 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
-from strandline.design import SLOW_BATCH, seconds_of_a_batch
 from strandline.discrepancy import Discrepancy, apart, axes_mistake, extent, oriented_like_runs, squared_distances
 from strandline.foundations import ForwardModelError, InvalidInput, InvalidStudy, NumericsError
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
-from strandline.likelihood import InterfaceLikelihood, compared, noise_length, sd_of_distances
+from strandline.likelihood import compared, noise_length, sd_of_distances
 from strandline.models import SolvesOnFinerMesh, undeformed_interface
 from strandline.runs import RunRecord
 from strandline.studies.load.observed import noisy, require_plausible
@@ -26,10 +24,6 @@ SEEN_PART = 0.2
 """The same share for the ends of the model's interface: an observed one may be shorter."""
 MESH_SHARE = 0.1
 """Share of the noise above which the difference to the next finer mesh is worth a warning."""
-MOST_KNOWN = 200
-"""Known runs whose log-likelihood is computed."""
-ENOUGH_KNOWN, ALIKE = 10, 0.5
-"""Number of known runs whose log-likelihoods, if they differ by less than this, show that the data tell nothing."""
 
 
 @dataclass(frozen=True)
@@ -257,37 +251,6 @@ def noise_lines(study: Study, record: RunRecord) -> Iterator[str]:
             )
 
 
-def known_lines(study: Study) -> Iterator[str]:
-    """Yield a line on the log-likelihoods of the runs in the ledger, and a warning if all are alike."""
-    observed = observations_of(study)
-    if not observed or not study.ledger_path.is_file():
-        return
-    truth = None if study.truth is None else study.runs.key(study.truth)
-    with study.runs.reading() as ledger:
-        latest = ledger.latest([key for key in study.runs.needed_keys if key != truth])
-    known = [latest[key] for key in sorted(latest) if latest[key].ok]
-    chosen = known[:: max(1, -(-len(known) // MOST_KNOWN))]
-    if not chosen:
-        return
-    likelihood, found = InterfaceLikelihood(study.observations(observed), study.measure), list[float]()
-    for record in chosen:
-        with suppress(InvalidInput, NumericsError):  # the measure may refuse an interface
-            found.append(likelihood(record.interfaces))
-    if not found:
-        return
-    values = np.array(found)
-    of = f" {len(values)} of" if len(values) < len(known) else ""
-    yield (
-        f"log-likelihood over the box: from {values.min():.4g} to {values.max():.4g}, median {np.median(values):.4g}, "
-        f"by{of} {len(known)} known runs"
-    )
-    if len(values) >= ENOUGH_KNOWN and np.ptp(values) < ALIKE:
-        yield (
-            f"warning: the data tell nothing: the log-likelihoods of {len(values)} runs differ by at most "
-            f"{np.ptp(values):.2g}; check the noise and its unit"
-        )
-
-
 def mesh_lines(study: Study, record: RunRecord) -> Iterator[str]:
     """Yield how far the run's interfaces move on the next finer mesh, if the model offers one.
 
@@ -310,25 +273,6 @@ def mesh_lines(study: Study, record: RunRecord) -> Iterator[str]:
                 f"warning{of}: the mesh is too coarse for this noise; take a finer one, such as `mesh: default`, "
                 "or state a larger noise"
             )
-
-
-def batch_lines(study: Study, record: RunRecord) -> Iterator[str]:
-    """Yield a warning if choosing each batch of an active design would take long, and how to shorten it."""
-    if study.settings.active is None:
-        return
-    observed = dict(observations_of(study)) or dict(record.interfaces)
-    observations = study.observations(observed)
-    try:
-        seconds = seconds_of_a_batch(observations, study.measure, record.interfaces, study.space.dim)
-    except (InvalidInput, NumericsError):
-        return  # what the measure refuses is reported elsewhere
-    if seconds > SLOW_BATCH:
-        number = max(len(seen.points) for seen in observed.values())
-        every = math.ceil(seconds / SLOW_BATCH)
-        yield (
-            f"warning: choosing a batch takes about {seconds:.0f} s, to compare interfaces with {number} observed "
-            f"points; to shorten it, keep one in {every} of them, or let the simulator return fewer nodes"
-        )
 
 
 def _length(mm: float) -> str:

@@ -10,7 +10,7 @@ from tests.unit.design.active import fakes
 from tests.unit.design.active.fakes import MEAN, SPACE, FakeLearner, even, honest, kinds, record
 
 import strandline as sl
-from strandline.design.active import Active, ActiveDesign, ActiveRuns, Batch, sampling, seconds_of_a_batch
+from strandline.design.active import Active, ActiveDesign, ActiveRuns, Batch
 from strandline.design.active import campaign as module
 from strandline.design.active.active_design import Step
 from strandline.design.active.campaign import BatchReport, Certificate, report_batch
@@ -22,7 +22,6 @@ from strandline.models.fidelities import by_cheaper
 from strandline.runs import FailurePolicy
 
 FIRST = even(12)
-EVALUATIONS = 1200 * (1 + 20 * 10 + 16)  # of a design with five inputs
 
 
 def named(x):
@@ -146,30 +145,3 @@ def test_the_line_after_each_batch():
     report = BatchReport(2, ("a 1 ± 1",) * 5, 0.1, "batch", "why", "it errs")
     assert report.line.startswith("batch 2: a 1 ± 1, a 1 ± 1, a 1 ± 1, …, moved 0.10 sd")
     assert report.line.endswith("; check: why; the cheaper model is no longer used: it errs; next: a batch")
-
-
-def estimated(*names, faster=(1.0,)):
-    """Return the estimated seconds of a batch, for a comparison of a millisecond; other clocks go faster."""
-    now = [0.0]
-
-    def measure(simulated, observed):
-        now[0] += 1e-3
-        return float(np.sum((simulated.points - observed.points) ** 2))
-
-    line = sl.Interface.polyline(np.stack([np.arange(3.0), np.zeros(3)], axis=1))
-    clocks = tuple(lambda by=by: by * now[0] for by in faster)
-    seen = tuple(sl.Observation(line, 1e-4, name) for name in names)
-    return seconds_of_a_batch(seen, measure, dict.fromkeys(names, line), 5, clocks=clocks)
-
-
-def test_other_work_on_the_machine_does_not_count(monkeypatch):
-    """Wall-clock time goes ten times as fast as the processor's, or threads of the measure use ten processors.
-
-    All comparisons of all conditions count, by the fastest of three trials, each of 32 interfaces.
-    """
-    assert estimated("a", "b") == pytest.approx(2e-3 * EVALUATIONS)
-    for faster in [(10.0, 1.0), (1.0, 10.0)]:
-        assert estimated("", faster=faster) == pytest.approx(1e-3 * EVALUATIONS)
-    seconds = iter([5.0, 3.2, 4.0])
-    monkeypatch.setattr(sampling, "_seconds", lambda *given: next(seconds))
-    assert estimated("") == pytest.approx(0.1 * EVALUATIONS)
