@@ -1,4 +1,4 @@
-"""The widths that the posterior will have, from the slopes of the interface at one point, also during a campaign."""
+"""The widths that the posterior will have, from the slopes of the interface at one point."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -7,15 +7,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibration import Observer, footprint
+from strandline.calibration import footprint
 from strandline.discrepancy import Discrepancy, NormalOffset, signed_distances, squared_discrepancies
 from strandline.foundations import InvalidInput, NumericsError
 from strandline.interface import Interface, Observation, UnknownErrors
 from strandline.likelihood import JointErrors, compared, differences, noise_length, second_differences, shared_errors
-from strandline.models import WithCheaper, is_cheaper
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior
-from strandline.runs import Progress, RunRecord
+from strandline.runs import RunRecord
 from strandline.studies.load.study import Study
 from strandline.surrogate import FieldTraining, fit_field
 
@@ -157,28 +156,8 @@ def _prior_sd(space: ParameterSpace) -> Float[np.ndarray, " dim"]:
     return np.asarray(0.5 * (high - low))
 
 
-RUNS_PER_INPUT = 4
-"""Successful runs for each input, and for the mean, from which slopes are estimated."""
 SURROGATE_STEP = 1e-3
 """Step of the differences, in widths of the box."""
-
-
-def noting_widths(observer: Observer, study: Study) -> Observer:
-    """Return an observer that also notes the expected widths, once: after the first runs, without any of its own."""
-    first: list[RunRecord] = []
-    needed = 1 if study.sensitivities else RUNS_PER_INPUT * (study.space.dim + 1)
-
-    def run(record: RunRecord, progress: Progress) -> None:
-        """Report a run, and after enough runs the widths."""
-        observer.run(record, progress)
-        by_one = not isinstance(study.model, WithCheaper) or is_cheaper(record.inputs)
-        if record.ok and by_one and len(first) < needed:
-            first.append(record)
-            if len(first) == needed:
-                for line in _early_lines(study, first):
-                    observer.note(line)
-
-    return replace(observer, run=run)
 
 
 def predicted_at(
@@ -199,25 +178,6 @@ def predicted_at(
     ahead, back = (field.points(field.mean(at + np.diag(one))) for one in (steps, -steps))
     slopes = {name: np.moveaxis(ahead[name] - back[name], 0, -1) / (2 * steps) for name in ahead}
     return field.interfaces(at), slopes
-
-
-def _early_lines(study: Study, records: Sequence[RunRecord]) -> list[str]:
-    names, seen = study.space.names, study.observed or records[0].interfaces
-    if any(isinstance(study.noise_of(condition), UnknownErrors) for condition in seen):
-        return []
-    x = np.array([[record.inputs[name] for name in names] for record in records], float)
-    middle = records[int(np.argmin((((x - x.mean(axis=0)) / np.maximum(x.std(axis=0), 1e-300)) ** 2).sum(axis=1)))]
-    slopes, interfaces, source = slopes_by_sensitivities(middle, names), middle.interfaces, "the sensitivities of a run"
-    if slopes is None:
-        found = predicted_at(records, study.space, np.array([middle.inputs[name] for name in names], float))
-        if found is None:
-            return []
-        (interfaces, slopes), source = found, f"the first {len(records)} runs"
-    source += f", for {', '.join(f'{name} = {middle.inputs[name]:.3g}' for name in names)}; elsewhere it differs"
-    try:
-        return list(width_lines(study, expected_sd(study, interfaces, slopes, study.observed), source))
-    except (InvalidInput, NumericsError):
-        return []  # what the measure refuses is reported elsewhere
 
 
 NEAREST = 8

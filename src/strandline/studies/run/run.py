@@ -21,7 +21,6 @@ from strandline.report import FIGURES, nearest_runs, nothing_near, of_other_page
 from strandline.runs import Executor, FailurePolicy, Ledger, Progress, RunRecord, run_campaign
 from strandline.studies.foresight.check import read_check
 from strandline.studies.foresight.first_run import require_ok, require_same_axes, require_same_size
-from strandline.studies.foresight.widths import noting_widths
 from strandline.studies.keys.folder import POSTERIOR, REPORT, SUMMARY, require_writable
 from strandline.studies.load.observed import noisy
 from strandline.studies.load.provenance import require_its_own_text
@@ -88,7 +87,7 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
                 study.settings,
                 ledger=ledger,
                 executor=executor,
-                observer=_noting_rounds(_checking_sizes(noting_widths(told, study), study), study, ledger),
+                observer=_noting_rounds(_checking_sizes(told, study), study, ledger),
                 given=given,
             )
         if study.settings.active is not None:
