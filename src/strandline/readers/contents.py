@@ -25,25 +25,22 @@ class Unreadable(InvalidInput):
     """
 
     def __init__(
-        self, what: str, *, value: object, expected: str, remedy: str, kind: str = "result_unreadable"
+        self,
+        what: str,
+        value: object,
+        expected: str,
+        remedy: str = "Correct the name of the file in study.yaml, or the file.",
+        *,
+        kind: str = "result_unreadable",
     ) -> None:
         self.kind = kind
         super().__init__(what, value=value, expected=expected, remedy=remedy)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return partial(refused, kind=self.kind), (self.what, self.value, self.expected, self.remedy)
+        return partial(Unreadable, kind=self.kind), (self.what, self.value, self.expected, self.remedy)
 
 
-def refused(
-    what: str,
-    value: object,
-    expected: str,
-    remedy: str = "Correct the name of the file in study.yaml, or the file.",
-    *,
-    kind: str = "result_unreadable",
-) -> Unreadable:
-    """Return the error for a file that cannot be used."""
-    return Unreadable(what, value=value, expected=expected, remedy=remedy, kind=kind)
+refused = Unreadable
 
 
 @contextmanager

@@ -89,13 +89,8 @@ def read_interface(path: Path, how: Reading, *, name: str = "", ended: bool = Fa
     except Unreadable:
         raise
     except InvalidInput as error:
-        raise Unreadable(
-            f"{name}: {error.what}",
-            value=error.value,
-            expected=error.expected,
-            remedy=error.remedy,
-            kind="invalid_interface",
-        ) from None
+        what = f"{name}: {error.what}"
+        raise refused(what, error.value, error.expected, error.remedy, kind="invalid_interface") from None
 
 
 def read_point_sds(path: Path, how: Reading, *, name: str = "") -> Float[np.ndarray, " point"]:
