@@ -93,10 +93,6 @@ def _require_sound(values: Float[np.ndarray, "..."], sizes: tuple[float, ...], n
         )
 
 
-def _nothing() -> None:
-    return
-
-
 @dataclass(frozen=True, eq=False)
 class PictureFile:
     """A picture file that is open.
@@ -116,7 +112,7 @@ class PictureFile:
     axes: tuple[tuple[str, int], ...] = ()
     size: PixelSize | None = None
     notes: tuple[str, ...] = ()
-    close: Callable[[], None] = _nothing
+    close: Callable[[], object] = lambda: None
 
     @property
     def frames(self) -> int:

@@ -147,9 +147,10 @@ def read_frames(paths: Paths, how: PictureReading) -> Iterator[Picture]:
             digest = checksum([path])
             size = agreed(how.pixel, file.size, path.name)
             numbers = range(file.frames) if how.average else (_page(file, how, path.name),)
+            who = "the default" if how.page is None else "from the study"
             for k in numbers:
                 values, notes = intensity(loaded(file, k, path.name), how, path.name)
-                frame = (_frame_note(k, file, how),) if file.frames > 1 and not how.average else ()
+                frame = [f"frame {k} of {file.frames}{_layers(file)}, {who}"] if len(numbers) < file.frames else []
                 said = (*_size_notes(size, how.index), *file.notes, *frame, *notes)
                 yield Picture(values, (size.x, size.y / (how.index or 1.0)), path.name, digest, said)
 
@@ -212,10 +213,6 @@ def _page(file: PictureFile, how: PictureReading, name: str) -> int:
         raise refused(f"{name} has no such page", page, "0: it has a single one", "Leave `page` out.")
     expected = f"a page from 0 to {file.frames - 1}{_layers(file)}"
     raise refused(f"{name} has no such page", page, expected, "Correct `page`.")
-
-
-def _frame_note(k: int, file: PictureFile, how: PictureReading) -> str:
-    return f"frame {k} of {file.frames}{_layers(file)}, {'the default' if how.page is None else 'from the study'}"
 
 
 def _layers(file: PictureFile) -> str:

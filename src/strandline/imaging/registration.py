@@ -99,15 +99,11 @@ def registered(
     fit = _Fit(inside, stretch)
     for blur in BLURS:
         across = tuple(blur / stretch[::-1])
-        blurred = (gaussian_filter(np.nan_to_num(one), across, mode="nearest") for one in (first, second))
-        fit.improve(*(_levelled(one) if speckle else one for one in blurred))
+        blurred = [gaussian_filter(np.nan_to_num(one), across, mode="nearest") for one in (first, second)]
+        if speckle:  # a logarithm is as uncertain where it is bright as where it is dark
+            blurred = [np.log(np.maximum(one, LEAST * float(np.median(one)))) for one in blurred]
+        fit.improve(*blurred)
     return fit.result()
-
-
-def _levelled(intensity: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "row column"]:
-    """Return the logarithm of an intensity, as uncertain where it is bright as where it is dark."""
-    least = LEAST * float(np.median(intensity))
-    return np.asarray(np.log(np.maximum(intensity, least)))
 
 
 def _positive(information: Float[np.ndarray, "3 3"], prior: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:

@@ -143,9 +143,10 @@ def _located(
         located = way.locate(picture, course, clear if exclude else None)
         course = _put_right(replace(located, found=located.found & clear))
     require_room(course)
-    counted = _clear(picture, course, exclude) & _not_trimmed(course, trim)
+    share, clear = course.arc / course.arc[-1], _clear(picture, course, exclude)
+    counted = clear & ((share >= trim) & (share <= 1 - trim) | course.closed)
     located = way.locate(picture, course, counted)
-    return replace(located, found=located.found & _clear(picture, course, exclude)), counted
+    return replace(located, found=located.found & clear), counted
 
 
 def _oriented(picture: GreyValues, course: SmoothPath, solid: str) -> SmoothPath:
@@ -166,11 +167,6 @@ def _clear(picture: GreyValues, course: SmoothPath, exclude: Sequence[np.ndarray
         for polygon in exclude:
             clear &= ~inside_polygon(beside, np.asarray(polygon, float))
     return np.asarray(clear)
-
-
-def _not_trimmed(course: SmoothPath, trim: float) -> Bool[np.ndarray, " normal"]:
-    share = course.arc / course.arc[-1]
-    return np.asarray((share >= trim) & (share <= 1 - trim)) if not course.closed else np.ones(len(share), bool)
 
 
 def _put_right(located: Located) -> SmoothPath:

@@ -37,9 +37,8 @@ def noise_covariance(
     found = autocovariance(residuals, usable)
     remaining = np.eye(len(basis)) - basis @ np.linalg.pinv(basis)
     lags = min(_ACROSS, len(basis) - 1) + 1
-    response = np.stack(
-        [_diagonals(remaining @ toeplitz(one) @ remaining.T)[:lags] for one in np.eye(len(basis))[:lags]]
-    )
+    seen = [remaining @ toeplitz(one) @ remaining.T for one in np.eye(len(basis))[:lags]]
+    response = np.array([[np.trace(one, k) / (len(basis) - k) for k in range(lags)] for one in seen])
     return np.asarray(np.linalg.lstsq(response.T, found[:, :lags].T, rcond=1e-3)[0].T)
 
 
@@ -107,7 +106,3 @@ def autocovariance(residuals: Samples, usable: Bool[np.ndarray, "normal place"])
     total = sums[:along, :across] + sums[:along, mirrored]
     number = counts[:along, :across] + counts[:along, mirrored]
     return np.asarray(total / np.maximum(number, 1.0))
-
-
-def _diagonals(matrix: Float[np.ndarray, "place place"]) -> PerPlace:
-    return np.array([np.trace(matrix, k) / (len(matrix) - k) for k in range(len(matrix))])

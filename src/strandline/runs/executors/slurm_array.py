@@ -25,6 +25,7 @@ UNUSABLE = "model_not_loaded"
 LOOKS_FOR_A_LATE_RESULT = 4
 """Number of checks of a job that ended without a result, which may still be on its way through a file system."""
 WARNING_SECONDS = 45
+"""How long before the end of its walltime a job is warned, if that is at most a tenth of the walltime."""
 GOING = frozenset({"PENDING", "RUNNING", "CONFIGURING", "COMPLETING", "SUSPENDED", "STAGE_OUT", "SIGNALING", "STOPPED"})
 ENDINGS: Mapping[str, tuple[State, str]] = {
     "TIMEOUT": ("timeout", "walltime"),
@@ -124,12 +125,9 @@ class SlurmArray:
         }
         limit = "" if self.max_running is None else f"%{self.max_running}"
         # The campaign, which counts attempts, tries a run again; SLURM, which does not count them, must not.
-        fixed = [f"--array=0-{number - 1}{limit}", "--no-requeue", f"--signal=B:USR1@{self._warning()}"]
+        warning = int(min(WARNING_SECONDS, shared.walltime_seconds(self.walltime or "1-0") / 10))
+        fixed = [f"--array=0-{number - 1}{limit}", "--no-requeue", f"--signal=B:USR1@{warning}"]
         return [*fixed, *(f"--{name}={value}" for name, value in given.items() if value is not None), *self.extra]
-
-    def _warning(self) -> int:
-        """Return how many seconds before the end of its walltime a job is warned: at most a tenth of the walltime."""
-        return int(min(WARNING_SECONDS, shared.walltime_seconds(self.walltime or "1-0") / 10))
 
     def _known(self, model: ForwardModel) -> dict[str, tuple[ArrayBatch, int]]:
         """Return batch and number of each run that was submitted and not collected; the latest batch counts."""

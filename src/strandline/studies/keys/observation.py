@@ -191,14 +191,10 @@ def _conditions(value: list[ConditionFile]) -> list[ConditionFile]:
     return value
 
 
-def _branch(value: Any) -> str:
-    return SEVERAL if isinstance(value, list) else ONE
-
-
 Observed = Annotated[
     Annotated[ObservationFile, Tag(ONE)]
     | Annotated[list[ConditionFile], Field(min_length=1), AfterValidator(_conditions), Tag(SEVERAL)],
-    Discriminator(_branch),
+    Discriminator(lambda value: SEVERAL if isinstance(value, list) else ONE),
 ]
 
 
