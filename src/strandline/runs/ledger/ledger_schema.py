@@ -298,18 +298,7 @@ def copied(connection: sqlite3.Connection, target: Path) -> None:
             (found,) = copy.execute("PRAGMA quick_check(1)").fetchone()
         if found != "ok":
             raise sqlite3.DatabaseError(found)
-        _given_its_name(partial, target)
+        target.touch(exist_ok=False)
+        partial.replace(target)
     finally:
         partial.unlink(missing_ok=True)
-
-
-def _given_its_name(partial: Path, target: Path) -> None:
-    """Give the finished copy its name without overwriting a file; some disks have no hard links."""
-    try:
-        os.link(partial, target)
-    except FileExistsError:
-        raise
-    except (OSError, AttributeError):
-        if target.exists():
-            raise FileExistsError(f"{target} exists") from None
-        partial.rename(target)
