@@ -17,21 +17,7 @@ from typing import Any, ClassVar, Literal
 
 from strandline.foundations import ForwardModelError, end_of, how_it_ended
 from strandline.models import refused
-from strandline.models.command.options import (
-    InputTemplate,
-    LogText,
-    SourceFile,
-    commands_of,
-    declared_by,
-    environment_of,
-    exit_codes_of,
-    file_in,
-    kept_folder,
-    named_by,
-    read_result,
-    readings_of,
-    relative_name,
-)
+from strandline.models.command import options
 from strandline.models.protocol import ModelInput, Simulation
 from strandline.readers import Reading
 
@@ -114,11 +100,11 @@ class CommandModel:
     timeout: float | None = None
     grace: float = 5.0
     exit_codes: Any = field(default_factory=lambda: [0])
-    success: LogText | None = None
+    success: options.LogText | None = None
     errors: Mapping[str, str] = field(default_factory=dict)
     keep: Literal["all", "failed", "none"] = "failed"
     version: str = ""
-    inputs: tuple[ModelInput, ...] = field(default=(), metadata={"read": declared_by})
+    inputs: tuple[ModelInput, ...] = field(default=(), metadata={"read": options.declared_by})
     folder: Path = Path()
     failure_kinds: ClassVar[tuple[str, ...]] = KINDS
     _parts: "_Parts" = field(init=False, repr=False, compare=False)
@@ -197,16 +183,18 @@ class CommandModel:
                 self._require_success(ended, arguments[0])
             if self.success is not None:
                 self.success.require(workdir, workdir / LOG)
-            return Simulation({name: read_result(one, workdir, started) for name, one in parts.readings.items()})
+            return Simulation(
+                {name: options.read_result(one, workdir, started) for name, one in parts.readings.items()}
+            )
         except ForwardModelError as error:
             error.log = error.log or log
-            raise named_by(self.errors, workdir, error) from None
+            raise options.named_by(self.errors, workdir, error) from None
 
     def retain(self, workdir: Path, key: str, *, ok: bool) -> Path | None:
         """Keep the folder of the run `key` if `keep` asks for it and return its new path; else return None."""
         if self.keep == "none" or (self.keep == "failed" and ok):
             return None
-        return kept_folder(workdir, self.folder, key)
+        return options.kept_folder(workdir, self.folder, key)
 
     def _fill(self, workdir: Path, values: Mapping[str, Any]) -> None:
         for target, template in self._parts.templates:
@@ -249,10 +237,10 @@ class CommandModel:
 class _Parts:
     """The checked options and the text of the templates, so that later changes of the folder affect no campaign."""
 
-    templates: tuple[tuple[str, InputTemplate], ...]
-    files: tuple[SourceFile, ...]
-    commands: tuple[tuple[InputTemplate, ...], ...]
-    environment: Mapping[str, InputTemplate]
+    templates: tuple[tuple[str, options.InputTemplate], ...]
+    files: tuple[options.SourceFile, ...]
+    commands: tuple[tuple[options.InputTemplate, ...], ...]
+    environment: Mapping[str, options.InputTemplate]
     readings: Mapping[str, Reading]
     exit_codes: frozenset[int] | None
 
@@ -267,30 +255,30 @@ class _Parts:
             raise refused("errors", dict(model.errors), expected)
         if not isinstance(model.files, list | tuple):
             raise refused("files", model.files, "a list of names", "Write `files: [mesh.msh]`.")
-        targets = [relative_name(target, "templates") for target in model.templates.values()]
-        files = [SourceFile.of(model.folder, name, "files") for name in model.files]
-        _require_distinct([*targets, *(relative_name(file.name, "files") for file in files)])
+        targets = [options.relative_name(target, "templates") for target in model.templates.values()]
+        files = [options.SourceFile.of(model.folder, name, "files") for name in model.files]
+        _require_distinct([*targets, *(options.relative_name(file.name, "files") for file in files)])
         sources = [(_read(model.folder, name), target) for name, target in zip(model.templates, targets, strict=True)]
         return cls(
             templates=tuple((target, template) for template, target in sources),
             files=tuple(files),
-            commands=commands_of(model.command, model.post, shell=model.shell),
-            environment=environment_of(model.environment),
-            readings=readings_of(model.result, model.results),
-            exit_codes=exit_codes_of(model.exit_codes),
+            commands=options.commands_of(model.command, model.post, shell=model.shell),
+            environment=options.environment_of(model.environment),
+            readings=options.readings_of(model.result, model.results),
+            exit_codes=options.exit_codes_of(model.exit_codes),
         )
 
-    def every_template(self) -> Iterator[InputTemplate]:
+    def every_template(self) -> Iterator[options.InputTemplate]:
         """Yield all texts that may contain inputs."""
         yield from (template for _, template in self.templates)
         yield from (item for command in self.commands for item in command)
         yield from self.environment.values()
 
 
-def _read(folder: Path, name: str) -> InputTemplate:
-    path = file_in(folder, name, "templates")
+def _read(folder: Path, name: str) -> options.InputTemplate:
+    path = options.file_in(folder, name, "templates")
     try:
-        return InputTemplate(name, path.read_text(encoding="utf-8"))
+        return options.InputTemplate(name, path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise refused(f"the template {name} cannot be read", str(error), "a text file in UTF-8") from None
 

@@ -13,16 +13,9 @@ from strandline.studies.keys import StudyFile
 from strandline.studies.keys.folder import LEDGER
 from strandline.studies.keys.observation import COLUMN, IMAGE, ConditionNoise
 from strandline.studies.keys.parse import parse_study
+from strandline.studies.load import noise as noise_keys
 from strandline.studies.load.inputs import build_fixed, build_space, check_complete, read_candidates
 from strandline.studies.load.models import build_discrepancies, build_model, with_cheaper
-from strandline.studies.load.noise import (
-    build_noise,
-    require_fits,
-    require_inferable,
-    require_offset,
-    require_shared,
-    require_unit,
-)
 from strandline.studies.load.observed import Found, SyntheticNoise, read_observations, require_condition
 from strandline.studies.load.settings import build_executor, build_settings
 from strandline.studies.load.study import Study
@@ -84,12 +77,12 @@ def study_of(folder: Path, content: StudyFile, text: str) -> Study:
         with_report=content.report == "full",
     )
     for condition, seen in observed.items():
-        require_fits(study.noise_of(condition), seen)
+        noise_keys.require_fits(study.noise_of(condition), seen)
     stated = {name: study.noise_of(name) for name in observed or declared_conditions(model)}
-    require_shared(stated)
+    noise_keys.require_shared(stated)
     for given in (content.noise, *content.noise.conditions.values()):
-        require_unit(given, study.discrepancies.values())
-    require_inferable([*stated.values()], study.measure, by_field=study.settings.surrogate == "field")
+        noise_keys.require_unit(given, study.discrepancies.values())
+    noise_keys.require_inferable([*stated.values()], study.measure, by_field=study.settings.surrogate == "field")
     return replace(study, as_loaded=study)
 
 
@@ -103,9 +96,9 @@ def _noises(
         stated = {**dict.fromkeys(read, content.noise), **stated}
     for name, one in read.items():
         _require_taken(stated.get(name, content.noise), one, name)
-    noises = {name: build_noise(given, names, read.get(name)) for name, given in stated.items()}
+    noises = {name: noise_keys.build_noise(given, names, read.get(name)) for name, given in stated.items()}
     told = [one for one in read.values() if one.sds is not None or one.errors is not None]
-    noise = build_noise(content.noise, names, next(iter([*told, *read.values()]), None))
+    noise = noise_keys.build_noise(content.noise, names, next(iter([*told, *read.values()]), None))
     return noise, noises
 
 
@@ -119,7 +112,7 @@ def _require_taken(given: ConditionNoise, one: Found, condition: str) -> None:
             remedy="Write that, or remove observation.sd.",
         )
     if one.errors is not None:
-        require_offset(given)
+        noise_keys.require_offset(given)
 
 
 def _reused_ledger(folder: Path, other: str) -> Path:

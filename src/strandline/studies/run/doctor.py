@@ -7,24 +7,13 @@ from typing import Any
 
 from strandline.foundations import StrandlineError, __version__, read_json
 from strandline.runs import outcome_digest, unsound
-from strandline.studies.keys.folder import (
-    CHECK,
-    CHECK_LEDGER,
-    LEDGER,
-    NEXT_LEDGER,
-    OF_STUDY,
-    POSTERIOR,
-    REFINEMENT,
-    SPECIMENS_LEDGER,
-    STUDY,
-    SUMMARY,
-)
+from strandline.studies.keys import folder as files
 from strandline.studies.load.load import load_study
 from strandline.studies.load.progress import StudyProgress, progress_of
 from strandline.studies.load.provenance import versions
 from strandline.studies.load.study import Study
 
-LEDGERS = (LEDGER, CHECK_LEDGER, NEXT_LEDGER, SPECIMENS_LEDGER)
+LEDGERS = (files.LEDGER, files.CHECK_LEDGER, files.NEXT_LEDGER, files.SPECIMENS_LEDGER)
 LEFTOVERS = ("*.partial", ".*.partial", "*.sqlite.new", "*.sqlite.new-*")
 
 
@@ -48,7 +37,7 @@ def examine(folder: Path) -> list[Finding]:
         study = load_study(folder)
         found += _other_ledgers(study)
     except StrandlineError as error:
-        if not (folder / STUDY).exists():
+        if not (folder / files.STUDY).exists():
             raise
         return [*found, Finding(f"study.yaml cannot be used: {_line(error)}", "Correct it.")]
     if damaged:
@@ -113,27 +102,29 @@ def _files(folder: Path, *, at_work: bool) -> Iterator[Finding]:
 def _results(study: Study) -> Iterator[Finding]:
     """Yield how the results differ from what study.yaml, ledger, model and packages would give now."""
     report = f"Make them again: strandline report {study.folder}"
-    summary = read_json(study.folder / SUMMARY)
+    summary = read_json(study.folder / files.SUMMARY)
     if not summary:
-        there = [name for name in (POSTERIOR, "report.html") if (study.folder / name).exists()]
+        there = [name for name in (files.POSTERIOR, "report.html") if (study.folder / name).exists()]
         if there:
-            yield Finding(f"{', '.join(there)} without a readable {SUMMARY}: the last analysis did not end", report)
+            yield Finding(
+                f"{', '.join(there)} without a readable {files.SUMMARY}: the last analysis did not end", report
+            )
         return
     if summary.get("study_sha256") != study.text_digest:
         yield Finding("the results are of another study.yaml", f"Make them again: strandline run {study.folder}")
         return
-    missing = [name for name in (POSTERIOR, "report.html", "figures") if not (study.folder / name).exists()]
+    missing = [name for name in (files.POSTERIOR, "report.html", "figures") if not (study.folder / name).exists()]
     if missing:
-        yield Finding(f"missing next to {SUMMARY}: {', '.join(missing)}", report)
+        yield Finding(f"missing next to {files.SUMMARY}: {', '.join(missing)}", report)
     if summary.get("model") != study.runs.identity:
         yield Finding(f"the results were made with the model {summary.get('model')}", report)
     digest = summary.get("ledger_sha256")
     if digest is not None and digest != outcome_digest(study.ledger_path, frozenset(study.runs.needed_keys)):
         yield Finding("the ledger has changed since the results were made (runs made again, or excluded)", report)
     yield from _environment(summary, report)
-    for path in sorted({*study.folder.glob("*.json")} - {study.folder / REFINEMENT}):
-        if read_json(path).get(OF_STUDY, study.text_digest) != study.text_digest:
-            command = "posterior check" if path.name == CHECK else path.stem
+    for path in sorted({*study.folder.glob("*.json")} - {study.folder / files.REFINEMENT}):
+        if read_json(path).get(files.OF_STUDY, study.text_digest) != study.text_digest:
+            command = "posterior check" if path.name == files.CHECK else path.stem
             yield Finding(f"{path.name} is of another study.yaml", f"Ask again: strandline {command} {study.folder}")
 
 
