@@ -21,7 +21,8 @@ from verification.validation.tables import arguments, finish, kept_or_scratch, s
 
 from strandline.discrepancy import NormalOffset
 from strandline.foundations import InvalidInput, use_double
-from strandline.imaging.edges.edge import EDGES, Edge, find_edge
+from strandline.imaging.edges.edge import Edge, find_edge
+from strandline.imaging.edges.edge_methods import EDGES
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood import FieldLikelihood
 from strandline.posterior.rank_tests import coverage_of

@@ -10,9 +10,9 @@ from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
     from strandline.imaging.clicks import Clicks, ScaleBar, as_json, read_clicks
-    from strandline.imaging.edges.edge import EDGES, Edge, find_edge
+    from strandline.imaging.edges.edge import Edge, find_edge
     from strandline.imaging.edges.edge_checks import EdgeErrors
-    from strandline.imaging.edges.edge_methods import edge_method
+    from strandline.imaging.edges.edge_methods import EDGES, edge_method
     from strandline.imaging.edges.first_path import typed_path
     from strandline.imaging.edges.located import EdgeMethod, Located, Scatter
     from strandline.imaging.edges.markov_path import MarkovPath

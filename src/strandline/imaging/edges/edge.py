@@ -20,7 +20,7 @@ from strandline.imaging.edges.edge_checks import (
     require_path,
     require_room,
 )
-from strandline.imaging.edges.edge_methods import EDGES, edge_method
+from strandline.imaging.edges.edge_methods import edge_method
 from strandline.imaging.edges.located import EdgeMethod, Located
 from strandline.imaging.edges.strip import (
     GreyValues,
@@ -32,8 +32,6 @@ from strandline.imaging.edges.strip import (
     strip_along,
 )
 from strandline.interface import inside_polygon
-
-__all__ = ["EDGES", "Edge", "find_edge"]
 
 SMOOTH = 5.0
 """Standard deviation of the Gaussian along the path that smooths it before the edge is looked for, px."""

@@ -23,15 +23,15 @@ AT_LIMIT = 0.02
 """Largest share of an edge at the limit of the strip."""
 BLUR = 1 / 3
 """Largest blur, as a share of the smallest radius of the edge."""
-AT_LIMIT_REFUSED = "edge at the limit of the strip around the path"
+NOISE, LIMIT = "contrast over noise", "at the limit of the strip"
 REFUSALS = {
     "points": ("number of points of the edge", "Extend the path, exclude less, or use a picture with smaller pixels."),
-    "contrast over noise": (
+    NOISE: (
         "contrast over noise at the edge",
         "Check that the path follows the edge, average several frames, or write `edge: path`.",
     ),
-    "at the limit of the strip": (
-        AT_LIMIT_REFUSED,
+    LIMIT: (
+        "edge at the limit of the strip around the path",
         "Put the path closer to the edge there, or end it before a place without an edge.",
     ),
     "blur": ("blur of the edge", "Use a sharper picture, or leave the sharpest bends out."),
@@ -124,8 +124,6 @@ class EdgeCheck:
         shown: The number in words.
         expected: The limit in words.
         share: Whether the number is a share that should be small.
-        refusal: What a message says was refused.
-        remedy: What to do about it.
     """
 
     name: str
@@ -134,8 +132,6 @@ class EdgeCheck:
     shown: str
     expected: str
     share: bool
-    refusal: str
-    remedy: str
 
     @property
     def verdict(self) -> str:
@@ -155,13 +151,12 @@ def edge_checks(points: int, errors: EdgeErrors, *, unit: float) -> tuple[EdgeCh
     blur, radius = errors.blur / unit, errors.radius / unit
     ratio, share = f"{errors.contrast_to_noise:.3g}", f"{100 * errors.limit_share:.1f} % of it"
     sizes = f"{blur:.3g} px where the smallest radius is {radius:.3g} px"
-    rows = (
-        ("points", float(points), float(FEWEST), str(points), f"at least {FEWEST}, one per pixel", False),
-        ("contrast over noise", errors.contrast_to_noise, LEAST_CONTRAST, ratio, f"at least {LEAST_CONTRAST:g}", False),
-        ("at the limit of the strip", errors.limit_share, AT_LIMIT, share, f"at most {100 * AT_LIMIT:g} %", True),
-        ("blur", blur / radius, BLUR, sizes, "at most a third of the smallest radius", True),
+    return (
+        EdgeCheck("points", float(points), float(FEWEST), str(points), f"at least {FEWEST}, one per pixel", False),
+        EdgeCheck(NOISE, errors.contrast_to_noise, LEAST_CONTRAST, ratio, f"at least {LEAST_CONTRAST:g}", False),
+        EdgeCheck(LIMIT, errors.limit_share, AT_LIMIT, share, f"at most {100 * AT_LIMIT:g} %", True),
+        EdgeCheck("blur", blur / radius, BLUR, sizes, "at most a third of the smallest radius", True),
     )
-    return tuple(EdgeCheck(*row, *REFUSALS[row[0]]) for row in rows)
 
 
 def require_edge(
@@ -175,9 +170,10 @@ def require_edge(
     for one in edge_checks(points, errors, unit=unit):
         if one.verdict == "refused":
             value = points if one.name == "points" else one.shown
-            if one.refusal == AT_LIMIT_REFUSED and limit_at is not None:
+            if one.name == LIMIT and limit_at is not None:
                 value = f"{one.shown}, most of all near ({limit_at[0]:.0f}, {limit_at[1]:.0f}) px"
-            raise unfit(one.refusal, value, one.expected, one.remedy)
+            what, remedy = REFUSALS[one.name]
+            raise unfit(what, value, one.expected, remedy)
 
 
 def require_path(path: Float[np.ndarray, "..."], picture: GreyValues, *, closed: bool) -> None:

@@ -62,21 +62,12 @@ class SurfaceErrors:
     facts: dict[str, float]
 
 
-@dataclass(frozen=True)
-class StackNoise:
-    """Noise of a stack beside a surface.
+def noise_beside(field: Field, mesh: Mesh, normals: Points, profiles: Profiles) -> tuple[float, float, float]:
+    """Return the noise on both sides of a surface, from differences along tangents of it.
 
-    `sd`: standard deviation in the smoothed stack, in its grey values; `length`: correlation length ℓ there, in sides
-    of a voxel, with 2πℓ² = ∬ρ along the surface; `voxel`: standard deviation of a voxel of the stack as it was read.
+    Its standard deviation in the smoothed stack, in its grey values, its correlation length ℓ there, in sides of a
+    voxel, with 2πℓ² = ∬ρ along the surface, and the standard deviation of a voxel of the stack as it was read.
     """
-
-    sd: float
-    length: float
-    voxel: float
-
-
-def noise_beside(field: Field, mesh: Mesh, normals: Points, profiles: Profiles) -> StackNoise:
-    """Return the noise on both sides of a surface, from differences along tangents of it."""
     tangents, contrast = frames(normals), np.abs(profiles.inside - profiles.outside)
     lags, tree = _LAGS * max(field.sigma, 1.0), cKDTree(mesh.points)
     products: list[Float[np.ndarray, "pair lag"]] = []
@@ -110,7 +101,7 @@ def noise_beside(field: Field, mesh: Mesh, normals: Points, profiles: Profiles) 
             "Use a stack with smaller voxels, or one that shows more of the surroundings.",
         )
     variance = float(np.nanmean(squares))
-    return StackNoise(math.sqrt(sill), math.sqrt(integral), math.sqrt(variance))
+    return math.sqrt(sill), math.sqrt(integral), math.sqrt(variance)
 
 
 def _of_voxels(field: Field, places: Points, level: PerPoint, far: np.ndarray) -> PerPoint:
@@ -127,7 +118,7 @@ def surface_errors(
     field: Field,
     mesh: Mesh,
     profiles: Profiles,
-    noise: StackNoise,
+    noise: tuple[float, float, float],
     moved: PerPoint,
     *,
     unit: float,
@@ -136,10 +127,12 @@ def surface_errors(
 ) -> SurfaceErrors:
     """Return the errors of the points of a surface in sides of a voxel, of which one is `unit` mm.
 
-    `moved` is how far each point was moved to put right what blur does to a curved surface.
+    `noise` comes from `noise_beside`; `moved` is how far each point was moved to put right what blur does to a curved
+    surface.
     """
+    noise_sd, noise_length, of_voxel = noise
     contrast = np.abs(profiles.inside - profiles.outside)
-    sds = noise.sd / np.maximum(contrast * profiles.slopes, 1e-300)
+    sds = noise_sd / np.maximum(contrast * profiles.slopes, 1e-300)
     sd = math.sqrt(float(np.mean(sds**2)))
     blur = float(np.sqrt(np.mean(profiles.blurs**2)))
     area = float(mesh.areas.mean())
@@ -148,15 +141,15 @@ def surface_errors(
     offset = math.sqrt(BIAS**2 + _LEFT**2 * float(np.mean(moved**2)) + chord**2)
     return SurfaceErrors(
         sd=unit * max(sd, LEAST_SD),
-        length=unit * noise.length,
+        length=unit * noise_length,
         offset=unit * offset,
         blur=unit * math.sqrt(max(blur**2 - field.sigma**2, 0.0)),
-        contrast_to_noise=float(np.median(contrast)) / noise.voxel if noise.voxel > 0 else math.inf,
+        contrast_to_noise=float(np.median(contrast)) / of_voxel if of_voxel > 0 else math.inf,
         open_share=open_share,
         area_share=area_share,
         facts={
             "smoothing": unit * field.sigma,
-            "noise": noise.voxel,
+            "noise": of_voxel,
             "inside": float(np.median(profiles.inside)),
             "outside": float(np.median(profiles.outside)),
             "blur_correction": unit * float(np.sqrt(np.mean(moved**2))),
