@@ -16,7 +16,7 @@ import jax
 import numpy as np
 from verification.benchmarks.figures import Figure, compared, peak_memory, timed
 
-from strandline import Currents, Interface, NormalOffset, PointErrors
+from strandline import Currents, Interface, PointErrors
 from strandline.discrepancy import squared_discrepancies
 from strandline.discrepancy.nearest import squared_distances
 
@@ -120,7 +120,7 @@ def long_contour() -> Figure:
 
     observed = errors.draw(Interface.polyline(bows(np.array([1.2]), SEEN)[0]), np.random.default_rng(5))
     predicted = bows(np.linspace(1.15, 1.25, PARTICLES), 161)
-    measure, template = NormalOffset().whitened(errors), Interface.polyline(predicted[0])
+    measure, template = WhitenedOffset(errors), Interface.polyline(predicted[0])
     seconds, first = repeated(partial(measure.many, predicted, template, observed))
     what = f"normal_offset: {SEEN} points × {PARTICLES} interfaces"
     return Figure(what, "shift, rotation, scale, offset", seconds, "s", f"the first time {first:.3g} s")

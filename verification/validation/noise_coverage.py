@@ -17,12 +17,11 @@ from jaxtyping import Float
 from verification.validation.biofilm_mesh import BOX, box_points
 from verification.validation.tables import arguments, kept_or_scratch, show, table
 
-from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, MeasurementLines, NormalOffset
+from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, JointErrors, MeasurementLines, NormalOffset
 from strandline.foundations import InvalidInput, use_double
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import FieldLikelihood
 from strandline.likelihood.compared import with_variance
-from strandline.likelihood.joint_errors import JointErrors
 from strandline.likelihood.linearised_residuals import linearise
 from strandline.models.biofilm.model import Biofilm
 from strandline.posterior.rank_tests import coverage_of, uniformity

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from strandline.discrepancy import Discrepancy, NormalOffset, TrackedPoints, closest_points
+from strandline.discrepancy import Discrepancy, JointErrors, NormalOffset, TrackedPoints, closest_points, shared_errors
 from strandline.foundations import InvalidInput
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors, steady_normals
-from strandline.likelihood import FieldLikelihood, JointErrors, compared, shared_errors, stated_errors, with_variance
+from strandline.likelihood import FieldLikelihood, compared, stated_errors, with_variance
 from strandline.surrogate import FieldSurrogate
 
 Matrix = Float[np.ndarray, "dim dim"]

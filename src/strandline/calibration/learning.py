@@ -10,27 +10,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from strandline import design
 from strandline.calibration.misfit import Effort, Misfit, by_field, by_runs, misfit_of
 from strandline.calibration.problem import Observer, Problem, Settings, Stopwatch
 from strandline.calibration.targets import FieldTarget, LogLikelihoodTarget, Target
-from strandline.design import (
-    DRAFT_PARTICLES,
-    LARGEST_BATCH,
-    Active,
-    ActiveRuns,
-    Certificate,
-    Fidelities,
-    Knowledge,
-    Learnt,
-    Refinement,
-    Round,
-    RunFilter,
-    SetAside,
-    as_by_model,
-    learn,
-    refine,
-    sobol,
-)
 from strandline.foundations import NoCommonPoints, NumericsError, TooFewRuns, one_thread
 from strandline.models import WithCheaper, first_runs
 from strandline.parameters import ParameterSpace
@@ -53,12 +36,12 @@ class TrainedSurrogate:
     that ended ok and were not used.
     """
 
-    learnt: Learnt
-    rounds: tuple[Round, ...] = ()
-    knowledge: Knowledge | None = None
-    certificate: Certificate | None = None
+    learnt: design.Learnt
+    rounds: tuple[design.Round, ...] = ()
+    knowledge: design.Knowledge | None = None
+    certificate: design.Certificate | None = None
     no_field: str | None = None
-    set_aside: tuple[SetAside, ...] = ()
+    set_aside: tuple[design.SetAside, ...] = ()
 
     def target(self, space: ParameterSpace) -> Target:
         surrogates = [one.process for one in self.learnt.surrogates.values()]
@@ -112,8 +95,8 @@ class Learning:
     watch: Stopwatch
 
     @cached_property
-    def judge(self) -> RunFilter:
-        return RunFilter(self.problem.observations, self.problem.discrepancies, self.settings.failures)
+    def judge(self) -> design.RunFilter:
+        return design.RunFilter(self.problem.observations, self.problem.discrepancies, self.settings.failures)
 
     def train(self, given: Given | None) -> TrainedSurrogate:
         """Make all forward runs and learn from them, with the surrogate that the settings name if possible."""
@@ -148,10 +131,10 @@ class Learning:
 
     def _first(self, number: int) -> Float[np.ndarray, "run dim"]:
         space = self.problem.space
-        return space.to_physical(sobol(number, space.dim, scramble=self.settings.scramble))
+        return space.to_physical(design.sobol(number, space.dim, scramble=self.settings.scramble))
 
-    def _refined(self, first: Float[np.ndarray, "run dim"], refinement: Refinement) -> TrainedSurrogate:
-        learnt, rounds = refine(
+    def _refined(self, first: Float[np.ndarray, "run dim"], refinement: design.Refinement) -> TrainedSurrogate:
+        learnt, rounds = design.refine(
             self.extend(None, first),
             self.extend,
             self.problem.space,
@@ -174,9 +157,9 @@ class Learning:
             self.tell.draws(self._inputs(further))
             asked = np.concatenate([asked, further])
         runs = (most - len(asked)) // ROUNDS_INSTEAD
-        return self._refined(asked, Refinement(ROUNDS_INSTEAD, runs) if runs else Refinement())
+        return self._refined(asked, design.Refinement(ROUNDS_INSTEAD, runs) if runs else design.Refinement())
 
-    def extend(self, known: Learnt | None, points: Float[np.ndarray, "run dim"]) -> Learnt:
+    def extend(self, known: design.Learnt | None, points: Float[np.ndarray, "run dim"]) -> design.Learnt:
         """Run the model at `points`, append these to the known runs, and train the surrogates with all of them."""
         with self.watch("forward", self.tell):
             if known is not None:
@@ -188,9 +171,11 @@ class Learning:
             records = self.judge.usable(records)
             training, log_likelihoods = _training_set(self.judge, points, records)
             surrogates = _trained(training, log_likelihoods, self.settings)
-        return Learnt(points, records, training, log_likelihoods, surrogates)
+        return design.Learnt(points, records, training, log_likelihoods, surrogates)
 
-    def _by_field(self, first: Sequence[Mapping[str, float]], choosing: ActiveRuns | None) -> tuple[Learnt, Knowledge]:
+    def _by_field(
+        self, first: Sequence[Mapping[str, float]], choosing: design.ActiveRuns | None
+    ) -> tuple[design.Learnt, design.Knowledge]:
         """Run the model at `first` and where the active design chooses; learn the field.
 
         The surrogates of the log-likelihood are also trained, for comparison, if possible.
@@ -200,7 +185,7 @@ class Learning:
             records = self._run(first, choosing)
         made = records if isinstance(self.problem.model, WithCheaper) else ()
         if choosing is None or choosing.fidelities is None:
-            records = as_by_model(records, space.names)
+            records = design.as_by_model(records, space.names)
         else:
             choosing.fidelities.learn(records)
             records = choosing.fidelities.records
@@ -215,9 +200,9 @@ class Learning:
             if not self.settings.draft:
                 with suppress(NumericsError, TooFewRuns):
                     surrogates = _trained(training, log_likelihoods, self.settings)
-        return Learnt(points, records, training, log_likelihoods, surrogates, made), knowledge
+        return design.Learnt(points, records, training, log_likelihoods, surrogates, made), knowledge
 
-    def _run(self, first: Sequence[Mapping[str, float]], choosing: ActiveRuns | None) -> tuple[RunRecord, ...]:
+    def _run(self, first: Sequence[Mapping[str, float]], choosing: design.ActiveRuns | None) -> tuple[RunRecord, ...]:
         model, inputs = self.problem.model, [dict(entry) for entry in first]
         common: dict[str, Any] = {"ledger": self.ledger, "executor": self.executor, "on_record": self.tell.run}
         common["policy"] = self.settings.failures
@@ -232,15 +217,17 @@ class Learning:
 
         return run_batches(model, [inputs], choose, patience=choosing.active.patience, **common)
 
-    def _active(self, active: Active) -> ActiveRuns:
+    def _active(self, active: design.Active) -> design.ActiveRuns:
         workers, model = getattr(self.executor, "workers", None) or usable_cores(), self.problem.model
         names = [seen.condition for seen in self.problem.observations]
-        both = Fidelities(self.problem.space.names, names, model.cost) if isinstance(model, WithCheaper) else None
-        return ActiveRuns(
+        both = (
+            design.Fidelities(self.problem.space.names, names, model.cost) if isinstance(model, WithCheaper) else None
+        )
+        return design.ActiveRuns(
             active=active,
             space=self.problem.space,
             discrepancy=self.problem.measure,
-            batch=active.batch or min(max(workers, 2), LARGEST_BATCH),
+            batch=active.batch or min(max(workers, 2), design.LARGEST_BATCH),
             seed=self.settings.seed,
             scramble=self.settings.scramble,
             judge=self.judge,
@@ -249,7 +236,7 @@ class Learning:
             fidelities=both,
             on_step=self.tell.step,
             told=self.tell.batch,
-            particles=DRAFT_PARTICLES if self.settings.draft else None,
+            particles=design.DRAFT_PARTICLES if self.settings.draft else None,
         )
 
     def _inputs(self, points: Float[np.ndarray, "run dim"]) -> list[dict[str, float]]:
@@ -257,8 +244,8 @@ class Learning:
 
 
 def known_field(
-    points: Float[np.ndarray, "run dim"], records: Sequence[RunRecord], judge: RunFilter, space: ParameterSpace
-) -> tuple[Knowledge, tuple[RunRecord, ...]]:
+    points: Float[np.ndarray, "run dim"], records: Sequence[RunRecord], judge: design.RunFilter, space: ParameterSpace
+) -> tuple[design.Knowledge, tuple[RunRecord, ...]]:
     """Learn the field for the judge's first measure; also return the records, those that it was not learnt from as
     invalid.
 
@@ -271,7 +258,7 @@ def known_field(
         used = judge.usable(records)
         _require_enough(sum(record.ok for record in used), used, space.dim)
         try:
-            return learn(points, used, space, judge.observations, measure), used
+            return design.learn(points, used, space, judge.observations, measure), used
         except NoCommonPoints as error:
             judge.without_exceptions(records, error)
 
@@ -291,13 +278,13 @@ def _trained(
 
 
 def _training_set(
-    judge: RunFilter, design: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]
+    judge: design.RunFilter, points: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]
 ) -> tuple[Float[np.ndarray, "ok dim"], dict[str, Float[np.ndarray, " ok"]]]:
     """Return the inputs of the usable runs and their log-likelihood under each measure, NaN if a run has none."""
     succeeded = [i for i, record in enumerate(records) if record.ok]
-    _require_enough(len(succeeded), records, design.shape[1])
+    _require_enough(len(succeeded), records, points.shape[1])
     values = {name: np.array([judge.value(name, records[i]) for i in succeeded]) for name in judge.likelihoods}
-    return design[succeeded], values
+    return points[succeeded], values
 
 
 def _require_enough(succeeded: int, records: Sequence[RunRecord], dim: int) -> None:

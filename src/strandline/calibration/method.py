@@ -31,8 +31,9 @@ from strandline.posterior import GaussianApproximation, SobolIndices, laplace, l
 from strandline.runs import Executor, InProcess, Ledger
 from strandline.smc import RandomKey, SMCResult, carried_over, in_halves, sample
 
-CARRIED = 1
-"""Keeps the random numbers that carry particles over to the exact likelihood apart from those before."""
+CARRIED, RESTARTED = 1, 1 << 20
+"""Keep random numbers that carry particles over to the next likelihood, or sample it from the prior, apart from others.
+"""
 
 
 def calibrate(
@@ -97,7 +98,7 @@ def calibrate(
         gaussian=GaussianApproximation(posterior.mean, posterior.covariance),
         laplace=laplace(hessian, mode),
         under_uncertainty=both,
-        **vars(checks),
+        **checks,
         sensitivity=sensitivity,
         seconds=watch.seconds,
         turned=learning.judge.turned,
@@ -141,7 +142,8 @@ def _sample_from(
             key = jax.random.fold_in(chain, CARRIED + stage - 1)
             found = carried_over(key, found, one, space.log_prior, **options)
         if found is None:
-            found = sample(chain, one, space.log_prior, initial, settings=settings.smc, on_step=tell.step)
+            key = jax.random.fold_in(chain, RESTARTED + stage) if stage else chain
+            found = sample(key, one, space.log_prior, initial, settings=settings.smc, on_step=tell.step)
     assert found is not None
     return found
 

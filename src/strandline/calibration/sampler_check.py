@@ -100,9 +100,10 @@ class SamplerCheck:
                 f"{abs(self.log_evidence_difference):.2g}."
             )
         one, other = self.effective
+        p = "below 1e-6" if self.p < 1e-6 else f"= {self.p:.1g}"
         return (
             f"Two independent halves of the sampler's particles differ by more than {one:.0f} and {other:.0f} "
-            f"effective samples explain (p {_shown(self.p)}): {'; '.join(self.differences)}. The posterior is their "
+            f"effective samples explain (p {p}): {'; '.join(self.differences)}. The posterior is their "
             "union, and may be off by half of that or more. A funnel, a narrow mode beside a wide one or a corner of "
             "the box where particles get stuck does this: take many more particles, and compare."
         )
@@ -205,7 +206,3 @@ def _split(name: str, values: Sequence[PerHalf], weights: Sequence[PerHalf]) -> 
 def _two_sided(z: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any"]:
     """Return the probability that a standard normal number is farther from zero."""
     return np.asarray(2.0 * ndtr(-np.abs(z)))
-
-
-def _shown(p: float) -> str:
-    return "below 1e-6" if p < 1e-6 else f"= {p:.1g}"

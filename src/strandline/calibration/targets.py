@@ -115,17 +115,6 @@ def _given(space: ParameterSpace, log_likelihood: Any) -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class Checks:
-    """Evidence and moments by direct integration, also for each value of the nuisance inputs, and what is known about
-    the field; None for a check that a target does not allow.
-    """
-
-    quadrature: QuadratureResult | None = None
-    cut_quadrature: tuple[QuadratureResult, ...] | None = None
-    field: FieldOutcome | None = None
-
-
-@dataclass(frozen=True, eq=False)
 class LogLikelihoodTarget:
     """Mean of a surrogate of the log-likelihood.
 
@@ -159,10 +148,10 @@ class LogLikelihoodTarget:
         given = sampling.log_weights, sampling.log_likelihood, sampling.log_evidence
         return _posterior(self.space, sampling, *given)
 
-    def checks(self, sampling: SMCResult, posterior: Posterior, cut: Cut | None, *, seed: int) -> Checks:
-        """Integrate the surrogate directly if the dimension allows it, to check the sampler."""
+    def checks(self, sampling: SMCResult, posterior: Posterior, cut: Cut | None, *, seed: int) -> dict[str, Any]:
+        """Return the fields of a `Calibration` with integrals of the surrogate, if the dimension allows them."""
         cuts = None if cut is None else cut_by_quadrature(self.compiled, cut)
-        return Checks(quadrature(self.space, evaluated(self.compiled)), cuts)
+        return {"quadrature": quadrature(self.space, evaluated(self.compiled)), "cut_quadrature": cuts}
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +198,7 @@ class FieldTarget:
         log_evidence = sampling.log_evidence + float(logsumexp(log_weights))
         return _posterior(self.space, sampling, log_softmax(log_weights), expected, log_evidence)
 
-    def checks(self, sampling: SMCResult, posterior: Posterior, cut: Cut | None, *, seed: int) -> Checks:
+    def checks(self, sampling: SMCResult, posterior: Posterior, cut: Cut | None, *, seed: int) -> dict[str, Any]:
         """Return how the surrogate's variance, feasibility and the other surrogate change the posterior."""
         exact = self.knowledge.plug_in(sampling.positions) - sampling.log_likelihood
         plain = Weighted(sampling.positions, np.exp(log_softmax(sampling.log_weights + exact)))
@@ -223,7 +212,7 @@ class FieldTarget:
             without = _moments_by(partial(self._by, inferred.without), self.space, seed)
         scatter = simulator_noise(self.knowledge, posterior.equally_weighted(seed, SCATTERED))
         found = FieldOutcome(self.knowledge, effect, feasible, self.certificate, compared, without, scatter)
-        return Checks(field=found)
+        return {"quadrature": None, "field": found}
 
     def _by(self, likelihood: Mixture, x: Points) -> Values:
         surrogate = self.knowledge.surrogate

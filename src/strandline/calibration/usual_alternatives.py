@@ -5,21 +5,11 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
+from strandline import parameters
 from strandline.calibration.alternative import Alternative, Baseline, Kind
 from strandline.discrepancy import Discrepancy, NormalOffset
 from strandline.interface import GLOBAL, GaussianNoise, Noise, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import FieldLikelihood, InferredNoise
-from strandline.parameters import (
-    PRIORS,
-    LogNormal,
-    LogUniform,
-    Normal,
-    Parameter,
-    ParameterSpace,
-    Prior,
-    ScaledBeta,
-    Uniform,
-)
 
 LEAST_SHAPE_SUM = 1.0
 """a + b of a beta distribution below which it piles up at both ends."""
@@ -41,7 +31,7 @@ def usual_alternatives(now: Baseline, measures: Mapping[str, Discrepancy]) -> It
             yield Alternative(name, kind, about, now.space, other, detail=detail, by_prior_alone=False)
 
 
-def other_priors(parameter: Parameter) -> Iterator[tuple[str, Prior]]:
+def other_priors(parameter: parameters.Parameter) -> Iterator[tuple[str, parameters.Prior]]:
     """Yield other priors of an input, with what they are in words: narrower, wider, flat, flat in the logarithm."""
     low, high = parameter.interval
     prior = parameter.prior
@@ -50,16 +40,16 @@ def other_priors(parameter: Parameter) -> Iterator[tuple[str, Prior]]:
         yield "half as wide", narrower
     if wider is not None:
         yield "twice as wide", wider
-    if prior != Uniform(low, high):
-        yield "flat in its box", Uniform(low, high)
-    if low > 0 and prior != LogUniform(low, high):
-        yield "flat in its logarithm", LogUniform(low, high)
+    if prior != parameters.Uniform(low, high):
+        yield "flat in its box", parameters.Uniform(low, high)
+    if low > 0 and prior != parameters.LogUniform(low, high):
+        yield "flat in its logarithm", parameters.LogUniform(low, high)
 
 
-def with_prior(space: ParameterSpace, priors: Mapping[str, Prior]) -> ParameterSpace:
+def with_prior(space: parameters.ParameterSpace, priors: Mapping[str, parameters.Prior]) -> parameters.ParameterSpace:
     """Return the inputs with other priors, by name, truncated to the same box."""
     changed = {name: replace(space[name], prior=prior, box=space[name].interval) for name, prior in priors.items()}
-    return ParameterSpace(tuple(changed.get(one.name, one) for one in space))
+    return parameters.ParameterSpace(tuple(changed.get(one.name, one) for one in space))
 
 
 def scaled_noise(noise: Errors, factor: float) -> Errors | None:
@@ -76,9 +66,9 @@ def scaled_noise(noise: Errors, factor: float) -> Errors | None:
     return None
 
 
-def prior_in_words(prior: Prior) -> str:
+def prior_in_words(prior: parameters.Prior) -> str:
     """Return a prior as study.yaml has it: ``normal [350, 50]``; the representation of one that is not built in."""
-    name = next((name for name, kind in PRIORS.items() if type(prior) is kind), None)
+    name = next((name for name, kind in parameters.PRIORS.items() if type(prior) is kind), None)
     if name is None:
         return repr(prior)
     return f"{name} [{', '.join(f'{value:.4g}' for value in vars(prior).values())}]"
@@ -105,30 +95,30 @@ def _fact(name: str, value: float) -> str:
     return f"{spoken} {value:.4g}"
 
 
-def _scaled(prior: Prior, factor: float) -> Prior | None:
+def _scaled(prior: parameters.Prior, factor: float) -> parameters.Prior | None:
     """Return a prior with the same centre and `factor` times the width; None if its bounds do not allow that.
 
     A uniform prior is a beta distribution with both shapes 1: half as wide, it is a bell between the same bounds.
     """
-    if isinstance(prior, Normal):
-        return Normal(prior.mean, factor * prior.sd)
-    if isinstance(prior, LogNormal):
-        return LogNormal(prior.mu, factor * prior.sigma)
-    if isinstance(prior, Uniform):
-        prior = ScaledBeta(1.0, 1.0, prior.low, prior.high)
-    if isinstance(prior, ScaledBeta):
+    if isinstance(prior, parameters.Normal):
+        return parameters.Normal(prior.mean, factor * prior.sd)
+    if isinstance(prior, parameters.LogNormal):
+        return parameters.LogNormal(prior.mu, factor * prior.sigma)
+    if isinstance(prior, parameters.Uniform):
+        prior = parameters.ScaledBeta(1.0, 1.0, prior.low, prior.high)
+    if isinstance(prior, parameters.ScaledBeta):
         whole = prior.a + prior.b
         other = (whole + 1) / factor**2 - 1
         share = other / whole
         possible = other > LEAST_SHAPE_SUM and min(prior.a * share, prior.b * share) >= min(1.0, prior.a, prior.b)
-        return ScaledBeta(prior.a * share, prior.b * share, prior.low, prior.high) if possible else None
+        return parameters.ScaledBeta(prior.a * share, prior.b * share, prior.low, prior.high) if possible else None
     below, middle, above = (float(prior.quantile(level)) for level in LEVELS)
-    if isinstance(prior, LogUniform):
-        return LogNormal(math.log(middle), factor * 0.5 * math.log(above / below)) if factor < 1 else None
-    return Normal(middle, factor * 0.5 * (above - below))
+    if isinstance(prior, parameters.LogUniform):
+        return parameters.LogNormal(math.log(middle), factor * 0.5 * math.log(above / below)) if factor < 1 else None
+    return parameters.Normal(middle, factor * 0.5 * (above - below))
 
 
-def _priors(space: ParameterSpace) -> Iterator[Alternative]:
+def _priors(space: parameters.ParameterSpace) -> Iterator[Alternative]:
     for parameter in space:
         for words, prior in other_priors(parameter):
             changed = with_prior(space, {parameter.name: prior})
@@ -136,7 +126,7 @@ def _priors(space: ParameterSpace) -> Iterator[Alternative]:
             yield Alternative(name, "prior", about, changed, detail=prior_in_words(prior))
 
 
-def _fixed(space: ParameterSpace) -> Iterator[Alternative]:
+def _fixed(space: parameters.ParameterSpace) -> Iterator[Alternative]:
     """Yield each nuisance input as known: the median of its prior."""
     for i in space.nuisance:
         one = space.parameters[i]

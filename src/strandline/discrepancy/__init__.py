@@ -16,19 +16,18 @@ from strandline.discrepancy.comparison import (
 )
 from strandline.discrepancy.contours import Roughness, errors_from_roughness, path_of, smoothed
 from strandline.discrepancy.currents import Currents
+from strandline.discrepancy.joint_errors import (
+    JointErrors,
+    Points,
+    WhitenedOffset,
+    places_of,
+    residuals_of,
+    shared_errors,
+    sums_of,
+)
 from strandline.discrepancy.measurement_lines import LineReadings, MeasurementLines
 from strandline.discrepancy.nearest import closest_points, squared_distances
-from strandline.discrepancy.normal_offset import (
-    BEYOND,
-    NormalOffset,
-    Rows,
-    Sums,
-    WhitenedOffset,
-    extended,
-    linear_sums,
-    signed_distances,
-    weighted_sums,
-)
+from strandline.discrepancy.normal_offset import BEYOND, NormalOffset, Sums, extended, signed_distances
 from strandline.discrepancy.protocol import (
     AdaptsToErrors,
     ComparesMany,
@@ -36,14 +35,11 @@ from strandline.discrepancy.protocol import (
     Discrepancy,
     FollowsOffsets,
     HasTerms,
-    HasTolerance,
     KnowsPointErrors,
     MeasureKey,
     Snapshot,
     Values,
-    Whitens,
     independent_terms,
-    require_same_direction,
     squared_discrepancies,
     unit_of,
 )
@@ -60,7 +56,6 @@ __all__ = [
     "Discrepancy",
     "FollowsOffsets",
     "HasTerms",
-    "HasTolerance",
     "KnowsPointErrors",
     "LineReadings",
     "MeasurementLines",
@@ -69,7 +64,6 @@ __all__ = [
     "Roughness",
     "TrackedPoints",
     "WhitenedOffset",
-    "Whitens",
     "apart",
     "axes_mistake",
     "count_of_distances",

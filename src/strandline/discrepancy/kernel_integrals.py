@@ -5,7 +5,6 @@ mm⁴ for surfaces. Eqs. (10)-(11) of the study; σ is its σ_W.
 """
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -33,14 +32,11 @@ def centre_product(a: Interface, b: Interface, width: float) -> float:
     If there are very many cells, pairs so far apart that they add up to less than 1e-12 of `natural_scale(a)` are left
     out.
     """
-    nodes = Nodes(a.centres, a.normals)
-    reach = math.inf if len(a.cells) * len(b.cells) <= SMALL else _reach(a, b, width)
+    nodes, reach = Nodes(a.centres, a.normals), math.inf
+    if len(a.cells) * len(b.cells) > SMALL:
+        sizes = float(a.sizes.sum()) * float(b.sizes.sum())
+        reach = width * math.sqrt(2 * math.log(max(sizes / natural_scale(a, width) / _FAR, 1.0)))
     return kernel_sum(nodes, nodes if a is b else Nodes(b.centres, b.normals), width, reach=reach)
-
-
-def _reach(a: Interface, b: Interface, width: float) -> float:
-    sizes = float(a.sizes.sum()) * float(b.sizes.sum())
-    return width * math.sqrt(2 * math.log(max(sizes / natural_scale(a, width) / _FAR, 1.0)))
 
 
 def natural_scale(a: Interface, width: float) -> float:
@@ -61,7 +57,7 @@ def refined_product(a: Interface, b: Interface, width: float, *, tolerance: floa
 
     The error is relative to `natural_scale(a)`, if `b` does not pass near one point many times.
     """
-    pieces = _Pieces.of(a, PANEL * width)
+    pieces = _Pieces(a, PANEL * width)
     longest = float(pieces.lengths.max())
     order = gauss_order(math.ceil(8 * longest / width) / 8, tolerance)
     length = float(b.lengths.sum())
@@ -94,20 +90,14 @@ def gauss_order(ratio: float, tolerance: float) -> int:
     )
 
 
-@dataclass(frozen=True, eq=False)
 class _Pieces:
-    """Straight pieces of a polyline: starts and steps (from start to end), mm."""
+    """Equal straight pieces of each segment of a polyline: starts, and steps from start to end, (piece, 2), mm."""
 
-    starts: Float[np.ndarray, "piece 2"]
-    steps: Float[np.ndarray, "piece 2"]
-
-    @classmethod
-    def of(cls, polyline: Interface, longest: float) -> "_Pieces":
-        """Divide every segment into equal pieces no longer than `longest`."""
+    def __init__(self, polyline: Interface, longest: float) -> None:
         parts = np.maximum(np.ceil(polyline.lengths / longest).astype(int), 1)
-        steps = np.repeat((polyline.ends - polyline.starts) / parts[:, None], parts, axis=0)
+        self.steps = np.repeat((polyline.ends - polyline.starts) / parts[:, None], parts, axis=0)
         rank = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
-        return cls(np.repeat(polyline.starts, parts, axis=0) + rank[:, None] * steps, steps)
+        self.starts = np.repeat(polyline.starts, parts, axis=0) + rank[:, None] * self.steps
 
     @property
     def lengths(self) -> Float[np.ndarray, " piece"]:

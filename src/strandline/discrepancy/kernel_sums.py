@@ -34,9 +34,6 @@ class Nodes:
     points: Float[np.ndarray, "node xyz"]
     normals: Float[np.ndarray, "node xyz"]
 
-    def __getitem__(self, some: slice | Int[np.ndarray, " some"]) -> "Nodes":
-        return Nodes(self.points[some], self.normals[some])
-
     def __len__(self) -> int:
         return len(self.points)
 
@@ -189,7 +186,6 @@ def _tile_sums() -> Callable[..., Any]:
     import jax.numpy as jnp
 
     def one_tile(total: jax.Array, row: tuple[jax.Array, ...], others: jax.Array, whole: jax.Array, close: bool) -> Any:
-        """Add the sum over the pairs of one tile and its partners."""
         x, n, first, last, weight = row
         dim = len(x)
         squares, twice = (x**2).sum(axis=0), -2 * x
@@ -213,7 +209,6 @@ def _tile_sums() -> Callable[..., Any]:
 
     @partial(jax.jit, compiler_options=WIDEST, static_argnames="close")
     def tile_sums(x: Any, n: Any, others: Any, begin: Any, end: Any, weights: Any, whole: Any, close: bool) -> Any:
-        """Return the sum over all tiles and their partners."""
         task = partial(one_tile, others=others, whole=whole, close=close)
         return jax.lax.scan(task, 0.0, (x, n, begin, end, weights))[0]
 

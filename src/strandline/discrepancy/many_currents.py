@@ -232,7 +232,7 @@ def currents_of_many(
     unit, middle = _UNIT * width, observed.mean(axis=0)
     (order,) = similar(points, len(points))
     shapes, seen = np.moveaxis((points[order] - middle) / unit, 0, 2), (observed - middle) / unit
-    batch = _Batch.of(shapes, cells, seen, observed_cells, tolerance / unit**2, share)
+    batch = _Batch(shapes, cells, seen, observed_cells, tolerance / unit**2, share)
     orders = batch.orders()
     blocks = np.array_split(np.arange(len(points)), -(-len(points) // BLOCK))
     found = np.empty(len(points))
@@ -240,43 +240,30 @@ def currents_of_many(
     return np.maximum(unit**2 * found + square, 0.0)
 
 
-@dataclass(frozen=True, eq=False)
 class _Batch:
     """Polylines S of many runs, sorted by similarity, and the observed one, T.
 
-    Args:
-        longest: Longest piece of S and of T, in kernel widths.
-        reach: Distance beyond which all pairs together contribute at most a tenth of the tolerance.
-        tolerance: Largest error of d², in squares of the unit.
-        share: That of an inner product, see `currents_of_many`.
+    `longest` are the longest pieces of S and of T, in kernel widths, `reach` is the distance beyond which all pairs
+    together contribute at most a tenth of the `tolerance`, the largest error of d², in squares of the unit. `share` is
+    that of an inner product, see `currents_of_many`.
     """
 
-    points: Float[np.ndarray, "point 2 run"]
-    own: Division
-    target: Pieces
-    longest: tuple[float, float]
-    reach: float
-    tolerance: float
-    share: float | None
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         points: Float[np.ndarray, "point 2 run"],
         cells: Cells,
         observed: Float[np.ndarray, "other 2"],
         observed_cells: Int[np.ndarray, "other_cell 2"],
         tolerance: float,
         share: float | None,
-    ) -> "_Batch":
-        """Divide the segments, in units of the width, and find the reach."""
+    ) -> None:
         ours, theirs = lengths(points, cells), lengths(observed, observed_cells)
         panel = PANEL / _UNIT if share else math.inf
-        own, target = Division.of(cells, ours.max(axis=1), panel), Division.of(observed_cells, theirs, panel)
+        self.own, target = Division.of(cells, ours.max(axis=1), panel), Division.of(observed_cells, theirs, panel)
         whole = max(float(ours.sum(axis=0).max()), float(theirs.sum()))
-        reach = math.sqrt(math.log2(max(whole**2 / (MARGIN * tolerance), 1.0)))
-        longest = _UNIT * own.longest, _UNIT * target.longest
-        return cls(points, own, target.pieces(observed), longest, reach, tolerance, share)
+        self.reach = math.sqrt(math.log2(max(whole**2 / (MARGIN * tolerance), 1.0)))
+        self.longest = _UNIT * self.own.longest, _UNIT * target.longest
+        self.points, self.target, self.tolerance, self.share = points, target.pieces(observed), tolerance, share
 
     def orders(self) -> Orders:
         """Return the lowest orders at which no probe's error exceeds a tenth of the tolerance."""
@@ -284,9 +271,9 @@ class _Batch:
             return 1, 1
         probes = np.unique(np.linspace(0, self.points.shape[2] - 1, PROBES).astype(int))
         *coarser, finest = _ladder(self.longest, self.share)
-        exact = self.in_numpy(probes, finest)
+        exact = self._summed(probes, finest, plain_sum)  # with NumPy: slow, but new orders need no compiling
         for orders in coarser:
-            if abs(self.in_numpy(probes, orders) - exact).max() <= MARGIN * self.tolerance:
+            if abs(self._summed(probes, orders, plain_sum) - exact).max() <= MARGIN * self.tolerance:
                 return orders
         return finest
 
@@ -294,10 +281,6 @@ class _Batch:
         """Return ⟨S,S⟩ - 2⟨S,T⟩ of the runs `rows`, by the compiled loop."""
         padded = np.pad(rows, (0, ample(len(rows)) - len(rows)), mode="edge")
         return self._summed(padded, orders, compiled_sum)[: len(rows)]
-
-    def in_numpy(self, rows: Int[np.ndarray, " some"], orders: Orders) -> Float[np.ndarray, " some"]:
-        """Return the same with NumPy: slow, but new orders need no compiling."""
-        return self._summed(rows, orders, plain_sum)
 
     def _summed(self, rows: Int[np.ndarray, " some"], orders: Orders, summed: PieceSum) -> Float[np.ndarray, " some"]:
         own = self.own.pieces(np.ascontiguousarray(self.points[..., rows]))

@@ -7,7 +7,6 @@ segments, except for rounding.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any
 
@@ -33,7 +32,8 @@ _SLACK = 1e-9
 Frames = tuple[Any, ...]
 """Frames of segments, see `frames`."""
 Rows = tuple[Any, Any, Any, Any]
-"""Segments, points, ends and number of rows, see `_SegmentPairs`."""
+"""Numbers of segments, shape (row, abreast), and of the point of each row, whether it is the point's last row, and the
+number of rows that count."""
 Points = Float[np.ndarray, "#run point 2"]
 Corners = Float[np.ndarray, "#run corner 2"]
 Values = Float[np.ndarray, "..."]  # (point or segment, run), or without the run axis if all runs share it
@@ -78,12 +78,12 @@ def signed_sums(
     centre, number = points[0].mean(axis=0), 0 if features is None else features.shape[1]
     squares, products = np.empty(runs), np.empty((runs, number))
 
-    def block(task: tuple[_SegmentPairs, Int[np.ndarray, " some"]]) -> list[Any]:
+    def block(task: tuple[Rows, Int[np.ndarray, " some"]]) -> list[Any]:
         """Return the sums of some runs, padded to a number of runs that is compiled already."""
         pairs, rows = task
         (x, y), ends = (_runs_last(_padded(array, rows) - centre) for array in (points, corners))
         (factors,) = _runs_last(_padded(weights, rows)[..., None])
-        return [np.asarray(one) for one in _loop()(x, y, factors, features, *ends, cells, pairs.rows)]
+        return [np.asarray(one) for one in _loop()(x, y, factors, features, *ends, cells, pairs)]
 
     (order,) = similar(points if len(points) > 1 else corners, runs)
     todo = [*tasks(points, corners, cells, order)]
@@ -94,7 +94,7 @@ def signed_sums(
 
 def tasks(
     points: Points, corners: Corners, cells: Int[np.ndarray, "cell 2"], rows: Int[np.ndarray, " some"]
-) -> Iterator[tuple["_SegmentPairs", Int[np.ndarray, " some"]]]:
+) -> Iterator[tuple[Rows, Int[np.ndarray, " some"]]]:
     """Yield blocks of runs with their pairs; runs that share few enough pairs share the search for them."""
     some = [array if len(array) == 1 else array[rows] for array in (points, corners)]
     near = _near(some[0], some[1], cells)
@@ -102,7 +102,7 @@ def tasks(
         for half in np.array_split(rows, 2):
             yield from tasks(points, corners, cells, half)
         return
-    pairs = _SegmentPairs.of(near)
+    pairs = _segment_pairs(near)
     for first in range(0, len(rows), BLOCK):
         yield pairs, rows[first : first + BLOCK]
 
@@ -120,45 +120,27 @@ def _runs_last(values: Float[np.ndarray, "#run point column"]) -> list[Values]:
     return [np.ascontiguousarray(column.T) for column in np.moveaxis(values, -1, 0)]
 
 
-@dataclass(frozen=True, eq=False)
-class _SegmentPairs:
-    """Segments to compare with each point, `ABREAST` per row; rows of one point are consecutive.
+def _segment_pairs(near: Bool[np.ndarray, "point cell"]) -> Rows:
+    """Return the segments to compare with each point, those that `near` marks, at least one for each.
 
-    Args:
-        segments: Numbers of segments, some repeated to fill the rows.
-        points: Number of the point of each row.
-        last: Whether a row is the last one of its point.
-        number: Number of rows that count; the rest pads the arrays to one of a few lengths.
+    `ABREAST` segments are in a row, some repeated to fill it; the rows of one point are consecutive. The arrays are
+    padded to one of a few lengths.
     """
-
-    segments: Int[np.ndarray, "row abreast"]
-    points: Int[np.ndarray, " row"]
-    last: Bool[np.ndarray, " row"]
-    number: int
-
-    @property
-    def rows(self) -> Rows:
-        """All of these for the compiled loops."""
-        return self.segments, self.points, self.last, self.number
-
-    @classmethod
-    def of(cls, near: Bool[np.ndarray, "point cell"]) -> "_SegmentPairs":
-        """Return the pairs that `near` marks; each point has at least one."""
-        point, cell = np.nonzero(near)
-        counts = np.bincount(point, minlength=len(near))
-        rows = -(-counts // ABREAST)
-        owner, total = np.repeat(np.arange(len(near)), rows), int(rows.sum())
-        place = ABREAST * (np.arange(total) - (np.cumsum(rows) - rows)[owner])
-        within = np.minimum(place[:, None] + np.arange(ABREAST), (counts - 1)[owner, None])
-        segments = cell[(np.cumsum(counts) - counts)[owner, None] + within]
-        last = np.append(owner[1:] != owner[:-1], True)
-        room = FEWEST_ROWS
-        while room < total:
-            room *= 8
-        filled = np.zeros((room, ABREAST), np.int32), np.zeros(room, np.int32), np.zeros(room, bool)
-        for array, values in zip(filled, (segments, owner, last), strict=True):
-            array[:total] = values
-        return cls(*filled, total)
+    point, cell = np.nonzero(near)
+    counts = np.bincount(point, minlength=len(near))
+    rows = -(-counts // ABREAST)
+    owner, total = np.repeat(np.arange(len(near)), rows), int(rows.sum())
+    place = ABREAST * (np.arange(total) - (np.cumsum(rows) - rows)[owner])
+    within = np.minimum(place[:, None] + np.arange(ABREAST), (counts - 1)[owner, None])
+    segments = cell[(np.cumsum(counts) - counts)[owner, None] + within]
+    last = np.append(owner[1:] != owner[:-1], True)
+    room = FEWEST_ROWS
+    while room < total:
+        room *= 8
+    filled = np.zeros((room, ABREAST), np.int32), np.zeros(room, np.int32), np.zeros(room, bool)
+    for array, values in zip(filled, (segments, owner, last), strict=True):
+        array[:total] = values
+    return *filled, total
 
 
 def _near(points: Points, corners: Corners, cells: Int[np.ndarray, "cell 2"]) -> Bool[np.ndarray, "point cell"]:

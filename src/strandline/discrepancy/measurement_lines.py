@@ -271,15 +271,12 @@ def _components(
 
 def _crossings(along_i: Places, along_j: Places, side_i: Places, side_j: Places) -> Places:
     """Return where along a line the segment from i to j crosses it; inf if it does not."""
-    span = side_i - side_j
-    share = np.divide(side_i, span, out=_foot(along_i, along_j), where=span != 0)
-    return np.where(side_i * side_j <= 0, along_i + share * (along_j - along_i), np.inf)
-
-
-def _foot(start: Places, end: Places) -> Places:
-    """Return the share of a segment lying *in* the line at which it is nearest to the line's point."""
-    span = end - start
-    return np.asarray(np.clip(np.divide(-start, span, out=np.zeros_like(span), where=span != 0), 0.0, 1.0))
+    span, step = side_i - side_j, along_j - along_i
+    in_line = np.clip(
+        np.divide(-along_i, step, out=np.zeros_like(step), where=step != 0), 0.0, 1.0
+    )  # where it is nearest
+    share = np.divide(side_i, span, out=in_line, where=span != 0)
+    return np.where(side_i * side_j <= 0, along_i + share * step, np.inf)
 
 
 def _checked_lines(

@@ -13,7 +13,6 @@ holds for any g near the most probable one: two steps with some of the observed 
 normals is linear however large it is: no interface follows it.
 """
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import ClassVar
@@ -23,8 +22,8 @@ from jaxtyping import Float, Int
 
 from strandline.discrepancy.many_distances import FEWEST, signed_sums
 from strandline.discrepancy.nearest import closest_points
-from strandline.discrepancy.protocol import ManyPoints, Offsets, Snapshot, Values, require_alike, require_same_direction
-from strandline.interface import ErrorModel, Interface, PointErrors, as_complex
+from strandline.discrepancy.protocol import ManyPoints, Offsets, Snapshot, Values, require_alike
+from strandline.interface import Interface, as_complex
 
 FEWEST_AVERAGED = 6
 """Fewest points in a mean: with fewer, little would be saved. Means drop what the slopes of r within a place tell, and
@@ -37,8 +36,6 @@ BESIDE = 2
 """Places on each side whose points help to find the course; near an end more on the other side."""
 MOST_GAPS = 0.02
 """Share of such gaps beyond which the points are not in order along a curve."""
-Rows = Mapping[str, ManyPoints]
-"""Points of simulated interfaces by condition, one interface a row, mm."""
 Sums = tuple[Values, Float[np.ndarray, "run error"]]
 """rᵀ D⁻¹ r and Bᵀ D⁻¹ r of each run."""
 ROUGH = 64
@@ -128,33 +125,6 @@ def _of_parts(
     return LocalMeans(places, normals, first, off)
 
 
-def linear_sums(
-    points: Rows,
-    sums: Callable[[Rows, bool], Sums],
-    estimate: Callable[[Float[np.ndarray, "run error"]], Float[np.ndarray, "run error"]],
-    followed: Callable[[Rows, Float[np.ndarray, "run error"]], Rows],
-    gram: Float[np.ndarray, "error error"],
-) -> Sums:
-    """Return qᵀ D⁻¹ q and Bᵀ D⁻¹ q of each run.
-
-    Args:
-        points: Points of the simulated interfaces.
-        sums: Function that returns rᵀ D⁻¹ r and Bᵀ D⁻¹ r for such points; roughly, from some of the observed points,
-            if its second argument is true.
-        estimate: Function that returns the most probable g from Bᵀ D⁻¹ r, with zeros for errors that no interface
-            follows.
-        followed: Function that returns the points after the observation's g.
-        gram: Bᵀ D⁻¹ B.
-    """
-    if not gram.any():
-        return sums(points, False)
-    g = estimate(sums(points, True)[1])
-    g = estimate(sums(followed(points, g), True)[1] + g @ gram)
-    squares, products = sums(followed(points, g), False)
-    more = g @ gram
-    return squares + 2 * (products * g).sum(axis=1) + (more * g).sum(axis=1), products + more
-
-
 @dataclass(frozen=True)
 class NormalOffset:
     """d² = Σ r_i², mm², with r_i the signed distance from observed point i to the simulated interface.
@@ -177,78 +147,7 @@ class NormalOffset:
         return weighted_sums(seen, points, template, np.ones(len(seen)), np.empty((len(seen), 0)))[0]
 
     def of_offsets(self, offsets: Offsets, observed: Interface, nodes: int) -> Values:
-        """Return their sum of squares."""
         return np.asarray((offsets**2).sum(axis=1))
-
-    def terms(self, observed: Interface) -> int:
-        """Return the number of observed points."""
-        return len(observed.points)
-
-    def whitened(self, errors: PointErrors) -> "WhitenedOffset":
-        """Return the measure for observed points with these errors."""
-        return WhitenedOffset(errors)
-
-
-@dataclass(frozen=True)
-class WhitenedOffset:
-    """d² = rᵀ C⁻¹ r, without a unit: r_i is the signed distance from observed point i to the simulated interface.
-
-    C is the covariance of the errors of the observed points, local and global, so that σ_N² = 1 and d² is a sum of as
-    many independent squares as there are observed points. Errors of position, rotation and scale of the whole interface
-    are integrated out, around their most probable values for the simulated interface at hand.
-
-    Args:
-        errors: Errors of the observed points.
-
-    Raises:
-        InvalidInput: On evaluation, a correlation length above half the length of the observed interface.
-    """
-
-    errors: PointErrors
-    unit: ClassVar[str] = "1"
-
-    def __call__(self, simulated: Interface, observed: Interface) -> float:
-        """Return d².
-
-        Raises:
-            InvalidInterface: With global errors, interfaces that run in opposite directions.
-        """
-        require_alike(simulated, observed)
-        if self.errors.global_errors(observed.dim):
-            require_same_direction(simulated, observed)
-        return float(self.many(simulated.points[None], simulated, observed)[0])
-
-    def model(self, observed: Interface) -> ErrorModel:
-        """Return the covariance of the residuals; kept for the interfaces used last."""
-        return _model(self.errors, Snapshot.of(observed))
-
-    def many(self, points: ManyPoints, template: Interface, observed: Interface) -> Values:
-        """Return d² of interfaces of the same cells."""
-        require_alike(template, observed)
-        return self.model(observed).square_of(*self.sums(points, template, observed))
-
-    def global_errors(
-        self, points: ManyPoints, template: Interface, observed: Interface
-    ) -> Float[np.ndarray, "run error"]:
-        """Return the most probable global errors of the observation for each simulated interface, in their sds."""
-        return self.model(observed).shared_errors(self.sums(points, template, observed)[1])
-
-    def sums(self, points: ManyPoints, template: Interface, observed: Interface) -> Sums:
-        """Return rᵀ D⁻¹ r and Bᵀ D⁻¹ r of each run, of residuals that are linear in the global errors."""
-        model, seen = self.model(observed), observed.points
-        moves, middle = self.errors.moves(observed.dim), seen.mean(axis=0)
-        longer = extended(points, template)
-
-        def of(some: Rows, rough: bool) -> Sums:
-            return weighted_sums(seen, some[""], template, 1 / model.local, model.features, rough=rough, longer=True)
-
-        return linear_sums(
-            {"": longer},
-            of,
-            lambda products: model.shared_errors(products) * moves,
-            lambda some, g: {"": self.errors.followed(some[""], template, g, middle=middle)},
-            model.gram,
-        )
 
     def terms(self, observed: Interface) -> int:
         """Return the number of observed points."""
@@ -338,8 +237,3 @@ def extended(points: Float[np.ndarray, "run node xyz"], template: Interface) -> 
 @lru_cache(maxsize=64)
 def _side(means: LocalMeans, snapshot: Snapshot) -> float:
     return means.side(snapshot.interface)
-
-
-@lru_cache(maxsize=64)
-def _model(errors: PointErrors, snapshot: Snapshot) -> ErrorModel:
-    return errors.model(snapshot.interface)

@@ -71,22 +71,6 @@ class AdaptsToErrors(Protocol):
 
 
 @runtime_checkable
-class Whitens(Protocol):
-    """A measure that can weigh its residuals by the errors of the observed points, so that σ_N² = 1."""
-
-    def whitened(self, errors: PointErrors) -> Discrepancy:
-        """Return the measure d² = rᵀ C⁻¹ r, C the covariance of the residuals r."""
-
-
-@runtime_checkable
-class HasTolerance(Protocol):
-    """A measure that is computed to a tolerance, and faster to a larger one."""
-
-    def tolerating(self, variance: float, observed: Interface) -> Discrepancy:
-        """Return the measure with a tolerance that changes log L by less than a hundredth if σ_N² is `variance`."""
-
-
-@runtime_checkable
 class FollowsOffsets(Protocol):
     """A measure whose d² nearly follows from signed distances if the two polylines are close to each other."""
 

@@ -16,6 +16,7 @@ StrandlineError
 """
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -43,7 +44,8 @@ class InvalidInput(StrandlineError, ValueError):
         super().__init__(f"{_line(what)}: got {_shown(value)}; expected {_line(expected)}. {_line(remedy)}")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuild_invalid, (type(self), self.what, self.value, self.expected, self.remedy)
+        rebuild = partial(type(self), value=self.value, expected=self.expected, remedy=self.remedy)
+        return rebuild, (self.what,)
 
 
 class InvalidStudy(InvalidInput):
@@ -94,7 +96,7 @@ class ForwardModelError(StrandlineError):
         super().__init__(f"{kind}: {message}")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuild_failure, (self.kind, self.message, self.evidence, self.state, self.log)
+        return partial(type(self), state=self.state, log=self.log), (self.kind, self.message, self.evidence)
 
 
 class CampaignStopped(StrandlineError):
@@ -124,20 +126,6 @@ class ResultsNotWritten(StrandlineError):
 
 class NumericsError(StrandlineError):
     """A numerical method cannot deliver what it promises; the message says what to do."""
-
-
-def _rebuild_invalid(kind: type[InvalidInput], what: str, value: object, expected: str, remedy: str) -> InvalidInput:
-    return kind(what, value=value, expected=expected, remedy=remedy)
-
-
-def _rebuild_failure(
-    kind: str,
-    message: str,
-    evidence: Mapping[str, float],
-    state: EndState,
-    log: str,
-) -> ForwardModelError:
-    return ForwardModelError(kind, message, evidence, state=state, log=log)
 
 
 def _shown(value: object) -> str:

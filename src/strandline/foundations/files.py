@@ -9,8 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-__all__ = ["read_json", "whole_file", "write_json"]
-
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:

@@ -10,8 +10,6 @@ from typing import Any
 
 from strandline.foundations.errors import InvalidInput
 
-__all__ = ["imported", "lookup", "of_extra", "suggestion"]
-
 MISSING = "Correct the name, install the module, or put its folder on PYTHONPATH."
 
 

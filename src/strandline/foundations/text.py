@@ -5,8 +5,6 @@ from collections.abc import Collection, Sequence
 
 from strandline.foundations.errors import InvalidInput
 
-__all__ = ["LONGEST", "decimal", "is_label", "is_name", "listed", "require_label", "require_name", "with_sd"]
-
 LONGEST = 64
 """Maximum number of characters in a name or a unit."""
 NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")

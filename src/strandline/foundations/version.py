@@ -1,5 +1,3 @@
 """The version of strandline."""
 
-__all__ = ["__version__"]
-
 __version__ = "0.3.0"

@@ -12,8 +12,6 @@ from scipy.spatial import cKDTree
 from strandline.foundations import InvalidInterface
 from strandline.interface import triangles
 
-__all__ = ["Interface", "Oriented", "oriented_like"]
-
 Point = Float[np.ndarray, "2"]
 Corners = Float[np.ndarray, "*#other 2"]
 _ROUNDING = 8 * float(np.finfo(float).eps)

@@ -29,16 +29,13 @@ class Noise(Protocol):
     @property
     def scale(self) -> float:
         """The d² that costs half a unit of log-likelihood, in the unit of d²; σ_N² for a Gaussian."""
-        ...
 
     @property
     def facts(self) -> dict[str, float]:
         """Its parameters by name, for summary.json and posterior.nc."""
-        ...
 
     def log_density(self, squared: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
         """Return the log-likelihood of discrepancies d² ≥ 0, without `constant`; 0 at d² = 0, falling from there."""
-        ...
 
     def constant(self, terms: int) -> float:
         """Return the constant that `log_density` omits from the density of `terms` residuals whose squares sum to d².
@@ -46,7 +43,6 @@ class Noise(Protocol):
         With it, that density integrates to 1. It is used to compare models by their evidence if the discrepancy is
         such a sum.
         """
-        ...
 
 
 @dataclass(frozen=True)

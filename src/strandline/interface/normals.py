@@ -85,7 +85,9 @@ def point_normals(interface: Interface, window: float) -> Float[np.ndarray, "poi
     between the places `window` mm before and behind the point, or the mean over the triangles less than `window` mm
     away.
     """
-    normal = _of_surface(interface, window) if interface.dim == 3 else _of_polyline(interface, window)
+    if interface.dim == 2:
+        return normals_at(interface, _at_points(interface, interface.lengths), window)
+    normal = _of_surface(interface, window)
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
 
@@ -131,10 +133,6 @@ def normals_at(polyline: Interface, places: Float[np.ndarray, " place"], window:
     chord = at(places + window) - at(places - window)
     normal = np.stack([-chord[:, 1], chord[:, 0]], axis=1)
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
-
-
-def _of_polyline(interface: Interface, window: float) -> Float[np.ndarray, "point 2"]:
-    return normals_at(interface, _at_points(interface, interface.lengths), window)
 
 
 def _of_surface(interface: Interface, window: float) -> Float[np.ndarray, "point 3"]:

@@ -14,7 +14,6 @@ from strandline.likelihood.inferred_noise import (
     require_inferable_noise,
 )
 from strandline.likelihood.interfaces import InterfaceLikelihood
-from strandline.likelihood.joint_errors import JointErrors, Points, places_of, residuals_of, shared_errors
 from strandline.likelihood.local_likelihood import Mixture, Nearby, follows_offsets
 from strandline.likelihood.noise_rule import (
     ResidualNoise,

@@ -16,10 +16,10 @@ from strandline.discrepancy import (
     AdaptsToErrors,
     Discrepancy,
     MeasureKey,
+    NormalOffset,
     Snapshot,
     Values,
     WhitenedOffset,
-    Whitens,
     squared_discrepancies,
 )
 from strandline.interface import GaussianNoise, Interface, Noise, Observation, PointErrors, UnknownErrors
@@ -133,7 +133,7 @@ class Compared:
 def with_variance(observation: Observation, measure: Discrepancy, nodes: int) -> Noise | PointErrors | UnknownErrors:
     """Return the noise of an observation such that σ_N² is not computed again for others like it."""
     noise = observation.noise
-    if not isinstance(noise, PointErrors) or isinstance(noise, FittedErrors) or isinstance(measure, Whitens):
+    if not isinstance(noise, PointErrors) or isinstance(noise, FittedErrors) or isinstance(measure, NormalOffset):
         return noise
     return _fitted(observation, measure, nodes)
 
@@ -170,13 +170,12 @@ def compared(observation: Observation, measure: Discrepancy, nodes: int) -> Comp
     errors, seen = observation.errors, observation.interface
     if errors is None:
         return Compared(observation, measure, cast(Noise, observation.noise))
-    if not isinstance(measure, Whitens):
+    if not isinstance(measure, NormalOffset):
         fitted = errors if isinstance(errors, FittedErrors) else _fitted(observation, measure, nodes)
         measure = adapted(measure, observation)
         if fitted.inverse is None:
             return Compared(observation, measure, GaussianNoise(fitted.variance))
         registered = Registered(measure, fitted.variance, errors, fitted.inverse)
         return Compared(observation, registered, WhitenedNoise(0.0))
-    whitened = measure.whitened(errors)
-    log_det = whitened.model(seen).log_det if isinstance(whitened, WhitenedOffset) else 0.0
-    return Compared(observation, whitened, WhitenedNoise(log_det))
+    whitened = WhitenedOffset(errors)
+    return Compared(observation, whitened, WhitenedNoise(whitened.model(seen).log_det))

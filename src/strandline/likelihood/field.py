@@ -11,19 +11,20 @@ from jaxtyping import Float, Int
 from scipy.stats import qmc
 
 from strandline.discrepancy import (
+    Currents,
     Discrepancy,
-    HasTolerance,
+    JointErrors,
     MeasureKey,
     NormalOffset,
     Snapshot,
     count_of_distances,
+    shared_errors,
     squared_discrepancies,
 )
 from strandline.foundations import InvalidInput
 from strandline.interface import Interface, Noise, Observation, PointErrors
 from strandline.likelihood.compared import compared
 from strandline.likelihood.inferred_noise import InferredNoise, infer_noise
-from strandline.likelihood.joint_errors import JointErrors, shared_errors
 from strandline.likelihood.local_likelihood import Nearby, OfMixture, Values, nearby
 from strandline.likelihood.parabolas import FittedParabola, NearParabola, log_gain, mean_of_draws, numbers, share_gained
 from strandline.smc import BatchedLogDensity, OnHost, is_on_host
@@ -163,7 +164,7 @@ class FieldLikelihood:
             template = templates[seen.condition]
             one = compared(seen, self.discrepancy, len(template.points))
             measure = one.measure
-            if isinstance(measure, HasTolerance):
+            if isinstance(measure, Currents):
                 measure = measure.tolerating(one.noise.scale, seen.interface)
             squares = squared_discrepancies(measure, points[seen.condition], template, seen.interface)
             total += one.noise.log_density(squares)

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from scipy.linalg import block_diag
 from scipy.special import logsumexp
 
-from strandline.discrepancy import Discrepancy, NormalOffset
+from strandline.discrepancy import Discrepancy, JointErrors, NormalOffset
 from strandline.foundations import InvalidInput
 from strandline.interface import (
     ErrorModel,
@@ -32,7 +32,6 @@ from strandline.interface import (
     steady_lengths,
     summed_length,
 )
-from strandline.likelihood.joint_errors import JointErrors
 from strandline.likelihood.linearised_residuals import Linearised, NearField, linearise
 from strandline.likelihood.local_likelihood import Mixture
 from strandline.surrogate import FieldSurrogate

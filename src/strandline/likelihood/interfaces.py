@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.discrepancy import Discrepancy, independent_terms, unit_of
+from strandline.discrepancy import Discrepancy, JointErrors, independent_terms, shared_errors, unit_of
 from strandline.foundations import InvalidInput, NumericsError, StrandlineError
 from strandline.interface import Interface, Observation
 from strandline.likelihood.compared import Compared, Registered, WhitenedNoise, adapted, compared
-from strandline.likelihood.joint_errors import JointErrors, shared_errors
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,8 @@ from jaxtyping import Bool, Float
 from scipy.sparse import csr_array
 from scipy.stats import qmc
 
-from strandline.discrepancy import Sums, closest_points, extended
+from strandline.discrepancy import JointErrors, Sums, closest_points, extended, sums_of
 from strandline.interface import ErrorModel, Interface
-from strandline.likelihood.joint_errors import JointErrors, sums_of
 from strandline.surrogate import FieldSurrogate
 
 REGISTRATIONS = 2

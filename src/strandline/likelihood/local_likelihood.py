@@ -12,10 +12,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import logsumexp, softmax
 
-from strandline.discrepancy import Discrepancy, FollowsOffsets, NormalOffset
+from strandline.discrepancy import Discrepancy, FollowsOffsets, JointErrors, NormalOffset, Points, places_of, sums_of
 from strandline.interface import ErrorModel, Interface, Observation, PointErrors
 from strandline.likelihood.compared import Compared, compared
-from strandline.likelihood.joint_errors import JointErrors, Points, places_of, sums_of
 from strandline.likelihood.linearised_residuals import NearField, linearise
 from strandline.likelihood.parabolas import Modes, NearParabola, Values
 from strandline.surrogate import FieldSurrogate
@@ -164,9 +163,11 @@ class OfOffsets:
     parts: tuple[tuple[_ByOffsets, slice], ...]
 
     def log_likelihood(self, coefficients: Modes, tail: Tail | None = None) -> Values:
-        size = max(BLOCK // len(self.field.residuals), 1)
-        parts = [slice(k, k + size) for k in range(0, len(coefficients), size)]
-        return np.concatenate([self._block(coefficients[p], None if tail is None else tail[p]) for p in parts])
+        size, found = max(BLOCK // len(self.field.residuals), 1), []
+        for some in (slice(k, k + size) for k in range(0, len(coefficients), size)):
+            offsets = self.field.offsets(coefficients[some], None if tail is None else tail[some])
+            found.append(sum(one.log_likelihood(offsets[:, part]) for one, part in self.parts))
+        return np.concatenate(found)
 
     @cached_property
     def parabola(self) -> NearParabola:
@@ -177,10 +178,6 @@ class OfOffsets:
         gram = factors.T @ (factors * weights[:, None])
         best = float(self.log_likelihood(self.field.at[None])[0])
         return NearParabola(self.field, gram, best + 0.5 * float(gram[0, 0]))
-
-    def _block(self, coefficients: Modes, tail: Tail | None) -> Values:
-        offsets = self.field.offsets(coefficients, tail)
-        return np.asarray(sum(one.log_likelihood(offsets[:, part]) for one, part in self.parts))
 
 
 Nearby = OfStatedErrors | OfMixture | OfOffsets

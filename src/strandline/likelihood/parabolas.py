@@ -140,23 +140,17 @@ class FittedParabola:
         return Parabolas(below, slopes, np.repeat(self.information[None], number, axis=0), top)
 
 
-@dataclass(frozen=True, eq=False)
 class _Tilted:
     """The Gaussian ∝ L p of standard normal numbers u for a parabola log L: precision RRᵀ and mean (RRᵀ)⁻¹ g.
 
     `roots` are the standard deviations V½ of the modes, mm, `factor` is R, lower triangular, and `pulled` R⁻¹ g.
     """
 
-    roots: Modes
-    factor: Float[np.ndarray, "point mode mode"]
-    pulled: Modes
-
-    @classmethod
-    def of(cls, parabolas: Parabolas, variance: Modes) -> "_Tilted":
-        roots = np.sqrt(variance)
-        H = roots[:, :, None] * parabolas.information * roots[:, None, :]
-        factor = np.linalg.cholesky(H + np.eye(H.shape[1]))
-        return cls(roots, factor, np.linalg.solve(factor, (roots * parabolas.slopes)[:, :, None])[:, :, 0])
+    def __init__(self, parabolas: Parabolas, variance: Modes) -> None:
+        self.roots = np.sqrt(variance)
+        H = self.roots[:, :, None] * parabolas.information * self.roots[:, None, :]
+        self.factor = np.linalg.cholesky(H + np.eye(H.shape[1]))
+        self.pulled = np.linalg.solve(self.factor, (self.roots * parabolas.slopes)[:, :, None])[:, :, 0]
 
     @property
     def log_root(self) -> Values:
@@ -178,7 +172,7 @@ def log_gain(parabolas: Parabolas, variance: Modes, log_likelihood: Values | Non
     below `Parabolas.top`, so that log E[L] never exceeds that; but where a parabola lies far below log L, it is wrong
     there, and log E[L] exceeds log L no further than the parabola's own mean.
     """
-    tilted = _Tilted.of(parabolas, variance)
+    tilted = _Tilted(parabolas, variance)
     share = _share(tilted, parabolas)
     gained = share * parabolas.below
     if log_likelihood is not None:
@@ -192,7 +186,7 @@ def share_gained(parabolas: Parabolas, variance: Modes) -> Values:
 
     An error of log L at the mean field leaves the rest of it in log E[L].
     """
-    return _share(_Tilted.of(parabolas, variance), parabolas)
+    return _share(_Tilted(parabolas, variance), parabolas)
 
 
 def _share(tilted: _Tilted, parabolas: Parabolas) -> Values:
@@ -211,7 +205,7 @@ def mean_of_draws(
     The standard normal numbers are the same for each point; their number of draws is even.
     """
     of_modes, of_tail = drawn
-    half, tilted = len(of_modes) // 2, _Tilted.of(parabolas, found.variance)
+    half, tilted = len(of_modes) // 2, _Tilted(parabolas, found.variance)
     number, modes = found.mean.shape
     plain = np.repeat(of_modes[None, half:], number, axis=0)
     u = np.concatenate([tilted.moved(of_modes[:half]), plain], axis=1)

@@ -8,6 +8,7 @@ import inspect
 import json
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
@@ -109,17 +110,11 @@ def _beside(name: str, path: Path, top: str, root: Path) -> bool:
 
 def _file(name: str) -> Path | None:
     """Return the Python file of a module, loaded or not; None if there is none."""
-    module = sys.modules.get(name)
-    origin = getattr(module, "__file__", None) if isinstance(module, ModuleType) else _origin(name)
+    module, origin = sys.modules.get(name), None
+    with suppress(ImportError, ValueError, AttributeError):
+        known = module if isinstance(module, ModuleType) else importlib.util.find_spec(name)
+        origin = getattr(known, "__file__" if known is module else "origin", None)
     return Path(origin).resolve() if origin and str(origin).endswith(".py") and Path(origin).is_file() else None
-
-
-def _origin(name: str) -> str | None:
-    try:
-        spec = importlib.util.find_spec(name)
-    except (ImportError, ValueError, AttributeError):
-        return None
-    return None if spec is None else spec.origin
 
 
 @lru_cache(maxsize=4096)

@@ -15,16 +15,8 @@ import numpy as np
 
 from strandline.foundations import imported
 from strandline.interface import Interface
-from strandline.models import refused
+from strandline.models import protocol, refused
 from strandline.models.identity import OWN, fingerprint
-from strandline.models.protocol import (
-    ModelInput,
-    Simulation,
-    declared_conditions,
-    declared_failure_kinds,
-    declared_inputs,
-    with_sensitivities,
-)
 
 __all__ = ["PythonModel", "lies_in", "modules_of"]
 
@@ -144,19 +136,19 @@ class PythonModel:
         self._target()
 
     @property
-    def inputs(self) -> tuple[ModelInput, ...]:
+    def inputs(self) -> tuple[protocol.ModelInput, ...]:
         """The inputs that the function declares; empty if it declares none."""
-        return declared_inputs(self._function())
+        return protocol.declared_inputs(self._function())
 
     @property
     def conditions(self) -> tuple[str, ...]:
         """The conditions that the function declares; a single unnamed one if it declares none."""
-        return declared_conditions(self._function())
+        return protocol.declared_conditions(self._function())
 
     @property
     def failure_kinds(self) -> tuple[str, ...] | None:
         """The kinds of failure that the function declares; None if it declares none."""
-        return declared_failure_kinds(self._function())
+        return protocol.declared_failure_kinds(self._function())
 
     @property
     def fingerprint(self) -> str:
@@ -174,15 +166,19 @@ class PythonModel:
         """Return the function's result, with points as an `Interface`; any other result makes the run invalid."""
         with modules_of(self.folder):
             result = self._target()(inputs, workdir)
-        return result if isinstance(result, Simulation | Interface) else _polyline(result)
+        return result if isinstance(result, protocol.Simulation | Interface) else _polyline(result)
 
     def _function(self) -> Any:
+        missing = "Correct the name, put the module beside study.yaml, install it, or put its folder on PYTHONPATH."
         with modules_of(self.folder):
-            return _found(self.function)
+            found = imported(self.function, WHAT, missing)
+        if not callable(found):
+            raise refused(WHAT, self.function, "a function or another callable", "Correct the name.")
+        return found
 
     def _target(self) -> Any:
         found = self._function()
-        return with_sensitivities(found) if self.sensitivities else found
+        return protocol.with_sensitivities(found) if self.sensitivities else found
 
 
 def _polyline(points: Any) -> Any:
@@ -192,12 +188,3 @@ def _polyline(points: Any) -> Any:
     except (TypeError, ValueError):
         array = np.empty(0)
     return Interface.polyline(array) if array.ndim == 2 and array.shape[1] == 2 else points
-
-
-def _found(target: str) -> Any:
-    """Return the callable ``module:name``."""
-    missing = "Correct the name, put the module beside study.yaml, install it, or put its folder on PYTHONPATH."
-    found = imported(target, WHAT, missing)
-    if not callable(found):
-        raise refused(WHAT, target, "a function or another callable", "Correct the name.")
-    return found

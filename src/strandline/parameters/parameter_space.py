@@ -21,8 +21,6 @@ from strandline.foundations import (
 )
 from strandline.parameters.priors import Prior, Truncated, require_span, truncate
 
-__all__ = ["RESERVED", "Parameter", "ParameterSpace"]
-
 RESERVED = (
     "weight",
     "log_weight",

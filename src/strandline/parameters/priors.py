@@ -13,19 +13,6 @@ from scipy import special, stats
 
 from strandline.foundations import InvalidInput
 
-__all__ = [
-    "PRIORS",
-    "LogNormal",
-    "LogUniform",
-    "Normal",
-    "Prior",
-    "ScaledBeta",
-    "Truncated",
-    "Uniform",
-    "require_span",
-    "truncate",
-]
-
 Array = Any  # a NumPy or a JAX array of any shape, or a float
 
 LEAST_MASS = 1e-10
@@ -45,15 +32,12 @@ class Prior(Protocol):
 
     def log_density(self, x: Array) -> Array:
         """Return the normalised log density, -inf outside the support; any shape, NumPy or JAX."""
-        ...
 
     def cdf(self, x: Array) -> Array:
         """Return the probability of values ≤ x (NumPy)."""
-        ...
 
     def quantile(self, p: Array) -> Array:
         """Return the inverse of `cdf` (NumPy)."""
-        ...
 
 
 class _Bounded:

@@ -26,10 +26,9 @@ from scipy.special import expit, log_expit, logit
 
 from strandline.calibration import CoordinateErrors, Errors, Footprint
 from strandline.design import FEWEST_POINTS, WHOLE, Look
-from strandline.discrepancy import NormalOffset
+from strandline.discrepancy import JointErrors, NormalOffset, shared_errors
 from strandline.foundations import InvalidInput, InvalidInterface
 from strandline.interface import ErrorModel, Interface, Observation, PointErrors, steady_normals
-from strandline.likelihood import JointErrors, shared_errors
 from strandline.surrogate import FieldSurrogate, fields_of
 
 

@@ -152,7 +152,6 @@ def batched_mean(gp: GaussianProcess, *, fused: bool | None = None) -> Callable[
         return [p - c for p, c in zip(points, centre, strict=True)]
 
     def mean(x: Particles) -> PerParticle:
-        """Return the mean at physical inputs."""
         points = ((x - gp.shift) / unit).T
         if in_one:
             offset = offsets(points[:, :, None], jnp.asarray(train.T)[:, None, :])

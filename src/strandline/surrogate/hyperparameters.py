@@ -181,7 +181,12 @@ def fit_hyperparameters(
     attempts = tuple(_attempt(objective, start, length_scale_bound) for start in starts)
     best = max(attempts, key=lambda a: (a.accepted, a.log_evidence))
     if not best.accepted:
-        raise NumericsError(f"no start of the evidence optimiser ended at a maximum: {_account(attempts)}")
+        shown = [(", ".join(f"{length:.3g}" for length in np.atleast_1d(a.length_scale)), a) for a in attempts]
+        ends = "; ".join(f"from l = {a.start:g} to {length}: {a.message} ({a.verdict})" for length, a in shown)
+        raise NumericsError(
+            f"no start of the evidence optimiser ended at a maximum: {ends}. "
+            "Raise the nugget, clip extreme log-likelihoods or bound the length scale lower."
+        )
     return FittedHyperparameters(
         length_scale=best.length_scale,
         signal_variance=best.signal_variance,
@@ -275,12 +280,3 @@ def _judge(objective: Objective, found: OptimizeResult, box: list[tuple[float, f
     gain = max(float(found.fun) - objective.descent(np.clip(found.x + step, low, high))[0] for step in steps)
     figures = f"projected gradient {norm:.2g}, best gain of a step of {_STEP:g} is {gain:.2g} nats"
     return (f"accepted: {figures}", True) if gain < _FLAT else (f"not a maximum: {figures}", False)
-
-
-def _account(attempts: tuple[EvidenceSearch, ...]) -> str:
-    lines = [f"from l = {a.start:g} to {_shown(a.length_scale)}: {a.message} ({a.verdict})" for a in attempts]
-    return "; ".join(lines) + ". Raise the nugget, clip extreme log-likelihoods or bound the length scale lower."
-
-
-def _shown(length_scale: LengthScale) -> str:
-    return ", ".join(f"{length:.3g}" for length in np.atleast_1d(length_scale))

@@ -67,53 +67,42 @@ class Validation:
     """How well each training run is predicted from others that do not include it.
 
     For a Gaussian process these are all others, with hyperparameters and centring fixed; else nine tenths of the runs.
-    Residuals are targets minus predictions, standardised ones are over their predictive standard deviation (with the
-    nugget); their root mean square is near 1 if the variance is realistic. Runs near the mode are those whose target
-    lies within `NEAR_MODE_WINDOW` of the largest one, and always the `NEAR_MODE_COUNT` best: errors there affect a
-    posterior.
+    Residuals are targets minus predictions. Runs near the mode are those whose target lies within `NEAR_MODE_WINDOW` of
+    the largest one, and always the `NEAR_MODE_COUNT` best: errors there affect a posterior.
     """
 
     residuals: Targets
-    standardised_residuals: Targets
     near_mode: Bool[np.ndarray, " run"]
     loo_rms: float
     loo_rms_near_mode: float
     near_mode_count: int
-    standardised_rms: float
-    standardised_rms_near_mode: float
 
 
 def validate(gp: GaussianProcess, y: Targets) -> Validation:
     """Return the leave-one-out residuals r_i = α_i / (K⁻¹)_ii of `gp`, whose training targets were `y`."""
     inverse = gp.cholesky.copy(order="F")
     invert(inverse)
-    precision = np.diagonal(inverse)
-    return _validation(gp.alpha / precision, gp.alpha / np.sqrt(precision), y)
+    return _validation(gp.alpha / np.diagonal(inverse), y)
 
 
 def cross_validate(fit: Callable[[Inputs, Targets], Predictor], x: Inputs, y: Targets) -> Validation:
     """Return the residuals of every tenth run, learnt from the others, for all ten tenths."""
-    residuals, variances = np.empty(len(y)), np.empty(len(y))
+    residuals = np.empty(len(y))
     for k in range(min(FOLDS, len(y))):
         left_out = np.arange(len(y)) % FOLDS == k
-        learnt = fit(x[~left_out], y[~left_out])
-        residuals[left_out] = y[left_out] - learnt.mean(x[left_out])
-        variances[left_out] = learnt.variance(x[left_out])
-    return _validation(residuals, residuals / np.sqrt(np.maximum(variances, np.finfo(float).tiny)), y)
+        residuals[left_out] = y[left_out] - fit(x[~left_out], y[~left_out]).mean(x[left_out])
+    return _validation(residuals, y)
 
 
-def _validation(residuals: Targets, standardised: Targets, y: Targets) -> Validation:
+def _validation(residuals: Targets, y: Targets) -> Validation:
     tenth_best = np.sort(y)[-min(NEAR_MODE_COUNT, len(y))]
     near = np.asarray(y >= min(tenth_best, y.max() - NEAR_MODE_WINDOW))
     return Validation(
         residuals=residuals,
-        standardised_residuals=standardised,
         near_mode=near,
         loo_rms=_rms(residuals),
         loo_rms_near_mode=_rms(residuals[near]),
         near_mode_count=int(near.sum()),
-        standardised_rms=_rms(standardised),
-        standardised_rms_near_mode=_rms(standardised[near]),
     )
 
 

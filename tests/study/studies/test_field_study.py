@@ -53,6 +53,7 @@ def test_errors_of_a_picture_that_contradict_each_other_are_among_the_results(fi
         noisy_picture = replace(study, noises={"": PointErrors(0.01, scale=scale)})
         found = summarise(noisy_picture, field.outcome.calibration, new_runs=0, reused_runs=0)["warnings"]
         assert sum("contradict each other" in line for line in found) == warned
+        assert all(line.startswith("The ") and line.endswith(".") for line in found if "contradict each" in line)
 
 
 def test_both_readings_are_those_of_the_model(uncertain):

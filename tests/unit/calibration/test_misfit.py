@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 from tests.unit.discrepancy.surfaces import sheet
 
-from strandline.calibration.misfit import Effort, Prediction, assess_fit, by_runs, misfit_of
+from strandline.calibration.misfit import Effort, Prediction, assess_fit, by_runs, misfit_of, reference
 from strandline.calibration.misfit.reference import corrected, drawn_statistics
 from strandline.calibration.misfit.verdict import verdict_on
 from strandline.discrepancy import ClosestPoint, Currents, NormalOffset, TrackedPoints
@@ -136,7 +136,7 @@ def test_inputs_that_act_only_together_raise_no_false_alarm(monkeypatch):
         return found.smooth_p
 
     assert stats.kstest([smooth_p(seed) for seed in range(20)], "uniform").pvalue > 0.005
-    monkeypatch.setattr(assess_fit, "beyond", separately)
+    monkeypatch.setattr(reference, "beyond", separately)
     assert stats.kstest([smooth_p(seed) for seed in range(20)], "uniform").pvalue < 0.005
 
 
@@ -151,7 +151,7 @@ def test_p_values_of_right_models_are_uniform(monkeypatch):
     for given, function, planted in rows:
         assert stats.kstest(p_values(*given), "uniform").pvalue > 0.005
         with monkeypatch.context() as patch:
-            patch.setattr(assess_fit, function, planted)
+            patch.setattr(reference, function, planted)
             assert stats.kstest(p_values(*given), "uniform").pvalue < 0.005
 
 

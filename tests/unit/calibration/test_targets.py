@@ -1,6 +1,7 @@
 """What is sampled: the expected likelihood where a surrogate is unsure, its derivatives; whether two halves agree."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.special import logsumexp, softmax
 from tests.unit.calibration.arches import SPACE, knowledge
 from tests.unit.likelihood.near_arches import LOCAL, around, by, likelihood, widened
 
+from strandline.calibration import method
 from strandline.calibration.method import _sample
 from strandline.calibration.problem import Observer, Settings
 from strandline.calibration.sampler_check import LEVEL, compare_halves
@@ -51,9 +53,17 @@ def test_the_expected_posterior_is_sampled(nearby):
     assert np.abs(np.log(plain / sd)).max() > 0.2
     log_weights, ratios = sampling.log_weights, posterior.log_likelihood - sampling.log_likelihood
     assert np.exp(2 * logsumexp(log_weights + ratios) - logsumexp(log_weights + 2 * ratios)) > 0.95
-    effect = target.checks(sampling, posterior, None, seed=1).field.effect
+    effect = target.checks(sampling, posterior, None, seed=1)["field"].effect
     assert effect.effective < 0.9
     np.testing.assert_allclose(np.log(effect.sd_ratio), np.log(sd / plain), atol=0.15)
+
+
+def test_nothing_is_drawn_twice_with_the_same_random_numbers_if_particles_cannot_be_carried_over(monkeypatch):
+    keys = []
+    monkeypatch.setattr(method, "sample", lambda key, *_, **__: keys.append(key) or "particles")
+    monkeypatch.setattr(method, "carried_over", lambda key, *_, **__: keys.append(key))
+    _sample(SimpleNamespace(warm_up_densities=(1, 2), compiled=3), SPACE, Settings(particles=8), Observer())
+    assert len(keys) == len({tuple(jax.random.key_data(key).tolist()) for key in keys}) == 5
 
 
 LOW, HIGH = np.array([-1.0, 0.0, 100.0]), np.array([1.0, 2.0, 800.0])

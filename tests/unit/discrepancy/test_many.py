@@ -124,7 +124,7 @@ def test_the_reach_is_that_of_the_longest_run():
 
     def reach(*heights):
         shapes = np.stack([graph(s, h * np.sin(20 * s)).points for h in heights], axis=2)
-        return many_currents._Batch.of(shapes, flat.cells, flat.points, flat.cells, 1e-8, 1e-3).reach
+        return many_currents._Batch(shapes, flat.cells, flat.points, flat.cells, 1e-8, 1e-3).reach
 
     assert reach(0.0, 0.5) == reach(0.5) > reach(0.0)
 

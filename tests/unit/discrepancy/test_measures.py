@@ -12,6 +12,7 @@ from strandline.discrepancy import (
     ClosestPoint,
     Currents,
     Discrepancy,
+    JointErrors,
     MeasurementLines,
     TrackedPoints,
     apart,
@@ -19,14 +20,16 @@ from strandline.discrepancy import (
     extent,
     extent_ratio,
     independent_terms,
+    joint_errors,
     noise_units,
     oriented_like_runs,
+    sums_of,
     unit_mistake,
     unit_of,
 )
-from strandline.discrepancy.normal_offset import linear_sums
+from strandline.discrepancy.normal_offset import weighted_sums
 from strandline.foundations import InvalidInput, InvalidInterface
-from strandline.interface import Interface
+from strandline.interface import Interface, Observation, PointErrors
 
 LINE = level(0.0, 3, length=2.0)
 
@@ -109,23 +112,25 @@ def test_the_worse_direction_tells_how_far_interfaces_are_apart():
         assert apart(one, other) == pytest.approx((np.sqrt((0.3**2 + 0.3**2 + 0.5**2) / 3), 0.5))
 
 
-def test_global_errors_are_estimated_from_some_points_and_the_sums_taken_over_all():
-    """Residuals of a line that is 0.3 too high, with one global error, its offset of sd 1, and with none."""
-    for global_errors, rough in ((1, [True, True, False]), (0, [False])):
-        asked, gram = [], 4.0 * np.eye(global_errors)
+def test_global_errors_are_estimated_from_some_points_and_the_sums_taken_over_all(monkeypatch):
+    """Residuals of a line that is 0.3 too high, with a shift of sd 1 along each axis, and with none."""
+    seen, above, asked = level(0.0), level(0.3), []
+    number = len(seen.points)
 
-        def sums(points, rough, asked=asked, number=global_errors):
-            asked.append(rough)
-            r = points[""][:, :, 1]
-            return (r**2).sum(axis=1), r.sum(axis=1)[:, None][:, :number]
+    def recorded(*arguments, rough, longer):
+        asked.append(rough)
+        return weighted_sums(*arguments, rough=rough, longer=longer)
 
-        def followed(points, g):
-            return {"": points[""] - g[:, :1, None] * np.array([0.0, 1.0])}
-
-        squares, products = linear_sums({"": level(0.3, 4).points[None]}, sums, lambda b: b / 5.0, followed, gram)
-        np.testing.assert_allclose(squares, 4 * 0.3**2)
-        np.testing.assert_allclose(products, np.full((1, global_errors), 4 * 0.3))
+    monkeypatch.setattr(joint_errors, "weighted_sums", recorded)
+    for shift, rough in ((1.0, [True, True, False]), (0.0, [False])):
+        errors = PointErrors(0.5, shift=shift)
+        joint = JointErrors((Observation(seen, errors),), (errors,))
+        squares, products = sums_of(joint, {"": above.points[None]}, {"": above})
+        np.testing.assert_allclose(squares, number * 0.3**2 / 0.5**2)
+        expected = [[0.0, -number * 0.3 / 0.5**2]] if shift else np.empty((1, 0))
+        np.testing.assert_allclose(products, expected, atol=1e-12)
         assert asked == rough
+        asked.clear()
 
 
 def leaning(height: float) -> Interface:

@@ -6,22 +6,17 @@ from scipy.optimize import minimize
 from tests.unit.discrepancy.curves import arch, level, line, one_by_one, runs
 from tests.unit.discrepancy.surfaces import sheet
 
+from strandline.discrepancy import WhitenedOffset
 from strandline.discrepancy import normal_offset as module
 from strandline.discrepancy.many_distances import FEWEST, signed_sums
-from strandline.discrepancy.normal_offset import (
-    NormalOffset,
-    WhitenedOffset,
-    local_means,
-    signed_distances,
-    weighted_sums,
-)
+from strandline.discrepancy.normal_offset import NormalOffset, local_means, signed_distances, weighted_sums
 from strandline.interface import Interface, PointErrors
 
 LINE = level(0.0)
 
 
 def whitened(**errors: float) -> WhitenedOffset:
-    return NormalOffset().whitened(PointErrors(**errors))
+    return WhitenedOffset(PointErrors(**errors))
 
 
 def test_distances_are_positive_on_the_side_of_the_normals_and_at_a_corner_of_its_nearest_side():

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from tests.unit.calibration.arches import SD, SPACE, TRUTH, arch, knowledge, seen
 
-from strandline.discrepancy import Discrepancy, NormalOffset
+from strandline.discrepancy import Discrepancy, JointErrors, NormalOffset
 from strandline.interface import GaussianNoise, Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import FieldLikelihood
-from strandline.likelihood.joint_errors import JointErrors
 from strandline.likelihood.linearised_residuals import NearField, linearise
 from strandline.likelihood.local_likelihood import OfStatedErrors
 

@@ -9,7 +9,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, qmc
 from tests.unit.discrepancy.curves import graph, ring
 
-from strandline.discrepancy import ClosestPoint, NormalOffset, WhitenedOffset
+from strandline.discrepancy import ClosestPoint, JointErrors, NormalOffset, WhitenedOffset
 from strandline.foundations import InvalidInput
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors, arc_lengths
 from strandline.likelihood import FieldLikelihood, infer_noise
@@ -24,7 +24,6 @@ from strandline.likelihood.inferred_noise import (
     offset_waves,
     require_inferable,
 )
-from strandline.likelihood.joint_errors import JointErrors
 from strandline.likelihood.linearised_residuals import linearise
 from strandline.likelihood.local_likelihood import Mixture
 from strandline.surrogate import fit_log_likelihood

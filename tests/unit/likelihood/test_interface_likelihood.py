@@ -10,13 +10,20 @@ from scipy.linalg import block_diag
 from scipy.optimize import minimize
 from tests.unit.discrepancy.curves import arch, level
 
-from strandline.discrepancy import ClosestPoint, Currents, MeasurementLines, NormalOffset, TrackedPoints
+from strandline.discrepancy import (
+    ClosestPoint,
+    Currents,
+    JointErrors,
+    MeasurementLines,
+    NormalOffset,
+    TrackedPoints,
+    shared_errors,
+)
 from strandline.discrepancy.normal_offset import signed_distances
 from strandline.foundations import InvalidInput, InvalidInterface, NumericsError
 from strandline.interface import GaussianNoise, Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import InterfaceLikelihood, compared
 from strandline.likelihood.compared import Registered
-from strandline.likelihood.joint_errors import JointErrors, shared_errors
 
 SMALL = PointErrors(3e-6, 0.02, shift=1e-5, rotation=5e-4, scale=5e-6, offset=2e-6)
 """So small that the residuals are linear in the global errors."""

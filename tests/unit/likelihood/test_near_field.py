@@ -11,10 +11,9 @@ from tests.unit.calibration.arches import SD, SPACE, TRUTH, arch
 from tests.unit.discrepancy.curves import graph
 from tests.unit.likelihood.near_arches import ALL, GLOBAL, LOCAL, around, by, joint, likelihood, near, widened
 
-from strandline.discrepancy import ClosestPoint, Currents, NormalOffset, signed_distances
+from strandline.discrepancy import ClosestPoint, Currents, JointErrors, NormalOffset, residuals_of, signed_distances
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import FieldLikelihood, compared
-from strandline.likelihood.joint_errors import JointErrors, residuals_of
 from strandline.likelihood.linearised_residuals import BENT, TRUSTED, linearise, near_field
 from strandline.likelihood.local_likelihood import OfStatedErrors, _ByOffsets
 from strandline.likelihood.parabolas import FittedParabola, NearParabola, log_gain, mean_of_draws, numbers

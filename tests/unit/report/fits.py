@@ -4,7 +4,7 @@ import numpy as np
 
 from strandline.calibration import Misfit
 from strandline.calibration.misfit import ConditionMisfit, Region
-from strandline.calibration.misfit.verdict import Verdict, verdict_on
+from strandline.calibration.misfit.verdict import FitVerdict, verdict_on
 from strandline.interface import PointErrors
 from strandline.likelihood.noise_rule import ResidualNoise, StatedErrors
 
@@ -19,7 +19,7 @@ def condition(*regions: Region, name: str = "V50", length: float = 0.02, line: b
     return ConditionMisfit(name, ARC, residual, stated, *noise, 0.3, 0.4, regions, surface=not line)
 
 
-def verdict(*conditions: ConditionMisfit, p=0.43, d=0.5, waves=0.5, run_alone=False) -> Verdict:
+def verdict(*conditions: ConditionMisfit, p=0.43, d=0.5, waves=0.5, run_alone=False) -> FitVerdict:
     return verdict_on(p, d, waves, conditions, run_alone=run_alone)
 
 

@@ -11,7 +11,7 @@ from tests.unit.report.fits import BAD, FINE, condition, misfit, verdict
 
 from strandline.calibration import Misfit, Problem
 from strandline.calibration.misfit import unlikely_errors
-from strandline.calibration.misfit.verdict import Verdict, with_fitted_noise
+from strandline.calibration.misfit.verdict import FitVerdict, with_fitted_noise
 from strandline.discrepancy import DISCREPANCIES
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import InterfaceLikelihood
@@ -29,7 +29,7 @@ EXPLAINED = "The model explains the observation: p = 0.43"
 def test_a_model_that_fits() -> None:
     """A small p-value of some part is not hidden by that of all."""
     but = "but look at the residuals: 4 times the smallest p-value is 0.024."
-    assert verdict(condition(FINE), waves=0.006) == Verdict(f"{EXPLAINED}, {but}", flagged=False)
+    assert verdict(condition(FINE), waves=0.006) == FitVerdict(f"{EXPLAINED}, {but}", flagged=False)
 
 
 def test_a_model_that_does_not_fit_and_where() -> None:
@@ -51,7 +51,7 @@ def test_a_model_that_does_not_fit_and_where() -> None:
         assert words in verdict(condition(*regions), **options).text
     long = condition(FINE, length=0.05)
     text = "The model does not explain the observation: s²ℓ of the residuals is 4.9 times that of the stated noise; "
-    assert verdict(long, p=0.04) == Verdict(text + END, flagged=True)
+    assert verdict(long, p=0.04) == FitVerdict(text + END, flagged=True)
     assert "observation (p = 0.004): s²ℓ of the residuals is 4.9 times" in verdict(long, p=0.001).text
 
 

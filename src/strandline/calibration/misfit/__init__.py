@@ -3,16 +3,3 @@
 from strandline.calibration.misfit.assess_fit import misfit_of
 from strandline.calibration.misfit.best_fit import Prediction, by_field, by_runs
 from strandline.calibration.misfit.verdict import DRAFT, ConditionMisfit, Effort, Misfit, Region, unlikely_errors
-
-__all__ = [
-    "DRAFT",
-    "ConditionMisfit",
-    "Effort",
-    "Misfit",
-    "Prediction",
-    "Region",
-    "by_field",
-    "by_runs",
-    "misfit_of",
-    "unlikely_errors",
-]

@@ -13,18 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from strandline.calibration.misfit import reference
 from strandline.calibration.misfit.best_fit import BestFit, Prediction, Residuals, best_fit
-from strandline.calibration.misfit.reference import (
-    ArcParts,
-    Statistics,
-    beyond,
-    corrected,
-    drawn_statistics,
-    observed_statistics,
-    parts_of,
-    tail,
-    waves_p,
-)
 from strandline.calibration.misfit.verdict import ConditionMisfit, Effort, Misfit, Region, verdict_on, with_fitted_noise
 from strandline.discrepancy import (
     Currents,
@@ -33,19 +23,12 @@ from strandline.discrepancy import (
     TrackedPoints,
     WhitenedOffset,
     closest_points,
+    shared_errors,
     squared_discrepancies,
 )
 from strandline.foundations import StrandlineError, listed
 from strandline.interface import GLOBAL, GaussianNoise, Interface, Observation, arc_lengths, steady_normals
-from strandline.likelihood import (
-    Compared,
-    Registered,
-    StatedErrors,
-    compared,
-    noise_of_residuals,
-    noise_on_surface,
-    shared_errors,
-)
+from strandline.likelihood import Compared, Registered, StatedErrors, compared, noise_of_residuals, noise_on_surface
 from strandline.posterior import Posterior
 
 FEW_DRAWS = 32
@@ -105,18 +88,14 @@ def predictive_shares(
     shared = shared_errors(observations, measure)
     if shared is not None:
         both = shared.many(points, templates), shared.model.square(noise + fields)
-    return PredictiveShares(_share(*both), tuple(map(_share, observed, drawn)))
+    each = (float(reference.tail(others, true)) for true, others in zip(observed, drawn, strict=True))
+    return PredictiveShares(float(reference.tail(both[1], both[0])), tuple(each))
 
 
 def _plain(how: Compared) -> Compared:
     """Return the comparison by the measure itself, in which global errors show: drawn observations contain them too."""
     one = how.measure
     return Compared(how.observation, one.measure, GaussianNoise(one.variance)) if isinstance(one, Registered) else how
-
-
-def _share(observed: Float[np.ndarray, " #draw"], drawn: Float[np.ndarray, " draw"]) -> float:
-    """Return the share of draws in which the drawn value reaches the observed one, one such draw added."""
-    return float((1 + np.sum(drawn >= observed)) / (1 + len(drawn)))
 
 
 def _drawn(
@@ -176,17 +155,17 @@ def misfit_of(
     random = np.random.default_rng([seed, STREAM])
     try:
         residuals = Residuals.of(observations, measure, prediction.templates, explained)
-        fit, parts = best_fit(residuals, prediction, posterior), parts_of(observations)
-        parts = replace(parts, waves=beyond(parts.waves, fit.by_inputs, fit.with_modes(residuals.model)))
-        seen = observed_statistics(residuals, fit, parts)
-        drawn = drawn_statistics(residuals, fit, parts, random, effort)
+        fit, parts = best_fit(residuals, prediction, posterior), reference.parts_of(observations)
+        parts = replace(parts, waves=reference.beyond(parts.waves, fit.by_inputs, fit.with_modes(residuals.model)))
+        seen = reference.observed_statistics(residuals, fit, parts)
+        drawn = reference.drawn_statistics(residuals, fit, parts, random, effort)
         predictive, failed = PredictiveShares(1.0, (1.0,) * len(observations)), []
         try:
             predictive = predictive_shares(residuals, fit, prediction, posterior, random, effort.predictive)
         except FAILURES as error:
             failed = [f"d² of drawn observations could not be computed: {' '.join(str(error).split())}"]
         conditions = _conditions(residuals, fit, parts, seen, drawn, None if failed else predictive)
-        p_value, smooth_p = float(tail(drawn.whole, seen.whole)), waves_p(drawn.waves, seen.waves)
+        p_value, smooth_p = float(reference.tail(drawn.whole, seen.whole)), reference.waves_p(drawn.waves, seen.waves)
         shares = p_value, predictive.whole, 1.0 if smooth_p is None else smooth_p
         verdict = verdict_on(*shares, conditions, run_alone=prediction.run_alone)
         if fitted:
@@ -203,14 +182,14 @@ def misfit_of(
 def _conditions(
     residuals: Residuals,
     fit: BestFit,
-    parts: ArcParts,
-    seen: Statistics,
-    drawn: Statistics,
+    parts: reference.ArcParts,
+    seen: reference.Statistics,
+    drawn: reference.Statistics,
     predictive: PredictiveShares | None,
 ) -> tuple[ConditionMisfit, ...]:
     """Return the residuals of each observation, global errors and errors of the surrogate removed: D (C + FFᵀ)⁻¹ r."""
     weighted = fit.with_modes(residuals.model).solved(fit.residuals)
-    local, shares = residuals.model.local * weighted, tail(drawn.conditions, seen.conditions)
+    local, shares = residuals.model.local * weighted, reference.tail(drawn.conditions, seen.conditions)
     regions = _regions(residuals, local, parts, seen, drawn)
     removed = residuals.joint.sizes(residuals.model.shared.T @ weighted)
     found = []
@@ -236,11 +215,18 @@ def _conditions(
 
 
 def _regions(
-    residuals: Residuals, local: Float[np.ndarray, " seen"], parts: ArcParts, seen: Statistics, drawn: Statistics
+    residuals: Residuals,
+    local: Float[np.ndarray, " seen"],
+    parts: reference.ArcParts,
+    seen: reference.Statistics,
+    drawn: reference.Statistics,
 ) -> list[Region]:
     """Return the parts of the arcs and the patches, with corrected p-values of their mean and their sum of squares."""
-    by_squares, by_mean = tail(drawn.squares, seen.squares), tail(np.abs(drawn.means), np.abs(seen.means))
-    p_values = corrected(np.concatenate([by_squares, by_mean])).reshape(2, -1).min(axis=0)
+    by_squares, by_mean = (
+        reference.tail(drawn.squares, seen.squares),
+        reference.tail(np.abs(drawn.means), np.abs(seen.means)),
+    )
+    p_values = reference.corrected(np.concatenate([by_squares, by_mean])).reshape(2, -1).min(axis=0)
     chosen = sorted({span.observation for span in parts.spans if span.centre is None})
     normals = {k: steady_normals(residuals.observations[k].interface) for k in chosen}
     found = []

@@ -14,18 +14,10 @@ from jaxtyping import Float
 
 from strandline.calibration.misfit.verdict import Effort
 from strandline.design import learn
-from strandline.discrepancy import Discrepancy
+from strandline.discrepancy import Discrepancy, JointErrors, Points, places_of, residuals_of, shared_errors
 from strandline.foundations import StrandlineError
 from strandline.interface import ErrorModel, Interface, Observation
-from strandline.likelihood import (
-    JointErrors,
-    Points,
-    StatedErrors,
-    places_of,
-    residuals_of,
-    shared_errors,
-    stated_errors,
-)
+from strandline.likelihood import StatedErrors, stated_errors
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior, Weighted
 from strandline.runs import RunRecord

@@ -181,7 +181,7 @@ def _statistics(residuals: Residuals, weighted: Float[np.ndarray, "row seen"], p
 
 
 def tail(
-    drawn: Float[np.ndarray, "row *statistic"], observed: Float[np.ndarray, "1 *statistic"]
+    drawn: Float[np.ndarray, "row *statistic"], observed: Float[np.ndarray, "#row *statistic"]
 ) -> Float[np.ndarray, "*statistic"]:
     """Return the share of draws that reach what was observed, the observation counted as one of them."""
     return np.asarray((1 + (drawn >= observed).sum(axis=0)) / (1 + len(drawn)))

@@ -134,7 +134,7 @@ class Misfit:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class FitVerdict:
     """An answer in one sentence, and whether it means that the model does not explain the observations, if known."""
 
     text: str
@@ -143,7 +143,7 @@ class Verdict:
 
 def verdict_on(
     p_value: float, predictive_p: float, smooth_p: float, conditions: Sequence[ConditionMisfit], *, run_alone: bool
-) -> Verdict:
+) -> FitVerdict:
     """Return the verdict on residuals, from the p-values of the best fit's residuals, of d², and of slow waves along
     the arc.
 
@@ -158,19 +158,19 @@ def verdict_on(
         remark = ", and the residuals are smaller than the noise leads one to expect" if p_value > SMALL else ""
         if least < DOUBTFUL:
             remark = f", but look at the residuals: {FAMILIES} times the smallest p-value is {least:.2g}"
-        return Verdict(f"The model explains the {what}: {_said(p_value)}{remark}.", flagged=False)
+        return FitVerdict(f"The model explains the {what}: {_said(p_value)}{remark}.", flagged=False)
     because = strain or _reason(conditions, ratio, least, smooth=FAMILIES * smooth_p < LEVEL)
     if run_alone:
-        return Verdict(
+        return FitVerdict(
             f"The best run does not explain the {what}{because}, but no surrogate could be built to check the inputs "
             "between the runs.",
             flagged=None,
         )
     text = f"The model does not explain the {what}{because}; trust neither mean nor width of the posterior."
-    return Verdict(text, flagged=True)
+    return FitVerdict(text, flagged=True)
 
 
-def with_fitted_noise(verdict: Verdict, observations: Sequence[Observation]) -> Verdict:
+def with_fitted_noise(verdict: FitVerdict, observations: Sequence[Observation]) -> FitVerdict:
     """Return the verdict if the noise was inferred from the same residuals, which it then explains in any case."""
     errors = [(one.known, one.interface) for one in observations if one.known]
     noise, seen = max(errors, key=lambda one: one[0].length, default=(None, None))
@@ -179,13 +179,13 @@ def with_fitted_noise(verdict: Verdict, observations: Sequence[Observation]) -> 
     said = f"sd {_length(noise.sd)}, correlated over {_length(noise.length)}"
     whole = float(seen.lengths.sum()) if seen.dim == 2 else 0.0
     if whole and noise.length > SMOOTH * whole:
-        return Verdict(
+        return FitVerdict(
             f"The model does not explain the observation: its residuals (root mean square {_length(noise.sd)}) are "
             f"smooth over {_length(noise.length)}, as errors of a model are, and not noise; trust neither mean nor "
             "width of the posterior.",
             flagged=True,
         )
-    return Verdict(
+    return FitVerdict(
         f"{verdict.text[:-1]}, with noise fitted to its residuals: {said}. An error of the model of this size and "
         "length would be taken for noise: compare them with what you know of the picture.",
         flagged=False,

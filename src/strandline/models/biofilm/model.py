@@ -26,18 +26,9 @@ from strandline.models.biofilm.cells.anchors import (
 )
 from strandline.models.biofilm.cells.cell import FlowCell, Setting, Solution
 from strandline.models.biofilm.cells.creeping_cell import CreepingCell
-from strandline.models.biofilm.cells.fields import FlowFields
+from strandline.models.biofilm.cells.fields import FlowFields, flow_fields
 from strandline.models.biofilm.cells.transient import TransientCell
-from strandline.models.biofilm.equations.flow import (
-    DROP,
-    PARABOLA,
-    PRESSURE,
-    RATE,
-    WATER,
-    Fluid,
-    entering,
-    inlet_bottom,
-)
+from strandline.models.biofilm.equations import flow
 from strandline.models.biofilm.equations.memory import Branch, branch_inputs
 from strandline.models.biofilm.materials import LAWS, law_named
 from strandline.models.biofilm.mesh.course import Course
@@ -114,8 +105,8 @@ class Biofilm:
     channel: Channel = Channel()
     outline: Outline = Outline()
     partition: Partition = Partition()
-    fluid: Fluid = WATER
-    inflow: str | Pairs = field(default=PARABOLA, metadata={"read": as_inflow})
+    fluid: flow.Fluid = flow.WATER
+    inflow: str | Pairs = field(default=flow.PARABOLA, metadata={"read": as_inflow})
     clamped: Pairs = ()
     inflow_rates: tuple[tuple[str, float], ...] = field(default=(), metadata={"read": as_inflow_rates})
     pressure_drops: tuple[tuple[str, float], ...] = field(default=(), metadata={"read": as_pressure_drops})
@@ -143,8 +134,8 @@ class Biofilm:
         subdivide(reference, self.channel, self.partition)
         check_clamped(self.clamped, reference)
         check_ranges(self.anchors, self.inputs, steady=self.course is None)
-        if self.inflow != PRESSURE:
-            entering(self.inflow, inlet_bottom(reference, self.channel), self.channel.height)
+        if self.inflow != flow.PRESSURE:
+            flow.entering(self.inflow, flow.inlet_bottom(reference, self.channel), self.channel.height)
         linear_solver()
 
     @property
@@ -165,8 +156,7 @@ class Biofilm:
 
     @property
     def _driven_by(self) -> ModelInput:
-        """The inflow rate or the pressure drop."""
-        return DROP if self.inflow == PRESSURE else RATE
+        return flow.DROP if self.inflow == flow.PRESSURE else flow.RATE
 
     @property
     def _solid(self) -> SolidInputs:
@@ -219,7 +209,6 @@ class Biofilm:
         return "anchors" if self.anchors else ""
 
     def is_prepared(self, inputs: Mapping[str, float]) -> bool:
-        """Return whether a run starts from anchors."""
         with contextlib.suppress(ForwardModelError):
             _, anchored = self._cell()
             loads = ({**inputs, self._driven_by.name: load} for _, load in self._loads_at(inputs))
@@ -247,7 +236,7 @@ class Biofilm:
         wanted = condition or max(reversed(self._loads_at(inputs)), key=lambda load: load[1])[0]
         solutions = self._solutions(cell, inputs, 0, only=wanted, anchored=anchored)
         next(name for name, _ in solutions if name == wanted)
-        return cell.fields()
+        return flow_fields(cell.system, cell.part)
 
     def on_finer_mesh(self, inputs: Mapping[str, float]) -> dict[str, Interface]:
         """Return the deformed interfaces by condition on the next finer mesh, at the same nodes, to check the accuracy.

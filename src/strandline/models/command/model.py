@@ -111,7 +111,7 @@ class CommandModel:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "folder", self.folder.resolve())
-        object.__setattr__(self, "_parts", _Parts.of(self))
+        object.__setattr__(self, "_parts", _Parts(self))
         object.__setattr__(self, "failure_kinds", (*KINDS, *self.errors))
 
     @property
@@ -233,20 +233,10 @@ class CommandModel:
         return f"; {name} lies in the study folder: {', '.join(steps)}" if steps else ""
 
 
-@dataclass(frozen=True)
 class _Parts:
     """The checked options and the text of the templates, so that later changes of the folder affect no campaign."""
 
-    templates: tuple[tuple[str, options.InputTemplate], ...]
-    files: tuple[options.SourceFile, ...]
-    commands: tuple[tuple[options.InputTemplate, ...], ...]
-    environment: Mapping[str, options.InputTemplate]
-    readings: Mapping[str, Reading]
-    exit_codes: frozenset[int] | None
-
-    @classmethod
-    def of(cls, model: CommandModel) -> "_Parts":
-        """Return the checked options of a model."""
+    def __init__(self, model: CommandModel) -> None:
         for name, value in (("timeout", model.timeout), ("grace", model.grace)):
             if value is not None and not 0 < value <= LONGEST_SECONDS:
                 raise refused(name, value, f"seconds above 0, at most {LONGEST_SECONDS} (a year)")
@@ -259,14 +249,11 @@ class _Parts:
         files = [options.SourceFile.of(model.folder, name, "files") for name in model.files]
         _require_distinct([*targets, *(options.relative_name(file.name, "files") for file in files)])
         sources = [(_read(model.folder, name), target) for name, target in zip(model.templates, targets, strict=True)]
-        return cls(
-            templates=tuple((target, template) for template, target in sources),
-            files=tuple(files),
-            commands=options.commands_of(model.command, model.post, shell=model.shell),
-            environment=options.environment_of(model.environment),
-            readings=options.readings_of(model.result, model.results),
-            exit_codes=options.exit_codes_of(model.exit_codes),
-        )
+        self.templates, self.files = [(target, template) for template, target in sources], files
+        self.commands = options.commands_of(model.command, model.post, shell=model.shell)
+        self.environment = options.environment_of(model.environment)
+        self.readings = options.readings_of(model.result, model.results)
+        self.exit_codes = options.exit_codes_of(model.exit_codes)
 
     def every_template(self) -> Iterator[options.InputTemplate]:
         """Yield all texts that may contain inputs."""

@@ -20,8 +20,6 @@ import signal
 import sys
 import time
 
-__all__ = ["main"]
-
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
 LINUX = sys.platform == "linux"
 GIVEN_UP_AFTER = 10.0

@@ -164,7 +164,6 @@ class UMBridgeModel:
 
     @functools.cached_property
     def client(self) -> Client:
-        """What calls the server."""
         return Client(self.url, self.name, dict(self.config or {}), self.timeout)
 
     @property
@@ -202,18 +201,15 @@ class UMBridgeModel:
                 client; ``inputs`` if the study's are not the model's; ``no_sensitivities``.
             InvalidInterface: an output that forms no interface.
         """
-        self._require_inputs(inputs)
-        values = [[float(inputs[name]) for name in block] for block in self.inputs.names]
-        output = self.client.evaluate(values, self.description.output_sizes)
-        interface = self.layout.interface(output, TO_MM[self.unit])
-        return Simulation.of(interface, {}, self._slopes(values) if self.sensitivities else None)
-
-    def _require_inputs(self, inputs: Mapping[str, float]) -> None:
         known = {name for block in self.inputs.names for name in block}
         if set(inputs) != known:
             odd = ", ".join(sorted(set(inputs) ^ known))
             expected = "the same names in the study (inputs, fixed) and in model.umbridge.inputs"
             raise ForwardModelError("inputs", f"{odd}: expected {expected}")
+        values = [[float(inputs[name]) for name in block] for block in self.inputs.names]
+        output = self.client.evaluate(values, self.description.output_sizes)
+        interface = self.layout.interface(output, TO_MM[self.unit])
+        return Simulation.of(interface, {}, self._slopes(values) if self.sensitivities else None)
 
     def _slopes(self, values: list[list[float]]) -> dict[str, Float[np.ndarray, "point xyz"]]:
         """Return d(points)/d(input) by input, mm per unit of the input."""

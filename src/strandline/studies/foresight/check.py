@@ -55,7 +55,7 @@ VERDICTS: dict[Verdict, str] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Compared:
+class CheckedDraws:
     """Draws of a posterior, by the numbers of their particles, with the run, and the log-likelihoods, of each.
 
     That by the true model is -inf if the run failed. `result` are the reweighted moments.
@@ -73,7 +73,9 @@ class Compared:
         return [record for record in self.records if not record.ok]
 
 
-def describe(study: Study, found: Compared, observations: Sequence[Observation], *, new_runs: int) -> dict[str, Any]:
+def describe(
+    study: Study, found: CheckedDraws, observations: Sequence[Observation], *, new_runs: int
+) -> dict[str, Any]:
     """Return the content of check.json except the seconds."""
     smoothed, number = found.result.smoothed, len(found.records)
     distinct = len({record.key for record in found.records})
@@ -122,7 +124,7 @@ def posterior_digest(posterior: Posterior) -> str:
     return hashlib.sha256(b"".join(np.ascontiguousarray(part, float).tobytes() for part in parts)).hexdigest()
 
 
-def _inputs(found: Compared) -> dict[str, dict[str, Any]]:
+def _inputs(found: CheckedDraws) -> dict[str, dict[str, Any]]:
     return {
         parameter.name: {
             "unit": parameter.unit,
@@ -132,7 +134,7 @@ def _inputs(found: Compared) -> dict[str, dict[str, Any]]:
     }
 
 
-def _remarks(study: Study, found: Compared) -> Iterator[str]:
+def _remarks(study: Study, found: CheckedDraws) -> Iterator[str]:
     verdict = verdict_on(found.result.smoothed)
     yield VERDICTS[verdict]
     if verdict != "good":
@@ -151,7 +153,7 @@ def _remarks(study: Study, found: Compared) -> Iterator[str]:
         )
 
 
-def _differences(found: Compared) -> Iterator[str]:
+def _differences(found: CheckedDraws) -> Iterator[str]:
     result = found.result
     for name, shift, ratio in zip(found.posterior.space.names, result.shift, result.sd_ratio, strict=True):
         if abs(shift) > SHIFT_SHOWN or abs(ratio - 1) > RATIO_SHOWN:
@@ -266,7 +268,7 @@ def check_posterior(
     likelihood = InterfaceLikelihood(observations, study.measure)
     true = np.array([likelihood(record.interfaces) if record.ok else -np.inf for record in records])
     _require_one(records)
-    found = Compared(posterior, chosen, records, true, surrogate, reweight(positions, true - surrogate))
+    found = CheckedDraws(posterior, chosen, records, true, surrogate, reweight(positions, true - surrogate))
     content = describe(study, found, observations, new_runs=new_runs)
     with told_if_unwritable(study.folder):
         add_check(content, study.folder, draft=study.settings.draft)

@@ -8,10 +8,17 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.calibration import footprint
-from strandline.discrepancy import Discrepancy, NormalOffset, signed_distances, squared_discrepancies
+from strandline.discrepancy import (
+    Discrepancy,
+    JointErrors,
+    NormalOffset,
+    shared_errors,
+    signed_distances,
+    squared_discrepancies,
+)
 from strandline.foundations import InvalidInput, NumericsError
 from strandline.interface import Interface, Observation, UnknownErrors
-from strandline.likelihood import JointErrors, compared, differences, noise_length, second_differences, shared_errors
+from strandline.likelihood import compared, differences, noise_length, second_differences
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior
 from strandline.runs import RunRecord

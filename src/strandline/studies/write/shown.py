@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image
 
-from strandline.discrepancy import Discrepancy, KnowsPointErrors, NormalOffset, Whitens, unit_of
+from strandline.discrepancy import Discrepancy, KnowsPointErrors, NormalOffset, unit_of
 from strandline.foundations import whole_file, write_json
 from strandline.imaging import FrameErrors
 from strandline.interface import Interface, Observation, PointErrors
@@ -232,14 +232,14 @@ def variances(seen: Interface, errors: PointErrors, measures: Mapping[str, Discr
     for name, measure in {**measures, "normal_offset": measures.get("normal_offset", NormalOffset())}.items():
         fitted = adapted(measure, Observation(seen, errors))
         options = in_words(fitted).partition(": ")[2]
-        shown = f"{name}, {options}" if options and not isinstance(fitted, Whitens) else name
+        shown = f"{name}, {options}" if options and not isinstance(fitted, NormalOffset) else name
         value, note = _variance(fitted, seen, errors)
         found[shown] = {"value": value, "unit": unit_of(fitted, seen) if value is not None else None, "note": note}
     return found
 
 
 def _variance(measure: Discrepancy, seen: Interface, errors: PointErrors) -> tuple[float | None, str | None]:
-    if isinstance(measure, Whitens):
+    if isinstance(measure, NormalOffset):
         return None, "none needed, it weighs the points by their errors"
     closed = measure.noise_variance(errors, seen) if isinstance(measure, KnowsPointErrors) else None
     return closed, None if closed is not None else "no closed form holds, a run of the study computes it"

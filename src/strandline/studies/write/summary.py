@@ -80,7 +80,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "sensitivity": _sensitivity(calibration),
         "missing": {},
         "warnings": [
-            *contradictions(study),
+            *(f"{one[0].upper()}{one[1:]}." for one in contradictions(study)),
             *find_warnings(calibration, turned=(*study.turned, *calibration.turned)),
         ],
         "seconds": dict(calibration.seconds),

@@ -2,5 +2,3 @@
 
 from strandline.surrogate.field.field import FieldPrediction, FieldSurrogate, FieldTraining, fit_field
 from strandline.surrogate.field.warping import fewest_runs
-
-__all__ = ["FieldPrediction", "FieldSurrogate", "FieldTraining", "fewest_runs", "fit_field"]

@@ -15,14 +15,7 @@ from jaxtyping import Float
 from strandline.discrepancy import path_of
 from strandline.foundations import NoCommonPoints
 from strandline.interface import Interface
-from strandline.surrogate.field.correspondence import (
-    PointLayout,
-    by_condition,
-    common_layout,
-    fields_of,
-    kriged,
-    registered,
-)
+from strandline.surrogate.field import correspondence
 
 FEWEST_PAIRS = 3
 """Fewest runs of both models."""
@@ -46,7 +39,7 @@ class Correction:
     `node_by_node` tells whether the points are the nodes of both models in all runs.
     """
 
-    layouts: Mapping[str, PointLayout]
+    layouts: Mapping[str, correspondence.PointLayout]
     middle: Float[np.ndarray, " value"]
     scale: float
     runs: Float[np.ndarray, "pair value"]
@@ -73,7 +66,10 @@ class Correction:
         """
         field = _field(cheaper, self.layouts)
         field = field + self.constant + self._slope((field - self.middle)[None])[0]
-        return {name: self.layouts[name].with_points(one) for name, one in by_condition(field, self.layouts).items()}
+        return {
+            name: self.layouts[name].with_points(one)
+            for name, one in correspondence.by_condition(field, self.layouts).items()
+        }
 
     def corrected_slopes(self, slopes: Mapping[str, Float[np.ndarray, "point xyz"]]) -> dict[str, np.ndarray]:
         """Return the derivatives of the corrected interfaces in an input, from those of the cheaper ones, by condition.
@@ -81,7 +77,7 @@ class Correction:
         They only have common points if the nodes correspond.
         """
         field = np.concatenate([np.asarray(slopes[name], float).ravel() for name in self.layouts])
-        return by_condition(field + self._slope(field[None])[0], self.layouts)
+        return correspondence.by_condition(field + self._slope(field[None])[0], self.layouts)
 
     def distance(self, one: Interfaces, other: Interfaces) -> float:
         """Return the distance between interfaces with common points, root mean square along the interface, mm.
@@ -89,7 +85,7 @@ class Correction:
         Raises:
             NoCommonPoints: An interface without common points with the others.
         """
-        (a, b), _ = fields_of([one, other], self.layouts)
+        (a, b), _ = correspondence.fields_of([one, other], self.layouts)
         return float(_rms((a - b)[None], self.weights, len(self.layouts))[0])
 
     def _slope(self, field: Float[np.ndarray, "some value"]) -> Float[np.ndarray, "some value"]:
@@ -112,7 +108,7 @@ def fit_correction(cheaper: Sequence[Interfaces], model: Sequence[Interfaces]) -
             remedy="Let both models return the same conditions.",
         )
     layouts = {name: _layout([run[name] for run in model], [run[name] for run in cheaper]) for name in names}
-    above = fields_of(model, layouts)[0]
+    above = correspondence.fields_of(model, layouts)[0]
     below = np.array([_field(run, layouts) for run in cheaper])
     shares = [np.repeat(layout.weights, layout.template.dim) for layout in layouts.values()]
     weights = np.sqrt(np.concatenate(shares))
@@ -121,30 +117,30 @@ def fit_correction(cheaper: Sequence[Interfaces], model: Sequence[Interfaces]) -
     runs, lacks = (below - middle) * weights / scale, above - below
     kernel, ridges = runs @ runs.T, RIDGES if len(runs) >= FEW else TYPICAL
     noise = max(float(np.trace(kernel)) / len(kernel), 1e-12) * np.eye(len(kernel))
-    tried = [kriged(kernel + ridge * noise, lacks) for ridge in ridges]
+    tried = [correspondence.kriged(kernel + ridge * noise, lacks) for ridge in ridges]
     errors = [_rms(left_out, weights, conditions) for _, _, left_out in tried]
     best = int(np.argmin([np.sum(one**2) for one in errors]))
     constant, factors, _ = tried[best]
     spread = float(np.sqrt(np.mean(_rms(above - above.mean(axis=0), weights, conditions) ** 2)))
-    same = all(common_layout([run[name] for run in (*model, *cheaper)]).way == "nodes" for name in names)
+    same = all(correspondence.common_layout([run[name] for run in (*model, *cheaper)]).way == "nodes" for name in names)
     return Correction(layouts, middle, scale, runs, constant, factors, weights, errors[best], spread, same)
 
 
-def _layout(model: Sequence[Interface], cheaper: Sequence[Interface]) -> PointLayout:
+def _layout(model: Sequence[Interface], cheaper: Sequence[Interface]) -> correspondence.PointLayout:
     """Return the layout of the model's nodes if open polylines can be brought to them, else a common one.
 
     So corrected interfaces have the nodes that a measure may ask for.
     """
-    own = common_layout(model)
+    own = correspondence.common_layout(model)
     lines = all(one.dim == 2 and not one.closed for one in (*model, *cheaper))
-    return own if own.way == "nodes" and lines else common_layout([*model, *cheaper])
+    return own if own.way == "nodes" and lines else correspondence.common_layout([*model, *cheaper])
 
 
-def _brought(interface: Interface, layout: PointLayout) -> Float[np.ndarray, "point xyz"]:
+def _brought(interface: Interface, layout: correspondence.PointLayout) -> Float[np.ndarray, "point xyz"]:
     """Return the points of an interface in the layout; of other nodes, at the template's shares of the arclength."""
     template = layout.template
     if layout.way != "nodes" or interface.points.shape == template.points.shape or interface.dim != 2:
-        return registered(interface, layout)[0]
+        return correspondence.registered(interface, layout)[0]
     turned = interface.reversed() if interface.runs_against(template) else interface
     shares, places = _shares(template), _shares(turned)
     own = np.append(template.cells[:, 0], template.cells[-1, 1])
@@ -153,7 +149,7 @@ def _brought(interface: Interface, layout: PointLayout) -> Float[np.ndarray, "po
     return out
 
 
-def _field(run: Interfaces, layouts: Mapping[str, PointLayout]) -> Float[np.ndarray, " value"]:
+def _field(run: Interfaces, layouts: Mapping[str, correspondence.PointLayout]) -> Float[np.ndarray, " value"]:
     """Return the points of a run of the cheaper model in the layouts, one after the other."""
     return np.concatenate([_brought(run[name], layout).ravel() for name, layout in layouts.items()])
 

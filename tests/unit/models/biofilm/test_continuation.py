@@ -12,7 +12,7 @@ from tests.unit.models.biofilm.cells import coarse_cell, failure, largest
 from strandline.foundations import ForwardModelError
 from strandline.models.biofilm.cells import cell as cell_module
 from strandline.models.biofilm.cells.cell import Setting
-from strandline.models.biofilm.cells.steady import ARRIVAL, Steady, steady_state, trace
+from strandline.models.biofilm.cells.steady import ARRIVAL, Path, Steady, steady_state
 from strandline.models.biofilm.equations.strain import Strain, jacobian_bound
 from strandline.models.biofilm.solver import newton
 
@@ -57,7 +57,7 @@ class Bar:
 
 def follow(bar, load, *, first_share=0.7, budget=0):
     linear = np.array([load, load + load / SPRING])
-    return trace(bar, linear=linear, load=load, first_load=first_share * load, budget=budget)
+    return Path(bar, load, budget).follow(linear, first_share * load)
 
 
 def compression(load: float) -> float:
@@ -278,7 +278,8 @@ def test_quasi_newton_steps_reach_the_root_of_scipy_with_fewer_jacobians():
     for one in (found, pure):
         np.testing.assert_allclose(one.x, expected.x, atol=1e-9)
     assert quasi.factorised == found.jacobians < pure.jacobians == plain.factorised
-    np.testing.assert_allclose(newton.length(np.array([3.0, 8.0]), np.array([1.0, 0.5])), np.sqrt(25 / 2))
+    search = newton._Search(quasi, np.array([1.0, 0.5]), newton.NewtonSettings())
+    np.testing.assert_allclose(search._length(np.array([3.0, 8.0])), np.sqrt(25 / 2))
     refused = ForwardModelError("continuation_stalled", "no more", {"jacobians": 17.0})
     quasi.factorise = lambda x: (_ for _ in ()).throw(refused)
     assert failure(solved, quasi, 0.5).evidence["jacobians"] == 17.0

@@ -116,7 +116,6 @@ class Box:
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """Inputs that vary."""
         return tuple(Axis(*entry) for entry in self.ranges if entry[1] < entry[2])
 
     def holds(self, inputs: Mapping[str, float]) -> bool:
@@ -302,7 +301,6 @@ class AnchoredCell:
         return replace(self.cell.solve(self._setting(inputs), budget), figures=figures)
 
     def serves(self, inputs: Mapping[str, float]) -> bool:
-        """Return whether a run starts from anchors."""
         return self._predicted_strain(inputs) <= LARGEST_STRAIN
 
     def _solved(self) -> States:

@@ -10,20 +10,8 @@ from jaxtyping import Float, Int
 
 from strandline.foundations import ForwardModelError
 from strandline.interface import Interface
-from strandline.models.biofilm.cells.fields import FlowFields, flow_fields
 from strandline.models.biofilm.cells.steady import steady_state
-from strandline.models.biofilm.equations.flow import (
-    DENSITY_SCALE,
-    FORCE_SCALE,
-    PARABOLA,
-    STRESS_SCALE,
-    VISCOSITY_SCALE,
-    WATER,
-    Flow,
-    Fluid,
-    inlet_bottom,
-    prescribe,
-)
+from strandline.models.biofilm.equations import flow
 from strandline.models.biofilm.equations.memory import Branch
 from strandline.models.biofilm.equations.strain import StrainProbe, jacobian_bound
 from strandline.models.biofilm.equations.system import BoundaryNames, CoupledSystem
@@ -33,7 +21,7 @@ from strandline.models.biofilm.mesh.outline import Channel, Pairs
 from strandline.models.biofilm.solver import newton
 from strandline.models.biofilm.solver.linear import Factorisation, Vector
 
-_SCALES = {"Pa": STRESS_SCALE, "1": 1.0}
+_SCALES = {"Pa": flow.STRESS_SCALE, "1": 1.0}
 NORM_WEIGHTS = (1.0, 0.1, 10.0, 0.1)
 """Newton corrections of v, p, d, pₛ are weighted so that all count alike."""
 BALANCE = 1e-6
@@ -81,7 +69,7 @@ class Setting:
     poisson: Sequence[float]
     rate: float
     further: tuple[Sequence[float], ...] = ()
-    fluid: Fluid = WATER
+    fluid: flow.Fluid = flow.WATER
     branches: tuple[Branch, ...] = ()
 
     @property
@@ -102,24 +90,24 @@ class FlowCell:
         channel: Channel,
         partition: Partition,
         law: Law,
-        fluid: Fluid = WATER,
-        inflow: str | Pairs = PARABOLA,
+        fluid: flow.Fluid = flow.WATER,
+        inflow: str | Pairs = flow.PARABOLA,
         clamped: Pairs = (),
     ) -> None:
         _, self.parts = subdivide(outline, channel, partition)
-        self._material_scales = (STRESS_SCALE, 1.0, *(_SCALES[item.unit] for item in further_parameters(law)))
+        self._material_scales = (flow.STRESS_SCALE, 1.0, *(_SCALES[item.unit] for item in further_parameters(law)))
         self.outline, self.channel = outline, channel
         self.mesh = mesh_flow_cell(outline, size, channel, partition, clamped)
         number = {"fluid": 0} | {name: k for k, name in enumerate(self.parts, 1)}
         self.part = np.array([number[element.mat] for element in self.mesh.Elements(ng.VOL)])
         self.is_solid = self.part > 0
-        self.fluid, self.flow = fluid.at({}), Flow.of(channel, inflow, fluid)
+        self.fluid, self.flow = fluid.at({}), flow.Flow(channel, inflow, fluid)
         viscosity, density, *_ = self.fluid.values()
         self.system = self.coupled(
             self.mesh,
             _boundaries(channel, pressure_driven=self.flow.pressure is not None, sliding=bool(clamped)),
-            viscosity=viscosity / VISCOSITY_SCALE,
-            density=density / DENSITY_SCALE,
+            viscosity=viscosity / flow.VISCOSITY_SCALE,
+            density=density / flow.DENSITY_SCALE,
             law=law,
             solids=tuple(self.parts),
             loads=self.flow.loads,
@@ -129,7 +117,7 @@ class FlowCell:
         for component in range(3 + len(self.parts)):
             self.weights[self.system.block(component)] = NORM_WEIGHTS[min(component, 3)]
         if self.flow.pressure is None:
-            prescribe(self.system, inflow, channel, bottom=inlet_bottom(outline, channel))
+            flow.prescribe(self.system, inflow, channel, bottom=flow.inlet_bottom(outline, channel))
         self.inflow = np.array(self.system.values)
         self.strains = StrainProbe(self.system)
         self.largest_compression = self.strains.largest_compression
@@ -225,11 +213,11 @@ class FlowCell:
 
         One back-substitution each with a fresh Jacobian at the solution that `solve` has just returned.
         """
-        system, flow = self.system, self.flow
+        system = self.system
         jacobian = system.factorise(solution.unknowns)
-        by_drive = system.by_prescribed(self.inflow / flow.scale)
-        if flow.pressure is not None:
-            by_drive = np.asarray(system.by_parameter(flow.pressure.parameter) / flow.scale)
+        by_drive = system.by_prescribed(self.inflow / self.flow.scale)
+        if self.flow.pressure is not None:
+            by_drive = np.asarray(system.by_parameter(self.flow.pressure.parameter) / self.flow.scale)
         derivatives = [
             1.0 / scale * jacobian.solve(-system.by_parameter(parameter))
             for scale, parameters in zip(self._material_scales, system.material, strict=True)
@@ -251,24 +239,21 @@ class FlowCell:
             message = f"forces do not balance: residual {left:.2g} against reactions of {reaction:.2g}"
             raise ForwardModelError("unbalanced", message, {"residual": float(left), "reaction": float(reaction)})
 
-    def set_loads(self, rate: float, fluid: Fluid) -> float:
+    def set_loads(self, rate: float, fluid: flow.Fluid) -> float:
         """Set the fluid and the loads at the end of the load path; return the load there.
 
         A load is the scaled inflow or pressure drop, or a share of all loads if a force acts on the fluid too.
         """
         viscosity, density, *force = fluid.values()
-        self.system.viscosity.Set(viscosity / VISCOSITY_SCALE)
-        self.system.density.Set(density / DENSITY_SCALE)
+        self.system.viscosity.Set(viscosity / flow.VISCOSITY_SCALE)
+        self.system.density.Set(density / flow.DENSITY_SCALE)
         scaled = rate / self.flow.scale
         target = 1.0 if self.flow.forces and any(force) else scaled
         self._drive = 1.0 if target == scaled else scaled
         self._load_scale = self.flow.scale if target == scaled else rate
-        self._loads = [*(f / FORCE_SCALE for f in force[: len(self.flow.forces)])]
+        self._loads = [*(f / flow.FORCE_SCALE for f in force[: len(self.flow.forces)])]
         self._loads += [self._drive] if self.flow.pressure is not None else []
         return target
-
-    def fields(self) -> FlowFields:
-        return flow_fields(self.system, self.part)
 
     def _apply(self, load: float) -> None:
         """Write the loads at a point of the load path into the system."""
@@ -278,17 +263,19 @@ class FlowCell:
 
     def _by_fluid(self, name: str) -> Vector:
         """Return the derivative of the residual with respect to a quantity of the fluid, per its unit."""
-        scales = {"viscosity": VISCOSITY_SCALE, "density": DENSITY_SCALE}
+        scales = {"viscosity": flow.VISCOSITY_SCALE, "density": flow.DENSITY_SCALE}
         parameters = {"viscosity": self.system.viscosity, "density": self.system.density}
         forces = dict(zip(("force_x", "force_y"), self.flow.forces, strict=False))
         parameter = parameters[name] if name in parameters else forces[name].parameter
-        return np.asarray(self.system.by_parameter(parameter) / scales.get(name, FORCE_SCALE))
+        return np.asarray(self.system.by_parameter(parameter) / scales.get(name, flow.FORCE_SCALE))
 
     def _flow_past_rigid_body(self) -> Vector:
         """Return velocity and pressure at V_in = 100 mm²/s past a body so stiff that it does not move."""
         parts = len(self.parts)
         further = (typical_value(item) for item in further_parameters(self.system.law))
-        self.system.set_material([1e8 / STRESS_SCALE] * parts, [0.3] * parts, *([value] * parts for value in further))
+        self.system.set_material(
+            [1e8 / flow.STRESS_SCALE] * parts, [0.3] * parts, *([value] * parts for value in further)
+        )
         reference = 1.0 if self.flow.pressure is None else self.flow.developed_drop(self.fluid)
         self.set_loads(reference * self.flow.scale, replace(self.fluid, force_x=0.0, force_y=0.0))
         self._apply(reference)

@@ -68,23 +68,11 @@ class Steady:
     jacobians: int
 
 
-def trace(system: Loaded, *, linear: Vector, load: float, first_load: float, budget: int) -> Steady:
-    """Follow the path of steady states from rest and return its state at `load`, above zero.
+class Path:
+    """The path of steady states from rest to a load above zero.
 
-    The path begins at `first_load`; `linear` is the first-order solution at `load`. The `budget` of Jacobians does not
-    count the arrival at the load once it is passed; 0: no limit.
-
-    Raises:
-        ForwardModelError: ``limit_point``: the load has a maximum below the target load, shown by the sign of the
-            tangent beyond it; ``continuation_stalled``: neither is found within the budget; or what `check` raises. The
-            evidence holds `load_reached`, the largest load with a steady state that was found, and with a limit point
-            `limit_load`, an estimate of the maximum, and `load_slope`, d(load)/d(strain) beyond it, which is negative.
+    The `budget` of Jacobians does not count the arrival at the load once it is passed; 0: no limit.
     """
-    return _Path(system, load, budget).follow(linear, first_load)
-
-
-class _Path:
-    """One path; counts Jacobians against the budget and remembers the largest load reached."""
 
     def __init__(self, system: Loaded, load: float, budget: int) -> None:
         self.system, self.load = system, load
@@ -93,7 +81,15 @@ class _Path:
         self.figures: Mapping[str, float] = {}
 
     def follow(self, linear: Vector, first_load: float) -> Steady:
-        """Go from the unloaded state along the path until it turns back, the load is reached, or the budget ends."""
+        """Return the state at the load; the path begins at `first_load`, `linear` is the first-order solution.
+
+        Raises:
+            ForwardModelError: ``limit_point``: the load has a maximum below the target load, shown by the sign of the
+                tangent beyond it; ``continuation_stalled``: neither is found within the budget; or what `check` raises.
+                The evidence holds `load_reached`, the largest load with a steady state that was found, and with a limit
+                point `limit_load`, an estimate of the maximum, and `load_slope`, d(load)/d(strain) beyond it, which is
+                negative.
+        """
         last = PathPoint(np.zeros_like(linear), 0.0, linear / self.load)
         point = self._first_point(linear, first_load)
         strain, step = self.system.critical_strain(point.x, point.tangent), FIRST_STEP
@@ -133,14 +129,14 @@ class _Path:
         return found.x
 
     def residual(self, x: Vector, load: float) -> Vector:
-        return self.system.residual(x, load)
+        return np.asarray(self.system.residual(x, load))
 
     def factorise(self, x: Vector, load: float) -> LinearSolver:
         """Factorise within the budget, and keep the tangent there."""
         if 0 < self.budget <= self.jacobians:
             raise self._failure("continuation_stalled", "the search along the load path was given up")
         self.jacobians += 1
-        jacobian = self.system.factorise(x, load)
+        jacobian: LinearSolver = self.system.factorise(x, load)
         self.tangent = -jacobian.solve(self.system.by_load())
         return jacobian
 
@@ -197,7 +193,6 @@ class _Path:
         raise self._failure(*reason)
 
     def _fold(self, before: PathPoint, point: PathPoint, strain: Strain) -> ForwardModelError:
-        """Return the failure for a fold between two points."""
         loads = _between(before, point, strain, SHARES, LOAD)
         return self._failure(
             "limit_point",
@@ -222,7 +217,7 @@ SHORTER_STEPS = ("newton_stalled", "newton_maxit", "nonfinite_residual", "linear
 class _AtStrain:
     """The equations with the load as a further unknown and a given value of a functional as a further equation."""
 
-    def __init__(self, path: _Path, functional: Vector, value: float) -> None:
+    def __init__(self, path: Path, functional: Vector, value: float) -> None:
         self._path, self._functional, self._value = path, functional, value
 
     def residual(self, z: Vector) -> Vector:
@@ -283,7 +278,7 @@ def steady_state(bending: Loaded, load: float, *, budget: int = 0) -> Steady:
     The `budget` is a number of Jacobians after which a search along the load path is given up; 0: no limit.
 
     Raises:
-        ForwardModelError: For the reasons given in `trace`.
+        ForwardModelError: For the reasons given in `Path.follow`.
     """
     start, first = first_order(bending, load)
     linear = np.asarray(start + first.correction)
@@ -297,25 +292,19 @@ def steady_state(bending: Loaded, load: float, *, budget: int = 0) -> Steady:
             if strain <= SAFE_STRAIN:
                 return Steady(found.x, spent)
             spent += 1
-            if _on_first_branch(bending, found.x, load):
+            tangent = -bending.factorise(found.x, load).solve(bending.by_load())
+            if bending.largest_strain(found.x).functional @ tangent > 0.0:  # compressed further as the load grows
                 return Steady(found.x, spent)
         except ForwardModelError as error:
             spent += int(error.evidence.get("jacobians", 0))
     first_load = load * min(FIRST_SHARE, FIRST_STRAIN / strain)
     left = max(SHORTEST_PATH, budget - spent) if budget else 0
     try:
-        traced = trace(bending, linear=linear, load=load, first_load=first_load, budget=left)
+        traced = Path(bending, load, left).follow(linear, first_load)
     except ForwardModelError as error:
         total = {"jacobians": error.evidence.get("jacobians", 0.0) + spent}
         raise ForwardModelError(error.kind, error.message, error.evidence | total) from error
     return Steady(traced.x, spent + traced.jacobians)
-
-
-def _on_first_branch(bending: Loaded, x: Vector, load: float) -> bool:
-    """Return whether the most compressed element is compressed further as the load grows."""
-    jacobian = bending.factorise(x, load)
-    tangent = -jacobian.solve(bending.by_load())
-    return bool(bending.largest_strain(x).functional @ tangent > 0.0)
 
 
 class AtLoad:
@@ -325,7 +314,8 @@ class AtLoad:
         self._system, self._load = system, load
 
     def residual(self, x: Vector) -> Vector:
-        return self._system.residual(x, self._load)
+        return np.asarray(self._system.residual(x, self._load))
 
     def factorise(self, x: Vector) -> LinearSolver:
-        return self._system.factorise(x, self._load)
+        solver: LinearSolver = self._system.factorise(x, self._load)
+        return solver

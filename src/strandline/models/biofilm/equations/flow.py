@@ -83,11 +83,6 @@ class Fluid:
     def inputs(self) -> tuple[ModelInput, ...]:
         return tuple(item for item in QUANTITIES if getattr(self, item.name) == UNKNOWN)
 
-    @property
-    def is_forced(self) -> bool:
-        """Whether a force acts on the fluid, or may."""
-        return not (self.force_x == 0.0 and self.force_y == 0.0)
-
     def at(self, inputs: Mapping[str, float]) -> "Fluid":
         """Return the fluid with the values of its inputs, by name; a missing one is that of water."""
         water = {item.name: getattr(WATER, item.name) for item in self.inputs}
@@ -166,23 +161,19 @@ def _refused(value: object, expected: str) -> InvalidInput:
     return refused(PLACE, value, expected, "Correct the inflow.")
 
 
-@dataclass(frozen=True, eq=False)
 class Flow:
     """The loads on the fluid: by the force along x and y, if there is one, and by a given pressure at the inlet."""
 
-    channel: Channel
-    forces: tuple[FluidLoad, ...]
-    pressure: FluidLoad | None
-
-    @classmethod
-    def of(cls, channel: Channel, inflow: str | Pairs, fluid: Fluid) -> "Flow":
+    def __init__(self, channel: Channel, inflow: str | Pairs, fluid: Fluid) -> None:
         """Return the loads for an inflow and a fluid."""
         x, y = (ng.Parameter(0.0) for _ in range(2))
         hydrostatic = ng.y - channel.height
         ends = "inlet|outlet" if inflow == PRESSURE else "outlet"
         forces = (FluidLoad(x, (1.0, 0.0)), FluidLoad(y, (0.0, 1.0), hydrostatic, ends))
         drop = FluidLoad(ng.Parameter(0.0), pressure=ng.CF(1.0), boundary="inlet")
-        return cls(channel, forces if fluid.is_forced else (), drop if inflow == PRESSURE else None)
+        is_forced = (fluid.force_x, fluid.force_y) != (0.0, 0.0)
+        self.channel, self.forces = channel, forces if is_forced else ()
+        self.pressure = drop if inflow == PRESSURE else None
 
     @property
     def loads(self) -> tuple[FluidLoad, ...]:

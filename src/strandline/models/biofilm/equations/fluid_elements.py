@@ -15,7 +15,6 @@ interaction (2006).
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -84,7 +83,8 @@ class FluidElements:
         at = self._fields(state, self._viscosity.Get(), self._density.Get())
         momentum = [block for i in (0, 1) for block in self._momentum_blocks(at, i)]
         loads = [block[:, self._loading] for block in momentum]
-        return np.concatenate([block.ravel() for block in (*momentum, *self._mass_blocks(at), *loads)])
+        mass = [self._rule.mass_by_slopes @ np.concatenate(one) for one in (*at.cofactor, *_cofactor(at.gradient))]
+        return np.concatenate([block.ravel() for block in (*momentum, *mass, *loads)])
 
     def places(self) -> tuple[Numbers, Numbers]:
         """Return row and column of each entry of `jacobian`."""
@@ -109,7 +109,7 @@ class FluidElements:
         M = [[moved[i][k] + self._rest[i][k] for k in (0, 1)] for i in (0, 1)]
         p = rule.pressure @ values[self._p[0]]
         gradient = [[v[i][1], v[i][2]] for i in (0, 1)]
-        return _Fields.of([v[0][0], v[1][0]], gradient, M, p, viscosity, density)
+        return _Fields([v[0][0], v[1][0]], gradient, M, p, viscosity, density)
 
     def _momentum_blocks(self, at: "_Fields", i: int) -> Iterator[Float[np.ndarray, "pair element"]]:
         """Yield the derivatives of component i of the momentum by v₀, v₁, p, d₀, d₁."""
@@ -119,37 +119,20 @@ class FluidElements:
         for j in (0, 1):
             yield self._rule.by_displacement @ np.concatenate(list(at.momentum_by_displacement(i, j)))
 
-    def _mass_blocks(self, at: "_Fields") -> Iterator[Float[np.ndarray, "pair element"]]:
-        """Yield the derivatives of the mass balance by v₀, v₁, d₀, d₁."""
-        for coefficients in (*at.cofactor, *_cofactor(at.gradient)):
-            yield self._rule.mass_by_slopes @ np.concatenate(coefficients)
 
-
-@dataclass(frozen=True, eq=False)
 class _Fields:
-    """Fields at the quadrature points, with S = (μ/J) CᵀC and (μ/J) C."""
+    """Fields at the quadrature points from v, ∇v, M and p there, all scaled, with S = (μ/J) CᵀC and (μ/J) C."""
 
-    v: Vector
-    gradient: Tensor
-    cofactor: Tensor
-    g: Tensor
-    stress: Tensor
-    transport: Vector
-    viscous: Tensor
-    density: float
-
-    @classmethod
-    def of(cls, v: Vector, gradient: Tensor, M: Tensor, p: AtPoints, viscosity: float, density: float) -> "_Fields":
-        """Return the fields from v, ∇v, M and p at the points, all scaled."""
-        C = _cofactor(M)
+    def __init__(self, v: Vector, gradient: Tensor, M: Tensor, p: AtPoints, viscosity: float, density: float) -> None:
+        self.v, self.gradient, self.density, self.cofactor = v, gradient, density, _cofactor(M)
+        C = self.cofactor
         with np.errstate(divide="ignore", invalid="ignore"):
             inverse = 1.0 / (M[0][0] * M[1][1] - M[0][1] * M[1][0])
             g = [[(gradient[i][0] * C[j][0] + gradient[i][1] * C[j][1]) * inverse for j in (0, 1)] for i in (0, 1)]
             shear = viscosity * (g[0][1] + g[1][0])
-            stress = [[2 * viscosity * g[0][0] - p, shear], [shear, 2 * viscosity * g[1][1] - p]]
-            viscous = [[viscosity * inverse * C[i][k] for k in (0, 1)] for i in (0, 1)]
-        transport = [density * (C[0][k] * v[0] + C[1][k] * v[1]) for k in (0, 1)]
-        return cls(v, gradient, C, g, stress, transport, viscous, density)
+            self.stress = [[2 * viscosity * g[0][0] - p, shear], [shear, 2 * viscosity * g[1][1] - p]]
+            self.viscous = [[viscosity * inverse * C[i][k] for k in (0, 1)] for i in (0, 1)]
+        self.g, self.transport = g, [density * (C[0][k] * v[0] + C[1][k] * v[1]) for k in (0, 1)]
 
     @cached_property
     def metric(self) -> Tensor:

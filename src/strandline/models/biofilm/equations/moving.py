@@ -23,16 +23,8 @@ import ngsolve as ng
 import numpy as np
 from jaxtyping import Float
 
+from strandline.models.biofilm.equations import system
 from strandline.models.biofilm.equations.fluid_elements import Entries, FluidElements, Values
-from strandline.models.biofilm.equations.system import (
-    BoundaryNames,
-    CoupledSystem,
-    Part,
-    Pattern,
-    SymbolicPart,
-    fluid_cells,
-    product,
-)
 from strandline.models.biofilm.mesh.triangles import AtPoints, Numbers, places_of
 
 LARGEST_RATIO = 1.8
@@ -71,7 +63,6 @@ class Rates:
         self._first, self._second = np.zeros_like(self._first), np.zeros_like(self._second)
 
     def first(self, values: Values) -> Values:
-        """Return the rates of the coefficients."""
         return self.leading * values + self._first
 
     def second(self, values: Values) -> Values:
@@ -213,7 +204,7 @@ class SolidInertia:
         form = ng.BilinearForm(space)
         form += density * ng.InnerProduct(d, phi) * ng.dx("|".join(solids))
         form.Assemble()
-        part = SymbolicPart(form)
+        part = system.SymbolicPart(form)
         self._rates, self._places = rates, part.places()
         self._mass: Float[np.ndarray, " entry"] = np.array(form.mat.AsVector().FV().NumPy())
 
@@ -221,14 +212,14 @@ class SolidInertia:
         return self._places
 
     def residual(self, state: Any) -> Values:
-        return product(self._places, self._mass, self._rates.second(state.vec.FV().NumPy()))
+        return system.product(self._places, self._mass, self._rates.second(state.vec.FV().NumPy()))
 
     def jacobian(self, state: Any) -> Entries:
         """Return the entries of the mass matrix times the square of the leading weight."""
         return self._mass * self._rates.leading**2
 
 
-class MovingSystem(CoupledSystem):
+class MovingSystem(system.CoupledSystem):
     """A `CoupledSystem` with inertia. On the interface the fluid's velocity is the rate of the displacement.
 
     That velocity is eliminated: it is an affine function of the displacement at the new time, so its columns of the
@@ -236,7 +227,7 @@ class MovingSystem(CoupledSystem):
     the scaled density of the undeformed solid.
     """
 
-    def __init__(self, mesh: Any, boundaries: BoundaryNames, *, solid_density: float, **options: Any) -> None:
+    def __init__(self, mesh: Any, boundaries: system.BoundaryNames, *, solid_density: float, **options: Any) -> None:
         super().__init__(mesh, boundaries, **options)
         self.rates = Rates(self.space.ndof)
         self._parts = (*self._parts, *self._inertia(solid_density))
@@ -254,11 +245,11 @@ class MovingSystem(CoupledSystem):
         values = self.values
         values[self._follows] = self.rates.first(values)[self._leads]
 
-    def _inertia(self, solid_density: float) -> list[Part]:
-        parts: list[Part] = []
+    def _inertia(self, solid_density: float) -> list[system.Part]:
+        parts: list[system.Part] = []
         if "fluid" in self.mesh.GetMaterials():
             known = {"viscosity": self.viscosity, "density": self.density, "rates": self.rates}
-            parts.append(FluidInertia(self.space, *fluid_cells(self.mesh), **known))
+            parts.append(FluidInertia(self.space, *system.fluid_cells(self.mesh), **known))
         if self.solids:
             parts.append(SolidInertia(self.space, self.solids, density=solid_density, rates=self.rates))
         return parts
@@ -267,7 +258,7 @@ class MovingSystem(CoupledSystem):
         """Return the numbers of the velocity's coefficients on the interface, and of the displacement's there."""
         if "fluid" not in self.mesh.GetMaterials() or not self.solids:
             return np.empty(0, int), np.empty(0, int)
-        elements = [ng.ElementId(ng.VOL, int(cell)) for cell in fluid_cells(self.mesh)[0]]
+        elements = [ng.ElementId(ng.VOL, int(cell)) for cell in system.fluid_cells(self.mesh)[0]]
         v, d = (
             np.concatenate([self.space.components[k].GetDofNrs(element) for element in elements])
             + self.space.Range(k).start
@@ -283,7 +274,7 @@ class MovingSystem(CoupledSystem):
         return entries
 
     @cached_property
-    def _pattern(self) -> Pattern:
+    def _pattern(self) -> system.Pattern:
         kept, self.rates.leading = self.rates.leading, 1.0
         pattern = super()._pattern
         self.rates.leading = kept

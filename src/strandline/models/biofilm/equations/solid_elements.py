@@ -23,8 +23,6 @@ from strandline.models.biofilm.materials.isotropic import IsotropicLaw, Jet
 from strandline.models.biofilm.materials.law import compliance, shear_modulus
 from strandline.models.biofilm.mesh.triangles import AtPoints, Numbers, Rule, map_at_rest, numbers_of, places_of
 
-__all__ = ["SolidElements"]
-
 ORDER = 6
 """Order of the quadrature rule, that of the symbolic forms: exact for Saint-Venant and Kirchhoff's law."""
 

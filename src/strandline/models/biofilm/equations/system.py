@@ -18,14 +18,8 @@ from ngsolve import la
 from scipy.sparse import csr_array
 
 from strandline.foundations import ForwardModelError
+from strandline.models.biofilm.equations import forms
 from strandline.models.biofilm.equations.fluid_elements import Entries, FluidElements, Values
-from strandline.models.biofilm.equations.forms import (
-    FluidLoad,
-    add_loads,
-    fluid_beside_interface,
-    motion_matrix,
-    solid_form,
-)
 from strandline.models.biofilm.equations.memory import Memory
 from strandline.models.biofilm.equations.solid_elements import SolidElements
 from strandline.models.biofilm.materials import LAWS, IsotropicLaw, Law, further_parameters, typical_value
@@ -170,7 +164,7 @@ class CoupledSystem:
         law: Law = LAWS["saint_venant_kirchhoff"],
         solids: tuple[str, ...] = ("solid",),
         body_force: tuple[float, float] = (0.0, 0.0),
-        loads: Sequence[FluidLoad] = (),
+        loads: Sequence[forms.FluidLoad] = (),
         remembers: bool = False,
     ) -> None:
         self.mesh, self.solids = mesh, solids
@@ -188,7 +182,7 @@ class CoupledSystem:
         self._entries: Float[np.ndarray, " entry"]
         self.free: Int[np.ndarray, " unknown"] = np.flatnonzero([bool(b) for b in self.space.FreeDofs()])
         self.is_motion: Bool[np.ndarray, " dof"] = _motion_rows(self)
-        self._motion = motion_matrix(self.space, self.is_motion)
+        self._motion = forms.motion_matrix(self.space, self.is_motion)
 
     @property
     def values(self) -> Float[np.ndarray, " dof"]:
@@ -246,8 +240,8 @@ class CoupledSystem:
         It is one of `material`, `viscosity`, `density` or the parameter of a load.
         """
         if parameter not in self._derivatives:
-            form = solid_form(self, derivative_by=parameter)
-            add_loads(form, self, derivative_by=parameter)
+            form = forms.solid_form(self, derivative_by=parameter)
+            forms.add_loads(form, self, derivative_by=parameter)
             self._derivatives[parameter] = form
         self._derivatives[parameter].Apply(self.state.vec, self._residual)
         result = np.array(self._residual.FV().NumPy())
@@ -265,8 +259,8 @@ class CoupledSystem:
     def _elements(self) -> tuple[Part, ...]:
         """Return what adds up to the residual: elements of their own as far as there are any, all else by NGSolve."""
         solid = _solid_elements(self)
-        form = ng.BilinearForm(self.space) if solid else solid_form(self)
-        add_loads(form, self)
+        form = ng.BilinearForm(self.space) if solid else forms.solid_form(self)
+        forms.add_loads(form, self)
         if "fluid" in self.mesh.GetMaterials():
             fluid = {"viscosity": self.viscosity, "density": self.density}
             self._fluid = FluidElements(self.space, *fluid_cells(self.mesh), **fluid)
@@ -312,7 +306,7 @@ def _spaces(mesh: Any, names: BoundaryNames, order: int, solids: tuple[str, ...]
 def fluid_cells(mesh: Any) -> tuple[Int[np.ndarray, " element"], Int[np.ndarray, " marked"]]:
     """Return the numbers of the fluid's elements, and which of these touch the interface."""
     cells = np.array([element.nr for element in mesh.Elements(ng.VOL) if element.mat == "fluid"], dtype=int)
-    beside = np.array([bool(bit) for bit in fluid_beside_interface(mesh)], dtype=bool)
+    beside = np.array([bool(bit) for bit in forms.fluid_beside_interface(mesh)], dtype=bool)
     return cells, np.flatnonzero(beside[cells])
 
 

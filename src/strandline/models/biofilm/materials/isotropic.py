@@ -20,8 +20,6 @@ from strandline.models.biofilm.materials.law import (
 )
 from strandline.models.protocol import ModelInput
 
-__all__ = ["IsotropicLaw", "Jet", "exp", "flaw", "log"]
-
 Number = Any  # a float, an NGSolve form, or a Jet
 Coefficients = tuple[Number, Number, Number]
 

@@ -88,8 +88,8 @@ def gap_sizes(interface: Interface, size: MeshSize, channel: Channel) -> Places:
 
 def segment_sizes(interface: Interface, size: MeshSize) -> Float[np.ndarray, " cell"]:
     """Return the largest element on each segment of the outline, mm: finest at the feet and at sharp bends."""
-    sizes = np.full(len(interface.lengths), size.interface)
-    sizes[_beside_floor(interface)] = size.foot
+    sizes, floor = np.full(len(interface.lengths), size.interface), _on_floor(interface)
+    sizes[np.append(floor[1:], False) | np.insert(floor[:-1], 0, False)] = size.foot
     sizes[[0, -1]] = size.foot
     sharp = _sharp(interface)
     return np.where(sharp, np.minimum(sizes, interface.lengths / PER_SEGMENT), sizes)
@@ -103,12 +103,6 @@ def is_adapted(interface: Interface, size: MeshSize, channel: Channel) -> bool:
 def _on_floor(interface: Interface) -> np.ndarray:
     """Return which segments lie on the floor, between two bodies, (segment,)."""
     return np.asarray(np.maximum(np.abs(interface.starts[:, 1]), np.abs(interface.ends[:, 1])) < ON_WALL)
-
-
-def _beside_floor(interface: Interface) -> np.ndarray:
-    """Return which segments meet the floor between two bodies, (segment,)."""
-    floor = _on_floor(interface)
-    return np.asarray(np.append(floor[1:], False) | np.insert(floor[:-1], 0, False))
 
 
 def _sharp(interface: Interface) -> np.ndarray:
@@ -209,7 +203,6 @@ class Subdivision:
         return list(chosen)
 
     def contains(self, name: str, point: Point) -> bool:
-        """Return whether `point` lies inside a polygon."""
         corners = np.array([self.vertices[v] for v in self.rings[name]])
         return bool(inside_polygon(np.array(point), corners))
 

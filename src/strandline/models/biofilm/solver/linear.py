@@ -38,7 +38,7 @@ def without_prints() -> Iterator[None]:
     The C library buffers its prints, so they are flushed before and after. If standard output is closed, or the
     system is not POSIX, this does nothing.
     """
-    library = _c_library()
+    library = ctypes.CDLL(None) if os.name == "posix" else None
     try:
         kept = None if library is None else os.dup(STANDARD_OUTPUT)
     except OSError:
@@ -56,12 +56,6 @@ def without_prints() -> Iterator[None]:
         library.fflush(None)
         os.dup2(kept, STANDARD_OUTPUT)
         os.close(kept)
-
-
-@cache
-def _c_library() -> Any:
-    """Return the C library of this process; None if there is none."""
-    return ctypes.CDLL(None) if os.name == "posix" else None
 
 
 @cache

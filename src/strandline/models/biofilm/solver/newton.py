@@ -76,11 +76,6 @@ def step(system: System, x: Vector, jacobian: LinearSolver | None = None) -> New
     return NewtonStep(jacobian, -jacobian.solve(system.residual(x)))
 
 
-def length(correction: Vector, weights: Vector) -> float:
-    """Return the weighted root mean square of a correction."""
-    return float(np.linalg.norm(weights * correction) / np.sqrt(len(correction)))
-
-
 def solve(
     system: System, x: Vector, *, weights: Vector, settings: NewtonSettings, first: NewtonStep | None = None
 ) -> NewtonSolution:
@@ -144,7 +139,8 @@ class _Search:
                 raise ForwardModelError("newton_maxit", f"no convergence within {spent}", {"last_correction": size})
 
     def _length(self, correction: Vector) -> float:
-        return length(correction, self.weights)
+        """Return the weighted root mean square of a correction."""
+        return float(np.linalg.norm(self.weights * correction) / np.sqrt(len(correction)))
 
     def _inner(self, a: Vector, b: Vector) -> float:
         return float((self.weights * a) @ (self.weights * b))

@@ -6,23 +6,22 @@ effect of these is added again: see `strandline.discrepancy.normal_offset`.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, lru_cache
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.linalg import block_diag
 
-from strandline.discrepancy import (
+from strandline.discrepancy.normal_offset import NormalOffset, Sums, extended, signed_distances, weighted_sums
+from strandline.discrepancy.protocol import (
     Discrepancy,
-    NormalOffset,
-    Rows,
-    Sums,
-    extended,
-    linear_sums,
+    ManyPoints,
+    Snapshot,
+    Values,
+    require_alike,
     require_same_direction,
-    signed_distances,
-    weighted_sums,
 )
 from strandline.interface import ErrorModel, Interface, Observation, PointErrors
 
@@ -145,34 +144,36 @@ def sums_of(
     model: ErrorModel | None = None,
     estimate: Callable[[Float[np.ndarray, "run error"]], Float[np.ndarray, "run error"]] | None = None,
 ) -> Sums:
-    """Return rᵀ D⁻¹ r and Bᵀ D⁻¹ r over the signed distances r of all observed points, for each predicted interface.
+    """Return qᵀ D⁻¹ q and Bᵀ D⁻¹ q over the residuals q of all observed points, for each predicted interface.
 
-    D and B are those of `joint`, or of a model that may have columns after those of the global errors; `estimate`
-    returns the global errors, in units of B, from Bᵀ D⁻¹ r.
+    They are linear in the global errors g, which are estimated from some of the points, see
+    `strandline.discrepancy.normal_offset`. D and B are those of `joint`, or of a model that may have columns after
+    those of the global errors; `estimate` returns g, in units of B, from Bᵀ D⁻¹ r of signed distances r.
     """
     model = joint.model if model is None else model
     estimate = model.shared_errors if estimate is None else estimate
     moves = np.append(joint.moves, np.ones(model.shared.shape[1] - len(joint.moves), bool))
     longer = {name: extended(rows, templates[name]) for name, rows in points.items() if name in joint.conditions}
-    return linear_sums(
-        longer,
-        partial(_sums, joint, templates, model),
-        lambda products: estimate(products) * moves,
-        lambda some, g: joint.followed(some, templates, g),
-        model.gram,
-    )
 
+    def sums(some: Points, *, rough: bool) -> Sums:
+        """Return rᵀ D⁻¹ r and Bᵀ D⁻¹ r; roughly, from some of the observed points."""
+        squares, products = [], []
+        places = places_of(len(seen.interface.points) for seen in joint.observations)
+        for seen, part in zip(joint.observations, places, strict=True):
+            rows, template = some[seen.condition], templates[seen.condition]
+            factors = 1 / model.local[part], model.features[part]
+            found = weighted_sums(seen.interface.points, rows, template, *factors, rough=rough, longer=True)
+            squares.append(found[0])
+            products.append(found[1])
+        return np.sum(squares, axis=0), np.sum(products, axis=0)
 
-def _sums(joint: JointErrors, templates: Mapping[str, Interface], model: ErrorModel, points: Rows, rough: bool) -> Sums:
-    squares, products = [], []
-    places = places_of(len(seen.interface.points) for seen in joint.observations)
-    for seen, part in zip(joint.observations, places, strict=True):
-        weights, features = 1 / model.local[part], model.features[part]
-        rows, template = points[seen.condition], templates[seen.condition]
-        found = weighted_sums(seen.interface.points, rows, template, weights, features, rough=rough, longer=True)
-        squares.append(found[0])
-        products.append(found[1])
-    return np.sum(squares, axis=0), np.sum(products, axis=0)
+    if not model.gram.any():
+        return sums(longer, rough=False)
+    g = estimate(sums(longer, rough=True)[1]) * moves
+    g = estimate(sums(joint.followed(longer, templates, g), rough=True)[1] + g @ model.gram) * moves
+    squares, products = sums(joint.followed(longer, templates, g), rough=False)
+    more = g @ model.gram
+    return squares + 2 * (products * g).sum(axis=1) + (more * g).sum(axis=1), products + more
 
 
 def _distances(joint: JointErrors, points: Points, templates: Mapping[str, Interface]) -> Float[np.ndarray, "run seen"]:
@@ -192,3 +193,61 @@ def shared_errors(observations: Sequence[Observation], measure: Discrepancy) -> 
     if len(known) < len(observations) or len({(one.shift, one.rotation, one.scale) for one in known}) > 1:
         return None
     return JointErrors(tuple(observations), tuple(known), common=True)
+
+
+@dataclass(frozen=True)
+class WhitenedOffset:
+    """d² = rᵀ C⁻¹ r, without a unit: r_i is the signed distance from observed point i to the simulated interface.
+
+    C is the covariance of the errors of the observed points, local and global, so that σ_N² = 1 and d² is a sum of as
+    many independent squares as there are observed points. Errors of position, rotation and scale of the whole interface
+    are integrated out, around their most probable values for the simulated interface at hand.
+
+    Args:
+        errors: Errors of the observed points.
+
+    Raises:
+        InvalidInput: On evaluation, a correlation length above half the length of the observed interface.
+    """
+
+    errors: PointErrors
+    unit: ClassVar[str] = "1"
+
+    def __call__(self, simulated: Interface, observed: Interface) -> float:
+        """Return d².
+
+        Raises:
+            InvalidInterface: With global errors, interfaces that run in opposite directions.
+        """
+        require_alike(simulated, observed)
+        if self.errors.global_errors(observed.dim):
+            require_same_direction(simulated, observed)
+        return float(self.many(simulated.points[None], simulated, observed)[0])
+
+    def model(self, observed: Interface) -> ErrorModel:
+        """Return the covariance of the residuals; kept for the interfaces used last."""
+        return _joint(self.errors, Snapshot.of(observed)).model
+
+    def many(self, points: ManyPoints, template: Interface, observed: Interface) -> Values:
+        """Return d² of interfaces of the same cells."""
+        require_alike(template, observed)
+        return self.model(observed).square_of(*self.sums(points, template, observed))
+
+    def global_errors(
+        self, points: ManyPoints, template: Interface, observed: Interface
+    ) -> Float[np.ndarray, "run error"]:
+        """Return the most probable global errors of the observation for each simulated interface, in their sds."""
+        return self.model(observed).shared_errors(self.sums(points, template, observed)[1])
+
+    def sums(self, points: ManyPoints, template: Interface, observed: Interface) -> Sums:
+        """Return rᵀ D⁻¹ r and Bᵀ D⁻¹ r of each run, of residuals that are linear in the global errors."""
+        return sums_of(_joint(self.errors, Snapshot.of(observed)), {"": points}, {"": template})
+
+    def terms(self, observed: Interface) -> int:
+        """Return the number of observed points."""
+        return len(observed.points)
+
+
+@lru_cache(maxsize=64)
+def _joint(errors: PointErrors, snapshot: Snapshot) -> JointErrors:
+    return JointErrors((Observation(snapshot.interface, errors),), (errors,))
