@@ -96,6 +96,8 @@ def write_api(app):
         if path.stem not in MODULES:
             path.unlink()
     for name in MODULES:
+        module = importlib.import_module(f"strandline.{name}")
+        vars(module).update({one: getattr(module, one) for one in getattr(module, "__all__", ())})  # from behind a door
         lines = [f".. automodule:: strandline.{module}" for module in (name, *FURTHER.get(name, ()))]
         if name in ELSEWHERE:
             lines.append(f"   :exclude-members: {ELSEWHERE[name]}")
@@ -103,6 +105,14 @@ def write_api(app):
         path = folder / f"{name}.md"
         if not path.is_file() or path.read_text("utf-8") != text:
             path.write_text(text, encoding="utf-8")
+
+
+def require_content(app, exception):
+    """Refuse a page of the API that describes nothing."""
+    pages = [] if exception else (Path(app.outdir) / "reference" / "api").glob("*.html")
+    empty = [page.stem for page in pages if page.stem in MODULES and "sig-object" not in page.read_text("utf-8")]
+    if empty:
+        raise ValueError(f"pages of the API that describe nothing: {', '.join(empty)}")
 
 
 def linked(piece):
@@ -143,6 +153,7 @@ def after_napoleon(app, what, name, obj, options, lines):
 def setup(app):
     app.connect("builder-inited", run_studies, priority=100)
     app.connect("builder-inited", write_api)
+    app.connect("build-finished", require_content)
     app.add_html_math_renderer("mathml", (inline_math, None), (block_math, None))
     app.connect("autodoc-process-docstring", before_napoleon, priority=300)
     app.connect("autodoc-process-docstring", after_napoleon, priority=700)

@@ -44,3 +44,12 @@ if TYPE_CHECKING:
     )
 else:
     __getattr__ = door(__name__, __file__)
+
+__all__ = [
+    "ErrorsAlong", "FieldGrid", "OffsetBand", "ResidualsAlong", "mark_doubt", "plot_alternatives", "plot_averaged",
+    "plot_candidates", "plot_caterpillar", "plot_check", "plot_conditions", "plot_corner", "plot_directions",
+    "plot_failed_runs", "plot_field", "plot_field_error", "plot_flow", "plot_hexagons", "plot_interfaces",
+    "plot_intervals", "plot_joint", "plot_leave_one_out", "plot_marginal", "plot_marginals", "plot_offsets",
+    "plot_parallel", "plot_particles", "plot_population", "plot_predictions", "plot_rank_bands", "plot_residuals",
+    "plot_run_history", "plot_run_offsets", "plot_sensitivity", "plot_tempering", "three_measures",
+]  # fmt: skip

@@ -51,9 +51,9 @@ class Result:
         Raises:
             InvalidInput: The variance is not above 0.
         """
-        others = {} if measure is None else {"discrepancies": {type(measure).__name__: measure}}
+        measures = self.study.discrepancies if measure is None else {type(measure).__name__: measure}
         stated = GaussianNoise(noise) if isinstance(noise, float) else noise
-        study = replace(self.study, noise=stated, noises={}, **others)
+        study = replace(self.study, noise=stated, noises={}, discrepancies=measures)
         settings: Settings = replace(study.settings, active=None, refine=Refinement())
         synthetic = None if study.truth is None else study.runs.key(study.truth)
         dropped = cheaper_dropped(study.folder)
