@@ -95,3 +95,18 @@ def test_a_rough_likelihood_that_leads_astray_or_does_not_see_a_mode_is_left():
     np.testing.assert_array_equal(sampled(assumed()).positions, sampled(of(Rough, off=-0.9)).positions)
     state = sampled(of(TwoModes))
     assert 0.3 < np.exp(state.log_weights) @ (state.positions[:, 0] < -0.3) < 0.7
+
+
+def test_particles_led_astray_from_the_last_posterior_are_led_from_the_prior_as_if_there_were_none(before, monkeypatch):
+    """By the rough likelihood; sampling by the exact one would take far longer."""
+    knowledge, gone_on, tried = of(Rough, off=0.05), module._gone_on, []
+    expected = sampled(knowledge)
+
+    def astray(host, *others):
+        """Fail for the particles that the rough likelihood has moved, its second call."""
+        tried.append(host)
+        return None if len(tried) == 2 else gone_on(host, *others)
+
+    monkeypatch.setattr(module, "_gone_on", astray)
+    np.testing.assert_array_equal(sampled(knowledge, before=before).positions, expected.positions)
+    assert len(tried) == 3
