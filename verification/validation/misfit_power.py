@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 from verification.validation.tables import arguments, show, table
 
@@ -80,7 +81,10 @@ def row(case: str, found: tuple[Misfit, sl.Posterior], truth: Sequence[float] = 
 
 def often(number: int, first: int, wrong: float = 0.0, untold: str = "") -> None:
     """Print how many observations are flagged, and how far off p and q are."""
-    results = [of_curve(first + seed, wrong, untold=untold) for seed in range(number)]
+    results = []
+    for seed in range(number):
+        results.append(of_curve(first + seed, wrong, untold=untold))
+        jax.clear_caches()  # the programs of some hundred studies are more than a process may map into its memory
     flagged = sum(bool(found.flagged) for found, _ in results)
     unlikely = sum(found.p_value < 0.05 for found, _ in results if found.p_value is not None)
     off = np.mean([(posterior.mean[:2] - CURVE) / posterior.sd[:2] for _, posterior in results], axis=0).round(1)
