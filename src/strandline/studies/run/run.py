@@ -1,9 +1,12 @@
 """From a study folder to its results: the ledger, posterior.nc, summary.json, figures and report.html."""
 
+import io
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import partial
+from importlib import import_module
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -12,12 +15,12 @@ from xarray import DataTree
 
 from strandline.calibration import Calibration, Observer, Problem, calibrate, observer_or_default
 from strandline.design import BatchReport
-from strandline.foundations import InvalidStudy, NumericsError, ResultsNotWritten, __version__, write_json
+from strandline.foundations import InvalidInput, InvalidStudy, NumericsError, ResultsNotWritten, __version__, write_json
 from strandline.interface import Interface
 from strandline.likelihood import compared
 from strandline.models import prepare_runs
 from strandline.posterior import to_datatree, write
-from strandline.report import FIGURES, nearest_runs, nothing_near, of_other_pages, remove_report, write_report
+from strandline.report import FIGURES, nearest_runs, nothing_near, of_other_pages, remove_report, template, write_report
 from strandline.runs import Executor, FailurePolicy, Ledger, Progress, RunRecord, run_campaign
 from strandline.studies.foresight.check import read_check
 from strandline.studies.foresight.first_run import require_ok, require_same_axes, require_same_size
@@ -63,6 +66,7 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
         ResultsNotWritten: Some result files could not be written; the others were.
     """
     require_its_own_text(study)
+    require_writers()
     require_writable(study.folder)
     study.runs.require_sound_ledgers()
     executor, observer, made = executor or study.executor, observer_or_default(observer), set[str]()
@@ -102,6 +106,7 @@ def submit_study(study: Study, *, executor: Executor, observer: Observer | None 
     The executor raises when all of them have been submitted. Runs collected in the meantime are reported.
     """
     require_its_own_text(study)
+    require_writers()
     require_writable(study.folder)
     study.runs.require_sound_ledgers()
     tell = observer_or_default(observer)
@@ -234,6 +239,22 @@ def _tree(study: Study, calibration: Calibration) -> DataTree:
     )
 
 
+def require_writers() -> None:
+    """Refuse to start if the libraries that write posterior.nc, the figures or the report do not work."""
+    figures, page = partial(import_module, "matplotlib.backends.backend_pdf"), partial(template, "report.html.j2")
+    trials: dict[str, Callable[[], object]] = {POSTERIOR: _try_netcdf, FIGURES: figures, REPORT: page}
+    for name, trial in trials.items():
+        try:
+            trial()
+        except Exception as error:
+            raise InvalidInput(
+                f"{name} could not be written at the end",
+                value=reason(error),
+                expected="the libraries that strandline is installed with",
+                remedy="Install strandline again with its dependencies (`pip install --force-reinstall strandline`).",
+            ) from error
+
+
 class Results:
     """Writes the results of a study one by one; one that fails does not keep the others from being written."""
 
@@ -273,3 +294,9 @@ def reason(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(": ")
+
+
+def _try_netcdf() -> None:
+    import h5netcdf
+
+    h5netcdf.File(io.BytesIO(), "w").close()
