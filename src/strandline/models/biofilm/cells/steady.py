@@ -16,7 +16,7 @@ local parametrisation.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -36,8 +36,28 @@ SHORTEST_PATH = 2
 """Smallest number of Jacobians for a path."""
 DIRECT = NewtonSettings(maximum_jacobians=4, smallest_damping=1.0)
 Shares = Float[np.ndarray, " share"]
-Loaded = Any
-"""The system r(x, load) = 0: a `FlowCell`, or what has its methods; they may raise ForwardModelError."""
+
+
+@runtime_checkable
+class LoadedSystem(Protocol):
+    """r(x, load) = 0; its methods may raise ForwardModelError."""
+
+    @property
+    def weights(self) -> Vector: ...
+
+    def residual(self, x: Vector, load: float) -> Vector: ...
+
+    def factorise(self, x: Vector, load: float) -> LinearSolver: ...
+
+    def by_load(self) -> Vector:
+        """Return the derivative of the residual with respect to the load, at the last factorised state."""
+
+    def critical_strain(self, x: Vector, tangent: Vector) -> Strain: ...
+
+    def check(self, x: Vector) -> Mapping[str, float]:
+        """Return figures that show how close a solution is to being invalid; raise ForwardModelError if it is."""
+
+
 CORRECTOR = NewtonSettings(1e-3, maximum_jacobians=1, smallest_damping=1.0, contraction=0.8)
 """For points along the path."""
 POLISH = NewtonSettings(1e-8, maximum_jacobians=2, smallest_damping=1.0)
@@ -74,7 +94,7 @@ class Path:
     The `budget` of Jacobians does not count the arrival at the load once it is passed; 0: no limit.
     """
 
-    def __init__(self, system: Loaded, load: float, budget: int) -> None:
+    def __init__(self, system: LoadedSystem, load: float, budget: int) -> None:
         self.system, self.load = system, load
         self.jacobians, self.reached = 0, 0.0
         self.budget, self.bracketed = budget, False
@@ -129,14 +149,14 @@ class Path:
         return found.x
 
     def residual(self, x: Vector, load: float) -> Vector:
-        return np.asarray(self.system.residual(x, load))
+        return self.system.residual(x, load)
 
     def factorise(self, x: Vector, load: float) -> LinearSolver:
         """Factorise within the budget, and keep the tangent there."""
         if 0 < self.budget <= self.jacobians:
             raise self._failure("continuation_stalled", "the search along the load path was given up")
         self.jacobians += 1
-        jacobian: LinearSolver = self.system.factorise(x, load)
+        jacobian = self.system.factorise(x, load)
         self.tangent = -jacobian.solve(self.system.by_load())
         return jacobian
 
@@ -266,13 +286,24 @@ def _between(
     return np.asarray(sum(h * one for h, one in zip(weights, (*values, *slopes), strict=True)))
 
 
-def first_order(bending: Loaded, load: float) -> tuple[Vector, NewtonStep]:
+@runtime_checkable
+class Bending(LoadedSystem, Protocol):
+    """A loaded solid in a flow."""
+
+    def undeformed(self, load: float) -> Vector: ...
+
+    def largest_compression(self, x: Vector) -> float: ...
+
+    def largest_strain(self, x: Vector) -> Strain: ...
+
+
+def first_order(bending: Bending, load: float) -> tuple[Vector, NewtonStep]:
     """Return the flow past a rigid body, and Newton's step from there; raises what `bending` raises."""
     start = bending.undeformed(load)
     return start, newton.step(AtLoad(bending, load), start)
 
 
-def steady_state(bending: Loaded, load: float, *, budget: int = 0) -> Steady:
+def steady_state(bending: Bending, load: float, *, budget: int = 0) -> Steady:
     """Return the steady state at a load that is connected with the one at rest.
 
     The `budget` is a number of Jacobians after which a search along the load path is given up; 0: no limit.
@@ -310,12 +341,11 @@ def steady_state(bending: Loaded, load: float, *, budget: int = 0) -> Steady:
 class AtLoad:
     """The equations of a loaded solid at one load, as `newton.solve` takes them."""
 
-    def __init__(self, system: Loaded, load: float) -> None:
+    def __init__(self, system: LoadedSystem | Path, load: float) -> None:
         self._system, self._load = system, load
 
     def residual(self, x: Vector) -> Vector:
-        return np.asarray(self._system.residual(x, self._load))
+        return self._system.residual(x, self._load)
 
     def factorise(self, x: Vector) -> LinearSolver:
-        solver: LinearSolver = self._system.factorise(x, self._load)
-        return solver
+        return self._system.factorise(x, self._load)
