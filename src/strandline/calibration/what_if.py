@@ -28,6 +28,10 @@ LEAST_RATIO = 1.25
 """Ratio of the standard deviations, or its inverse, from which an input moves."""
 FEWEST = 100.0
 """Effective draws that reweighting must leave."""
+WIDEST = 1.3
+"""Standard deviation, in those of the draws without weights, up to which reweighting is believed. From 1000 draws of a
+Gaussian it gives widths of one 1.3, 1.5, 2 times as wide up to 10, 15, 29 % too small (1 in 20 of them more), mostly
+with a k̂ that passes."""
 ENOUGH = 1000.0
 """Effective draws at which the sampler stops."""
 COUNTS = 0.99
@@ -110,7 +114,8 @@ def reweight_or_resample(now: Baseline, alternative: Alternative, *, seed: int) 
         return Answer(alternative, now, None, None, k_hat, effective, why_not=now.why_not)
     if not alternative.fixed and _covered(now, alternative):
         found = reweighted(now, alternative)
-        if found.k_hat < reliability_threshold(len(now.draws)) and found.effective >= FEWEST:
+        enough = found.k_hat < reliability_threshold(len(now.draws)) and found.effective >= FEWEST
+        if enough and found.draws is not None and (found.draws.sd <= WIDEST * np.std(now.draws, axis=0)).all():
             return _judged(found)
         k_hat, effective = found.k_hat, found.effective
     if now.knowledge is None:

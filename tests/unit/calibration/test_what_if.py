@@ -127,6 +127,31 @@ def test_an_answer_is_that_of_the_true_model_and_a_planted_bug_shows():
                 assert distance(reweight_or_resample(start, alternative, seed=1), truth) > 2 * FAR, what
 
 
+def test_widths_of_wider_posteriors_are_right_though_the_draws_are_narrower(monkeypatch):
+    """Planted: k̂ alone decides, which passes draws of half the width."""
+    alternative, observations, measure = noisy(2.0)
+    truth, present = Exact(alternative.space, observations, measure), weighted_prior(INPUTS, 4 * DRAWS)
+
+    def off():
+        found = []
+        for seed in range(6):
+            draws = np.random.default_rng(seed).choice(len(present.weights), 1000, p=present.weights)
+            same = replace(
+                present,
+                draws=present.draws[draws],
+                log_weights=np.full(1000, -math.log(1000)),
+                log_likelihood=present.log_likelihood[draws],
+                log_prior=present.log_prior[draws],
+            )
+            answer = reweight_or_resample(baseline(same, known()), alternative, seed=seed)
+            found.append(answer.draws.sd / truth.sd - 1)
+        return np.max(np.abs(np.mean(found, axis=0)))
+
+    assert off() < 0.05
+    monkeypatch.setattr(module, "WIDEST", math.inf)
+    assert off() > 0.05
+
+
 def test_a_fixed_input_is_known():
     """Against quadrature in the other input alone."""
     alternative = Alternative("known", "fix", "", INPUTS, fixed={"lean": 0.02})
