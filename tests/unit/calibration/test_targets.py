@@ -58,6 +58,7 @@ def test_the_expected_posterior_is_sampled(nearby):
     np.testing.assert_allclose(np.log(effect.sd_ratio), np.log(sd / plain), atol=0.15)
 
 
+@pytest.mark.stand_in
 def test_nothing_is_drawn_twice_with_the_same_random_numbers_if_particles_cannot_be_carried_over(monkeypatch):
     keys = []
     monkeypatch.setattr(method, "sample", lambda key, *_, **__: keys.append(key) or "particles")
