@@ -14,7 +14,7 @@ from strandline.foundations import InvalidInput
 from strandline.imaging import Clicks, as_json
 from strandline.report.html import embedded, script_hash, template
 
-SCRIPTS = ("marks.js", "view.js", "editing.js", "panel.js")
+SCRIPTS = ("marks.js", "editing.js")
 MOST_PIXELS, LONGEST_SIDE = 6_000_000, 8192
 """Largest picture that is shown as it is, in pixels."""
 ENDS = (0.2, 99.8)

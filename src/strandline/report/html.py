@@ -17,11 +17,9 @@ from strandline.foundations import RAISED, html_text, listed, unit_text, with_sd
 PANELS = Path(__file__).parent / "panels"
 """Scripts and style of the panels that the report and the page of `strandline view` share."""
 PLOTLY = PANELS / "vendor" / "plotly-cartesian.min.js"
-MODULES = ("shared", "inputs", "posterior", "run", "shapes", "explore")
-"""Those of a report; each comes after those that it imports from."""
-IMPORT = re.compile(r'^import \{ \w+(?:, \w+)* \} from "\./[\w-]+\.js";$', re.MULTILINE)
-EXPORT = re.compile(r"^export (?=(?:async )?function (\w+)|const (\w+))", re.MULTILINE)
-LEFT = re.compile(r"^\s*(?:import|export)\b.*", re.MULTILINE)
+MODULES = ("shared", "panels", "explore")
+"""Those of a report; each comes after those that it imports from, and no two declare the same name."""
+MODULE_WORDS = re.compile(r'^import .* from "\./\w+\.js";\n|^export ', re.MULTILINE)
 NUMBER = re.compile(r"(?<![^\s(])[-+]?\d[\d.]*(e[-+]\d+)?(?![^\s,;)])")
 PLAIN_DIGITS = 6
 """Digits up to which a number is written without a power of ten."""
@@ -119,20 +117,8 @@ def embedded(data: Mapping[str, Any]) -> Markup:
     return Markup(json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"))
 
 
-@lru_cache(maxsize=2)
-def bundled(names: tuple[str, ...] = MODULES, folder: Path = PANELS) -> str:
-    """Return modules as one script: each in a function of its own, of which the later ones see what it exports.
-
-    A module must come after those that it imports from; imports and exports of another form are refused.
-    """
-    script = '\n"use strict";\n'
-    for name in names:
-        text = IMPORT.sub("", (folder / f"{name}.js").read_text(encoding="utf-8"))
-        exported = ", ".join(function or constant for function, constant in EXPORT.findall(text))
-        text = EXPORT.sub("", text)
-        if left := LEFT.search(text):
-            raise ValueError(f"{name}.js has an import or export of another form: {left[0]}")
-        script += f"const {{ {exported} }} = (() => {{\n{text}return {{ {exported} }};\n}})();\n"
-    if "</script" in script.lower() or "<!--" in script:
-        raise ValueError(f"the scripts {', '.join(names)} would end their element")
-    return script
+@lru_cache
+def bundled() -> str:
+    """Return the modules of a report's panels as one script."""
+    texts = "\n".join((PANELS / f"{name}.js").read_text(encoding="utf-8") for name in MODULES)
+    return f'\n"use strict";\n{{\n{MODULE_WORDS.sub("", texts)}}}\n'

@@ -3,8 +3,6 @@
 import base64
 import io
 import re
-import shutil
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,6 @@ import pytest
 from PIL import Image
 from tests.doors.reader import POINTS, SCREENS, Reader, moments
 from tests.study.conftest import Finished, finish
-from tests.unit.report.test_click_page import joined
 from tests.unit.studies.hump import height, picture, seen
 
 
@@ -83,10 +80,3 @@ def test_the_edge_lies_on_the_picture_in_the_page(browser: Any, tmp_path: Path) 
     above, below = (grey[np.round(y + off).astype(int), np.round(x).astype(int)].mean() for off in (-6, 6))
     assert abs(above - below) > 60
     reader.leaves()
-
-
-@pytest.mark.smoke
-@pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
-def test_each_module_runs_once_and_names_of_one_do_not_reach_another(tmp_path: Path) -> None:
-    run = ["node", "-e", joined(tmp_path / "modules")]
-    assert subprocess.run(run, capture_output=True, text=True, timeout=60).stdout == '[3,1,"mine"]\n'

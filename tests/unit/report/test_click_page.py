@@ -15,37 +15,26 @@ from PIL import Image
 from strandline.foundations import InvalidInput
 from strandline.imaging.clicks import Clicks, as_json
 from strandline.report.click_page import click_page, for_screen
-from strandline.report.html import bundled, embedded, write_page
+from strandline.report.html import MODULES, PANELS, bundled, embedded, write_page
 
 SHA = "0123456789abcdef" * 4
 VALUES = np.arange(48.0).reshape(6, 8)
-MODULES = {
-    "first-one": "export const table = { a: 1 };\nlet hidden = 1;\n"
-    "export function next() {\n  hidden += 1;\n  return hidden;\n}\n",
-    "second": 'import { next, table } from "./first-one.js";\nconst hidden = "mine";\n'
-    "export async function told() {\n  return [next(), table.a, hidden];\n}\n",
-    "entry": 'import { next } from "./first-one.js";\nimport { told } from "./second.js";\n'
-    "next();\ntold().then((found) => console.log(JSON.stringify(found)));\n",
-}
 
 
-def joined(folder: Path, **others: str) -> str:
-    """Return three modules as one script, which writes ``[3,1,"mine"]``."""
-    folder.mkdir()
-    for name, text in {**MODULES, **others}.items():
-        (folder / f"{name}.js").write_text(text)
-    return bundled(tuple(MODULES), folder)
-
-
-def test_each_module_comes_once_after_those_that_it_needs_and_what_cannot_be_joined_is_refused(tmp_path: Path) -> None:
-    script = joined(tmp_path / "whole")
-    assert re.findall(r"^const (.+) = \(\(\) =>", script, re.M) == ["{ table, next }", "{ told }", "{  }"]
-    for name, text, words in (
-        ("form", 'import told from "./second.js";\n', "import or export of another form: import told"),
-        ("end", 'const end = "</SCRIPT>";\n', "would end their element"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            joined(tmp_path / name, entry=text)
+def test_the_modules_of_the_panels_make_one_script_in_which_no_name_is_declared_twice() -> None:
+    """Nor does it end its element; what a module imports, an earlier one declares."""
+    script, declared = bundled(), r"^(?:export )?(?:async )?(?:function|const|let) (\w+)"
+    assert not re.search(r"^\s*(import|export)\b", script, re.M)
+    assert not re.search(r"</script|<!--", script, re.I)
+    names = re.findall(declared, script, re.M)
+    assert {"shared", "draw", "mountShapes", "start"} <= set(names)
+    assert len(set(names)) == len(names)
+    known: set[str] = set()
+    for name in MODULES:
+        text = (PANELS / f"{name}.js").read_text("utf-8")
+        imported = [one.split(", ") for one in re.findall(r"^import \{ (.*) \} from", text, re.M)]
+        assert {one for some in imported for one in some} <= known
+        known |= set(re.findall(declared, text, re.M))
 
 
 def test_embedded_data_cannot_end_its_element() -> None:

@@ -1,16 +1,13 @@
 // The panels of a report: what they show lies in the page itself.
 
-import { mountInputs } from "./inputs.js";
-import { mountPosterior } from "./posterior.js";
-import { mountRun } from "./run.js";
-import { mountShapes } from "./shapes.js";
-import { listen, shared, tell } from "./shared.js";
+import { mountInputs, mountPosterior, mountRun, mountShapes } from "./panels.js";
+import { byId, listen, shared, tell } from "./shared.js";
 
 const UNKNOWN = { excluded: null, observes: false, message: "", log: "", diagnostics: {} };
 
 // Run the library that draws; the page's security policy knows its digest.
 async function load() {
-  const packed = Uint8Array.from(atob(document.getElementById("explore-plotly").textContent), (one) => one.charCodeAt(0));
+  const packed = Uint8Array.from(atob(byId("explore-plotly").textContent), (one) => one.charCodeAt(0));
   const plain = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
   const script = document.createElement("script");
   script.textContent = await new Response(plain).text();
@@ -29,7 +26,7 @@ function reader({ facts, runs, details, interfaces }) {
 }
 
 async function start() {
-  const given = JSON.parse(document.getElementById("explore-data").textContent);
+  const given = JSON.parse(byId("explore-data").textContent);
   for (const name of ["facts", "state", "runs", "posterior"]) shared[name] = given[name];
   await load();
   for (const one of document.querySelectorAll(".with-script")) one.hidden = false;
@@ -38,7 +35,7 @@ async function start() {
   mountPosterior();
   mountRun(reader(given));
   tell("posterior");
-  listen("colours", () => ["runs", "posterior", "run"].forEach(tell));
+  listen("colours", () => ["runs", "posterior", "run"].forEach((name) => tell(name)));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => tell("colours"));
 }
 

@@ -1,6 +1,4 @@
-// What the panels share: the study's data, numbers and elements, requests, and charts.
-
-// What the panels share. `tell(name)` calls those that listen to it.
+// What the panels share: the study's data, numbers and elements, requests, and charts. `tell(name)` calls those that listen to it.
 
 const listeners = new Map();
 
@@ -20,14 +18,16 @@ export function listen(name, task) {
   listeners.set(name, [...(listeners.get(name) || []), task]);
 }
 
-export function tell(name) {
-  for (const task of listeners.get(name) || []) task();
+export function tell(name, given) {
+  for (const task of listeners.get(name) || []) task(given);
 }
 
 // Numbers, symbols and elements as a reader expects them.
 
+export const byId = (id) => document.getElementById(id);
+
 export function figure(value, digits = 4) {
-  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  if (!Number.isFinite(value)) return "–";
   if (Math.abs(value) >= 1e6) return value.toExponential(digits - 1);
   return String(Number(value.toPrecision(digits)));
 }
@@ -51,9 +51,10 @@ export function duration(seconds) {
   return `${(seconds / 3600).toFixed(1)} h`;
 }
 
-export function element(name, text, attributes = {}) {
+// An element with text, or with other elements.
+export function element(name, content, attributes = {}) {
   const found = document.createElement(name);
-  if (text !== undefined && text !== null) found.textContent = text;
+  found.append(...[content ?? []].flat());
   for (const [key, value] of Object.entries(attributes)) found.setAttribute(key, value);
   return found;
 }
@@ -112,7 +113,7 @@ function layoutOf(given) {
 }
 
 export function draw(place, traces, layout, words) {
-  const target = typeof place === "string" ? document.getElementById(place) : place;
+  const target = typeof place === "string" ? byId(place) : place;
   target.setAttribute("role", "img");
   target.setAttribute("aria-label", words);
   return Plotly.react(target, traces, layoutOf(layout), OPTIONS);
@@ -129,6 +130,5 @@ export function histogram(values, weights, low, high, bins = 60) {
     if (bin >= 0 && bin < bins) counts[bin] += weight;
   }
   const width = (high - low) / bins;
-  const x = Array.from(counts, (_, k) => low + (k + 0.5) * width);
-  return { x, y: Array.from(counts, (count) => count / (whole * width)) };
+  return { x: Array.from(counts, (_, k) => low + (k + 0.5) * width), y: Array.from(counts, (count) => count / (whole * width)) };
 }
