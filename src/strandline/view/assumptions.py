@@ -65,11 +65,10 @@ def knobs_of(study: Study, now: Baseline | None) -> dict[str, Any]:
     sure = all(scaled_noise(one, 2.0) is not None for one in noises)
     through = now is not None and now.knowledge is not None
     first = noises[-1]
+    length = TO_UM * first.length if isinstance(first, PointErrors) else None
     return {
         "noise": {"range": list(NOISE), "now": _in_words(first)} if sure and through else None,
-        "length_um": {"range": list(LENGTH), "now": TO_UM * first.length}
-        if by_points and through and isinstance(first, PointErrors)
-        else None,
+        "length_um": {"range": list(LENGTH), "now": length} if by_points and through else None,
         "measures": list(study.discrepancies) if through else [next(iter(study.discrepancies))],
         "why_not": "" if now is None or through else now.why_not,
     }
@@ -97,10 +96,7 @@ def asked_by(given: Mapping[str, Any], study: Study) -> Asked:
 
 
 def answer_to(asked: Asked, study: Study, now: Baseline, *, again: bool) -> Answer:
-    """Return the posterior under other assumptions, without a forward run.
-
-    `again` allows to sample it again; otherwise the present draws get other weights.
-    """
+    """Return the posterior under other assumptions without a run, by other weights or, if `again`, by new draws."""
     alternative = _alternative(asked, study, now)
     if again or alternative.fixed:
         return reweight_or_resample(now, alternative, seed=SEED)
@@ -128,12 +124,11 @@ def _likelihood(asked: Asked, study: Study, present: FieldLikelihood) -> FieldLi
     measure = present.discrepancy if asked.measure is None else study.discrepancies[asked.measure]
     seen = []
     for one in present.observations:
-        noise = scaled_noise(one.noise, asked.noise)
-        if noise is None:
-            raise _refused("noise", "another standard deviation", "a study that states it")
+        noise: Any = scaled_noise(one.noise, asked.noise)
+        require(noise is not None, "noise", "another standard deviation", "a study that states it")
         if asked.length_um is not None:
-            if not isinstance(noise, PointErrors):
-                raise _refused("length_um", asked.length_um, "a study that states the errors of its points")
+            stated = "a study that states the errors of its points"
+            require(isinstance(noise, PointErrors), "length_um", asked.length_um, stated)
             noise = replace(noise, length=asked.length_um / TO_UM)
         seen.append(replace(one, noise=noise))
     return replace(present, observations=tuple(seen), discrepancy=measure)
@@ -141,20 +136,13 @@ def _likelihood(asked: Asked, study: Study, present: FieldLikelihood) -> FieldLi
 
 def number_in(name: str, given: Any, low: float, high: float) -> float:
     """Return a number that the page sends; refuse one that is not between these."""
-    if isinstance(given, int | float) and not isinstance(given, bool) and low <= given <= high:
-        return float(given)
-    raise _refused(name, given, f"a number from {low:g} to {high:g}")
-
-
-def _refused(what: str, value: object, expected: str) -> InvalidInput:
-    return InvalidInput(what, value=value, expected=expected, remedy="Choose another one.")
+    good = isinstance(given, int | float) and not isinstance(given, bool) and low <= given <= high
+    require(good, name, given, f"a number from {low:g} to {high:g}")
+    return float(given)
 
 
 def save_as(study: Study, name: str, asked: Asked) -> Path:
-    """Write a study with other assumptions in a folder of that name beside the present one; return the folder.
-
-    The files that the study needs are copied, its results are not; `reuse` takes over its runs.
-    """
+    """Write a study with other assumptions, its files and `reuse` beside the present one; return its folder."""
     good = NAME.fullmatch(name) is not None
     require(good, "name of the new study", name, "letters, digits, -, _ and . (at most 63)")
     present = study.folder.resolve()

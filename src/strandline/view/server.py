@@ -50,13 +50,11 @@ HEADERS = {
     "Cache-Control": "no-store",
 }
 """Headers of every answer: nothing is loaded from elsewhere, or kept."""
-ERRORS = {
-    403: "there is no such page",
-    404: "there is no such page",
-    405: "such requests are not answered",
-    413: "the request is too long",
-}
+NO_PAGE = "there is no such page"
+ERRORS = {403: NO_PAGE, 404: NO_PAGE, 405: "such requests are not answered", 413: "the request is too long"}
 PAGE = Path(__file__).parent / "page"
+TICK = 0.2
+"""Seconds after which a stream of events looks at the state again."""
 
 
 def refusal(host: str, origin: str | None, given: str, token: str) -> str:
@@ -199,15 +197,15 @@ class _Events(_Guarded):
 
     async def get(self) -> None:
         self.set_header("Content-Type", "text/event-stream")
-        session, rings = self.session, -1
+        session, told = self.session, ""
         session.streams += 1
         try:
             while not session.closing:
-                new = session.rings if rings < 0 else await session.heard(rings)
                 state = json.dumps(session.state, allow_nan=False)
-                self.write(f"data: {state}\n\n" if new != rings else ": alive\n\n")
-                rings = new
+                self.write(f"data: {state}\n\n" if state != told else ": alive\n\n")  # fails if the page has gone
+                told = state
                 await self.flush()
+                await asyncio.sleep(TICK)
         except (StreamClosedError, asyncio.CancelledError):
             return  # cancelled when the server stops: Tornado would complain that it cannot send an error any more
         finally:

@@ -1,10 +1,11 @@
-"""A study as the page sees it: what does not change, what the ledger says now, and the posterior so far."""
+"""A study as the page sees it: what does not change, its runs, its posterior so far, each kept up to date."""
 
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
@@ -12,31 +13,199 @@ import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib.tri import LinearTriInterpolator, Triangulation
 
-from strandline.calibration import Answer, Baseline, by_field
+from strandline.calibration import Answer, Baseline, by_field, interim_posterior
 from strandline.design import Knowledge
-from strandline.foundations import InvalidInput, InvalidStudy, one_thread, read_json, use_double
+from strandline.foundations import (
+    InvalidInput,
+    InvalidStudy,
+    NumericsError,
+    TooFewRuns,
+    one_thread,
+    read_json,
+    use_double,
+)
 from strandline.interface import Interface
 from strandline.models import DrawsFields, ForwardModel, declared_conditions
 from strandline.posterior import reliability_threshold, systematic_indices
-from strandline.questions import require
+from strandline.questions import baseline_of, field_knowledge, require
 from strandline.report import explore
-from strandline.runs import Ledger, Overview
+from strandline.runs import EXCLUDED, OPEN, Attempt, Ledger, Overview
 from strandline.studies import (
     REFINEMENT,
     STUDY,
     SUMMARY,
     Study,
     digest_of,
+    finished_posterior,
     observations_of,
     picture_behind,
     progress_as_planned,
+    results_of,
 )
-from strandline.view.assumptions import answer_to, asked_by, knobs_of, number_in
-from strandline.view.feeds import SEED, PosteriorFeed, RunsFeed, changed_at
+from strandline.view.assumptions import SEED, answer_to, asked_by, knobs_of, number_in
 
 OF_SUMMARY = ("warnings", "misfit", "certificate", "nearest")
 COLUMNS, DIGITS = 240, 4
 """Columns of the grid of a flow, and digits of its values."""
+GROWTH, FEWEST_NEW = 0.1, 4
+"""New runs, as a share of those used and at least, after which the posterior is computed again."""
+
+
+@dataclass
+class _Row:
+    """A run as the page shows it, and when it changed last."""
+
+    key: str
+    attempt: Attempt
+    excluded: str | None
+    version: int
+
+
+@dataclass
+class RunsFeed:
+    """All runs in a ledger, which need not exist yet, in the order of their first starts; `inputs` are shown."""
+
+    path: Path
+    inputs: Sequence[str]
+    version: int = 0
+    _rows: dict[str, _Row] = field(default_factory=dict)
+    _open: dict[int, str] = field(default_factory=dict)
+    _last: int = 0
+
+    def update(self) -> bool:
+        """Read what is new in the ledger; return whether there is anything."""
+        if not self.path.is_file():
+            return False
+        with Overview(self.path) as ledger:
+            found, exclusions = ledger.changes(self._last, self._open), ledger.exclusions()
+        version = self.version + 1
+        for key, attempt in found:
+            self._note(key, attempt, version)
+        for key, row in self._rows.items():
+            why = exclusions[key].why if key in exclusions else None
+            if row.excluded != why:
+                row.excluded, row.version = why, version
+        changed = any(row.version == version for row in self._rows.values())
+        self.version = version if changed else self.version
+        return changed
+
+    def _note(self, key: str, attempt: Attempt, version: int) -> None:
+        self._last = max(self._last, attempt.number)
+        if attempt.state == OPEN:
+            self._open[attempt.number] = key
+        else:
+            self._open.pop(attempt.number, None)
+        row = self._rows.get(key)
+        if row is None:
+            self._rows[key] = _Row(key, attempt, None, version)
+        elif attempt.number > row.attempt.number or (attempt.number == row.attempt.number and attempt != row.attempt):
+            row.attempt, row.version = attempt, version
+
+    def since(self, version: int) -> dict[str, Any]:
+        """Return the rows that changed after a version, as columns; `row` is the place of each among all runs."""
+        rows = [(place, row) for place, row in enumerate(self._rows.values()) if row.version > version]
+        inputs = json.loads(f"[{','.join(row.attempt.inputs for _, row in rows)}]")
+        return {
+            "version": self.version,
+            "total": len(self._rows),
+            "row": [place for place, _ in rows],
+            "number": [row.attempt.number for _, row in rows],
+            "state": [EXCLUDED if row.excluded is not None else row.attempt.state for _, row in rows],
+            "kind": [row.attempt.kind for _, row in rows],
+            "seconds": explore.rounded([row.attempt.seconds for _, row in rows]),
+            "inputs": {name: explore.rounded([one.get(name) for one in inputs]) for name in self.inputs},
+        }
+
+    def key_at(self, place: int) -> tuple[str, Attempt] | None:
+        """Return key and last start of the run in this place; None if there is none."""
+        rows = list(self._rows.values())
+        return (rows[place].key, rows[place].attempt) if 0 <= place < len(rows) else None
+
+    @property
+    def succeeded(self) -> int:
+        """Number of runs that ended ok and are not excluded."""
+        return sum(row.attempt.state == "ok" and row.excluded is None for row in self._rows.values())
+
+
+@dataclass(frozen=True)
+class CurrentPosterior:
+    """A posterior with all that belongs to it, replaced as a whole: another thread reads it meanwhile.
+
+    `now` is the newest one, None if there is none; it has come from ``none``, the runs ``so far`` or is ``stored``.
+    `few` has so few of its draws that they can be weighted again while a slider moves. `history` has runs, means and
+    standard deviations of each posterior, the newest last.
+    """
+
+    now: Baseline | None = None
+    few: Baseline | None = None
+    source: str = "none"
+    why_none: str = "too few forward runs have ended yet"
+    history: tuple[dict[str, Any], ...] = ()
+
+
+@dataclass
+class PosteriorFeed:
+    """The newest posterior of a study, and the means and standard deviations of all before it."""
+
+    study: Study
+    shown: CurrentPosterior = CurrentPosterior()
+    _tried: int = 0
+    _stored: int = 0
+
+    def due(self, succeeded: int) -> bool:
+        """Return whether there is a newer posterior than this one: stored, or worth computing with so many runs."""
+        if results_of(self.study) == "current":
+            return self._stored != changed_at(self.study.folder / SUMMARY)
+        return succeeded - self._tried >= max(FEWEST_NEW, math.ceil(GROWTH * self._tried))
+
+    def refresh(self, succeeded: int) -> None:
+        """Read the stored posterior if the study is finished, else compute that of so many good runs."""
+        use_double()
+        self._tried, self._stored = succeeded, changed_at(self.study.folder / SUMMARY)
+        with one_thread():
+            try:
+                found, source = self._posterior()
+            except (InvalidStudy, InvalidInput, TooFewRuns, NumericsError) as error:
+                self.shown = replace(self.shown, why_none=f"no posterior yet: {error}")
+                return
+        before, moved = self.shown, None
+        if before.now is not None:  # the largest shift of a mean, in earlier standard deviations
+            moved = float(np.abs((found.mean - before.now.mean) / before.now.sd).max())
+        step = {
+            "runs": succeeded if found.knowledge is None else found.knowledge.surrogate.runs,
+            "source": source,
+            "mean": explore.by_name(self.study.space, found.mean),
+            "sd": explore.by_name(self.study.space, found.sd),
+            "moved": moved,
+        }
+        self.shown = CurrentPosterior(found, _thinned(found), source, before.why_none, (*before.history, step))
+
+    def _posterior(self) -> tuple[Baseline, str]:
+        if results_of(self.study) == "current":
+            stored = finished_posterior(self.study, purpose="show")
+            return baseline_of(self.study, stored, purpose="the page"), "stored"
+        knowledge = field_knowledge(self.study, purpose="the page")
+        return interim_posterior(knowledge, self.study.space, seed=SEED), "so far"
+
+
+def _thinned(now: Baseline) -> Baseline:
+    """Return a posterior with equally weighted draws, few enough to be weighted again while a slider moves."""
+    chosen = systematic_indices(np.exp(now.log_weights), explore.DRAWS, np.random.default_rng(SEED))
+    return replace(
+        now,
+        draws=now.draws[chosen],
+        log_weights=np.full(explore.DRAWS, -math.log(explore.DRAWS)),
+        log_likelihood=now.log_likelihood[chosen],
+        log_prior=now.log_prior[chosen],
+    )
+
+
+def changed_at(path: Path) -> int:
+    """Return when a file has changed last, in nanoseconds; 0 if there is none."""
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
 
 
 @dataclass
@@ -110,8 +279,7 @@ class ViewedStudy:
 
     def run(self, place: int) -> dict[str, Any] | None:
         """Return the run in this place of the feed, with its interfaces, message and log; None if there is none."""
-        found = self.feed.key_at(place)
-        if found is None:
+        if (found := self.feed.key_at(place)) is None:
             return None
         key, attempt = found
         with Overview(self.study.ledger_path) as overview:
@@ -136,34 +304,24 @@ class ViewedStudy:
 
     def _interfaces(self, key: str) -> dict[str, Any]:
         """Return the interfaces of a run by condition, with the signed distances of the observed points, µm."""
-        observed = observations_of(self.study)
         with Ledger.open(self.study.ledger_path, model=None, read_only=True) as ledger:
             record = ledger.latest([key]).get(key)
-        return {
-            name: {
-                "line": explore.outline(one),
-                "offsets": None if name not in observed else explore.offsets_um(observed[name], one),
-            }
-            for name, one in ({} if record is None else record.interfaces).items()
-        }
+        found, observed = {} if record is None else record.interfaces, observations_of(self.study)
+        return {name: _line(one, observed.get(name)) for name, one in found.items()}
 
     @property
     def posterior(self) -> dict[str, Any]:
         """The posterior now, with its history, what it predicts, and what may be changed."""
         shown = self.newest.shown
         now, few = shown.now, shown.few
-        out: dict[str, Any] = {
-            "source": shown.source,
-            "why_none": "" if now is not None else shown.why_none,
-            "history": shown.history,
-            "knobs": knobs_of(self.study, now),
-        }
+        out = {"source": shown.source, "history": shown.history, "knobs": knobs_of(self.study, now)}
         if now is None or few is None:
-            return out
+            return {**out, "why_none": shown.why_none}
         quality = now.quality
         known = None if quality is None else {"error_um": 1e3 * quality.median, "hidden_um": 1e3 * quality.hidden}
         return {
             **out,
+            "why_none": "",
             "mean": explore.by_name(self.study.space, now.mean),
             "sd": explore.by_name(self.study.space, now.sd),
             "draws": explore.columns(self.study.space, few.draws),
@@ -238,23 +396,25 @@ def _bands(now: Baseline) -> dict[str, dict[str, Any]]:
     return explore.predictive_band(by_field(now.knowledge.surrogate), now.mean, now.draws[chosen])
 
 
+def _line(interface: Interface, observed: Interface | None) -> dict[str, Any]:
+    """Return an outline, and the signed distances of the observed points, µm; None where nothing was observed."""
+    offsets = None if observed is None else explore.offsets_um(observed, interface)
+    return {"line": explore.outline(interface), "offsets": offsets}
+
+
 def _predicted(
     knowledge: Knowledge, x: Float[np.ndarray, " dim"], observed: Mapping[str, Interface]
 ) -> dict[str, dict[str, Any]]:
     """Return by condition the predicted polyline, the surrogate's standard deviation along its normals, and offsets."""
     surrogate, out = knowledge.surrogate, {}
     interfaces, variances = surrogate.interfaces(x), surrogate.predict(x[None]).variance[0]
-    fields = surrogate.modes.basis / surrogate.modes.roots
-    parts = surrogate.by_condition(fields)
+    parts = surrogate.by_condition(surrogate.modes.basis / surrogate.modes.roots)
     for name, interface in interfaces.items():
         along = np.einsum("mpx,px->mp", parts[name], explore.point_normals(interface))
         sd = np.sqrt(variances @ along**2 + surrogate.modes.remainder**2)
-        out[name] = {
-            "line": explore.outline(interface),
-            "band": explore.band(interface, explore.SDS * sd),
-            "sd_um": float(f"{1e3 * float(np.sqrt(np.mean(sd**2))):.3g}"),
-            "offsets": None if name not in observed else explore.offsets_um(observed[name], interface),
-        }
+        mean_sd = float(f"{1e3 * float(np.sqrt(np.mean(sd**2))):.3g}")
+        band = explore.band(interface, explore.SDS * sd)
+        out[name] = {**_line(interface, observed.get(name)), "band": band, "sd_um": mean_sd}
     return out
 
 

@@ -1,6 +1,5 @@
 """The server of the page: whom it answers, what it refuses, and how it notices what changes."""
 
-import asyncio
 import json
 import socket
 import time
@@ -14,7 +13,6 @@ import pytest
 import strandline as sl
 from strandline.testing.studies import write_study
 from strandline.view import Server, serving, show
-from strandline.view.session import Session
 
 
 def until(what: Callable[[], Any]) -> Any:
@@ -98,11 +96,7 @@ def test_a_notebook_shows_the_page(unrun: Server) -> None:
 def test_a_stream_that_is_still_open_when_the_server_stops_ends_in_silence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def never(session: Session, rings: int) -> int:
-        await asyncio.Event().wait()
-        return rings
-
-    monkeypatch.setattr(Session, "heard", never)
+    monkeypatch.setattr("strandline.view.server.TICK", 1000.0)
     study = sl.load_study(write_study(tmp_path / "beam"))
     with serving(study) as server, httpx.stream("GET", f"{server.url}events", timeout=60) as stream:
         assert next(told(stream))["problem"] == ""

@@ -11,8 +11,8 @@ from strandline.interface import Interface
 from strandline.report.explore import rounded
 from strandline.runs import Ledger, RunRecord, RunRequest
 from strandline.runs.ledger.overview import Overview
-from strandline.view.feeds import RunsFeed
 from strandline.view.server import refusal
+from strandline.view.viewed import RunsFeed
 
 LINE = Interface.polyline(np.arange(8.0).reshape(4, 2))
 TOKEN = "secret-of-sixteen-letters"
