@@ -16,10 +16,8 @@ from verification.reproduction.designs import NestedStep
 from verification.reproduction.evidence import Evidence
 
 from strandline.models.biofilm.mesh.geometry import MESHES, mesh_flow_cell
-from strandline.report.figure_files import PAGE_PIXELS_PER_INCH
-from strandline.report.plots import style
-from strandline.report.plots.field import FieldGrid, plot_field
-from strandline.report.plots.style import CYCLE, DASHES, DOTS_PER_INCH, new_axes, styled
+from strandline.report.plots import FieldGrid, plot_field, style
+from strandline.report.plots.style import CYCLE, DASHES, DOTS_PER_INCH, PAGE_PIXELS_PER_INCH, new_axes, styled
 
 WINDOW_SDS, POINTS = 5.0, (121, 101)
 LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)

@@ -58,14 +58,10 @@ def conditions_as_json(
     """Return each condition with what was observed (None if not known yet), undeformed interface and picture."""
     rest = undeformed_interface(model)
     flat = None if rest is None or rest.dim != 2 else _few(outline(rest), MOST_POINTS)
+    shown = {name: None if seen is None else _few(outline(seen), MOST_OBSERVED) for name, seen in observed.items()}
     return [
-        {
-            "name": name,
-            "observed": None if seen is None else _few(outline(seen), MOST_OBSERVED),
-            "undeformed": flat,
-            "picture": pictures.get(name),
-        }
-        for name, seen in observed.items()
+        {"name": name, "observed": line, "undeformed": flat, "picture": pictures.get(name)}
+        for name, line in shown.items()
     ]
 
 
@@ -89,10 +85,7 @@ def rounded(values: Sequence[float | None] | Float[np.ndarray, " _"], digits: in
 
 
 def outline(interface: Interface) -> list[list[float]]:
-    """Return the points of a polyline in order, [[x, …], [y, …]], mm; the first one again at the end if it is closed.
-
-    A surface is shown by its points.
-    """
+    """Return the points of a polyline, [[x, …], [y, …]], mm, in order, closed by the first one; those of a surface."""
     order = _in_order(interface) if interface.dim == 2 else slice(None)
     return np.round(interface.points[order].T, DECIMALS).tolist()  # type: ignore[no-any-return]
 
@@ -162,12 +155,9 @@ def explore(
         "posterior": _posterior(calibration, observed),
     }
     plotly, script = PLOTLY.read_bytes(), bundled()
-    large = {
-        "data": embedded(data),
-        "plotly": base64.b64encode(gzip.compress(plotly, mtime=0)).decode("ascii"),
-        "script": Markup(script),
-        "style": Markup((PANELS / "panels.css").read_text(encoding="utf-8")),
-    }
+    packed = base64.b64encode(gzip.compress(plotly, mtime=0)).decode("ascii")
+    style = Markup((PANELS / "panels.css").read_text(encoding="utf-8"))
+    large = {"data": embedded(data), "plotly": packed, "script": Markup(script), "style": style}
     return {
         **large,
         "size": sum(map(len, large.values())),
@@ -220,10 +210,9 @@ def _columns(every: Sequence[RunRecord], rows: Sequence[int], space: ParameterSp
 def _details(record: RunRecord) -> dict[str, Any]:
     """Return message and log of a run that failed, and the figures of any run."""
     found: dict[str, Any] = {}
-    figures = {name: value for name, value in record.diagnostics.items() if math.isfinite(value)}
+    figures = [(name, value) for name, value in record.diagnostics.items() if math.isfinite(value)][:FIGURES]
     if figures:
-        names = list(figures)[:FIGURES]
-        found["diagnostics"] = dict(zip(names, rounded([figures[name] for name in names], 4), strict=True))
+        found["diagnostics"] = {name: float(f"{value:.4g}") for name, value in figures}
     if record.message:
         found["message"] = record.message.partition(f"\n{LOG_TITLE}\n")[0][:CHARACTERS]
     if record.log:
@@ -242,14 +231,13 @@ def _outlines(
     compared = [seen for seen in observed.values() if len(seen.points) <= MOST_OBSERVED]
     each = 2 * MOST_POINTS * len(observed) + sum(len(seen.points) for seen in compared)
     most = max(1, min(MOST_OUTLINES, MOST_NUMBERS // each))
+
+    def shown(seen: Interface, found: Interface) -> dict[str, Any]:
+        offsets = offsets_um(seen, found) if len(seen.points) <= MOST_OBSERVED else None
+        return {"line": _few(outline(found), MOST_POINTS), "offsets": offsets}
+
     return {
-        row: {
-            name: {
-                "line": _few(outline(every[row].interfaces[name]), MOST_POINTS),
-                "offsets": offsets_um(seen, every[row].interfaces[name]) if len(seen.points) <= MOST_OBSERVED else None,
-            }
-            for name, seen in observed.items()
-        }
+        row: {name: shown(seen, every[row].interfaces[name]) for name, seen in observed.items()}
         for row in _some(best_first, len(every), most, ok)
     }
 
@@ -275,8 +263,18 @@ def _posterior(calibration: Calibration, observed: Mapping[str, Interface]) -> d
 
 
 def _bands(calibration: Calibration, draws: Float[np.ndarray, "draw dim"]) -> dict[str, Any]:
-    """Return the interface at the posterior mean and a band around it, by condition; nothing if no field is known."""
-    prediction = _prediction(calibration)
+    """Return the interface at the posterior mean and a band around it, by condition; nothing if no field is known.
+
+    The interface as a function of the inputs is the study's own surrogate or, without one, learnt from the best runs.
+    """
+    problem = calibration.problem
+    if calibration.field is not None:
+        prediction = by_field(calibration.field.knowledge.surrogate)
+    else:  # learnt from the best runs
+        good = [record for record in calibration.records if record.ok]
+        values = next(iter(calibration.log_likelihoods.values()))
+        known = problem.space, problem.observations, problem.measure
+        prediction = by_runs(calibration.training, good, values, *known)
     if prediction.run_alone:
         return {}
     few = np.random.default_rng(0).permutation(draws)[:BAND_DRAWS]
@@ -287,18 +285,3 @@ def _bands(calibration: Calibration, draws: Float[np.ndarray, "draw dim"]) -> di
         }
         for name, one in predictive_band(prediction, calibration.posterior.mean, few).items()
     }
-
-
-def _prediction(calibration: Calibration) -> Prediction:
-    """Return the interface as a function of the inputs, learnt from the best runs if the study learns none."""
-    if calibration.field is not None:
-        return by_field(calibration.field.knowledge.surrogate)
-    problem = calibration.problem
-    return by_runs(
-        calibration.training,
-        [record for record in calibration.records if record.ok],
-        next(iter(calibration.log_likelihoods.values())),
-        problem.space,
-        problem.observations,
-        problem.measure,
-    )

@@ -53,13 +53,12 @@ def fit_as_json(found: Misfit | None, far: str | None) -> dict[str, Any] | None:
 
 
 def _condition(found: ConditionMisfit) -> dict[str, Any]:
-    own, expected = found.found, found.expected
     return {
         "condition": found.condition,
         "sd_um": TO_MICROMETRES * found.rms,
-        "length_um": TO_MICROMETRES * own.length,
-        "stated_sd_um": TO_MICROMETRES * expected.sd,
-        "stated_length_um": TO_MICROMETRES * expected.length,
+        "length_um": TO_MICROMETRES * found.found.length,
+        "stated_sd_um": TO_MICROMETRES * found.expected.sd,
+        "stated_length_um": TO_MICROMETRES * found.expected.length,
         "assumed": found.stated.assumed,
         "ratio": found.ratio,
         "p": found.p_value,
@@ -121,10 +120,8 @@ class Nearest:
         where = ", ".join(f"{name} = {value:.4g}" for name, value in self.inputs.items())
         reason = "The model, the box or the noise is wrong."
         if max(self.extent_ratio, 1 / self.extent_ratio) >= TELLING:
-            mistake = unit_mistake(self.extent_ratio)
-            reason = f"The observed interface has {number(self.extent_ratio, 3)} times the extent of the run's" + (
-                f": {mistake}." if mistake else "."
-            )
+            why = f": {mistake}" if (mistake := unit_mistake(self.extent_ratio)) else ""
+            reason = f"The observed interface has {number(self.extent_ratio, 3)} times the extent of the run's{why}."
         elif self.axes:
             reason = self.axes
         elif self.offset > self.extent:
@@ -133,6 +130,10 @@ class Nearest:
             f"NOTHING IN THE BOX COMES NEAR the observation{of}: the best run ({where}) is "
             f"{number(self.residual, 3)} noise units and {_length(self.distance)} away. {reason}"
         )
+
+
+def _length(mm: float) -> str:
+    return f"{number(mm, 3)} mm" if mm >= 1 else f"{number(1e3 * mm, 3)} µm"
 
 
 def nothing_near(found: list[Nearest]) -> str | None:
@@ -209,17 +210,10 @@ def _outside(seen: Observation, runs: list[RunRecord], least: float) -> bool:
     distances = np.array([apart(interface, seen.interface)[0] for interface in interfaces])
     nearest = interfaces[int(np.argmin(distances))]
     neighbours = np.sort([apart(interface, nearest)[0] for interface in interfaces])[1:]
-    spacing = float(neighbours[min(_varying(runs), len(neighbours) - 1)]) if len(neighbours) else 0.0
+    inputs: Float[np.ndarray, "run input"] = np.array([list(record.inputs.values()) for record in runs], float)
+    varying = int((np.ptp(inputs, axis=0) > 0).sum())
+    spacing = float(neighbours[min(varying, len(neighbours) - 1)]) if len(neighbours) else 0.0
     return float(distances.min()) > max(least, SPACINGS * spacing)
-
-
-def _varying(runs: list[RunRecord]) -> int:
-    values: Float[np.ndarray, "run input"] = np.array([list(record.inputs.values()) for record in runs], float)
-    return int((np.ptp(values, axis=0) > 0).sum())
-
-
-def _length(mm: float) -> str:
-    return f"{number(mm, 3)} mm" if mm >= 1 else f"{number(1e3 * mm, 3)} µm"
 
 
 def as_json(found: list[Nearest]) -> dict[str, Any]:

@@ -84,10 +84,7 @@ def number(value: float | list[float] | None, digits: int = 4) -> str:
 
 
 def numbers(text: Any) -> Any:
-    """Return a text whose numbers have a proper minus, and powers of ten that no line break splits.
-
-    HTML stays as it is, as does what is no text.
-    """
+    """Return a text with proper minuses, and powers of ten that no line break splits; HTML and what is no text stay."""
     return NUMBER.sub(_typeset, text) if isinstance(text, str) and not hasattr(text, "__html__") else text
 
 

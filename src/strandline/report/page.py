@@ -1,19 +1,27 @@
-"""A finished study as one self-contained HTML page, and its figures as files; the pages of answers."""
+"""Pages of one HTML file that loads nothing: a study, with its figures as files; an answer; a picture to mark."""
 
+import base64
+import io
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
+from markupsafe import Markup
+from PIL import Image
 
 from strandline.calibration import Calibration
 from strandline.design import KINDS
+from strandline.foundations import InvalidInput
+from strandline.imaging import Clicks, as_json
 from strandline.report import plots
 from strandline.report.explore import explore
-from strandline.report.figure_files import Captioned, fitted, marked, saved, whole_folder
 from strandline.report.figures import figure_groups
-from strandline.report.html import one_line, template, write_page
+from strandline.report.html import embedded, one_line, script_hash, template, write_page
+from strandline.report.plots.style import Captioned, fitted, marked, saved, whole_folder
 from strandline.report.warnings import LOO_LIMIT, reason_to_doubt
 
 
@@ -89,19 +97,14 @@ def write_report(
 
 
 def methods_paragraph(summary: Mapping[str, Any]) -> str:
-    """Return a paragraph for the methods section of a paper, with the numbers of a study, from the content of
-    summary.json.
-
-    It also says what speaks against the result: runs that failed, a design that did not converge, a model that does not
-    explain the observation.
-    """
+    """Return a paragraph for the methods section of a paper, from summary.json; it says what speaks against it, too."""
     return one_line(template("methods.txt.j2").render(s=summary))
 
 
 def _without_bad_comparison(summary: Mapping[str, Any]) -> Mapping[str, Any]:
     """Leave out the second posterior, from a surrogate of the log-likelihood, if this is bad near the mode."""
-    errors = [one["loo_rms_near_mode"] for one in summary["measures"].values()]
-    return {**summary, "comparison": None} if errors and errors[0] > LOO_LIMIT else summary
+    error = next((one["loo_rms_near_mode"] for one in summary["measures"].values()), 0.0)
+    return {**summary, "comparison": None} if error > LOO_LIMIT else summary
 
 
 def _all_saved(
@@ -138,7 +141,7 @@ def add_check(check: Mapping[str, Any], folder: Path, *, draft: bool = False) ->
     before, begin, rest = page.partition(MARKS[0])
     _, end, after = rest.partition(MARKS[1])
     if begin and end:
-        section = template("check.html.j2").render(check=check, picture=picture)
+        section = template("parts.html.j2").module.check(check, picture)
         write_page(report, f"{before}{begin}{section}{end}{after}")
 
 
@@ -148,3 +151,84 @@ def write_answer(answer: Any, *, draft: bool = False) -> None:
     figures.mkdir(exist_ok=True)
     pictures = [saved(captioned, figures, draft=draft) for captioned in answer.drawn(answer.content)]
     write_page(answer.page, template("answer.html.j2").render(a=answer, figures=pictures))
+
+
+SCRIPTS = ("marks.js", "editing.js")
+MOST_PIXELS, LONGEST_SIDE = 6_000_000, 8192
+"""Largest picture that is shown as it is, in pixels."""
+ENDS = (0.2, 99.8)
+"""Percentiles of the values that become black and white."""
+SAMPLED = 1_000_000
+"""Number of values from which percentiles are taken."""
+DARK = 0.1
+"""Median below which a picture is brightened, as intensities of coherent light need it."""
+BRIGHTEST_POWER = 0.25
+
+
+def click_page(
+    values: Float[np.ndarray, "row column"],
+    *,
+    name: str,
+    sha256: str,
+    clicks: Clicks | None = None,
+    pixel_mm: tuple[float, float] | None = None,
+    most_pixels: int = MOST_PIXELS,
+) -> str:
+    """Return the page for one picture of grey values, with a checksum of its file in hexadecimal, as HTML.
+
+    The page saves a file that `strandline.imaging.clicks.read_clicks` reads, and nothing that it would refuse. `clicks`
+    are what was marked before in the same picture. With width and height of a pixel, mm, the page shows the picture in
+    its true shape; one of more than `most_pixels` is reduced.
+    """
+    height, width = values.shape
+    if clicks is not None:
+        clicks.require_picture(sha256, (width, height))
+    png, factor = for_screen(values, most_pixels=most_pixels)
+    given = {
+        "name": name,
+        "sha256": sha256.lower(),
+        "size": [width, height],
+        "factor": factor,
+        "pixel_mm": pixel_mm,
+        "file": f"{PurePath(name).stem}.path.json",
+        "clicks": None if clicks is None else as_json(clicks),
+        "picture": f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}",
+    }
+    folder = Path(__file__).parent / "templates" / "clicks"
+    script = '\n"use strict";\n' + "\n".join((folder / part).read_text(encoding="utf-8") for part in SCRIPTS)
+    own = {"given": embedded(given), "script": Markup(script), "script_hash": Markup(script_hash(script))}
+    return str(template("clicks.html.j2").render(**given, **own))
+
+
+def for_screen(values: Float[np.ndarray, "row column"], *, most_pixels: int = MOST_PIXELS) -> tuple[bytes, int]:
+    """Return a picture as PNG, and how many pixels each of its own stands for; values that are not finite are black."""
+    height, width = values.shape
+    factor = max(1, math.ceil(max(height, width) / LONGEST_SIDE))
+    while math.ceil(height / factor) * math.ceil(width / factor) > most_pixels:
+        factor += 1
+    means = np.asarray(Image.fromarray(255 * _shaded(values)).reduce(factor))
+    buffer = io.BytesIO()
+    Image.fromarray(np.round(means).astype(np.uint8)).save(buffer, format="png")
+    return buffer.getvalue(), factor
+
+
+def _shaded(values: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "row column"]:
+    """Return brightness from 0 to 1, single precision."""
+    sample = values[:: max(1, math.isqrt(values.size // SAMPLED)), :: max(1, math.isqrt(values.size // SAMPLED))]
+    finite = sample[np.isfinite(sample)]
+    if finite.size == 0:
+        raise InvalidInput(
+            "values of the picture",
+            value=f"{values.shape[1]} × {values.shape[0]} px without a finite value",
+            expected="numbers",
+            remedy="Look at the picture, its page and its scale.",
+        )
+    low, middle, high = np.percentile(finite, [ENDS[0], 50, ENDS[1]])
+    if not high > low:
+        low, high = float(finite.min()), float(finite.max())
+    range_ = (high - low) or 1.0
+    brightness = np.clip((values - low) / range_, 0.0, 1.0).astype(np.float32)
+    median = (middle - low) / range_
+    if 0 < median < DARK:
+        brightness **= max(BRIGHTEST_POWER, math.log(3 * DARK) / math.log(median))
+    return np.asarray(np.nan_to_num(brightness, copy=False))

@@ -67,7 +67,8 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
         yield _said("no_field", why=calibration.no_field)
     yield from _fit(calibration)
     if calibration.field is None:
-        yield from _impossible(calibration)
+        if (highest := float(calibration.posterior.log_likelihood.max())) > ABOVE_ZERO:
+            yield _said("impossible", highest=highest)
         yield from _surrogate(calibration)
         yield from likely_to_fail(_failing(calibration))
     else:
@@ -92,8 +93,9 @@ def reason_to_doubt(
 
     `check` is the content of check.json if it belongs to this posterior; `far`: no run comes near the observation.
     """
+    by_field = calibration.field is not None
     certificate = None if calibration.field is None else calibration.field.certificate
-    if calibration.field is None and float(calibration.posterior.log_likelihood.max()) > ABOVE_ZERO:
+    if not by_field and float(calibration.posterior.log_likelihood.max()) > ABOVE_ZERO:
         return "the surrogate predicts log-likelihoods above 0"
     if calibration.misfit is not None and calibration.misfit.flagged:
         return "the model does not explain what was observed"
@@ -103,17 +105,10 @@ def reason_to_doubt(
         return "not converged, " + certificate.reasons[-1] if certificate.reasons else "not converged"
     if check is not None and check["verdict"] == "bad":
         return "the check with the true model failed"
-    if calibration.field is None and calibration.surrogate.validation.loo_rms_near_mode > LOO_LIMIT:
-        error = calibration.surrogate.validation.loo_rms_near_mode
+    if not by_field and (error := calibration.surrogate.validation.loo_rms_near_mode) > LOO_LIMIT:
         how = calibration.surrogate.left_out
         return f"its shape is in doubt, {how} error near the mode {number(error, 2)} in log-likelihood"
     return None
-
-
-def _impossible(calibration: Calibration) -> Iterator[str]:
-    highest = float(calibration.posterior.log_likelihood.max())
-    if highest > ABOVE_ZERO:
-        yield _said("impossible", highest=highest)
 
 
 def _fit(calibration: Calibration) -> Iterator[str]:
@@ -216,9 +211,8 @@ def _prior(calibration: Calibration) -> Iterator[str]:
     yield from prior_conflicts(calibration.posterior)
     for parameter in calibration.problem.space:
         if parameter.mass_cut > MASS_CUT_TOLD:
-            low, high = parameter.interval
-            cut: dict[str, Any] = {"low": low, "high": high, "unit": _of(parameter), "share": parameter.mass_cut}
-            yield _said("prior_cut", name=parameter.name, **cut)
+            (low, high), unit = parameter.interval, _of(parameter)
+            yield _said("prior_cut", name=parameter.name, low=low, high=high, unit=unit, share=parameter.mass_cut)
 
 
 def _surrogate(calibration: Calibration) -> Iterator[str]:
@@ -300,12 +294,9 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
     """Yield one sentence per doubt."""
     certificate, surrogate = found.certificate, found.knowledge.surrogate
     if certificate is not None and not certificate.converged:
-        facts: dict[str, Any] = {
-            "scattered": bool(certificate.scattered),
-            "misfit": calibration.misfit is not None and bool(calibration.misfit.flagged),
-            "failing": 1.0 - found.feasible >= HALF,
-        }
-        yield _said("not_converged", reasons=certificate.reasons, **facts)
+        scattered, failing = bool(certificate.scattered), 1.0 - found.feasible >= HALF
+        misfit = calibration.misfit is not None and bool(calibration.misfit.flagged)
+        yield _said("not_converged", reasons=certificate.reasons, scattered=scattered, misfit=misfit, failing=failing)
     if certificate is not None and certificate.overlooks:
         yield _said("overlooks", statement=certificate.statement)
     shift, ratio = float(np.abs(found.effect.shift).max()), float(np.abs(np.log(found.effect.sd_ratio)).max())
@@ -333,12 +324,10 @@ def _unsure_cut(calibration: Calibration, found: FieldOutcome) -> Iterator[str]:
     """Yield a warning if the cut reading goes where there are few runs: they were chosen for the joint reading."""
     if calibration.under_uncertainty is None:
         return
-    cut, problem = calibration.under_uncertainty.cut, calibration.problem
-    measure = problem.measure
+    cut, measure = calibration.under_uncertainty.cut, calibration.problem.measure
     hidden = min(noise_length(seen, measure) for seen in found.knowledge.likelihood.known_observations)
     errors = found.knowledge.surrogate.predicted_error(cut.extended.draws)
     of_value = np.array([np.median(errors[cut.value_index == k]) for k in range(len(cut.values))])
     unsure = of_value > UNSURE * hidden
-    if unsure.any():
-        facts: dict[str, Any] = {"unsure": int(unsure.sum()), "values": len(cut.values), "error": float(of_value.max())}
-        yield _said("unsure_cut", **facts, hidden=hidden)
+    if (number_of := int(unsure.sum())) > 0:
+        yield _said("unsure_cut", unsure=number_of, values=len(cut.values), error=float(of_value.max()), hidden=hidden)

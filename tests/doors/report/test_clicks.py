@@ -19,7 +19,7 @@ from tests.doors.reader import Reader
 
 from strandline.foundations import InvalidInput
 from strandline.imaging.clicks import Clicks, as_json, read_clicks
-from strandline.report.click_page import click_page
+from strandline.report.page import click_page
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
 

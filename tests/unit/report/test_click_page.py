@@ -14,8 +14,8 @@ from PIL import Image
 
 from strandline.foundations import InvalidInput
 from strandline.imaging.clicks import Clicks, as_json
-from strandline.report.click_page import click_page, for_screen
 from strandline.report.html import MODULES, PANELS, bundled, embedded, write_page
+from strandline.report.page import click_page, for_screen
 
 SHA = "0123456789abcdef" * 4
 VALUES = np.arange(48.0).reshape(6, 8)
@@ -92,19 +92,19 @@ def test_nothing_is_loaded_no_other_script_can_run_and_a_name_cannot_break_out()
 
 def test_a_large_picture_is_shown_by_means_of_blocks_and_a_long_one_fits_a_canvas() -> None:
     values = np.kron(np.array([[0.0, 1.0, 0.5], [1.0, 0.5, 0.0]]), np.ones((3, 3)))[:, :8]
-    found = for_screen(values, most_pixels=6)
-    np.testing.assert_array_equal(grey(found.png), [[0, 255, 128], [255, 128, 0]])
-    assert found.factor == given(page_of(values, most_pixels=6))["factor"] == 3
-    assert for_screen(np.tile(np.linspace(0, 1, 20_000), (2, 1))).factor == 3
+    png, factor = for_screen(values, most_pixels=6)
+    np.testing.assert_array_equal(grey(png), [[0, 255, 128], [255, 128, 0]])
+    assert factor == given(page_of(values, most_pixels=6))["factor"] == 3
+    assert for_screen(np.tile(np.linspace(0, 1, 20_000), (2, 1)))[1] == 3
 
 
 def test_dark_speckle_is_brightened_a_photograph_is_not_and_equal_or_infinite_values_are_shown() -> None:
     rng = np.random.default_rng(1)
     speckle = rng.exponential(size=(100, 100)) * np.where(np.arange(100) < 90, 1.0, 100.0)
-    assert 40 < np.median(grey(for_screen(speckle).png)) < 100
-    assert 118 < np.median(grey(for_screen(rng.normal(100.0, 10.0, (100, 100))).png)) < 138
-    assert len(np.unique(grey(for_screen(np.full((4, 5), -1e300)).png))) == 1
-    found = grey(for_screen(np.array([[np.nan, 1.0, 2.0], [-np.inf, 2.0, 1.5]])).png)
+    assert 40 < np.median(grey(for_screen(speckle)[0])) < 100
+    assert 118 < np.median(grey(for_screen(rng.normal(100.0, 10.0, (100, 100)))[0])) < 138
+    assert len(np.unique(grey(for_screen(np.full((4, 5), -1e300))[0]))) == 1
+    found = grey(for_screen(np.array([[np.nan, 1.0, 2.0], [-np.inf, 2.0, 1.5]]))[0])
     assert (found[:, 0].tolist(), found.max()) == ([0, 0], 255)
     with pytest.raises(InvalidInput, match=r"3 × 2 px without a finite value"):
         for_screen(np.full((2, 3), np.nan))

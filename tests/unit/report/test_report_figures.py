@@ -15,13 +15,11 @@ from strandline.foundations import with_sd
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.posterior import Offsets, Reading
-from strandline.report.figure_files import Captioned, fitted, marked, saved
-from strandline.report.figures import _in_legend, _reading
+from strandline.report.figures import _in_legend, _reading, unknown_errors
 from strandline.report.html import fixed, number, said
 from strandline.report.page import _without_bad_comparison
 from strandline.report.plots import plot_run_offsets, plot_tempering
-from strandline.report.plots.style import DOUBLE, SINGLE
-from strandline.report.surrogate_figures import unknown_errors
+from strandline.report.plots.style import DOUBLE, SINGLE, Captioned, fitted, marked, saved
 
 
 def test_a_prediction_says_what_the_whole_outline_may_still_do() -> None:

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
         plot_predictions,
         plot_rank_bands,
     )
-    from strandline.report.plots.field import FieldGrid, plot_field, three_measures
     from strandline.report.plots.interfaces import (
         ResidualsAlong,
         plot_conditions,
@@ -36,11 +35,15 @@ if TYPE_CHECKING:
     from strandline.report.plots.style import mark_doubt
     from strandline.report.plots.surrogate import (
         ErrorsAlong,
+        FieldGrid,
+        Kind,
+        plot_field,
         plot_field_error,
         plot_leave_one_out,
         plot_run_history,
         plot_sensitivity,
         plot_tempering,
+        three_measures,
     )
 else:
     __getattr__ = door(__name__, __file__)

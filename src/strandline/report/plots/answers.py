@@ -149,10 +149,7 @@ def _whiskers(ax: Axes, band: Mapping[str, float], some: Sequence[Mapping[str, f
 
 @style.drawn(style.DOUBLE, 2.9)
 def plot_caterpillar(specimens: Sequence[Mapping[str, Any]], name: str, label: str, *, ax: Axes = style.NEW) -> Axes:
-    """Draw the 90 % intervals of an input for all specimens of specimens.json, sorted by their medians.
-
-    `label` is the symbol of the input with its unit, for Matplotlib.
-    """
+    """Draw 90 % intervals of an input, with its label, for all in specimens.json, sorted by their medians."""
     items = [one["inputs"][name] for one in specimens]
     own = np.array([[item[q] for q in QUANTILES] for item in items])
     given_all = np.array([[item["shrunk"][q] for q in QUANTILES] for item in items if "shrunk" in item]).reshape(-1, 3)
@@ -230,10 +227,7 @@ class OffsetBand:
 def plot_check(
     true: Float[np.ndarray, " draw"], surrogate: Float[np.ndarray, " draw"], bands: Mapping[str, OffsetBand | None]
 ) -> Figure:
-    """Draw true against surrogate log-likelihoods and, for each condition, `plot_offsets`.
-
-    True ones are not finite if the run failed; a band is None if there is none to draw.
-    """
+    """Draw true log-likelihoods, not finite if runs failed, over the surrogate's, and `plot_offsets` by condition."""
     figure = style.new_figure(style.DOUBLE, 3.6 if len(bands) < 2 else 3.0)
     first, *others = figure.subplots(1, 1 + len(bands), squeeze=False)[0]
     _likelihoods(first, true, surrogate)

@@ -169,10 +169,7 @@ def _legend(figure: Figure, main: Axes, top: Axes, percentiles: Sequence[float],
 def plot_particles(
     posterior: Posterior, names: tuple[str, str], *, largest: float = 16.0, ax: Axes = style.NEW
 ) -> Axes:
-    """Draw the particles in the plane of two inputs; the area of a circle is proportional to its weight.
-
-    `largest` is the area of the heaviest particle's circle, points².
-    """
+    """Draw particles over two inputs; areas of circles, points², go with the weights, `largest` for the heaviest."""
     order = np.argsort(posterior.weights)
     weights, points = posterior.weights[order], posterior.columns(names)[order]
     x, y = posterior.space[names[0]], posterior.space[names[1]]
@@ -203,10 +200,7 @@ def plot_marginal(
     whole_box: bool = False,
     ax: Axes = style.NEW,
 ) -> Axes:
-    """Draw the marginal posterior of one input with its prior, and the one by quadrature of the same surrogate on top.
-
-    `whole_box` shows all of the prior (Fig. 10).
-    """
+    """Draw the marginal of an input, its prior, that by quadrature; with `whole_box`, all of the prior (Fig. 10)."""
     parameter = posterior.space[name]
     shown = parameter.interval if whole_box else axis_limits(posterior, name)
     draw_marginal(ax, parameter, posterior.columns([name])[:, 0], posterior.weights, shown=shown, bins=bins)

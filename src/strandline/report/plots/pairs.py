@@ -42,10 +42,7 @@ PANEL = 1.35
 def plot_corner(
     posterior: Posterior, names: Sequence[str] | None = None, *, truth: Mapping[str, float] | None = None
 ) -> Figure:
-    """Draw the marginal of each input with its prior, and for each pair the smallest regions that hold 68 and 95 %.
-
-    `truth` may have some inputs only.
-    """
+    """Draw marginals with priors, and each pair's smallest regions that hold 68 and 95 %; `truth` may be partial."""
     chosen = posterior.space.names if names is None else tuple(names)
     width = min(max(style.SINGLE, 0.5 + PANEL * len(chosen)), style.DOUBLE)
     figure = style.new_figure(width, width + 0.2)
@@ -184,10 +181,7 @@ def plot_failed_runs(
     *,
     ax: Axes = style.NEW,
 ) -> Axes:
-    """Draw each run as a line across one axis per input: grey if it succeeded, coloured by kind if it failed.
-
-    Each axis spans the box; the commonest kind comes first.
-    """
+    """Draw each run as a line across an axis for each input: grey if it succeeded, coloured by kind if it failed."""
     _add_lines(ax, space.to_unit(ok), colors=style.GREY, linewidths=0.4, alpha=0.35, label=f"ok: {len(ok)}")
     for k, (kind, points) in enumerate(failed.items()):
         colour, dashes = style.CYCLE[(k + 1) % len(style.CYCLE)], style.DASHES[k % len(style.DASHES)]

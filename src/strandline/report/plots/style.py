@@ -1,13 +1,17 @@
-"""What all figures share: colours that colour-blind readers can distinguish, type sizes, new axes.
+"""What all figures share: colours that colour-blind readers can distinguish, type sizes, new axes, captions, files.
 
 Figures are made without pyplot, so no global registry keeps them alive and none needs closing.
 """
 
+import base64
 import io
+import shutil
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from functools import wraps
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 import matplotlib as mpl
@@ -17,6 +21,9 @@ from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.legend import Legend
+from PIL import Image
+
+from strandline.report.html import said
 
 BLACK, GREY = "#000000", "#8c8c8c"
 ORANGE, SKY, GREEN, BLUE, RED, PURPLE = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7"
@@ -47,25 +54,20 @@ _STYLE: Any = {
 }
 
 
-def png_of(figure: Figure) -> bytes:
-    """Return a figure as PNG."""
-    with io.BytesIO() as file:
-        figure.savefig(file, format="png", dpi=NOTEBOOK_DOTS_PER_INCH)
-        return file.getvalue()
-
-
 class ShownFigure(Figure):
     """A figure that a notebook shows below the cell whose last line returns it."""
 
     def _repr_png_(self) -> bytes:
-        return png_of(self)
+        with io.BytesIO() as file:
+            self.savefig(file, format="png", dpi=NOTEBOOK_DOTS_PER_INCH)
+            return file.getvalue()
 
 
 class ShownAxes(Axes):
     """Axes that a notebook shows, with their whole figure, below the cell whose last line returns them."""
 
     def _repr_png_(self) -> bytes:
-        return png_of(self.figure.figure)
+        return ShownFigure._repr_png_(self.figure.figure)
 
 
 def styled() -> AbstractContextManager[None]:
@@ -80,10 +82,7 @@ R = TypeVar("R")
 
 
 def drawn(*size: float) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator: the function draws in this style.
-
-    With a size, width and height in inches, its `ax` are the axes of a new figure of that size if it is given none.
-    """
+    """Return a decorator: the function draws in this style, and without `ax` in new axes of this size, inches."""
 
     def decorated(draw: Callable[P, R]) -> Callable[P, R]:
         @wraps(draw)
@@ -215,3 +214,103 @@ def root_ticks(low: float, top: float, *, number: int = 4) -> tuple[list[float],
 def percent(fractions: Sequence[float]) -> str:
     """Return fractions as text: ``10, 50, 90 %``."""
     return ", ".join(f"{100 * p:g}" for p in fractions) + " %"
+
+
+PAGE_PIXELS_PER_INCH = 138
+"""Pixels on the page per inch of a figure: two columns of a journal fill the page."""
+OF_POSTERIOR = ("posterior", "uncertainty")
+"""Sections whose figures show a posterior."""
+
+
+@dataclass(frozen=True, eq=False)
+class Captioned:
+    """A figure of a report, or axes that fill it, with the name of its file, its section and what it shows."""
+
+    name: str
+    section: str
+    caption: str
+    drawing: Any
+
+    @classmethod
+    def of(cls, name: str, section: str, drawing: Any, *, of: str = "", **facts: Any) -> "Captioned":
+        """Return a figure with its caption from the template; one of several has what it is `of` in its name too."""
+        caption = said(name, **({"of": of} if of else {}), **facts)
+        return cls(f"{name}_{of}" if of else name, section, caption, drawing)
+
+    @property
+    def figure(self) -> Figure:
+        found: Figure = self.drawing.get_figure(root=True)
+        return found
+
+
+def marked(captioned: Captioned, doubt: str | None) -> Captioned:
+    """Return the figure, with the doubt written on it if it shows a posterior."""
+    if doubt is not None and (captioned.section in OF_POSTERIOR or captioned.name.startswith("predictive")):
+        mark_doubt(captioned.figure, doubt)
+    return captioned
+
+
+def saved(captioned: Captioned, folder: Path, *, draft: bool = False) -> dict[str, str]:
+    """Save one figure, for print unless it is a draft, and return what the page needs of it."""
+    figure, dots = captioned.figure, DRAFT_DOTS_PER_INCH if draft else DOTS_PER_INCH
+    figure.set_dpi(dots)
+    buffer = io.BytesIO()
+    with styled():  # sets the kind of embedded font, and the size of tick labels, which decides their number
+        if (layout := figure.get_layout_engine()) is not None:  # computed once: `savefig` would do it for each file
+            layout.execute(figure)
+            figure.set_layout_engine(None)
+        pdf = folder / f"{captioned.name}.pdf"
+        if draft:
+            pdf.unlink(missing_ok=True)  # one of an earlier result
+        else:
+            figure.savefig(pdf, metadata={"CreationDate": None})
+        figure.savefig(buffer, format="png", dpi=dots)
+    (folder / f"{captioned.name}.png").write_bytes(buffer.getvalue())
+    data = base64.b64encode(buffer.getvalue()).decode("ascii")
+    width = f"{PAGE_PIXELS_PER_INCH * figure.get_figwidth():.0f}"
+    known = {"name": captioned.name, "section": captioned.section, "caption": captioned.caption}
+    return {**known, "data": data, "width": width}
+
+
+@contextmanager
+def whole_folder(target: Path) -> Iterator[Path]:
+    """Yield an empty folder that replaces `target` once it is filled; figures of other pages, as what_if.png, stay."""
+    partial = target.with_name(f".{target.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir()
+    try:
+        yield partial
+        for figure in of_other_pages(target):
+            if not (partial / figure.name).exists():
+                shutil.copy2(figure, partial)
+        shutil.rmtree(target, ignore_errors=True)
+        partial.rename(target)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def of_other_pages(figures: Path) -> set[Path]:
+    """Return the figures in a study's folder of them that belong to pages beside the report."""
+    pages = (page.stem.replace("-", "_") for page in figures.parent.glob("*.html"))
+    return {figure for page in pages for figure in figures.glob(f"{page}*")}
+
+
+def fitted(shown: Iterable[dict[str, str]], room: int) -> list[dict[str, str]]:
+    """Return figures as `saved` does, with `room` characters at most: the largest ones get half their resolution."""
+    out = list(shown)
+    total = sum(len(item["data"]) for item in out)
+    for i in sorted(range(len(out)), key=lambda i: -len(out[i]["data"])):
+        if total <= room:
+            break
+        smaller = _halved(out[i]["data"])
+        total -= len(out[i]["data"]) - len(smaller)
+        out[i] = {**out[i], "data": smaller}
+    return out
+
+
+def _halved(data: str) -> str:
+    """Return a picture, PNG as base64, with half of its pixels in each direction, unless that needs more bytes."""
+    buffer = io.BytesIO()
+    with Image.open(io.BytesIO(base64.b64decode(data))) as picture:
+        picture.reduce(2).save(buffer, format="png", optimize=True)
+    return min(base64.b64encode(buffer.getvalue()).decode("ascii"), data, key=len)

@@ -16,8 +16,7 @@ from strandline.foundations import whole_file, write_json
 from strandline.imaging import FrameErrors
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood import adapted
-from strandline.report import DOTS_PER_INCH, html, plot_picture, plot_stack
-from strandline.report.click_page import click_page
+from strandline.report import DOTS_PER_INCH, click_page, html, plot_picture, plot_stack
 from strandline.studies.keys.folder import require_writable, told_if_unwritable
 from strandline.studies.keys.observation import ImageFile
 from strandline.studies.keys.parse import in_words, refused_at
