@@ -209,7 +209,8 @@ def plot_marginal(
         ax.plot(middles, exact.density, color=style.PURPLE, linestyle="-.", linewidth=1.6, label="quadrature")
     if truth is not None:
         ax.axvline(truth, color=style.BLUE, linestyle=":", label="ground truth")
-    ax.set(xlabel=parameter.figure_label(), ylabel=density_label(parameter), xlim=shown)
+    unit = unit_text(parameter.unit, inverse=True).replace("$", r"\$")
+    ax.set(xlabel=parameter.figure_label(), ylabel=f"density [{unit}]" if unit else "density", xlim=shown)
     if legend:
         ax.legend()
     return ax
@@ -264,12 +265,6 @@ def draw_marginal(
     _line(ax, grid, prior, upright, color=style.RED, linestyle="--", label="prior")
     along = ax.yaxis if upright else ax.xaxis
     along.set_major_locator(MaxNLocator(nbins=4))  # long labels do not run together
-
-
-def density_label(parameter: Parameter) -> str:
-    """Return the label of a density axis with its unit: ``density [Pa⁻¹]``."""
-    unit = unit_text(parameter.unit, inverse=True).replace("$", r"\$")
-    return f"density [{unit}]" if unit else "density"
 
 
 def _line(ax: Axes, x: Float[np.ndarray, " point"], y: Float[np.ndarray, " point"], upright: bool, **look: str) -> None:

@@ -67,7 +67,8 @@ class ShownAxes(Axes):
     """Axes that a notebook shows, with their whole figure, below the cell whose last line returns them."""
 
     def _repr_png_(self) -> bytes:
-        return ShownFigure._repr_png_(self.figure.figure)
+        figure: Any = self.figure.figure
+        return ShownFigure._repr_png_(figure)
 
 
 def styled() -> AbstractContextManager[None]:
@@ -128,12 +129,8 @@ def below(ax: Axes, *, columns: int = 3, **options: Any) -> None:
         return
     place = ax.get_subplotspec()
     beside = 1 if place is None else place.get_gridspec().ncols
-    width = ax.figure.bbox.width / beside
-
-    def legend(ncols: int) -> Legend:
-        return ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=ncols, **options)
-
-    _fitting(legend, columns, width)
+    look: Any = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2), **options}
+    _fitting(lambda ncols: ax.legend(ncols=ncols, **look), columns, ax.figure.bbox.width / beside)
 
 
 def panel_grid(
@@ -160,12 +157,9 @@ def labelled(*axes: Axes) -> dict[str, Any]:
 
 def legend_under(figure: Figure | SubFigure, entries: Mapping[str, Any], *, columns: int = 4) -> None:
     """Put a legend of `entries`, handles by label, under all panels in as many columns as fit, at most `columns`."""
-
-    def legend(ncols: int) -> Legend:
-        return figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=ncols)
-
     if entries:
-        _fitting(legend, min(columns, len(entries)), figure.bbox.width)
+        most, place, both = min(columns, len(entries)), "outside lower center", (entries.values(), entries.keys())
+        _fitting(lambda ncols: figure.legend(*both, loc=place, ncols=ncols), most, figure.bbox.width)
 
 
 def _fitting(legend: Callable[[int], Legend], columns: int, width: float) -> None:
