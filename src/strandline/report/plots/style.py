@@ -157,9 +157,12 @@ def labelled(*axes: Axes) -> dict[str, Any]:
 
 def legend_under(figure: Figure | SubFigure, entries: Mapping[str, Any], *, columns: int = 4) -> None:
     """Put a legend of `entries`, handles by label, under all panels in as many columns as fit, at most `columns`."""
+
+    def legend(ncols: int) -> Legend:
+        return figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=ncols)
+
     if entries:
-        most, place, both = min(columns, len(entries)), "outside lower center", (entries.values(), entries.keys())
-        _fitting(lambda ncols: figure.legend(*both, loc=place, ncols=ncols), most, figure.bbox.width)
+        _fitting(legend, min(columns, len(entries)), figure.bbox.width)
 
 
 def _fitting(legend: Callable[[int], Legend], columns: int, width: float) -> None:
