@@ -17,7 +17,7 @@ from verification.validation.tables import arguments, show, table
 from strandline.discrepancy.normal_offset import signed_distances
 from strandline.foundations import InvalidInput
 from strandline.imaging.edges.edge import Edge, find_edge
-from strandline.imaging.edges.located import EdgeMethod
+from strandline.imaging.edges.strip import EdgeMethod
 from strandline.interface import Interface
 
 CAMERA, SCAN = (136, 280), (170, 233)

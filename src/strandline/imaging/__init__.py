@@ -13,18 +13,14 @@ if TYPE_CHECKING:
     from strandline.imaging.edges.edge import Edge, find_edge
     from strandline.imaging.edges.edge_checks import EdgeErrors
     from strandline.imaging.edges.edge_methods import EDGES, edge_method
-    from strandline.imaging.edges.first_path import typed_path
-    from strandline.imaging.edges.located import EdgeMethod, Located, Scatter
     from strandline.imaging.edges.markov_path import MarkovPath
-    from strandline.imaging.edges.strip import strip_along
-    from strandline.imaging.frame import Frame
+    from strandline.imaging.edges.strip import EdgeMethod, Located, Scatter, strip_along
+    from strandline.imaging.frame import Frame, Registration, registered
     from strandline.imaging.frame_errors import FrameErrors, errors_from_frames
     from strandline.imaging.outline import Outlined, outline_of
-    from strandline.imaging.paths import is_of_clicks, read_path
-    from strandline.imaging.picture import Picture, PictureFile, Stack
+    from strandline.imaging.paths import is_of_clicks, read_path, typed_path
+    from strandline.imaging.picture import SAME, Picture, PictureFile, PictureReading, PixelSize, Stack, StatedSize
     from strandline.imaging.read import read_frames, read_picture, read_stack
-    from strandline.imaging.reading import SAME, PictureReading, PixelSize, StatedSize
-    from strandline.imaging.registration import Registration, registered
     from strandline.imaging.surfaces import StackFrame, StatedRegion, Surface, find_surface
     from strandline.imaging.surfaces.mesh import Mesh, cut
 else:

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.foundations import InvalidInput, suggestion
-from strandline.imaging.edges.first_path import as_points, require_inside, require_path, require_polygon
-from strandline.readers import content_of, keys_of, named, number, unfit
+from strandline.foundations import InvalidInput, content_of, keys_of, named, number, suggestion, unfit
+from strandline.imaging.paths import as_points, require_inside, require_path, require_polygon
 
 Point = tuple[float, float]
 """Pixel coordinates (x, y)."""

@@ -14,12 +14,12 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from strandline.discrepancy import Repeats, errors_from_repeats
+from strandline.foundations import named
 from strandline.imaging.edges.edge import Edge
 from strandline.imaging.edges.edge_checks import require_edge
 from strandline.imaging.edges.strip import grey_values
 from strandline.imaging.picture import Picture
 from strandline.interface import Interface, PointErrors
-from strandline.readers import named
 
 MOST = 30
 """Most frames in which the edge is found."""

@@ -16,8 +16,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
 
-from strandline.foundations import InvalidInput
-from strandline.readers import unfit
+from strandline.foundations import InvalidInput, unfit
 
 PerPoint = Float[np.ndarray, " point"]
 Points = Float[np.ndarray, "point 2"]

@@ -9,13 +9,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from strandline.foundations import imported, suggestion
-from strandline.imaging.files.plain import read_by_pillow, read_hdf5, read_npy
-from strandline.imaging.files.thorlabs import read_oct
-from strandline.imaging.files.tiff import read_tiff
-from strandline.imaging.picture import Picture, PictureFile, Stack, require_pixels
-from strandline.imaging.reading import PictureReading, PixelSize, agreed
-from strandline.readers import refused, undamaged, unfit
+from strandline.foundations import imported, suggestion, unfit
+from strandline.imaging.formats import read_by_pillow, read_hdf5, read_npy, read_oct
+from strandline.imaging.picture import Picture, PictureFile, PictureReading, PixelSize, Stack, agreed, require_pixels
+from strandline.imaging.tiff import read_tiff
+from strandline.readers import refused, undamaged
 
 PictureReader = Callable[[Path, PictureReading, str], PictureFile]
 """(path, how to read it, its name in messages) → the open file."""

@@ -9,7 +9,6 @@ from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
     from strandline.readers.cells import require_in_order
-    from strandline.readers.checked import content_of, is_finite, keys_of, named, number, numbers, unfit
     from strandline.readers.contents import Block, Contents, Unreadable, refused, undamaged
     from strandline.readers.options import READERS, TO_MM, Reading
     from strandline.readers.read import Reader, read_interface, read_point_sds

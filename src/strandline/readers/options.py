@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import Any, Literal
 
-from strandline.foundations import imported
-from strandline.readers.checked import is_finite, unfit
+from strandline.foundations import imported, is_finite, unfit
 
 TO_MM = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "m": 1e3}
 TEXT = "strandline.readers.tables:read_text"

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
 
-from strandline.foundations import InvalidInput, factorise, solve
+from strandline.foundations import InvalidInput
+from strandline.surrogate.covariance import factorise, solve
 from strandline.surrogate.kernels import Kernel, LengthScale, as_length_scale, as_lengths
 
 _PAIRS_PER_BLOCK = 2**20

@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import OptimizeResult, minimize
 
-from strandline.foundations import InvalidInput, NumericsError, TooFewRuns, factorise, invert, solve
+from strandline.foundations import InvalidInput, NumericsError, TooFewRuns
+from strandline.surrogate.covariance import factorise, invert, solve
 from strandline.surrogate.kernels import Kernel, LengthScale, as_length_scale, as_lengths
 
 SHORTEST_LENGTH = 0.01

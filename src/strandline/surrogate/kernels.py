@@ -27,8 +27,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from strandline.foundations import WHOLE, InvalidInput, assembled, distances, lookup
-from strandline.surrogate.tiles import Lengths, Matrix, TiledPairs, differences
+from strandline.foundations import WHOLE, InvalidInput, assembled, lookup
+from strandline.surrogate.covariance import Lengths, Matrix, TiledPairs, differences, distances
 
 Offsets = Float[np.ndarray, "point run dim"]
 Values = Float[np.ndarray, " run"]

@@ -8,7 +8,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from strandline.foundations import InvalidInput, imported, invert
+from strandline.foundations import InvalidInput, imported
+from strandline.surrogate.covariance import invert
 from strandline.surrogate.gaussian_process import GaussianProcess, Inputs, Targets, condition, standardisation
 from strandline.surrogate.hyperparameters import FittedHyperparameters, fit_hyperparameters, require_runs
 from strandline.surrogate.kernels import kernel_named

@@ -9,7 +9,7 @@ from tests.unit.imaging.files import tiff, with_tag
 
 PROGRAM = """import sys, pathlib
 from strandline.imaging.read import read_picture
-from strandline.imaging.reading import PictureReading
+from strandline.imaging.picture import PictureReading
 try:
     read_picture(pathlib.Path(sys.argv[1]), PictureReading())
 except Exception as error:

@@ -65,7 +65,7 @@ def test_a_part_that_fails_spares_those_behind_it(number):
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore:os.fork:RuntimeWarning")
 def test_a_forked_process_has_threads_of_its_own(monkeypatch, number):
-    monkeypatch.setattr("strandline.foundations.thread_pool.double", lambda: True)  # JAX does not stand a fork
+    monkeypatch.setattr("strandline.foundations.computing.double", lambda: True)  # JAX does not stand a fork
     assert list(side_by_side(abs, range(9))) == list(range(9))
     child = os.fork()
     if child == 0:

@@ -13,7 +13,7 @@ from strandline.discrepancy.normal_offset import signed_distances
 from strandline.foundations import InvalidInput
 from strandline.imaging.edges.edge import find_edge
 from strandline.imaging.edges.markov_path import MarkovPath, walk
-from strandline.imaging.edges.noise_covariance import noise_covariance, roughness, scatter_of, sum_to_first_zero
+from strandline.imaging.edges.profile_and_noise import noise_covariance, roughness, scatter_of, sum_to_first_zero
 from strandline.imaging.edges.strip import course_through, grey_values, strip_along
 from strandline.interface import Interface
 

@@ -10,7 +10,7 @@ from PIL import Image
 from tests.unit.imaging.files import of_size, read, refusal, scan
 
 from strandline.foundations import InvalidInput
-from strandline.imaging.files.thorlabs import _size
+from strandline.imaging.formats import _size
 from strandline.imaging.picture import require_pixels
 from strandline.imaging.read import _of_decibels
 

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from strandline.foundations import InvalidInput
+from strandline.foundations.text import LARGEST
 from strandline.imaging.clicks import Clicks, ScaleBar, as_json, read_clicks
-from strandline.imaging.edges.first_path import typed_path
-from strandline.imaging.paths import read_path
-from strandline.readers.checked import LARGEST
+from strandline.imaging.paths import read_path, typed_path
 
 POINTS = [(30, 40), (50, 20), (90, 25)]
 FINE = [(30.25, 40.5), (50.0, 20.125), (90.75, 25.0)]

@@ -9,8 +9,8 @@ from PIL import Image
 from tests.unit.imaging.files import SQUARE, read, reading, refusal
 
 from strandline.foundations import InvalidInput
+from strandline.imaging.picture import PixelSize
 from strandline.imaging.read import read_frames, read_picture, read_stack
-from strandline.imaging.reading import PixelSize
 
 RNG = np.random.default_rng(3)
 NOISE = RNG.integers(0, 65536, (5, 20, 30)).astype(np.uint16)

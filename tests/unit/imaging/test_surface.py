@@ -14,8 +14,7 @@ from verification.validation.rendered_stacks import Blob, Microscope
 from strandline.foundations import InvalidInput
 from strandline.imaging import Stack
 from strandline.imaging.surfaces import StackFrame, StatedRegion, find_surface
-from strandline.imaging.surfaces.levels import _noise, two_levels
-from strandline.imaging.surfaces.mesh import Mesh, cut, thinned
+from strandline.imaging.surfaces.mesh import Mesh, _noise, cut, thinned, two_levels
 from strandline.imaging.surfaces.surface import _outside
 from strandline.interface import Interface
 from strandline.studies.keys.parse import made

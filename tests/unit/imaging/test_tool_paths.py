@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from strandline.foundations import InvalidInput
-from strandline.imaging.files.plain import read_hdf5
+from strandline.imaging.formats import read_hdf5
 from strandline.imaging.paths import is_of_clicks, read_path
-from strandline.imaging.reading import PictureReading
+from strandline.imaging.picture import PictureReading
 
 SQUARE = [[10, 5], [20, 5], [20, 15], [10, 15]]
 

@@ -166,7 +166,7 @@ path: [[12, 98], [208, 50], [208, 98], [12, 50]] | cross
 file: nothing.png; file: [hump.png, nothing.png] | nothing.png
 trim: 0.45 | number of points of the edge
 edge: {method: erf, options: {reach: 5}} | Remove the options
-edge: {method: 'strandline.imaging.edges.half_level:HalfLevel', options: {bias: 0.0}} | above 0
+edge: {method: 'strandline.imaging.edges.edge_methods:HalfLevel', options: {bias: 0.0}} | above 0
 edge: strandline.imaging:read_picture | without bias, passes, locate
 """
 OF_NOISE = """

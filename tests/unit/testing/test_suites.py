@@ -11,7 +11,7 @@ from PIL import Image
 from strandline.design.active import CRITERIA
 from strandline.discrepancy import DISCREPANCIES, ClosestPoint
 from strandline.imaging import EDGES, PictureReading, PixelSize
-from strandline.imaging.edges.erf_step import ErfStep
+from strandline.imaging.edges.edge_methods import ErfStep
 from strandline.interface import NOISES, GaussianNoise, Interface
 from strandline.models.protocol import Simulation
 from strandline.parameters import PRIORS, Normal, Uniform

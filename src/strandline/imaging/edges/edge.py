@@ -21,9 +21,10 @@ from strandline.imaging.edges.edge_checks import (
     require_room,
 )
 from strandline.imaging.edges.edge_methods import edge_method
-from strandline.imaging.edges.located import EdgeMethod, Located
 from strandline.imaging.edges.strip import (
+    EdgeMethod,
     GreyValues,
+    Located,
     SmoothPath,
     Strip,
     course_through,

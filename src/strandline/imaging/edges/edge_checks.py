@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from strandline.imaging.edges.first_path import require_finite, require_inside, require_simple
-from strandline.imaging.edges.located import Located
-from strandline.imaging.edges.strip import GreyValues, SmoothPath
-from strandline.readers import unfit
+from strandline.foundations import unfit
+from strandline.imaging.edges.strip import GreyValues, Located, SmoothPath
+from strandline.imaging.paths import require_finite, require_inside, require_simple
 
 LEAST_SD = 0.01
 """Smallest standard deviation of a point, px: no picture shows an edge more closely."""

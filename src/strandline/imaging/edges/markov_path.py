@@ -15,11 +15,27 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter
 
-from strandline.imaging.edges.located import NO_SCATTER, Located, Scatter
-from strandline.imaging.edges.noise_covariance import LEAST_LENGTH, autocovariance, sum_to_first_zero
-from strandline.imaging.edges.strip import GreyValues, PerNormal, Samples, SmoothPath, Strip, strip_along
-from strandline.imaging.edges.template import EdgeTemplate, columns_levelled, learnt_template, levelled
-from strandline.readers import unfit
+from strandline.foundations import unfit
+from strandline.imaging.edges.profile_and_noise import (
+    LEAST_LENGTH,
+    EdgeTemplate,
+    autocovariance,
+    columns_levelled,
+    learnt_template,
+    levelled,
+    sum_to_first_zero,
+)
+from strandline.imaging.edges.strip import (
+    NO_SCATTER,
+    GreyValues,
+    Located,
+    PerNormal,
+    Samples,
+    Scatter,
+    SmoothPath,
+    Strip,
+    strip_along,
+)
 
 Table = Float[np.ndarray, "normal candidate"]
 Candidates = Float[np.ndarray, " candidate"]

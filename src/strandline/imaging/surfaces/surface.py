@@ -9,21 +9,31 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from strandline.imaging.picture import Stack
-from strandline.imaging.reading import UNITS
-from strandline.imaging.surfaces.levels import Field, field_of, largest_part, level_surface, two_levels
-from strandline.imaging.surfaces.mesh import Mesh, Points, thinned
+from strandline.foundations import number, numbers, unfit
+from strandline.imaging.picture import UNITS, Stack
+from strandline.imaging.surfaces.mesh import (
+    Field,
+    Mesh,
+    Points,
+    field_of,
+    largest_part,
+    level_surface,
+    thinned,
+    two_levels,
+)
 from strandline.imaging.surfaces.profiles import (
     Profiles,
+    SurfaceErrors,
     blur_along_axes,
     dislocation,
+    noise_beside,
     normals_of,
     profiles_at,
+    require_surface,
     shape_operators,
+    surface_errors,
 )
-from strandline.imaging.surfaces.surface_errors import SurfaceErrors, noise_beside, require_surface, surface_errors
 from strandline.interface import Interface, vector_areas
-from strandline.readers import number, numbers, unfit
 
 SIGNS: dict[str, dict[str, float]] = {
     "x": {"right": 1.0, "left": -1.0},

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from strandline.foundations import InvalidInput
+from strandline.foundations import InvalidInput, is_finite
 from strandline.interface import is_condition
 from strandline.models import refused
 from strandline.models.biofilm.equations.flow import DROP, PRESSURE, PROFILES, RATE, as_pairs
@@ -16,7 +16,6 @@ from strandline.models.biofilm.equations.memory import MOST_BRANCHES
 from strandline.models.biofilm.materials import Law, further_parameters
 from strandline.models.biofilm.mesh.course import QUASI_STATIC, TRANSIENT, Course
 from strandline.models.protocol import ModelInput
-from strandline.readers import is_finite
 
 SMALL_STRAIN = (
     ModelInput("E", "Pa", 0.0, np.inf, low_included=False, high_included=False, meaning="Young's modulus"),

@@ -7,8 +7,15 @@ from tests.unit.discrepancy.surfaces import divided, sheet
 
 from strandline.foundations import InvalidInterface
 from strandline.interface import Interface
-from strandline.surrogate.field.correspondence import FEWEST_POINTS, common_layout, fields_of, registered
-from strandline.surrogate.field.odd import flipped, odd_ones, stopped_early
+from strandline.surrogate.field.correspondence import (
+    FEWEST_POINTS,
+    common_layout,
+    fields_of,
+    flipped,
+    odd_ones,
+    registered,
+    stopped_early,
+)
 
 
 def line(s, y):

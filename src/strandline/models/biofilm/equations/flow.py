@@ -14,14 +14,13 @@ import ngsolve as ng
 import numpy as np
 from jaxtyping import Float
 
-from strandline.foundations import InvalidInput, lookup
+from strandline.foundations import InvalidInput, is_finite, lookup
 from strandline.interface import Interface
 from strandline.models import refused
 from strandline.models.biofilm.equations.forms import FluidLoad
 from strandline.models.biofilm.equations.system import CoupledSystem
 from strandline.models.biofilm.mesh.outline import Channel, Pairs, pairs_in
 from strandline.models.protocol import ModelInput
-from strandline.readers import is_finite
 
 UNKNOWN = "unknown"
 

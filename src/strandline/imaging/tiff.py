@@ -13,8 +13,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from strandline.foundations import of_extra
-from strandline.imaging.picture import PictureFile, require_pixels
-from strandline.imaging.reading import PictureReading, PixelSize
+from strandline.imaging.picture import PictureFile, PictureReading, PixelSize, require_pixels
 from strandline.readers import refused
 
 MIN_IS_WHITE, MIN_IS_BLACK, RGB = 0, 1, 2

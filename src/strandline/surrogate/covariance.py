@@ -1,4 +1,7 @@
-"""The lower triangle of a matrix of all pairs in tiles that stay in the cache; several threads process many of them."""
+"""Covariance matrices of all pairs of runs: filled in tiles that stay in the cache, factorised and inverted in place.
+
+Only lower triangles are touched; several threads process many tiles.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -6,19 +9,49 @@ from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import lapack
+from scipy.spatial.distance import cdist
 
-from strandline.foundations import side_by_side
+from strandline.foundations import NumericsError, side_by_side
 
 Tile = tuple[slice, slice]
 """Rows and columns; arrays of a tile have the rows last, as they lie in a column-major matrix."""
-
 _WIDTH, _HEIGHT = 32, 256
 _ENOUGH_FOR_THREADS = 500
-
 T = TypeVar("T")
 Lengths = Float[np.ndarray, " length"]
 Matrix = Float[np.ndarray, "run run"]
 Tiled = Float[np.ndarray, "column row"]
+
+
+def distances(x: Float[np.ndarray, "run dim"]) -> Matrix:
+    """Return the Euclidean distances of all pairs, in column-major order for LAPACK."""
+    return np.asfortranarray(cdist(x, x))
+
+
+def factorise(K: Matrix) -> None:
+    """Overwrite the lower triangle of K (column-major) with its Cholesky factor and clear the upper one.
+
+    Raises:
+        NumericsError: K is not positive definite in floating point.
+    """
+    _, info = lapack.dpotrf(K, lower=1, clean=1, overwrite_a=1)
+    if info != 0:
+        raise NumericsError(
+            f"the covariance of the {len(K)} training runs is not positive definite (minor {info}). "
+            "Raise the nugget, bound the length scale lower, or clip extreme log-likelihoods."
+        )
+
+
+def invert(L: Matrix) -> None:
+    """Overwrite the Cholesky factor L (column-major) with the lower triangle of (L Lᵀ)⁻¹."""
+    lapack.dpotri(L, lower=1, overwrite_c=1)
+
+
+def solve(L: Matrix, y: Float[np.ndarray, " run"]) -> Float[np.ndarray, " run"]:
+    """Return (L Lᵀ)⁻¹ y."""
+    solution, _ = lapack.dpotrs(L, y, lower=1)
+    return np.asarray(solution)
 
 
 @dataclass(frozen=True, eq=False)

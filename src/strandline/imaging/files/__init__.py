@@ -1,1 +1,0 @@
-"""Readers of picture files, one module for each format."""
