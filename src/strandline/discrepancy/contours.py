@@ -18,7 +18,7 @@ from jaxtyping import Float
 from strandline.discrepancy.comparison import extent, extent_ratio, unit_mistake
 from strandline.discrepancy.normal_offset import signed_distances
 from strandline.discrepancy.protocol import require_polylines
-from strandline.foundations import InvalidInput
+from strandline.foundations import unfit
 from strandline.interface import Interface, PointErrors
 
 MOST_REMOVED = 0.5
@@ -116,32 +116,23 @@ def require_contours(contours: Sequence[Interface]) -> None:
     require_polylines(*contours)
     for number, contour in enumerate(contours, 1):
         if len(contour.points) < FEWEST_POINTS:
-            raise InvalidInput(
-                f"points of contour {number}",
-                value=len(contour.points),
-                expected=f"at least {FEWEST_POINTS}, to know how neighbouring errors are related",
-                remedy="Give the contour as it was found, one point a pixel, neither thinned nor smoothed.",
-            )
+            expected = f"at least {FEWEST_POINTS}, to know how neighbouring errors are related"
+            remedy = "Give the contour as it was found, one point a pixel, neither thinned nor smoothed."
+            raise unfit(f"points of contour {number}", len(contour.points), expected, remedy)
         _require_alike(contours[0], contour, number)
 
 
 def _require_alike(first: Interface, other: Interface, number: int) -> None:
     if other.closed != first.closed:
         kinds = {True: "closed", False: "open"}
-        raise InvalidInput(
-            "contours of one state",
-            value=f"contour 1 is {kinds[first.closed]}, contour {number} {kinds[other.closed]}",
-            expected="all open or all closed (the last point repeats the first)",
-            remedy="Cut them at the same ends, or close them all.",
-        )
+        found = f"contour 1 is {kinds[first.closed]}, contour {number} {kinds[other.closed]}"
+        remedy = "Cut them at the same ends, or close them all."
+        raise unfit("contours of one state", found, "all open or all closed (the last point repeats the first)", remedy)
     mistake = unit_mistake(extent_ratio(other, first))
     if mistake:
-        raise InvalidInput(
-            "sizes of contours of one state",
-            value=f"contour 1 is {extent(first):.4g} mm across, contour {number} {extent(other):.4g} mm",
-            expected="contours of one state in one unit",
-            remedy="Give all of them in the same unit; leave out what shows something else.",
-        )
+        found = f"contour 1 is {extent(first):.4g} mm across, contour {number} {extent(other):.4g} mm"
+        remedy = "Give all of them in the same unit; leave out what shows something else."
+        raise unfit("sizes of contours of one state", found, "contours of one state in one unit", remedy)
 
 
 @dataclass(frozen=True)
@@ -195,12 +186,9 @@ def _half(window: float, contour: Interface) -> int:
     spacing = float(contour.lengths.mean())
     low, high = 2 * _FEWEST * spacing, 0.5 * float(contour.lengths.sum())
     if not low <= window <= high:
-        raise InvalidInput(
-            "window of the roughness",
-            value=f"{window:.4g} mm",
-            expected=f"a length from {low:.3g} mm, six spacings of the points, to {high:.3g} mm, half the contour",
-            remedy="Leave it out, or take 20 times the distance over which neighbouring errors are alike.",
-        )
+        expected = f"a length from {low:.3g} mm, six spacings of the points, to {high:.3g} mm, half the contour"
+        remedy = "Leave it out, or take 20 times the distance over which neighbouring errors are alike."
+        raise unfit("window of the roughness", f"{window:.4g} mm", expected, remedy)
     return min(max(round(0.5 * window / spacing), _FEWEST), (len(contour.points) - 1) // 4)
 
 
@@ -211,12 +199,9 @@ def _smoothed_away(path: Float[np.ndarray, "point 2"], half: int, *, closed: boo
     inside = residuals if closed else residuals[half:-half]
     covariance, step = autocovariance(inside[None], closed=closed), float(course.lengths.mean())
     if not math.sqrt(covariance[0]) > 1e-9 * step:
-        raise InvalidInput(
-            "roughness of the contour",
-            value=f"{math.sqrt(covariance[0]):.3g} mm",
-            expected="a contour that still has its noise",
-            remedy="Give the contour as it was found in the picture, neither smoothed nor drawn.",
-        )
+        expected = "a contour that still has its noise"
+        remedy = "Give the contour as it was found in the picture, neither smoothed nor drawn."
+        raise unfit("roughness of the contour", f"{math.sqrt(covariance[0]):.3g} mm", expected, remedy)
     return restored(covariance, _removed(half, len(covariance))), step
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from strandline.discrepancy.many_distances import motion, similar
 from strandline.discrepancy.protocol import ManyPoints, Snapshot, Values, require_polylines
-from strandline.foundations import InvalidInput
+from strandline.foundations import InvalidInput, unfit
 from strandline.interface import Interface, PointErrors, normals_at, steady_lengths
 
 Places = Float[np.ndarray, "*place"]
@@ -195,12 +195,8 @@ def _placed(measure: MeasurementLines, snapshot: Snapshot) -> Bases:
     offsets = _nearest_crossings(observed.points, observed.cells, lines)
     if not np.isfinite(offsets).all():
         where = int(np.argmin(np.isfinite(offsets)))
-        raise InvalidInput(
-            f"measurement line {where} misses the observed interface",
-            value=lines[where].tolist(),
-            expected="a line (x, y, dx, dy) that crosses it",
-            remedy="Move the line or leave it out.",
-        )
+        expected, remedy = "a line (x, y, dx, dy) that crosses it", "Move the line or leave it out."
+        raise unfit(f"measurement line {where} misses the observed interface", lines[where].tolist(), expected, remedy)
     lines[:, :2] += offsets[:, None] * lines[:, 2:]
     return lines
 

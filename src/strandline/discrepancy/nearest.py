@@ -63,12 +63,9 @@ def closest_points(points: Points, target: Interface, *, once: bool = False) -> 
     With `once`, the interface will not be searched again, as a prediction that is looked at once.
     """
     if points.shape[1] != target.dim:
-        raise InvalidInterface(
-            "points to project onto an interface",
-            value=f"{points.shape[1]} coordinates",
-            expected=f"{target.dim} coordinates, as the interface has",
-            remedy="Compare like with like.",
-        )
+        found, expected = f"{points.shape[1]} coordinates", f"{target.dim} coordinates, as the interface has"
+        remedy = "Compare like with like."
+        raise InvalidInterface("points to project onto an interface", value=found, expected=expected, remedy=remedy)
     if len(points) * len(target.cells) <= (ONCE if once else SMALL):
         return brute_force(points, target)
     return by_tree(points, target)

@@ -104,12 +104,9 @@ def require_polylines(*interfaces: Interface) -> None:
     """Refuse interfaces that are not polylines in the plane."""
     for interface in interfaces:
         if interface.dim != 2:
-            raise InvalidInterface(
-                "interface of a discrepancy measure",
-                value=f"points with {interface.dim} coordinates",
-                expected="a polyline in the plane",
-                remedy="This measure does not support surfaces; choose closest_point, currents or tracked_points.",
-            )
+            found, expected = f"points with {interface.dim} coordinates", "a polyline in the plane"
+            remedy = "This measure does not support surfaces; choose closest_point, currents or tracked_points."
+            raise InvalidInterface("interface of a discrepancy measure", value=found, expected=expected, remedy=remedy)
 
 
 def require_alike(simulated: Interface, observed: Interface) -> None:

@@ -17,7 +17,7 @@ from scipy.special import gammaincinv
 from strandline.discrepancy.contours import Correlated, autocovariance, path_of, require_contours, restored, smoothed
 from strandline.discrepancy.nearest import closest_points
 from strandline.discrepancy.normal_offset import signed_distances
-from strandline.foundations import InvalidInput
+from strandline.foundations import InvalidInput, unfit
 from strandline.interface import Interface, PointErrors, normals_at, oriented_like
 
 PerPlace = Float[np.ndarray, " place"]
@@ -69,12 +69,8 @@ def errors_from_repeats(contours: Sequence[Interface]) -> Repeats:
             too little or have gaps, or that agree exactly.
     """
     if len(contours) < 2:
-        raise InvalidInput(
-            "number of contours of one state",
-            value=len(contours),
-            expected="at least 2; better 5 or more",
-            remedy="For a single contour, take errors_from_roughness.",
-        )
+        remedy = "For a single contour, take errors_from_roughness."
+        raise unfit("number of contours of one state", len(contours), "at least 2; better 5 or more", remedy)
     require_contours(contours)
     longest = max(contours, key=lambda one: float(one.lengths.sum()))
     alike = [oriented_like(one, longest).interface for one in contours]
@@ -187,12 +183,9 @@ def _nearest(
     chosen = np.where(places - along[after - 1] < along[after] - places, after - 1, after)
     gap = float(np.abs(along[chosen] - places).max())
     if gap > most:
-        raise InvalidInput(
-            "gap in a contour",
-            value=f"{2 * gap:.3g} mm without a point",
-            expected=f"a point at least every {2 * most:.3g} mm, ten times the usual distance",
-            remedy="Give contours without gaps, in one coordinate system.",
-        )
+        expected = f"a point at least every {2 * most:.3g} mm, ten times the usual distance"
+        remedy = "Give contours without gaps, in one coordinate system."
+        raise unfit("gap in a contour", f"{2 * gap:.3g} mm without a point", expected, remedy)
     return np.asarray(order[chosen])
 
 
@@ -211,12 +204,7 @@ def _local(offsets: Float[np.ndarray, "contour place"], frame: _Frame) -> Correl
     )  # variance of a contour's errors over that of their difference from the mean
     covariance = of_one * autocovariance(offsets, closed=closed)
     if not math.sqrt(covariance[0]) > 1e-9 * frame.step:
-        raise InvalidInput(
-            "contours of one state",
-            value="identical contours",
-            expected="one contour per picture",
-            remedy="Remove the duplicates.",
-        )
+        raise unfit("contours of one state", "identical contours", "one contour per picture", "Remove the duplicates.")
     removed = frame.basis.shape[1] * autocovariance(np.ascontiguousarray(frame.basis.T), closed=closed)
     return restored(covariance, removed)
 

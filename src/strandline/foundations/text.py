@@ -55,12 +55,8 @@ def require_label(what: str, text: object) -> None:
         InvalidInput: the text is refused; the message begins with `what`.
     """
     if not is_label(text):
-        raise InvalidInput(
-            what,
-            value=text,
-            expected=f"at most {LONGEST} characters on one line, without $",
-            remedy="Write it as plain text, e.g. mm²/s.",
-        )
+        remedy = "Write it as plain text, e.g. mm²/s."
+        raise unfit(what, text, f"at most {LONGEST} characters on one line, without $", remedy)
 
 
 def require_name(what: str, text: object, *, reserved: Collection[str] = ()) -> None:
@@ -70,19 +66,11 @@ def require_name(what: str, text: object, *, reserved: Collection[str] = ()) -> 
         InvalidInput: the text is refused; the message begins with `what`.
     """
     if text in reserved:
-        raise InvalidInput(
-            what,
-            value=text,
-            expected=f"none of the names that the results use themselves: {', '.join(reserved)}",
-            remedy="Rename the input.",
-        )
+        remedy = "Rename the input."
+        raise unfit(what, text, f"none of the names that the results use themselves: {', '.join(reserved)}", remedy)
     if not is_name(text):
-        raise InvalidInput(
-            what,
-            value=text or "an empty name",
-            expected=f"at most {LONGEST} characters on one line, without blanks at the ends and without / \\ = $",
-            remedy="Rename the input.",
-        )
+        expected = f"at most {LONGEST} characters on one line, without blanks at the ends and without / \\ = $"
+        raise unfit(what, text or "an empty name", expected, "Rename the input.")
 
 
 def decimal(text: str) -> float | None:

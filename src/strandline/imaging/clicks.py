@@ -194,12 +194,9 @@ def _missing(path: Path) -> InvalidInput:
     """Return the error for a file that is not there, with the files of clicks that are."""
     there = sorted(one.name for one in path.parent.glob(f"*{SUFFIX}"))
     only = f"Did you mean {there[0]}?" if len(there) == 1 else "Move it there, or correct its name."
-    return unfit(
-        "cannot be read",
-        f"no such file; the folder has {', '.join(there) or 'no file of clicks'}",
-        f"a file of clicks, PICTURE{SUFFIX}, at the path that the study gives",
-        suggestion(path.name, there, only),
-    )
+    found = f"no such file; the folder has {', '.join(there) or 'no file of clicks'}"
+    expected = f"a file of clicks, PICTURE{SUFFIX}, at the path that the study gives"
+    return unfit("cannot be read", found, expected, suggestion(path.name, there, only))
 
 
 def _with_keys(found: object, known: tuple[str, ...], needed: tuple[str, ...], place: str) -> Mapping[str, Any]:

@@ -93,12 +93,8 @@ def read_hdf5(path: Path, how: PictureReading, name: str) -> PictureFile:
     """Return the picture in a dataset of numbers."""
     h5py = importlib.import_module("h5py")
     if not h5py.is_hdf5(path):
-        raise refused(
-            f"{name} is no HDF5 file",
-            _beginning(path),
-            "a whole HDF5 file, or one that MATLAB saved as version 7.3",
-            "In MATLAB, save it with the option '-v7.3'.",
-        )
+        what, remedy = f"{name} is no HDF5 file", "In MATLAB, save it with the option '-v7.3'."
+        raise refused(what, _beginning(path), "a whole HDF5 file, or one that MATLAB saved as version 7.3", remedy)
     with ExitStack() as stack:
         return _opened_hdf5(stack.enter_context(h5py.File(path, "r")), h5py, how, name, stack)
 
@@ -265,10 +261,7 @@ def _index_notes(header: ElementTree.Element, how: PictureReading, name: str) ->
     if stated is None or abs(float(stated) - 1) < 1e-6:
         return ()
     if how.index is None:
-        raise refused(
-            f"{name} states a refractive index",
-            stated,
-            "`index` in the study, for the header leaves open whether its depths are already divided by it",
-            f"Add `index: {float(stated):g}` if depths are optical paths, or `index: 1` if they are divided.",
-        )
+        expected = "`index` in the study, for the header leaves open whether its depths are already divided by it"
+        remedy = f"Add `index: {float(stated):g}` if depths are optical paths, or `index: 1` if they are divided."
+        raise refused(f"{name} states a refractive index", stated, expected, remedy)
     return (f"the header states the refractive index {float(stated):g}; the study's is used",)

@@ -205,12 +205,9 @@ class _Fit:
     def result(self) -> Registration:
         """Return the registration; refuse regions that do not look alike."""
         if not self.correlation >= ALIKE:
-            raise unfit(
-                "fixed regions of the two pictures",
-                f"a correlation of {self.correlation:.2f}",
-                f"at least {ALIKE}: the same things, seen alike",
-                "Mark as fixed what does not move, and leave out what does; or leave `registration` out.",
-            )
+            what, expected = "fixed regions of the two pictures", f"at least {ALIKE}: the same things, seen alike"
+            remedy = "Mark as fixed what does not move, and leave out what does; or leave `registration` out."
+            raise unfit(what, f"a correlation of {self.correlation:.2f}", expected, remedy)
         shift, rotation = np.linalg.eigvalsh(self.covariance[:2, :2]).max(), self.covariance[2, 2]
         return Registration(
             (float(self.centre[0]), float(self.centre[1])),

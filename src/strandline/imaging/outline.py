@@ -178,9 +178,5 @@ def _on_floor(line: Points) -> tuple[Float[np.ndarray, "kept 2"], slice]:
 
 
 def _refused(found: str) -> InvalidInput:
-    return unfit(
-        "undeformed outline in the picture",
-        found,
-        "a path from the floor y = 0 to the floor",
-        "Mark the path down to both feet, and check `frame.origin`, which is a point of the floor.",
-    )
+    remedy = "Mark the path down to both feet, and check `frame.origin`, which is a point of the floor."
+    return unfit("undeformed outline in the picture", found, "a path from the floor y = 0 to the floor", remedy)

@@ -83,12 +83,9 @@ def require_path(points: Float[np.ndarray, "point 2"], what: str, *, closed: boo
     repeated = np.flatnonzero((points[: len(following)] == following).all(axis=1))
     if repeated.size:
         first, second = int(repeated[0]) + 1, (int(repeated[0]) + 1) % len(points) + 1
-        raise unfit(
-            f"{what}: points {first} and {second} coincide",
-            points[first - 1].tolist(),
-            "points that differ from the ones before them",
-            "Remove one of the two; a closed path does not repeat its first point.",
-        )
+        expected = "points that differ from the ones before them"
+        remedy = "Remove one of the two; a closed path does not repeat its first point."
+        raise unfit(f"{what}: points {first} and {second} coincide", points[first - 1].tolist(), expected, remedy)
     require_simple(points, what, closed=closed)
 
 
@@ -97,12 +94,9 @@ def require_simple(points: Float[np.ndarray, "point 2"], what: str, *, closed: b
     try:
         Interface.polyline(points, closed=closed).require_simple()
     except InvalidInterface as error:
-        raise unfit(
-            f"{what} crosses or touches itself",
-            str(error.value).removesuffix("mm") + "px",
-            "a path without crossings, its points in order along the edge",
-            "Move or remove points there.",
-        ) from None
+        found = str(error.value).removesuffix("mm") + "px"
+        expected = "a path without crossings, its points in order along the edge"
+        raise unfit(f"{what} crosses or touches itself", found, expected, "Move or remove points there.") from None
 
 
 def require_polygon(points: Float[np.ndarray, "point 2"], what: str) -> None:
@@ -129,12 +123,9 @@ def require_inside(points: Float[np.ndarray, "point 2"], size: tuple[int, int], 
     outside = np.flatnonzero(((points < -0.5) | (points > np.array([width, height]) - 0.5)).any(axis=1))
     if outside.size:
         number = int(outside[0]) + 1
-        raise unfit(
-            f"{what}: point {number} is outside the picture",
-            points[number - 1].tolist(),
-            f"x from -0.5 to {width - 0.5:g} and y from -0.5 to {height - 0.5:g} px",
-            "Move the point, or give the picture that the points belong to.",
-        )
+        expected = f"x from -0.5 to {width - 0.5:g} and y from -0.5 to {height - 0.5:g} px"
+        remedy = "Move the point, or give the picture that the points belong to."
+        raise unfit(f"{what}: point {number} is outside the picture", points[number - 1].tolist(), expected, remedy)
 
 
 READ = "a path saved by Fiji (.roi, XY coordinates), napari (.csv), labelme, QuPath or Cellpose"

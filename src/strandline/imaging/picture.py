@@ -93,22 +93,16 @@ class StatedSize:
 def agreed(study: PixelSize | None, header: PixelSize | None, name: str) -> PixelSize:
     """Return the size of a pixel that the study or the header of the file states; they may differ by 1 %."""
     if study is None and header is None:
-        raise refused(
-            f"{name} does not state the size of a pixel",
-            None,
-            "the size in the study; the dots per inch of a picture are not its scale",
-            "Add e.g. `pixel: {size: 6.0, unit: um}` to the picture.",
-        )
+        expected = "the size in the study; the dots per inch of a picture are not its scale"
+        remedy = "Add e.g. `pixel: {size: 6.0, unit: um}` to the picture."
+        raise refused(f"{name} does not state the size of a pixel", None, expected, remedy)
     if study is None or header is None:
         return study or header  # type: ignore[return-value]
     for mine, its in zip((study.x, study.y, study.z), (header.x, header.y, header.z), strict=True):
         if mine is not None and its is not None and abs(mine - its) > SAME * its:
-            raise refused(
-                f"pixel size of {name}: the study and the file disagree",
-                f"{study} in the study, {header} from {header.source}",
-                "the same size in both, to 1 %",
-                "Correct `pixel`, or remove it to take the size from the file.",
-            )
+            found, expected = f"{study} in the study, {header} from {header.source}", "the same size in both, to 1 %"
+            remedy = "Correct `pixel`, or remove it to take the size from the file."
+            raise refused(f"pixel size of {name}: the study and the file disagree", found, expected, remedy)
     return PixelSize(study.x, study.y, study.z if study.z is not None else header.z, study.source)
 
 
@@ -232,12 +226,9 @@ def _require_sound(values: Float[np.ndarray, "..."], sizes: tuple[float, ...], n
         raise unfit(f"pixel size of {name}", sizes, "finite lengths above 0, in mm", "Correct the pixel size.")
     missing = values.size - int(np.isfinite(values).sum())
     if missing:
-        raise unfit(
-            f"{name} has pixels that are not finite",
-            f"{missing} of {values.size}",
-            "a finite number in each pixel",
-            "Crop the picture, or fill these pixels and leave their region out of the edge.",
-        )
+        expected = "a finite number in each pixel"
+        remedy = "Crop the picture, or fill these pixels and leave their region out of the edge."
+        raise unfit(f"{name} has pixels that are not finite", f"{missing} of {values.size}", expected, remedy)
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,9 +262,6 @@ def require_pixels(name: str, *sizes: int) -> None:
     """Refuse a picture or a stack without pixels, or with more than `MOST_PIXELS`, before memory is taken for it."""
     if 0 < math.prod(sizes) <= MOST_PIXELS and min(sizes) > 0:
         return
-    raise refused(
-        f"{name} has no size that can be read",
-        " × ".join(map(str, sizes)),
-        f"from 1 to {MOST_PIXELS // 10**6} million pixels",
-        "Crop the picture to the interface, or look at what writes the file.",
-    )
+    expected = f"from 1 to {MOST_PIXELS // 10**6} million pixels"
+    remedy = "Crop the picture to the interface, or look at what writes the file."
+    raise refused(f"{name} has no size that can be read", " × ".join(map(str, sizes)), expected, remedy)

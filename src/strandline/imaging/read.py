@@ -291,12 +291,9 @@ def _of_decibels(values: Values, name: str) -> Values:
     """Return 10^(v/10); a range that no detector has is refused."""
     seen = values[values > -np.inf]
     if seen.size and (np.ptp(seen) > MOST_DECIBELS or abs(seen).max() > 10 * MOST_DECIBELS):
-        raise refused(
-            f"{name} has no logarithms of intensities",
-            f"{seen.min():g} to {seen.max():g} dB",
-            f"a range below {MOST_DECIBELS:g} dB",
-            "A picture for the screen has lost its scale: export the numbers, or correct `scale`.",
-        )
+        found = f"{seen.min():g} to {seen.max():g} dB"
+        remedy = "A picture for the screen has lost its scale: export the numbers, or correct `scale`."
+        raise refused(f"{name} has no logarithms of intensities", found, f"a range below {MOST_DECIBELS:g} dB", remedy)
     return np.asarray(10.0 ** (values / 10))
 
 

@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from strandline.foundations import InvalidInput, is_label
+from strandline.foundations import InvalidInput, is_label, unfit
 from strandline.interface.interface import Interface
 from strandline.interface.normals import spacings
 from strandline.interface.point_errors import PointErrors
@@ -60,12 +60,8 @@ class GaussianNoise:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.variance) and self.variance > 0):
-            raise InvalidInput(
-                "noise variance of the observation",
-                value=self.variance,
-                expected="a finite number above 0, in the unit of the discrepancy d²",
-                remedy="Estimate it from the resolution of the measurement.",
-            )
+            what, remedy = "noise variance of the observation", "Estimate it from the resolution of the measurement."
+            raise unfit(what, self.variance, "a finite number above 0, in the unit of the discrepancy d²", remedy)
 
     @property
     def scale(self) -> float:
@@ -121,12 +117,8 @@ class UnknownErrors:
     def __post_init__(self) -> None:
         for name, given in (("sd", self.sd), ("length", self.length)):
             if isinstance(given, tuple) and not (math.isfinite(given[1]) and 0 < given[0] < given[1]):
-                raise InvalidInput(
-                    f"{name} of the errors of points",
-                    value=list(given),
-                    expected="a range [low, high] with 0 < low < high",
-                    remedy="Correct the range, or write `unknown`.",
-                )
+                expected, remedy = "a range [low, high] with 0 < low < high", "Correct the range, or write `unknown`."
+                raise unfit(f"{name} of the errors of points", list(given), expected, remedy)
         self.known(_middle(self.sd, 1.0), _middle(self.length, 0.0))
 
     @property
@@ -221,12 +213,9 @@ class Observation:
         if isinstance(noise, int | float) and not isinstance(noise, bool):
             noise = GaussianNoise(float(noise))
         if not isinstance(noise, Noise | PointErrors | UnknownErrors) or isinstance(noise, type):
-            raise InvalidInput(
-                "noise of an observation",
-                value=noise,
-                expected="a noise model, the errors of the points, or the variance σ_N² in the unit of d²",
-                remedy="Give e.g. PointErrors(sd=0.003), or 0.001; strandline.interface.Noise lists its parts.",
-            )
+            expected = "a noise model, the errors of the points, or the variance σ_N² in the unit of d²"
+            remedy = "Give e.g. PointErrors(sd=0.003), or 0.001; strandline.interface.Noise lists its parts."
+            raise unfit("noise of an observation", noise, expected, remedy)
         object.__setattr__(self, "interface", interface)
         object.__setattr__(self, "noise", noise)
         object.__setattr__(self, "condition", condition)

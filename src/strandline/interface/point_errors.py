@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.linalg import cho_solve, solve_triangular
 
-from strandline.foundations import InvalidInput
+from strandline.foundations import InvalidInput, unfit
 from strandline.interface.interface import Interface
 from strandline.interface.normals import as_complex, as_pairs, node_normals, rotations, spacings, steady_normals
 
@@ -129,20 +129,14 @@ class PointErrors:
         extent = float(np.linalg.norm(np.ptp(seen.points, axis=0)))
         for name in ("shift", "offset"):
             if getattr(self, name) > extent:
-                raise InvalidInput(
-                    f"{name} of the errors of points",
-                    value=f"{getattr(self, name):.4g} mm",
-                    expected=f"at most the size of the observed interface, {extent:.4g} mm",
-                    remedy="Correct it, its unit, or the unit of the observation.",
-                )
+                expected = f"at most the size of the observed interface, {extent:.4g} mm"
+                remedy = "Correct it, its unit, or the unit of the observation."
+                raise unfit(f"{name} of the errors of points", f"{getattr(self, name):.4g} mm", expected, remedy)
         whole = float(seen.lengths.sum()) if seen.dim == 2 else math.sqrt(float(seen.areas.sum()))
         if self.length > 0.5 * whole:
-            raise InvalidInput(
-                "correlation length of the errors of points",
-                value=f"{self.length:.4g} mm",
-                expected=f"at most half the length of the interface, {0.5 * whole:.4g} mm",
-                remedy="Correct it, its unit or that of the observation; or state a shift, rotation, scale or offset.",
-            )
+            expected = f"at most half the length of the interface, {0.5 * whole:.4g} mm"
+            remedy = "Correct it, its unit or that of the observation; or state a shift, rotation, scale or offset."
+            raise unfit("correlation length of the errors of points", f"{self.length:.4g} mm", expected, remedy)
 
     def local_variances(self, seen: Interface) -> PerPoint:
         """Return D_ii, mm²."""
@@ -158,12 +152,9 @@ class PointErrors:
             InvalidInput: The errors belong to another number of points.
         """
         if self.shares and len(self.shares) != len(seen.points):
-            raise InvalidInput(
-                "errors of the observed points",
-                value=f"{len(self.shares)} standard deviations for {len(seen.points)} points",
-                expected="one for each point",
-                remedy="State those of this interface, or one that holds for all points.",
-            )
+            found = f"{len(self.shares)} standard deviations for {len(seen.points)} points"
+            remedy = "State those of this interface, or one that holds for all points."
+            raise unfit("errors of the observed points", found, "one for each point", remedy)
         return np.asarray(np.full(len(seen.points), self.sd) * np.array(self.shares or 1.0))
 
     def local_draws(self, true: Interface, number: int, random: np.random.Generator) -> Draws:
@@ -325,20 +316,12 @@ class ErrorModel:
 
 def _require_sds(sds: Sequence[float] | PerPoint) -> None:
     if not len(sds):
-        raise InvalidInput(
-            "errors of the observed points",
-            value="no standard deviation",
-            expected="one for each point",
-            remedy="Give them, or state one that holds for all points.",
-        )
+        remedy = "Give them, or state one that holds for all points."
+        raise unfit("errors of the observed points", "no standard deviation", "one for each point", remedy)
     for number, sd in enumerate(sds, start=1):
         if not (math.isfinite(sd) and sd > 0):
-            raise InvalidInput(
-                f"standard deviation of point {number}",
-                value=float(sd),
-                expected="a finite number above 0",
-                remedy="Correct it, or leave the point out.",
-            )
+            remedy = "Correct it, or leave the point out."
+            raise unfit(f"standard deviation of point {number}", float(sd), "a finite number above 0", remedy)
 
 
 def _numbers(dim: int) -> dict[str, int]:

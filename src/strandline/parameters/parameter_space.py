@@ -17,6 +17,7 @@ from strandline.foundations import (
     html_text,
     require_label,
     require_name,
+    unfit,
     unit_text,
 )
 from strandline.parameters.priors import Prior, Truncated, require_span, truncate
@@ -73,12 +74,8 @@ class Parameter:
         require_label(f"unit of {self.name}", self.unit)
         low, high = self.interval
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            raise InvalidInput(
-                f"design box of {self.name}",
-                value=[low, high],
-                expected="two finite numbers, the lower one first",
-                remedy=f"Give {self.name} a box: [low, high]; its prior has no bounds of its own.",
-            )
+            remedy = f"Give {self.name} a box: [low, high]; its prior has no bounds of its own."
+            raise unfit(f"design box of {self.name}", [low, high], "two finite numbers, the lower one first", remedy)
         require_span(f"design box of {self.name}", low, high)
         _ = self.truncated_prior
 
@@ -123,19 +120,12 @@ class ParameterSpace:
     def __post_init__(self) -> None:
         names = self.names
         if not names or len(set(names)) != len(names):
-            raise InvalidInput(
-                "names of the inputs",
-                value=list(names),
-                expected="at least one input, all names different",
-                remedy="Rename or add inputs.",
-            )
+            remedy = "Rename or add inputs."
+            raise unfit("names of the inputs", list(names), "at least one input, all names different", remedy)
         if not self.calibrated:
-            raise InvalidInput(
-                "inputs to calibrate",
-                value=f"none: {', '.join(names)} {'is' if len(names) == 1 else 'are all'} nuisance",
-                expected="at least one input that is not nuisance",
-                remedy="Remove `nuisance` from the inputs to calibrate.",
-            )
+            found = f"none: {', '.join(names)} {'is' if len(names) == 1 else 'are all'} nuisance"
+            remedy = "Remove `nuisance` from the inputs to calibrate."
+            raise unfit("inputs to calibrate", found, "at least one input that is not nuisance", remedy)
 
     def _repr_html_(self) -> str:
         rows = [

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 from scipy import special, stats
 
-from strandline.foundations import InvalidInput
+from strandline.foundations import InvalidInput, unfit
 
 Array = Any  # a NumPy or a JAX array of any shape, or a float
 
@@ -209,12 +209,9 @@ class Truncated:
     def __post_init__(self) -> None:
         _require_interval("truncated", self.low, self.high)
         if not self.mass > LEAST_MASS:
-            raise InvalidInput(
-                "truncated prior keeps no mass",
-                value=f"{self.base} on [{self.low:g}, {self.high:g}]",
-                expected=f"an interval in which the prior has a mass above {LEAST_MASS:g}",
-                remedy="Move the bounds or the prior.",
-            )
+            found = f"{self.base} on [{self.low:g}, {self.high:g}]"
+            expected = f"an interval in which the prior has a mass above {LEAST_MASS:g}"
+            raise unfit("truncated prior keeps no mass", found, expected, "Move the bounds or the prior.")
 
     @property
     def mass(self) -> float:
@@ -284,12 +281,8 @@ def require_span(what: str, low: float, high: float) -> None:
 
 def _require_interval(name: str, low: float, high: float) -> None:
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise InvalidInput(
-            f"bounds of the {name} prior",
-            value=[low, high],
-            expected="two finite numbers, the lower one first",
-            remedy="Correct the bounds.",
-        )
+        remedy = "Correct the bounds."
+        raise unfit(f"bounds of the {name} prior", [low, high], "two finite numbers, the lower one first", remedy)
     require_span(f"bounds of the {name} prior", low, high)
 
 
@@ -298,9 +291,5 @@ def _require_number(
 ) -> None:
     if not (math.isfinite(value) and least <= value <= most):
         above = " above 0," if least > 0 else ""
-        raise InvalidInput(
-            f"{field} of the {name} prior",
-            value=value,
-            expected=f"a finite number{above} from {least:g} to {most:g}{hint}",
-            remedy=f"Correct {field}.",
-        )
+        expected = f"a finite number{above} from {least:g} to {most:g}{hint}"
+        raise unfit(f"{field} of the {name} prior", value, expected, f"Correct {field}.")

@@ -78,12 +78,9 @@ def joined(blocks: Sequence[Block], points: Float[np.ndarray, "point xyz"], name
     tree = cKDTree(points[used])
     i, j = tree.query_pairs(reach, output_type="ndarray").T
     if len(tree.query_pairs(NEARLY * shortest)) > len(i):
-        raise refused(
-            f"{name}: cells have nodes of their own that nearly coincide",
-            f"some between {reach:.3g} and {NEARLY * shortest:.3g} mm apart",
-            "cells that share nodes, or repeat them",
-            "Merge the nodes, or write more digits.",
-        )
+        what = f"{name}: cells have nodes of their own that nearly coincide"
+        found = f"some between {reach:.3g} and {NEARLY * shortest:.3g} mm apart"
+        raise refused(what, found, "cells that share nodes, or repeat them", "Merge the nodes, or write more digits.")
     number, together = connected_components(
         coo_array((np.ones(len(i)), (i, j)), shape=(len(used),) * 2), directed=False
     )
@@ -158,12 +155,9 @@ def chains(edges: Int[np.ndarray, "edge 2"], points: Float[np.ndarray, "point 2"
     degrees = np.bincount(edges.ravel(), minlength=len(points))
     if degrees.max(initial=0) > 2:
         node = int(np.argmax(degrees > 2))
-        raise refused(
-            f"{name}: the interface branches at {_place(points[node])} mm",
-            f"{degrees[node]} segments meet there",
-            "one line without branches",
-            "Choose a part of it with `block`, `cells`, `points` or `select`.",
-        )
+        what = f"{name}: the interface branches at {_place(points[node])} mm"
+        remedy = "Choose a part of it with `block`, `cells`, `points` or `select`."
+        raise refused(what, f"{degrees[node]} segments meet there", "one line without branches", remedy)
     graph = coo_array((np.ones(len(edges)), edges.T), shape=(len(points), len(points))).tocsr()
     found: list[Chain] = []
     forward, left = set(map(tuple, edges.tolist())), degrees > 0
@@ -193,12 +187,9 @@ def chosen_chain(
         return max(found, key=lambda chain: _length(chain, points))
     if len(found) > 1:
         shown = [f"{_place(points[c.nodes[0]])} to {_place(points[c.nodes[-1]])}" for c in found[:3]]
-        raise refused(
-            f"{name}: the interface is in {len(found)} pieces",
-            ", ".join(shown) + (", …" if len(found) > 3 else "") + " mm",
-            "one line without gaps",
-            "Choose a piece with `near: [x, y]` or `keep: longest`, or a part of the mesh with `select`.",
-        )
+        value = ", ".join(shown) + (", …" if len(found) > 3 else "") + " mm"
+        remedy = "Choose a piece with `near: [x, y]` or `keep: longest`, or a part of the mesh with `select`."
+        raise refused(f"{name}: the interface is in {len(found)} pieces", value, "one line without gaps", remedy)
     return found[0]
 
 

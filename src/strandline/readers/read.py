@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from strandline.foundations import InvalidInput, imported
+from strandline.foundations import InvalidInput, imported, unfit
 from strandline.interface import Interface
 from strandline.readers.contents import Contents, Unreadable, refused, undamaged
 from strandline.readers.options import READERS, TEXT, Reading
@@ -164,12 +164,8 @@ def _require_contents(found: object, target: str) -> None:
     if isinstance(found, Contents) and isinstance(found.points, np.ndarray):
         return
     what = f"a {type(found).__name__}" if not isinstance(found, Contents) else "points that are not a NumPy array"
-    raise InvalidInput(
-        f"what the reader {target} returns",
-        value=what,
-        expected="strandline.readers.Contents, its points a NumPy array (point, xyz)",
-        remedy="Correct the reader.",
-    )
+    expected = "strandline.readers.Contents, its points a NumPy array (point, xyz)"
+    raise unfit(f"what the reader {target} returns", what, expected, "Correct the reader.")
 
 
 def _require_whole(contents: Contents) -> None:

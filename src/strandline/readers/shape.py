@@ -86,12 +86,8 @@ def point_sds(contents: Contents, how: Reading, name: str) -> Float[np.ndarray, 
     sds = how.factor * np.asarray(contents.data[SD], float)[order]
     if not (np.isfinite(sds) & (sds > 0)).all():
         worst = int(np.argmin(np.where(np.isfinite(sds), sds, -np.inf)))
-        raise refused(
-            f"{name}: standard deviation {_place(int(order[worst]), contents.lines)}",
-            float(sds[worst] / how.factor),
-            "a number above 0",
-            "Correct it, or hide the point.",
-        )
+        what = f"{name}: standard deviation {_place(int(order[worst]), contents.lines)}"
+        raise refused(what, float(sds[worst] / how.factor), "a number above 0", "Correct it, or hide the point.")
     return np.asarray(sds)
 
 
@@ -129,12 +125,9 @@ def _order(contents: Contents, places: Points, how: Reading, name: str) -> Int[n
         order = order[np.argsort(places[order, "xy".index(how.sort)], kind="stable")]
     elif (np.diff(order) != 1).any():
         gap = places[order[int(np.argmax(np.diff(order) != 1))]]
-        raise refused(
-            f"{name}: the box of `select` cuts the interface into pieces",
-            f"the first one ends at {np.round(gap, 6).tolist()} mm",
-            "one piece",
-            "Choose a box that the interface enters once.",
-        )
+        found = f"the first one ends at {np.round(gap, 6).tolist()} mm"
+        advice = "Choose a box that the interface enters once."
+        raise refused(f"{name}: the box of `select` cuts the interface into pieces", found, "one piece", advice)
     if how.hide:
         hidden = np.array([_inside(places[order], box) for box in how.hide])
         if not hidden.any(axis=1).all():
@@ -310,12 +303,9 @@ def _chosen_part(
     elif how.keep is not None:
         chosen = found[np.argmax(areas)]
     else:
-        raise refused(
-            f"{name} holds {len(found)} surfaces apart from each other",
-            f"areas of {', '.join(f'{area:.4g}' for area in areas[:5])} mm²",
-            "one surface",
-            "Choose by `keep: longest`, the one of the largest area, or `near: [x, y, z]` in mm.",
-        )
+        value = f"areas of {', '.join(f'{area:.4g}' for area in areas[:5])} mm²"
+        remedy = "Choose by `keep: longest`, the one of the largest area, or `near: [x, y, z]` in mm."
+        raise refused(f"{name} holds {len(found)} surfaces apart from each other", value, "one surface", remedy)
     return np.asarray(triangles[part[triangles[:, 0]] == chosen])
 
 
@@ -334,10 +324,5 @@ def _require_finite(points: Points, chosen: Int[np.ndarray, " n"], name: str, li
     finite = np.isfinite(points[chosen]).all(axis=1)
     if not finite.all():
         first = int(chosen[np.argmin(finite)])
-        raise refused(
-            f"{name}: the point {_place(first, lines)} is not finite",
-            points[first].tolist(),
-            "finite coordinates in mm",
-            "Remove or correct the point.",
-            kind="non_finite",
-        )
+        what, remedy = f"{name}: the point {_place(first, lines)} is not finite", "Remove or correct the point."
+        raise refused(what, points[first].tolist(), "finite coordinates in mm", remedy, kind="non_finite")

@@ -275,12 +275,9 @@ def _require_no_count(name: str, rows: Sequence[TableRow], chosen: Sequence[int]
         numbers = {int(field) - k for field, k in zip(first, chosen, strict=True)} in ({-1}, {0}, {1})
     if counts or numbers:
         line = rows[heads[0] if heads else 0]
-        raise refused(
-            f"{name} {'counts its points' if counts else 'numbers its columns'} in line {line.number}",
-            str(line),
-            "points alone",
-            "Remove this line, and a name before it; if it is a point, write it with decimals.",
-        )
+        what = f"{name} {'counts its points' if counts else 'numbers its columns'} in line {line.number}"
+        remedy = "Remove this line, and a name before it; if it is a point, write it with decimals."
+        raise refused(what, str(line), "points alone", remedy)
 
 
 def _pieces(
@@ -338,12 +335,9 @@ def require_end(path: Path, name: str) -> None:
     """Refuse a program's result whose last line has no line break: its last number may be cut off."""
     content = path.read_bytes()
     if content.strip() and not content.endswith((b"\n", b"\r")):
-        raise refused(
-            f"{name} ends within a line",
-            content.splitlines()[-1][-80:].decode("utf-8", "replace"),
-            "a line break at the end; without it the last number may be cut off",
-            "Have the program end the last line, or give `count`, the number of points.",
-        )
+        what, found = f"{name} ends within a line", content.splitlines()[-1][-80:].decode("utf-8", "replace")
+        remedy = "Have the program end the last line, or give `count`, the number of points."
+        raise refused(what, found, "a line break at the end; without it the last number may be cut off", remedy)
 
 
 def _no_point(name: str, row: TableRow, titles: Sequence[str], columns: Sequence[str | int] = ()) -> Unreadable:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
 
-from strandline.foundations import InvalidInput
+from strandline.foundations import unfit
 from strandline.surrogate.covariance import factorise, solve
 from strandline.surrogate.kernels import Kernel, LengthScale, as_length_scale, as_lengths
 
@@ -74,12 +74,9 @@ class GaussianProcess:
     def _blocks(self, x: Float[np.ndarray, "point dim"]) -> Iterator[tuple[slice, Float[np.ndarray, "block run dim"]]]:
         """Yield rows of x with their offsets from the training points, in length scales."""
         if x.shape[1] != self.dim:
-            raise InvalidInput(
-                "points for the Gaussian process",
-                value=f"{x.shape[1]} columns",
-                expected=f"{self.dim} columns, as in the training runs",
-                remedy="Pass physical points, one row each, inputs in the order of the training.",
-            )
+            expected = f"{self.dim} columns, as in the training runs"
+            remedy = "Pass physical points, one row each, inputs in the order of the training."
+            raise unfit("points for the Gaussian process", f"{x.shape[1]} columns", expected, remedy)
         points = (x - self.shift) / (self.scale * self.length_scale)
         train = self.x_train / self.length_scale
         size = max(1, _PAIRS_PER_BLOCK // len(train))
@@ -97,12 +94,8 @@ def standardisation(x: Inputs) -> tuple[Float[np.ndarray, " dim"], Float[np.ndar
     shift, scale = x.mean(axis=0), x.std(axis=0)
     flat = scale <= 1e-12 * np.maximum(np.abs(shift), np.finfo(float).tiny)
     if flat.any():
-        raise InvalidInput(
-            f"training inputs, column {int(np.argmax(flat))}",
-            value=float(shift[np.argmax(flat)]),
-            expected="an input that varies between the runs",
-            remedy="Leave the constant input out of the calibration.",
-        )
+        expected, remedy = "an input that varies between the runs", "Leave the constant input out of the calibration."
+        raise unfit(f"training inputs, column {int(np.argmax(flat))}", float(shift[np.argmax(flat)]), expected, remedy)
     return shift, scale
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import OptimizeResult, minimize
 
-from strandline.foundations import InvalidInput, NumericsError, TooFewRuns
+from strandline.foundations import NumericsError, TooFewRuns, unfit
 from strandline.surrogate.covariance import factorise, invert, solve
 from strandline.surrogate.kernels import Kernel, LengthScale, as_length_scale, as_lengths
 
@@ -209,27 +209,16 @@ def require_runs(x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " target"
         NumericsError: constant targets.
     """
     if len(x) != len(y):
-        raise InvalidInput(
-            "training data of the surrogate",
-            value=f"{len(x)} inputs and {len(y)} log-likelihoods",
-            expected="one log-likelihood for each run",
-            remedy="Pass the successful runs only, in the same order.",
-        )
+        expected, remedy = "one log-likelihood for each run", "Pass the successful runs only, in the same order."
+        raise unfit("training data of the surrogate", f"{len(x)} inputs and {len(y)} log-likelihoods", expected, remedy)
     if len(y) < x.shape[1] + 2:
-        raise TooFewRuns(
-            "training of the surrogate",
-            value=f"{len(y)} successful run(s)",
-            expected=f"at least {x.shape[1] + 2} for {x.shape[1]} input(s)",
-            remedy="Add runs to the design, or look at why runs failed.",
-        )
+        found, expected = f"{len(y)} successful run(s)", f"at least {x.shape[1] + 2} for {x.shape[1]} input(s)"
+        remedy = "Add runs to the design, or look at why runs failed."
+        raise TooFewRuns("training of the surrogate", value=found, expected=expected, remedy=remedy)
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         where = int(np.argmin(np.isfinite(x).all(axis=1) & np.isfinite(y)))
-        raise InvalidInput(
-            f"training run {where}",
-            value=f"inputs {x[where].tolist()}, target {y[where]}",
-            expected="finite numbers",
-            remedy="Leave failed runs out of the training.",
-        )
+        remedy = "Leave failed runs out of the training."
+        raise unfit(f"training run {where}", f"inputs {x[where].tolist()}, target {y[where]}", "finite numbers", remedy)
     if np.ptp(y) == 0:
         raise NumericsError(
             f"all {len(y)} training targets equal {y[0]:g}: there is nothing to learn. "

@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from strandline.foundations import WHOLE, InvalidInput, assembled, lookup
+from strandline.foundations import WHOLE, assembled, lookup, unfit
 from strandline.surrogate.covariance import Lengths, Matrix, TiledPairs, differences, distances
 
 Offsets = Float[np.ndarray, "point run dim"]
@@ -87,12 +87,9 @@ def as_lengths(kernel: Kernel, length_scale: LengthScale, dim: int) -> Lengths:
     """
     given, count = np.atleast_1d(np.asarray(length_scale, float)), dim if kernel.per_input else 1
     if given.size not in (1, count) or not (given > 0).all():
-        raise InvalidInput(
-            f"length scale of {kernel.name}",
-            value=given.tolist(),
-            expected=f"one positive number{f', or {count}' if count > 1 else ''}",
-            remedy="Give one number; kernels named _product or _ard take one for each input as well.",
-        )
+        expected = f"one positive number{f', or {count}' if count > 1 else ''}"
+        remedy = "Give one number; kernels named _product or _ard take one for each input as well."
+        raise unfit(f"length scale of {kernel.name}", given.tolist(), expected, remedy)
     return np.array(np.broadcast_to(given, count))
 
 
@@ -305,10 +302,6 @@ def kernel_named(name: str) -> Kernel:
     """
     found: Any = lookup(KERNELS, name, "name of the kernel")
     if not isinstance(found, Kernel):
-        raise InvalidInput(
-            "name of the kernel",
-            value=name,
-            expected="an object with the methods of strandline.surrogate.kernels.Kernel",
-            remedy="Check it with strandline.testing.kernels.",
-        )
+        expected = "an object with the methods of strandline.surrogate.kernels.Kernel"
+        raise unfit("name of the kernel", name, expected, "Check it with strandline.testing.kernels.")
     return found

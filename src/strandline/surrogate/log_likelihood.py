@@ -8,7 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from strandline.foundations import InvalidInput, imported
+from strandline.foundations import imported, unfit
 from strandline.surrogate.covariance import invert
 from strandline.surrogate.gaussian_process import GaussianProcess, Inputs, Targets, condition, standardisation
 from strandline.surrogate.hyperparameters import FittedHyperparameters, fit_hyperparameters, require_runs
@@ -54,12 +54,8 @@ def fit_named(name: str) -> Fit:
     """
     found: Any = imported(name, "name of the surrogate")
     if not callable(found):
-        raise InvalidInput(
-            "name of the surrogate",
-            value=name,
-            expected="a function of inputs (run, dim) and log-likelihoods (run,) that returns a surrogate",
-            remedy="Check it with strandline.testing.surrogates.",
-        )
+        expected = "a function of inputs (run, dim) and log-likelihoods (run,) that returns a surrogate"
+        raise unfit("name of the surrogate", name, expected, "Check it with strandline.testing.surrogates.")
     return found  # type: ignore[no-any-return]
 
 
@@ -172,10 +168,6 @@ def fit_of_the_user(x: Inputs, log_likelihood: Float[np.ndarray, " target"], fit
 def _learnt(fit: Fit, x: Inputs, y: Targets) -> Predictor:
     found = fit(x, y)
     if not isinstance(found, Predictor):
-        raise InvalidInput(
-            "what the surrogate's function returns",
-            value=type(found).__name__,
-            expected="an object with the methods mean and variance",
-            remedy="Check it with strandline.testing.surrogates.",
-        )
+        what, remedy = "what the surrogate's function returns", "Check it with strandline.testing.surrogates."
+        raise unfit(what, type(found).__name__, "an object with the methods mean and variance", remedy)
     return found

@@ -197,9 +197,6 @@ def require_room(course: SmoothPath) -> None:
     """Refuse a path whose normals cross close to it on more than 5 % of its length."""
     crossed = ~course.own(np.array([-_ROOM, _ROOM])).all(axis=1)
     if crossed.mean() > _CROSSED:
-        raise unfit(
-            "normals of the path cross",
-            f"on {100 * crossed.mean():.0f} % of its length, within {_ROOM:g} px",
-            f"bends with radii above {_ROOM:g} px, and no other part of the path nearby",
-            "Smooth the path, leave out thin parts, or use a picture with smaller pixels.",
-        )
+        what, found = "normals of the path cross", f"on {100 * crossed.mean():.0f} % of its length, within {_ROOM:g} px"
+        remedy = "Smooth the path, leave out thin parts, or use a picture with smaller pixels."
+        raise unfit(what, found, f"bends with radii above {_ROOM:g} px, and no other part of the path nearby", remedy)

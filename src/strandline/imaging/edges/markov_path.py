@@ -83,12 +83,9 @@ class MarkovPath:
 
     def __post_init__(self) -> None:
         if self.drift < 0.5 * self.step:
-            raise unfit(
-                "drift of the path of an edge",
-                self.drift,
-                f"at least half the distance of candidates, {0.5 * self.step:g} px",
-                "Raise the drift or lower the step: otherwise the path could not move.",
-            )
+            expected = f"at least half the distance of candidates, {0.5 * self.step:g} px"
+            remedy = "Raise the drift or lower the step: otherwise the path could not move."
+            raise unfit("drift of the path of an edge", self.drift, expected, remedy)
 
     def locate(self, picture: GreyValues, course: SmoothPath, counted: Bool[np.ndarray, " normal"] | None) -> Located:
         """Return the edge near a course; see `EdgeMethod`."""
@@ -250,12 +247,9 @@ def _require_speckle(skewness: float, sd: float) -> None:
     Skewness and standard deviation are those of the values over their mean.
     """
     if skewness < _SYMMETRIC * sd:
-        raise unfit(
-            "grey values of the scan do not scatter like the intensity of speckle: skewness over relative sd",
-            f"{skewness / sd:.2g}",
-            "about 2, as linear intensity has; logarithms are below 0",
-            "Undo the logarithm of a display scan (scale: log10 or dB); for a camera use method `erf`.",
-        )
+        what = "grey values of the scan do not scatter like the intensity of speckle: skewness over relative sd"
+        remedy = "Undo the logarithm of a display scan (scale: log10 or dB); for a camera use method `erf`."
+        raise unfit(what, f"{skewness / sd:.2g}", "about 2, as linear intensity has; logarithms are below 0", remedy)
 
 
 def _columns(picture: GreyValues, strip: Strip) -> Int[np.ndarray, "normal place"]:

@@ -243,12 +243,9 @@ def noise_beside(field: Field, mesh: Mesh, normals: Points, profiles: Profiles) 
     integral = float(np.trapezoid(rho * lags, lags))
     squares = np.concatenate(voxels) ** 2
     if not (known[1:].any() and np.isfinite(squares).any()):
-        raise unfit(
-            "room beside the surface",
-            f"no plain grey value {PLATEAU + 2 * field.sigma:.3g} voxels away from it",
-            "solid and surroundings with a grey value of their own",
-            "Use a stack with smaller voxels, or one that shows more of the surroundings.",
-        )
+        found = f"no plain grey value {PLATEAU + 2 * field.sigma:.3g} voxels away from it"
+        remedy = "Use a stack with smaller voxels, or one that shows more of the surroundings."
+        raise unfit("room beside the surface", found, "solid and surroundings with a grey value of their own", remedy)
     variance = float(np.nanmean(squares))
     return math.sqrt(sill), math.sqrt(integral), math.sqrt(variance)
 
@@ -318,12 +315,9 @@ def require_surface(errors: SurfaceErrors, lost: float) -> None:
         remedy = "Use a stack with less noise, e.g. the mean of several."
         raise unfit("contrast over noise at the surface", found, expected, remedy)
     if errors.open_share > MOST_OPEN:
-        raise unfit(
-            "surface cut off by the faces of the stack",
-            f"{100 * errors.open_share:.0f} % of the solid's surface",
-            f"at most {100 * MOST_OPEN:g} %",
-            "Use a larger stack, or check `solid: bright` or `dark`.",
-        )
+        value = f"{100 * errors.open_share:.0f} % of the solid's surface"
+        advice = "Use a larger stack, or check `solid: bright` or `dark`."
+        raise unfit("surface cut off by the faces of the stack", value, f"at most {100 * MOST_OPEN:g} %", advice)
     if lost > LOST:
         found, expected = f"{100 * lost:.1f} % of them", f"at most {100 * LOST:g} %"
         remedy = "Use a stack with less noise or more even light."

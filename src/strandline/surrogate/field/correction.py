@@ -101,12 +101,8 @@ def fit_correction(cheaper: Sequence[Interfaces], model: Sequence[Interfaces]) -
     """
     names = list(model[0])
     if any(set(names) - set(run) for run in (*cheaper, *model)):
-        raise NoCommonPoints(
-            "interfaces of the cheaper model",
-            value="other conditions",
-            expected=f"the model's: {', '.join(names)}",
-            remedy="Let both models return the same conditions.",
-        )
+        what, remedy = "interfaces of the cheaper model", "Let both models return the same conditions."
+        raise NoCommonPoints(what, value="other conditions", expected=f"the model's: {', '.join(names)}", remedy=remedy)
     layouts = {name: _layout([run[name] for run in model], [run[name] for run in cheaper]) for name in names}
     above = correspondence.fields_of(model, layouts)[0]
     below = np.array([_field(run, layouts) for run in cheaper])

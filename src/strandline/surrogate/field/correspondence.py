@@ -270,12 +270,9 @@ def by_condition(
 
 
 def _different(found: str) -> NoCommonPoints:
-    return NoCommonPoints(
-        "interfaces of the runs for a surrogate of the field",
-        value=found,
-        expected="interfaces with a common parametrisation",
-        remedy="Use the surrogate of the log-likelihood: surrogate: {log_likelihood: {}}.",
-    )
+    what = "interfaces of the runs for a surrogate of the field"
+    remedy = "Use the surrogate of the log-likelihood: surrogate: {log_likelihood: {}}."
+    return NoCommonPoints(what, value=found, expected="interfaces with a common parametrisation", remedy=remedy)
 
 
 CANDIDATES = 3

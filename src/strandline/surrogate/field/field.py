@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from strandline.foundations import InvalidInput, TooFewRuns, one_thread
+from strandline.foundations import TooFewRuns, one_thread, unfit
 from strandline.interface import Interface
 from strandline.surrogate.field.correspondence import PointLayout, by_condition, common_layout, fields_of
 from strandline.surrogate.field.mode_process import ModeProcess
@@ -141,22 +141,15 @@ def fit_field(training: FieldTraining, *, tolerance: float = TOLERANCE) -> Field
     dim = training.x.shape[1]
     needed = fewest_runs(dim, gradients=training.gradients is not None)
     if len(training.x) < needed:
-        raise TooFewRuns(
-            "training of the surrogate",
-            value=f"{len(training.x)} successful run(s)",
-            expected=f"at least {needed} for {dim} input(s)",
-            remedy="Add runs to the design, or look at why runs failed.",
-        )
+        found, expected = f"{len(training.x)} successful run(s)", f"at least {needed} for {dim} input(s)"
+        remedy = "Add runs to the design, or look at why runs failed."
+        raise TooFewRuns("training of the surrogate", value=found, expected=expected, remedy=remedy)
     x = (training.x - training.low) / (training.high - training.low)
     layouts = {name: common_layout([run[name] for run in training.interfaces], x) for name in training.interfaces[0]}
     fields, error = fields_of(training.interfaces, layouts)
     if not np.ptp(fields, axis=0).any():
-        raise InvalidInput(
-            "interfaces of the runs",
-            value=f"the same one in all {len(fields)} runs",
-            expected="interfaces that the inputs change",
-            remedy="Look at the model: does it read its inputs?",
-        )
+        expected, remedy = "interfaces that the inputs change", "Look at the model: does it read its inputs?"
+        raise unfit("interfaces of the runs", f"the same one in all {len(fields)} runs", expected, remedy)
     gradients = _gradients(training, layouts) if all(one.by_nodes for one in layouts.values()) else None
     weights = np.concatenate([np.repeat(layout.weights, layout.template.dim) for layout in layouts.values()])
     data = Data(training.x, fields, weights, gradients)
