@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import ndtr
 
@@ -23,7 +23,6 @@ from strandline.imaging.edges.profile_and_noise import (
     EdgeTemplate,
     learnt_template,
     noise_covariance,
-    ratio,
     scatter_of,
 )
 from strandline.imaging.edges.strip import (
@@ -31,9 +30,11 @@ from strandline.imaging.edges.strip import (
     EdgeMethod,
     GreyValues,
     Located,
+    Normals,
     PerNormal,
     PerPlace,
     Samples,
+    Scatter,
     SmoothPath,
     Strip,
     strip_along,
@@ -61,7 +62,7 @@ class FittedSteps:
     low: PerNormal
     high: PerNormal
     width: float
-    found: Bool[np.ndarray, " normal"]
+    found: Normals
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ class ErfStep:
     bias: float = 0.1
     passes: int = 2
 
-    def locate(self, picture: GreyValues, course: SmoothPath, counted: Bool[np.ndarray, " normal"] | None) -> Located:
+    def locate(self, picture: GreyValues, course: SmoothPath, counted: Normals | None) -> Located:
         """Return the edge near a course; see `EdgeMethod`."""
         strip = strip_along(picture, course, reach=self.reach, step=self.step)
         steps = fit_steps(strip, tolerance=0.02 if counted is None else 1e-5)
@@ -88,25 +89,13 @@ class ErfStep:
         contrast = float(np.median(jumps[steps.found])) if steps.found.any() else 0.0
         noise, scatter = math.nan, NO_SCATTER
         if counted is not None and (counted & steps.found).any():
-            kept = counted & steps.found
-            (basis, row), weights = _influence(strip, steps, contrast), strip.usable & kept[:, None]
-            residuals = np.where(weights, strip.samples - _values(strip, steps), 0.0)
-            covariance = noise_covariance(residuals, weights, basis)
-            scatter = scatter_of(np.where(kept, steps.places, math.nan), covariance, row)
-            noise = math.sqrt(max(float(covariance[0, 0]), 0.0) / strip.kept)
+            phi = _phi(strip, steps.places, steps.width)
+            residuals = strip.samples - np.asarray(steps.low[:, None] + jumps[:, None] * phi)
+            basis, row = _influence(strip, steps, contrast)
+            noise, scatter = _noise_of(strip, steps.places, counted & steps.found, residuals, basis, row)
         sds = scatter.sd * abs(contrast) / np.maximum(np.abs(jumps), 0.01 * abs(contrast) + 1e-300)
-        return Located(
-            strip=strip,
-            offsets=steps.places,
-            sds=sds,
-            found=steps.found,
-            at_limit=steps.found & (np.abs(steps.places) > self.reach - 1.0),
-            scatter=scatter,
-            blur=steps.width,
-            contrast=contrast,
-            contrast_to_noise=ratio(abs(contrast), noise),
-            facts={"noise": noise},
-        )
+        edge = strip, steps.places, sds, steps.found
+        return _located(*edge, scatter, noise, reach=self.reach, blur=steps.width, contrast=contrast)
 
 
 def fit_steps(strip: Strip, *, tolerance: float = 1e-5) -> FittedSteps:
@@ -134,7 +123,7 @@ def fit_steps(strip: Strip, *, tolerance: float = 1e-5) -> FittedSteps:
     return FittedSteps(places, low, high, width, found)
 
 
-def _first_places(strip: Strip) -> tuple[PerNormal, Bool[np.ndarray, " normal"]]:
+def _first_places(strip: Strip) -> tuple[PerNormal, Normals]:
     """Return the sharp step on each normal that explains most, in the direction that most normals have."""
     weights = strip.usable.astype(float)
     mode = "wrap" if strip.course.closed else "nearest"
@@ -194,11 +183,6 @@ def _slopes(strip: Strip, places: PerNormal, width: float) -> tuple[Samples, Sam
     return np.exp(-0.5 * scaled**2) / (math.sqrt(2 * math.pi) * width), scaled
 
 
-def _values(strip: Strip, steps: FittedSteps) -> Samples:
-    phi = _phi(strip, steps.places, steps.width)
-    return np.asarray(steps.low[:, None] + (steps.high - steps.low)[:, None] * phi)
-
-
 def _influence(strip: Strip, steps: FittedSteps, contrast: float) -> tuple[Float[np.ndarray, "place 3"], PerPlace]:
     """Return what noise does to a typical normal: its basis, and the change of u₀ per unit of noise."""
     middle = np.array([float(np.median(steps.places[steps.found]))])
@@ -229,7 +213,7 @@ class HalfLevel:
     bias: float = 0.1
     passes: int = 3
 
-    def locate(self, picture: GreyValues, course: SmoothPath, counted: Bool[np.ndarray, " normal"] | None) -> Located:
+    def locate(self, picture: GreyValues, course: SmoothPath, counted: Normals | None) -> Located:
         """Return the edge near a course; see `EdgeMethod`."""
         strip = strip_along(picture, course, reach=self.reach, step=self.step)
         right, left = _sides(strip)
@@ -241,30 +225,14 @@ class HalfLevel:
         template, _ = learnt_template(normalised, offsets)
         noise, scatter = math.nan, NO_SCATTER
         if counted is not None and (counted & found).any():
-            kept = counted & found
-            weights = strip.usable & kept[:, None]
             expected = template.at(strip.places - offsets[:, None])
-            residuals = np.where(weights, (relative - expected) * (left - right)[:, None], 0.0)
-            row, basis = self._influence(template, strip.places, contrast)
-            covariance = noise_covariance(residuals, weights, basis)
-            scatter = scatter_of(np.where(kept, offsets, math.nan), covariance, row)
-            noise = math.sqrt(max(float(covariance[0, 0]), 0.0) / strip.kept)
-        return Located(
-            strip=strip,
-            offsets=offsets,
-            sds=np.full(len(offsets), scatter.sd),
-            found=found,
-            at_limit=found & (np.abs(offsets) > self.reach - 1.0),
-            scatter=scatter,
-            blur=template.blur,
-            contrast=contrast,
-            contrast_to_noise=ratio(abs(contrast), noise),
-            facts={"noise": noise},
-        )
+            residuals = (relative - expected) * (left - right)[:, None]
+            basis, row = self._influence(template, strip.places, contrast)
+            noise, scatter = _noise_of(strip, offsets, counted & found, residuals, basis, row)
+        edge = strip, offsets, np.full(len(offsets), scatter.sd), found
+        return _located(*edge, scatter, noise, reach=self.reach, blur=template.blur, contrast=contrast)
 
-    def _crossings(
-        self, strip: Strip, right: PerNormal, left: PerNormal, *, up: bool
-    ) -> tuple[PerNormal, Bool[np.ndarray, " normal"]]:
+    def _crossings(self, strip: Strip, right: PerNormal, left: PerNormal, *, up: bool) -> tuple[PerNormal, Normals]:
         """Return the crossing of the half level nearest to the course on each normal, and where there is one."""
         weight = gaussian_filter1d(strip.usable.astype(float), self.smooth / strip.step, axis=1)
         values = gaussian_filter1d(strip.samples, self.smooth / strip.step, axis=1) / np.maximum(weight, 1e-9)
@@ -278,14 +246,14 @@ class HalfLevel:
 
     def _influence(
         self, template: EdgeTemplate, places: PerPlace, contrast: float
-    ) -> tuple[PerPlace, Float[np.ndarray, "place 1"]]:
-        """Return the change of the edge per unit of noise in each sample, and what alignment takes out of residuals."""
+    ) -> tuple[Float[np.ndarray, "place 1"], PerPlace]:
+        """Return what alignment takes out of residuals, and the change of the edge per unit of noise in each sample."""
         step = float(places[1] - places[0])
         kernel = gaussian_filter1d((np.abs(places) < 0.5 * step).astype(float), self.smooth / step)
         profile = template.at(places)
         smooth = gaussian_filter1d(profile, self.smooth / step)
         slope = float(np.gradient(smooth, places)[len(places) // 2])
-        return -kernel / (contrast * slope or math.inf), np.gradient(profile, places)[:, None]
+        return np.gradient(profile, places)[:, None], -kernel / (contrast * slope or math.inf)
 
 
 def _sides(strip: Strip) -> tuple[PerNormal, PerNormal]:
@@ -297,6 +265,39 @@ def _sides(strip: Strip) -> tuple[PerNormal, PerNormal]:
         total = gaussian_filter1d(strip.samples[:, there].sum(axis=1), _ALONG, mode=mode)
         out.append(total / np.maximum(weight, 1e-9))
     return out[0], out[1]
+
+
+def _located(
+    strip: Strip,
+    offsets: PerNormal,
+    sds: PerNormal,
+    found: Normals,
+    scatter: Scatter,
+    noise: float,
+    *,
+    reach: float,
+    blur: float,
+    contrast: float,
+) -> Located:
+    """Return the edge; contrast over noise is infinite without noise."""
+    at_limit = found & (np.abs(offsets) > reach - 1.0)
+    to_noise = abs(contrast) / noise if noise != 0 else math.inf
+    return Located(strip, offsets, sds, found, at_limit, scatter, blur, contrast, to_noise, {"noise": noise})
+
+
+def _noise_of(
+    strip: Strip,
+    offsets: PerNormal,
+    kept: Normals,
+    residuals: Samples,
+    basis: Float[np.ndarray, "place column"],
+    row: PerPlace,
+) -> tuple[float, Scatter]:
+    """Return the noise of a pixel, and the random errors of the points that are kept, from the residuals of a fit."""
+    weights = strip.usable & kept[:, None]
+    covariance = noise_covariance(np.where(weights, residuals, 0.0), weights, basis)
+    noise = math.sqrt(max(float(covariance[0, 0]), 0.0) / strip.kept)
+    return noise, scatter_of(np.where(kept, offsets, math.nan), covariance, row)
 
 
 EDGES: dict[str, Any] = {"erf": ErfStep(), "path": MarkovPath(), "contour": HalfLevel()}

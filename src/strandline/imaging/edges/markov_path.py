@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.ndimage import gaussian_filter
 
 from strandline.foundations import unfit
@@ -29,6 +29,7 @@ from strandline.imaging.edges.strip import (
     NO_SCATTER,
     GreyValues,
     Located,
+    Normals,
     PerNormal,
     Samples,
     Scatter,
@@ -87,7 +88,7 @@ class MarkovPath:
             remedy = "Raise the drift or lower the step: otherwise the path could not move."
             raise unfit("drift of the path of an edge", self.drift, expected, remedy)
 
-    def locate(self, picture: GreyValues, course: SmoothPath, counted: Bool[np.ndarray, " normal"] | None) -> Located:
+    def locate(self, picture: GreyValues, course: SmoothPath, counted: Normals | None) -> Located:
         """Return the edge near a course; see `EdgeMethod`."""
         _require_intensity(picture)
         strip = strip_along(picture, course, reach=self.reach + self.support, step=self.step)
@@ -269,7 +270,7 @@ def _walk(table: Table, places: Candidates, drift: float, closed: bool, draws: i
     return Walk(path.mean[inner], path.sd[inner], path.draws[:, inner])
 
 
-def _scatter(path: Walk, counted: Bool[np.ndarray, " normal"]) -> Scatter:
+def _scatter(path: Walk, counted: Normals) -> Scatter:
     """Return standard deviation and correlation length of drawn paths about their mean."""
     apart = (path.draws - path.mean)[:, counted]
     lags = min(apart.shape[1] - 1, _LONGEST)

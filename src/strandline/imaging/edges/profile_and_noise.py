@@ -212,11 +212,6 @@ def roughness(places: PerNormal, shares: Float[np.ndarray, " along"]) -> float:
     return min(float(np.std(rough)), 1.5 * spread or math.inf) / math.sqrt(max(left, 0.1))
 
 
-def ratio(contrast: float, noise: float) -> float:
-    """Return contrast over noise, infinite without noise."""
-    return contrast / noise if noise != 0 else math.inf
-
-
 def sum_to_first_zero(shares: Float[np.ndarray, " lag"]) -> float:
     """Return ½ + Σ ρ, the integral of an autocorrelation up to its first zero, in lags."""
     below = np.flatnonzero(shares <= 0)

@@ -24,6 +24,8 @@ PerNormal = Float[np.ndarray, " normal"]
 """A number for each normal of a path."""
 PerPlace = Float[np.ndarray, " place"]
 """A number for each place on a normal."""
+Normals = Bool[np.ndarray, " normal"]
+"""Which normals of a path are meant."""
 Samples = Float[np.ndarray, "normal place"]
 """A number for each place on each normal."""
 _NEARER, _SLACK = 0.85, 1.0
@@ -287,8 +289,8 @@ class Located:
     strip: Strip
     offsets: PerNormal
     sds: PerNormal
-    found: Bool[np.ndarray, " normal"]
-    at_limit: Bool[np.ndarray, " normal"]
+    found: Normals
+    at_limit: Normals
     scatter: Scatter
     blur: float
     contrast: float
@@ -320,7 +322,7 @@ class EdgeMethod(Protocol):
         """Number of times the edge is looked for: from the second time on, near the edge found before."""
         ...
 
-    def locate(self, picture: GreyValues, course: SmoothPath, counted: Bool[np.ndarray, " normal"] | None) -> Located:
+    def locate(self, picture: GreyValues, course: SmoothPath, counted: Normals | None) -> Located:
         """Return the edge near a course.
 
         Args:
