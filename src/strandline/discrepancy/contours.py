@@ -39,12 +39,9 @@ _FEWEST, _LEAST = 3, 4
 
 @dataclass(frozen=True)
 class Correlated:
-    """Errors at equal steps along an outline.
+    """Errors at equal steps along an outline: their variance s², and level at low frequencies S = 2s²ℓ/h ≥ s², mm².
 
-    Args:
-        variance: Their variance s², mm².
-        level: Their level at low frequencies S = 2s²ℓ/h, at least s², mm².
-        cut: Whether they are still clearly correlated at the first lag that could not be added up.
+    `cut` tells whether they are still clearly correlated at the first lag that could not be added up.
     """
 
     variance: float

@@ -42,12 +42,9 @@ class Nodes:
 class Sizes:
     """How many nodes the compiled loop takes at once; the sum does not depend on it.
 
-    Args:
-        small: Number of pairs up to which blocks are faster than finding neighbours and compiling.
-        tile: Nodes in a tile if a tree chooses their partners.
-        full_tile: Nodes in a tile at most if all nodes are partners, a multiple of 8.
-        tiles: Largest number of tiles in one compiled call if a tree chooses the partners.
-        gathered: Partners of all tiles together in one compiled call.
+    Up to `small` pairs, blocks are faster than finding neighbours and compiling. If a tree chooses the partners, `tile`
+    nodes are in a tile, and at most `tiles` tiles with `gathered` partners together in one compiled call; if all nodes
+    are partners, at most `full_tile` nodes, a multiple of 8, are in a tile.
     """
 
     small: int = SMALL

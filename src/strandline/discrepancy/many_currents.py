@@ -59,13 +59,10 @@ class Pieces:
 
 @dataclass(frozen=True, eq=False)
 class Division:
-    """How segments are divided into equal pieces.
+    """How segments are divided into equal pieces, and the length of the longest one.
 
-    Args:
-        corners: Numbers of the two points of each piece's segment.
-        begin: Where the piece begins, as a share of its segment.
-        share: Length of the piece, as a share of its segment.
-        longest: Length of the longest piece.
+    `corners` are numbers of the two points of each piece's segment; `begin`, where the piece begins, and `share`, its
+    length, are shares of the segment.
     """
 
     corners: Int[np.ndarray, "piece 2"]

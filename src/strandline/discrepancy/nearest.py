@@ -37,12 +37,9 @@ Vectors = Float[np.ndarray, "xyz *#pair"]
 
 @dataclass(frozen=True, eq=False)
 class ClosestPoints:
-    """The points of an interface that are closest to given points.
+    """The points of an interface that are closest to given points, mm; squared distances, mm².
 
-    Args:
-        points: closest points, mm.
-        cells: the cell that each lies on, the first if several share it.
-        squares: squared distances, mm².
+    `cells` are those that each lies on, the first if several share it.
     """
 
     points: Points
@@ -127,12 +124,10 @@ class _Best:
 
 @dataclass(frozen=True, eq=False)
 class _Tree:
-    """Boxes around cells near each other, halved from level to level.
+    """Boxes around cells near each other, halved from level to level, and a tree of the cells' centres.
 
-    Args:
-        centres: Tree of the cells' centres.
-        order: Number of the cell in each of the lowest boxes; some are repeated to fill all boxes equally.
-        levels: Corners (low, high) of the boxes, (2, xyz, box): 1, 2, 4, …, and finally one for each cell.
+    `order` has the number of the cell in each of the lowest boxes; some are repeated to fill all boxes equally.
+    `levels` has the corners (low, high) of the boxes, (2, xyz, box): 1, 2, 4, …, and finally one for each cell.
     """
 
     centres: cKDTree

@@ -48,12 +48,10 @@ PLACES = 200
 
 @dataclass(frozen=True, eq=False)
 class LocalMeans:
-    """Places that stand for some neighbouring points each.
+    """Places that stand for some neighbouring points each, `first` of all the one with this index.
 
-    Args:
-        normals: Normals of the course at the places, to the left of its direction, shape (place, 2).
-        first: Index of the first point of each place.
-        off: Distance of each point from its course, along the normal, mm; its mean over the points of a place is 0.
+    `normals` are those of the course at the places, to the left of its direction, `off` is the distance of each point
+    from its course, along the normal, mm; its mean over the points of a place is 0.
     """
 
     places: Float[np.ndarray, "place 2"]

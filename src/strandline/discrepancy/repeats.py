@@ -90,12 +90,8 @@ def errors_from_repeats(contours: Sequence[Interface]) -> Repeats:
 class _Frame:
     """The smoothed outline that all contours are compared with, and the places along it.
 
-    Args:
-        places: Arc lengths of the places, at equal steps, mm.
-        step: Their distance, mm.
-        middle: Centre of rotation and scale, mm.
-        estimate: Matrix that takes offsets at the places to `PARTS`.
-        basis: Orthonormal columns that span what `PARTS` do to the offsets.
+    `places` are arc lengths at equal steps, mm; `middle` is the centre of rotation and scale, mm; `estimate` takes
+    offsets at the places to `PARTS`; the orthonormal columns of `basis` span what `PARTS` do to the offsets.
     """
 
     outline: Interface

@@ -38,33 +38,20 @@ def is_name(text: object) -> bool:
 
 
 def listed(words: Sequence[str], last: str = "and") -> str:
-    """Return words as a list in a sentence: ``a, b and c``.
-
-    Args:
-        words: The words, one or more.
-        last: Word before the last one.
-    """
+    """Return one or more words as a list in a sentence: ``a, b and c``; `last` is the word before the last one."""
     *others, end = words
     return f"{', '.join(others)} {last} {end}" if others else end
 
 
 def require_label(what: str, text: object) -> None:
-    """Refuse a text that cannot be used in figures, tables and files.
-
-    Raises:
-        InvalidInput: the text is refused; the message begins with `what`.
-    """
+    """Refuse a text that cannot be used in figures, tables and files; the message begins with `what`."""
     if not is_label(text):
         remedy = "Write it as plain text, e.g. mm²/s."
         raise unfit(what, text, f"at most {LONGEST} characters on one line, without $", remedy)
 
 
 def require_name(what: str, text: object, *, reserved: Collection[str] = ()) -> None:
-    """Refuse a text that cannot name an input, and the `reserved` names.
-
-    Raises:
-        InvalidInput: the text is refused; the message begins with `what`.
-    """
+    """Refuse a text that cannot name an input, and the `reserved` names; the message begins with `what`."""
     if text in reserved:
         remedy = "Rename the input."
         raise unfit(what, text, f"none of the names that the results use themselves: {', '.join(reserved)}", remedy)

@@ -61,7 +61,9 @@ def _opened(file: Any, path: Path, name: str, stack: ExitStack) -> PictureFile:
             values = (2**page.bitspersample - 1) - values.astype(np.int64)
         return values
 
-    return PictureFile((rows, columns), load, axes, _stated_size(file, page), _notes(file, page), stack.pop_all().close)
+    header = file.imagej_metadata or {}
+    size = _of_ome(file.ome_metadata) if file.is_ome else _of_imagej(header, page) if file.is_imagej else None
+    return PictureFile((rows, columns), load, axes, size, _notes(file, page), stack.pop_all().close)
 
 
 def _stored(series: Any, frame: int, path: Path, byteorder: str) -> Shaped[np.ndarray, "..."]:
@@ -101,13 +103,6 @@ def _imported(name: str) -> Any:
     if not log.handlers:
         log.addHandler(logging.NullHandler())
     return tifffile
-
-
-def _stated_size(file: Any, page: Any) -> PixelSize | None:
-    """Return the size of a pixel that the header of ImageJ or of OME states; None without a unit of length."""
-    if file.is_ome:
-        return _of_ome(file.ome_metadata)
-    return _of_imagej(file.imagej_metadata or {}, page) if file.is_imagej else None
 
 
 def _of_ome(header: str) -> PixelSize | None:

@@ -264,11 +264,7 @@ def _at_edge(exponent: float) -> float:
 
 
 def require_span(what: str, low: float, high: float) -> None:
-    """Refuse an interval too wide or too narrow to compute with.
-
-    Raises:
-        InvalidInput: the interval is refused; the message begins with `what`.
-    """
+    """Refuse an interval too wide or too narrow to compute with; the message begins with `what`."""
     size = max(abs(low), abs(high))
     if size > LARGEST:
         expected = f"numbers of at most {LARGEST:g} in magnitude"

@@ -30,10 +30,12 @@ TYPES = {"float": "f4", "double": "f8", "unsigned_char": "u1", "int": "i4", "vtk
 def read_by_meshio(path: Path, how: Reading, name: str) -> Contents:
     """Return the contents of a file with a single time."""
     meshio = of_extra("meshio", "vtu", name)
-    if how.suffix == ".stl":
-        _require_end(path.read_bytes())
+    content = path.read_bytes()
+    ascii_stl = how.suffix == ".stl" and content.startswith(b"solid") and b"facet" in content[:1000]
+    if ascii_stl and b"endsolid" not in content[-1000:]:
+        raise EOFError("the file is cut off")  # meshio would read the rest of it
     with contextlib.redirect_stdout(io.StringIO()):
-        source = _WholeFile(path.read_bytes()) if how.suffix == ".ply" else str(path)
+        source = _WholeFile(content) if how.suffix == ".ply" else str(path)
         return converted(getattr(meshio, MODULES[how.suffix]).read(source))
 
 
@@ -67,12 +69,6 @@ def read_msh(path: Path, how: Reading, name: str) -> Contents:
     blocks = [Block(kind, rows[:, :-1] - 1, {"label": rows[:, -1]}) for kind, rows in cells.items() if len(rows)]
     places = vertices.reshape(-1, 3)
     return Contents(places[:, :2], tuple(blocks), {"label": places[:, 2]})
-
-
-def _require_end(content: bytes) -> None:
-    """Refuse an STL file in ASCII that is cut off; meshio would read the rest of it."""
-    if content.startswith(b"solid") and b"facet" in content[:1000] and b"endsolid" not in content[-1000:]:
-        raise EOFError("the file is cut off")
 
 
 class _WholeFile(io.BytesIO):

@@ -12,6 +12,8 @@ from jaxtyping import Float, Int, Shaped
 
 from strandline.foundations import InvalidInput
 
+CORRECT_IT = "Correct the name of the file in study.yaml, or the file."
+
 
 class Unreadable(InvalidInput):
     """A file yields no interface.
@@ -25,13 +27,7 @@ class Unreadable(InvalidInput):
     """
 
     def __init__(
-        self,
-        what: str,
-        value: object,
-        expected: str,
-        remedy: str = "Correct the name of the file in study.yaml, or the file.",
-        *,
-        kind: str = "result_unreadable",
+        self, what: str, value: object, expected: str, remedy: str = CORRECT_IT, *, kind: str = "result_unreadable"
     ) -> None:
         self.kind = kind
         super().__init__(what, value=value, expected=expected, remedy=remedy)

@@ -173,7 +173,9 @@ def _of_cells(contents: Contents, places: Points, moved: Points, how: Reading, n
         parts = cells.surface_triangles(blocks) if lowest == 2 else cells.boundary_triangles(blocks)
         if lowest == 3 and signed_volume(places, parts) < 0:
             parts = parts[:, ::-1]  # solids that are numbered inside out
-        return _surface(_chosen_part(_kept(parts, contents, places, how, name), places, how, name), moved)
+        triangles = _chosen_part(_kept(parts, contents, places, how, name), places, how, name)
+        own, corners = np.unique(triangles, return_inverse=True)
+        return Interface(np.ascontiguousarray(moved[own]), corners.reshape(-1, 3).astype(np.int64))
     parts = cells.line_edges(blocks) if lowest == 1 else cells.boundary_edges(blocks)
     if not flat:
         faces = next((block.kind for block in contents.blocks if cells.dimension(block.kind) == 2), None)
@@ -278,11 +280,6 @@ def _polyline(chain: Chain, places: Plane, moved: Plane, start: Any) -> Interfac
 def _area(ring: Plane) -> float:
     after = np.roll(ring, -1, axis=0)
     return float((ring[:, 0] * after[:, 1] - ring[:, 1] * after[:, 0]).sum())
-
-
-def _surface(triangles: Int[np.ndarray, "cell 3"], moved: Points) -> Interface:
-    used, corners = np.unique(triangles, return_inverse=True)
-    return Interface(np.ascontiguousarray(moved[used]), corners.reshape(-1, 3).astype(np.int64))
 
 
 def _chosen_part(

@@ -83,13 +83,9 @@ class Allowance:
 class Encoding:
     """How a file writes its binary numbers.
 
-    Args:
-        order: Order of the bytes, ``<`` or ``>``.
-        header: Type of the counts before binary data.
-        unpacker: Function that makes what unpacks compressed data; None: not compressed.
-        allowance: Bytes that the data may still take.
-        appended: All appended data after the underscore.
-        raw: Whether appended data are bytes, not base64.
+    `order`: order of the bytes, ``<`` or ``>``; `header`: type of the counts before binary data; `unpacker`: function
+    that makes what unpacks compressed data, None if they are not; `allowance`: bytes that the data may still take;
+    `appended`: all appended data after the underscore; `raw`: whether these are bytes, not base64.
     """
 
     order: str
@@ -98,16 +94,6 @@ class Encoding:
     allowance: Allowance
     appended: bytes
     raw: bool
-
-    @classmethod
-    def of(cls, root: ElementTree.Element, appended: bytes, *, raw: bool, size: int) -> "Encoding":
-        """Return the encoding that the root of a file of `size` bytes declares."""
-        compressor = root.get("compressor", "")
-        if compressor and compressor not in UNPACKERS:
-            raise ValueError(f"compressed by {compressor}, which is not read; write with zlib or without")
-        order = ">" if root.get("byte_order") == "BigEndian" else "<"
-        header = _dtype(root.get("header_type", "UInt32"), order)
-        return cls(order, header, UNPACKERS.get(compressor), Allowance(size), appended, raw)
 
 
 def _dtype(name: str, order: str) -> np.dtype[Any]:
@@ -129,7 +115,11 @@ def split(content: bytes) -> tuple[ElementTree.Element, Encoding]:
         raw = b"raw" in attributes
         head, appended = head + appended[end + len(b"</AppendedData>") :], appended[:end]
     root = ElementTree.fromstring(head)
-    return root, Encoding.of(root, appended, raw=raw, size=len(content))
+    compressor, order = root.get("compressor", ""), ">" if root.get("byte_order") == "BigEndian" else "<"
+    if compressor and compressor not in UNPACKERS:
+        raise ValueError(f"compressed by {compressor}, which is not read; write with zlib or without")
+    header = _dtype(root.get("header_type", "UInt32"), order)
+    return root, Encoding(order, header, UNPACKERS.get(compressor), Allowance(len(content)), appended, raw)
 
 
 def numbers(array: ElementTree.Element, encoding: Encoding) -> Shaped[np.ndarray, "..."]:
@@ -232,7 +222,7 @@ def _piece(piece: ElementTree.Element, encoding: Encoding, *, poly: bool) -> Con
     (coordinates,) = points.values()
     if coordinates.shape != (int(piece.attrib["NumberOfPoints"]), 3):
         raise ValueError(f"{piece.attrib['NumberOfPoints']} points announced, the shape {coordinates.shape} found")
-    cells = _poly_cells(piece, encoding) if poly else _grid_cells(piece, encoding)
+    cells = _cells(piece, encoding, poly=poly)
     data = _arrays(piece.find("CellData"), encoding)
     visible = data.pop("vtkGhostType", None)
     blocks = blocks_of(list(cells), data, None if visible is None else visible == 0)
@@ -252,19 +242,14 @@ def _arrays(parent: ElementTree.Element | None, encoding: Encoding) -> dict[str,
     }
 
 
-def _grid_cells(piece: ElementTree.Element, encoding: Encoding) -> Iterator[tuple[int, Any]]:
-    """Yield VTK's number and the nodes of each cell."""
-    cells = _arrays(piece.find("Cells"), encoding)
-    if cells:
-        yield from zip(cells["types"].tolist(), _sliced(cells), strict=True)
-
-
-def _poly_cells(piece: ElementTree.Element, encoding: Encoding) -> Iterator[tuple[int, Any]]:
-    """Yield the cells of a VTP file in the order of its cell data."""
-    for tag, kind in (("Verts", 2), ("Lines", POLYLINE), ("Polys", POLYGON), ("Strips", STRIP)):
+def _cells(piece: ElementTree.Element, encoding: Encoding, *, poly: bool) -> Iterator[tuple[int, Any]]:
+    """Yield VTK's number and the nodes of each cell, those of a VTP file in the order of its cell data."""
+    kinds = {"Verts": 2, "Lines": POLYLINE, "Polys": POLYGON, "Strips": STRIP} if poly else {"Cells": 0}
+    for tag, kind in kinds.items():
         cells = _arrays(piece.find(tag), encoding)
-        if cells and len(cells["offsets"]):
-            yield from ((kind, nodes) for nodes in _sliced(cells))
+        if cells and (len(cells["offsets"]) or not poly):
+            nodes = _sliced(cells)
+            yield from zip([kind] * len(nodes) if kind else cells["types"].tolist(), nodes, strict=True)
 
 
 def _sliced(cells: dict[str, Shaped[np.ndarray, "..."]]) -> list[Int[np.ndarray, " node"]]:

@@ -56,7 +56,7 @@ def solve(L: Matrix, y: Float[np.ndarray, " run"]) -> Float[np.ndarray, " run"]:
 
 @dataclass(frozen=True, eq=False)
 class TiledPairs:
-    """Pairs of training inputs whose matrices are filled and summed tile by tile, see `kernels.Pairs`.
+    """Pairs of training inputs whose column-major matrices are filled and summed tile by tile.
 
     `offsets` returns what the correlation c depends on for the pairs of a tile, given inverse lengths, `slopes` a
     factor a and terms b_d of the same, for ∂c/∂log l_d = a b_d; None: b is 1.

@@ -91,16 +91,12 @@ class Objective:
         alpha = solve(self.K, self.y)
         value = -0.5 * self.y @ alpha - np.log(np.diagonal(self.K)).sum() - 0.5 * len(alpha) * math.log(2 * math.pi)
         invert(self.K)
-        by_variance = self._by_log_variance(alpha)
+        # ∂/∂log σ0² = ½ (αᵀ σ0²C α - tr K⁻¹ σ0²C) with σ0²C = K - σ_n² I; `K` holds K⁻¹
+        fit = self.y @ alpha - self.nugget * alpha @ alpha
+        by_variance = float(0.5 * (fit - (len(alpha) - self.nugget * np.trace(self.K))))
         by_lengths = variance * self.pairs.by_log_lengths(alpha, self.K, inverse_lengths=inverse)
         by_lengths += 3 / self.lengths * by_variance
         return LogEvidence(float(value), np.array([by_variance, *by_lengths]))
-
-    def _by_log_variance(self, alpha: Float[np.ndarray, " run"]) -> float:
-        """Return ∂/∂log σ0² = ½ (αᵀ σ0²C α - tr K⁻¹ σ0²C) with σ0²C = K - σ_n² I; `K` holds K⁻¹."""
-        fit = self.y @ alpha - self.nugget * alpha @ alpha
-        trace = len(alpha) - self.nugget * np.trace(self.K)
-        return float(0.5 * (fit - trace))
 
     def starting_ratio(self, length: float) -> float:
         """Return log σ0²/l³ to start from with equal lengths; with a single length, σ0² is the targets' variance.
@@ -188,16 +184,9 @@ def fit_hyperparameters(
             f"no start of the evidence optimiser ended at a maximum: {ends}. "
             "Raise the nugget, clip extreme log-likelihoods or bound the length scale lower."
         )
-    return FittedHyperparameters(
-        length_scale=best.length_scale,
-        signal_variance=best.signal_variance,
-        nugget=nugget,
-        log_evidence=best.log_evidence,
-        at_bound=bool(np.max(best.length_scale) >= length_scale_bound * (1 - 1e-6)),
-        message=best.message,
-        verdict=best.verdict,
-        attempts=attempts,
-    )
+    length, at_bound = best.length_scale, bool(np.max(best.length_scale) >= length_scale_bound * (1 - 1e-6))
+    ends = best.message, best.verdict, attempts
+    return FittedHyperparameters(length, best.signal_variance, nugget, best.log_evidence, at_bound, *ends)
 
 
 def require_runs(x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " target"]) -> None:

@@ -28,7 +28,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.foundations import WHOLE, assembled, lookup, unfit
-from strandline.surrogate.covariance import Lengths, Matrix, TiledPairs, differences, distances
+from strandline.surrogate.covariance import Lengths, TiledPairs, differences, distances
 
 Offsets = Float[np.ndarray, "point run dim"]
 Values = Float[np.ndarray, " run"]
@@ -38,20 +38,6 @@ LengthScale = float | Float[np.ndarray, " dim"]
 """One length for all inputs, or one for each input, in standard deviations of the inputs."""
 _LOG2_E = math.log2(math.e)
 _LOWEST = -900.0
-
-
-@runtime_checkable
-class Pairs(Protocol):
-    """All pairs of training inputs, prepared for many evaluations of the evidence.
-
-    Only lower triangles of column-major matrices are read and written.
-    """
-
-    def fill(self, out: Matrix, *, inverse_lengths: Lengths, variance: float, diagonal: float) -> None:
-        """Write variance · c + diagonal · I into the lower triangle of `out`."""
-
-    def by_log_lengths(self, alpha: Values, precision: Matrix, *, inverse_lengths: Lengths) -> Lengths:
-        """Return Σ_i>j (α_i α_j - P_ij) ∂c_ij / ∂log l for each length."""
 
 
 @runtime_checkable
@@ -75,8 +61,8 @@ class Kernel(Protocol):
     def of_columns(self, offset: Sequence[Array]) -> Array:
         """Return c of offsets given as one JAX array per input, all of one shape."""
 
-    def pairs(self, x: Float[np.ndarray, "run dim"], *, unit: Lengths) -> Pairs:
-        """Return the pairs of x / unit."""
+    def pairs(self, x: Float[np.ndarray, "run dim"], *, unit: Lengths) -> TiledPairs:
+        """Return all pairs of x / unit, prepared for many evaluations of the evidence."""
 
 
 def as_lengths(kernel: Kernel, length_scale: LengthScale, dim: int) -> Lengths:

@@ -94,13 +94,7 @@ def cross_validate(fit: Callable[[Inputs, Targets], Predictor], x: Inputs, y: Ta
 def _validation(residuals: Targets, y: Targets) -> Validation:
     tenth_best = np.sort(y)[-min(NEAR_MODE_COUNT, len(y))]
     near = np.asarray(y >= min(tenth_best, y.max() - NEAR_MODE_WINDOW))
-    return Validation(
-        residuals=residuals,
-        near_mode=near,
-        loo_rms=_rms(residuals),
-        loo_rms_near_mode=_rms(residuals[near]),
-        near_mode_count=int(near.sum()),
-    )
+    return Validation(residuals, near, _rms(residuals), _rms(residuals[near]), int(near.sum()))
 
 
 def _rms(values: Float[np.ndarray, " value"]) -> float:

@@ -78,15 +78,10 @@ class EdgeErrors:
 def edge_errors(
     located: Located, curvatures: Float[np.ndarray, " point"], *, bias: float, side: float, unit: float, kept: int
 ) -> EdgeErrors:
-    """Return the errors of an edge.
+    """Return the errors of an edge, of which some points are kept, from the curvatures 1/R at these, 1/px.
 
-    Args:
-        located: The edge, lengths in px.
-        curvatures: Curvatures 1/R at the points that are kept, 1/px.
-        bias: Standard deviation of a common offset of a straight edge, in pixels.
-        side: Size of a pixel along the normals, px.
-        unit: Length of the px in the unit of the pixel size.
-        kept: Number of points that are kept.
+    `bias`: standard deviation of a common offset of a straight edge, in pixels; `side`: size of a pixel along the
+    normals, px; `unit`: length of the px in the unit of the pixel size; `kept`: number of points that are kept.
     """
     radius = 1 / max(float(np.abs(curvatures).max(initial=0.0)), 1e-9)
     return EdgeErrors(
@@ -114,15 +109,9 @@ def offset_sd(straight: float, blur: float, curvatures: Float[np.ndarray, " poin
 
 @dataclass(frozen=True)
 class EdgeCheck:
-    """One number of an edge and its limit.
+    """One number of an edge and its limit, by name and in words.
 
-    Args:
-        name: What the number is, in a word or two.
-        value: The number.
-        limit: Its limit: the largest value of a share, the smallest one of any other number.
-        shown: The number in words.
-        expected: The limit in words.
-        share: Whether the number is a share that should be small.
+    The limit is the largest value of a share, which should be small, and the smallest one of any other number.
     """
 
     name: str

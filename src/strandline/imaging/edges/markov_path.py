@@ -190,12 +190,8 @@ def walk(
 ) -> Walk:
     """Return the posterior of a path that changes by N(0, drift²) from one normal to the next, by forward–backward.
 
-    Args:
-        log_likelihood: Logarithm of the likelihood of each candidate on each normal, up to a constant on each.
-        candidates: Equally spaced places.
-        drift: Standard deviation of a step; below half the spacing of candidates the path could hardly move.
-        draws: Number of paths to draw.
-        random: Generator for these.
+    The log-likelihood of each equally spaced candidate on each normal may lack a constant on each. With a `drift` below
+    half the spacing of candidates the path could hardly move. `draws` is the number of paths to draw, by `random`.
     """
     likelihood = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
     kernel = np.exp(-0.5 * (np.subtract.outer(candidates, candidates) / drift) ** 2)

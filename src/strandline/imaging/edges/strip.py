@@ -174,14 +174,11 @@ class GreyValues:
 
 @dataclass(frozen=True, eq=False)
 class Strip:
-    """Samples of a picture along the normals of a course.
+    """Samples of a picture along the normals of a course: grey values, shape (normal, place), 0 where not usable.
 
-    Args:
-        samples: Grey values, shape (normal, place); 0 where not usable.
-        usable: Samples inside the picture, outside of excluded polygons, and on this side of crossed normals.
-        places: Distances u from the course, shape (place,), above 0 on the left of the path as the picture is seen.
-        course: The path.
-        kept: Share of the variance of white noise that bilinear interpolation leaves in the samples.
+    `usable`: samples inside the picture, outside of excluded polygons, and on this side of crossed normals; `places`:
+    distances u from the course, shape (place,), above 0 on the left of the path as the picture is seen; `kept`: share
+    of the variance of white noise that bilinear interpolation leaves in the samples.
     """
 
     samples: Samples

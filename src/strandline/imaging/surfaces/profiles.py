@@ -38,12 +38,9 @@ _SAME_SIDE = 0.2
 class Profiles:
     """Profiles across a surface; lengths in sides of a voxel.
 
-    Args:
-        offsets: Where each profile crosses the half level, outwards, shape (point,).
-        found: Which profiles do.
-        inside: Grey value of the solid near each point, averaged over its neighbours.
-        outside: Grey value of its surroundings.
-        slopes: Fall of the grey value per length at the crossing, in the contrast of the two sides, averaged likewise.
+    `offsets`: where each profile crosses the half level, outwards; `found`: which profiles do; `inside`, `outside`:
+    grey value of the solid near each point, averaged over its neighbours, and of its surroundings; `slopes`: fall of
+    the grey value per length at the crossing, in the contrast of the two sides, averaged likewise.
     """
 
     offsets: PerPoint
