@@ -101,9 +101,8 @@ def _batches(a: Nodes, b: Nodes, reach: float, sizes: Sizes) -> Iterator[_TileBa
         near = [np.array(row, int) for row in tree.query_ball_point(middles[some], radii[some])]
         weights = np.ones(len(some))
         if a is b:
-            near = [row[rank[row] >= (k + 1) * sizes.tile] for k, row in zip(some, near, strict=True)] + list(
-                tiles[some]
-            )
+            later = [row[rank[row] >= (k + 1) * sizes.tile] for k, row in zip(some, near, strict=True)]
+            near = [*later, *tiles[some]]
             some, weights = np.tile(some, 2), np.repeat([2.0, 1.0], len(some))
         rows = [_cut(row, _UNROLLED, blank=len(b)).ravel() for row in near]
         partners, end = np.concatenate(rows), np.cumsum([len(row) for row in rows])
@@ -196,9 +195,8 @@ def _tile_sums() -> Callable[..., Any]:
             """Add the next few partners to the sums of the tile's elements."""
             some = jax.lax.dynamic_slice(others, (first + k * _UNROLLED, 0), (_UNROLLED, 2 * dim + 1))
             for y in some:
-                sums = sums + exp2_of_minus(square(y), whole, bounded=close) * sum(
-                    n[i] * y[dim + i] for i in range(dim)
-                )
+                both = sum(n[i] * y[dim + i] for i in range(dim))
+                sums = sums + exp2_of_minus(square(y), whole, bounded=close) * both
             return sums
 
         sums = jax.lax.fori_loop(0, (last - first) // _UNROLLED, step, jnp.zeros(x.shape[1]))

@@ -89,17 +89,19 @@ class MeasurementLines:
         if not isinstance(self.lines, int):
             object.__setattr__(self, "lines", _checked_lines(self.lines))
         elif not 1 <= self.lines <= MOST_LINES:
-            _refuse_lines(f"{self.lines} lines")
+            raise _unfit_lines(f"{self.lines} lines")
         if not _is_length(self.reach):
             remedy = "Correct it, or leave it out for a quarter of the observed length."
-            _refuse("reach", self.reach, "a length in mm above 0", remedy)
+            raise unfit("reach of the measurement lines", self.reach, "a length in mm above 0", remedy)
         given = "" if isinstance(self.lines, int) else " with given lines"
         if self.smooth is not None and (given or not _is_length(self.smooth)):
             remedy = "Correct it; leave it out for given lines, which have their own directions."
-            _refuse("smooth", f"{self.smooth}{given}", "a length in mm above 0, for a number of lines", remedy)
+            expected = "a length in mm above 0, for a number of lines"
+            raise unfit("smooth of the measurement lines", f"{self.smooth}{given}", expected, remedy)
         if self.trim is not None and (given or not 0 <= self.trim <= MOST_TRIMMED):
             expected = f"a share from 0 to {MOST_TRIMMED:g}, for a number of lines"
-            _refuse("trim", f"{self.trim}{given}", expected, "Correct it; leave it out for given lines.")
+            remedy = "Correct it; leave it out for given lines."
+            raise unfit("trim of the measurement lines", f"{self.trim}{given}", expected, remedy)
 
     def __call__(self, simulated: Interface, observed: Interface) -> float:
         """Return d², mm²."""
@@ -268,10 +270,8 @@ def _components(
 def _crossings(along_i: Places, along_j: Places, side_i: Places, side_j: Places) -> Places:
     """Return where along a line the segment from i to j crosses it; inf if it does not."""
     span, step = side_i - side_j, along_j - along_i
-    in_line = np.clip(
-        np.divide(-along_i, step, out=np.zeros_like(step), where=step != 0), 0.0, 1.0
-    )  # where it is nearest
-    share = np.divide(side_i, span, out=in_line, where=span != 0)
+    nearest = np.divide(-along_i, step, out=np.zeros_like(step), where=step != 0)  # of a segment along the line
+    share = np.divide(side_i, span, out=np.clip(nearest, 0.0, 1.0), where=span != 0)
     return np.where(side_i * side_j <= 0, along_i + share * step, np.inf)
 
 
@@ -280,10 +280,10 @@ def _checked_lines(
 ) -> tuple[tuple[float, ...], ...]:
     rows = tuple(tuple(float(value) for value in row) for row in lines)
     if not rows:
-        _refuse_lines("no line")
+        raise _unfit_lines("no line")
     for row in rows:
         if len(row) != 4 or not all(map(math.isfinite, row)) or row[2] == row[3] == 0:
-            _refuse_lines(list(row))
+            raise _unfit_lines(list(row))
     return rows
 
 
@@ -291,10 +291,6 @@ def _is_length(value: float | None) -> bool:
     return value is None or (math.isfinite(value) and value > 0)
 
 
-def _refuse_lines(value: object) -> None:
+def _unfit_lines(value: object) -> InvalidInput:
     expected = f"a number of lines from 1 to {MOST_LINES}, or rows (x, y, dx, dy) of finite numbers, dx or dy not 0"
-    _refuse("number or rows", value, expected, "Correct the lines.")
-
-
-def _refuse(name: str, value: object, expected: str, remedy: str) -> None:
-    raise InvalidInput(f"{name} of the measurement lines", value=value, expected=expected, remedy=remedy)
+    return unfit("number or rows of the measurement lines", value, expected, "Correct the lines.")

@@ -195,9 +195,7 @@ def _moved_back(contour: Interface, part: Float[np.ndarray, " part"], middle: Fl
 def _local(offsets: Float[np.ndarray, "contour place"], frame: _Frame) -> Correlated:
     """Return the local errors of the points of a contour, from offsets without mean and common errors."""
     closed = frame.outline.closed
-    of_one = len(offsets) / (
-        len(offsets) - 1
-    )  # variance of a contour's errors over that of their difference from the mean
+    of_one = len(offsets) / (len(offsets) - 1)  # variance of errors over that of their difference from the mean
     covariance = of_one * autocovariance(offsets, closed=closed)
     if not math.sqrt(covariance[0]) > 1e-9 * frame.step:
         raise unfit("contours of one state", "identical contours", "one contour per picture", "Remove the duplicates.")

@@ -237,9 +237,8 @@ def _entry(header: ElementTree.Element) -> Any:
 
 def _length(header: ElementTree.Element, axis: str, name: str) -> int:
     """Return the number of pixels along an axis; a single picture may lack that of y."""
-    found = _entry(header).get(
-        f"Size{axis}", header.findtext(f"Image/SizePixel/Size{axis}", "1" if axis == "Y" else "")
-    )
+    size = header.findtext(f"Image/SizePixel/Size{axis}", "1" if axis == "Y" else "")
+    found = _entry(header).get(f"Size{axis}", size)
     if not (found.isascii() and found.isdigit() and len(found) < 10 and int(found) > 0):
         raise refused(f"{name}: Size{axis} in its header", found, "a number of pixels")
     return int(found)

@@ -66,9 +66,8 @@ class Registration:
     def __call__(self, points: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, "point 2"]:
         """Return where points of the first picture are in the second, in pixels, shape (point, 2)."""
         centre, stretch = np.array(self.centre), np.array(self.stretch)
-        return np.asarray(
-            ((points - centre) * stretch @ _turn(np.deg2rad(self.rotation)) + self.shift) / stretch + centre
-        )
+        turned = (points - centre) * stretch @ _turn(np.deg2rad(self.rotation))
+        return np.asarray((turned + self.shift) / stretch + centre)
 
 
 def registered(

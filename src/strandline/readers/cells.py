@@ -81,9 +81,8 @@ def joined(blocks: Sequence[Block], points: Float[np.ndarray, "point xyz"], name
         what = f"{name}: cells have nodes of their own that nearly coincide"
         found = f"some between {reach:.3g} and {NEARLY * shortest:.3g} mm apart"
         raise refused(what, found, "cells that share nodes, or repeat them", "Merge the nodes, or write more digits.")
-    number, together = connected_components(
-        coo_array((np.ones(len(i)), (i, j)), shape=(len(used),) * 2), directed=False
-    )
+    graph = coo_array((np.ones(len(i)), (i, j)), shape=(len(used),) * 2)
+    number, together = connected_components(graph, directed=False)
     first = np.full(number, len(points))
     np.minimum.at(first, together, used)
     renumbered = np.arange(len(points))

@@ -36,15 +36,10 @@ DISPLACEMENT = re.compile(r"u[_:]?[xyz\d]|(.*[\W_])?(disp|d[eé]pl|deform|versch
 def interface_of(contents: Contents, how: Reading, name: str) -> Interface:
     """Return the interface, in mm."""
     places, moved = _places(contents, how, name)
-    found = (
-        _of_cells(contents, places, moved, how, name)
-        if contents.blocks
-        else _of_table(contents, places, moved, how, name)
-    )
+    found = (_of_cells if contents.blocks else _of_table)(contents, places, moved, how, name)
     if how.count is not None and len(found.points) != how.count:
-        raise refused(
-            f"{name}: number of points", len(found.points), f"{how.count}", "Check what writes the file, or `count`."
-        )
+        remedy = "Check what writes the file, or `count`."
+        raise refused(f"{name}: number of points", len(found.points), f"{how.count}", remedy)
     return found
 
 
@@ -53,9 +48,8 @@ def _places(contents: Contents, how: Reading, name: str) -> tuple[Points, Points
     places, displacement = contents.points, contents.displacement
     moving = [key for key, v in contents.data.items() if _may_move(key, v)]
     if how.field is None and displacement is None and moving:
-        say = (
-            "Write its components as one vector" if contents.data[moving[0]].ndim == 1 else f"Say `field: {moving[0]}`"
-        )
+        component = contents.data[moving[0]].ndim == 1
+        say = "Write its components as one vector" if component else f"Say `field: {moving[0]}`"
         remedy = f"{say} to add them, or `field: none` if they are none or the points have moved."
         raise refused(f"{name} holds what may be displacements", moving[0], "`field`", remedy)
     if isinstance(how.field, str) and how.field != "none":

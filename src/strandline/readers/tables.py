@@ -110,11 +110,8 @@ def read_npy(path: Path, how: Reading, name: str) -> Contents:
         found = f"{array.dtype} of the shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
         raise refused(f"{name} holds no points", found, "an array of numbers (point, 2)")
     if how.columns is None:
-        remedy = (
-            _say_columns((), array.shape[1])
-            if array.shape[1] != 2
-            else "Give `columns: [1, 2]` for x, y; `columns: [2, 1]` for (row, column), as scikit-image finds contours."
-        )
+        remedy = "Give `columns: [1, 2]` for x, y; `columns: [2, 1]` for (row, column), as scikit-image finds contours."
+        remedy = _say_columns((), array.shape[1]) if array.shape[1] != 2 else remedy
         raise refused(f"{name} does not say which column is x", f"the shape {array.shape}", "`columns`", remedy)
     points = _of_array(name, array.astype(float), how.columns)
     _require_upright(name, *array.shape)
@@ -186,9 +183,8 @@ def _place(name: str, column: str | int, titles: Sequence[str], row: TableRow, *
         return column - 1
     if list(titles).count(column) != 1:
         shown = ", ".join(titles) or "no line of column names"
-        remedy = (
-            _say_columns(titles, len(row.fields)) if pair else "Name the column in `sd`, or give its number from 1."
-        )
+        of_sd = "Name the column in `sd`, or give its number from 1."
+        remedy = _say_columns(titles, len(row.fields)) if pair else of_sd
         raise refused(f"{name} has no column {column}", shown, f"one column called {column}", remedy)
     return list(titles).index(column)
 
@@ -223,9 +219,8 @@ def _require_x_before_y(name: str, titles: Sequence[str], comments: Sequence[str
     first, second = [_axes(re.split(r"[\[({/]", title)[0] or title) for title in titles] or ("", "")
     if first[:1] == "y" or (second[:1] == "x" != first[:1]) or [title.lower() for title in titles] == ["r", "c"]:
         remedy = f"Give `columns: [{_quoted(titles[1])}, {_quoted(titles[0])}]`."
-        raise refused(
-            f"{name} names its columns {titles[0]}, {titles[1]}", " ".join(titles), "x before y, or `columns`", remedy
-        )
+        what, expected = f"{name} names its columns {titles[0]}, {titles[1]}", "x before y, or `columns`"
+        raise refused(what, " ".join(titles), expected, remedy)
     orders = [(_axes(comment), comment) for comment in (*comments[::-1], " ".join(comments))]
     order, comment = next((found for found in orders if len(found[0]) > 1), ("", ""))
     if order == "yx" and not first:

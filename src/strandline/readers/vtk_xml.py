@@ -26,23 +26,8 @@ UNPACKERS: dict[str, Callable[[], Any]] = {
     "vtkLZMADataCompressor": partial(lzma.LZMADecompressor, memlimit=4 * ALWAYS_BYTES),
 }
 """Names of compressors in VTK's files → functions that make what unpacks their data."""
-KINDS = {
-    3: "line",
-    5: "triangle",
-    8: "pixel",
-    9: "quad",
-    10: "tetra",
-    11: "voxel",
-    12: "hexahedron",
-    13: "wedge",
-    14: "pyramid",
-    21: "line3",
-    22: "triangle6",
-    23: "quad8",
-    24: "tetra10",
-    25: "hexahedron20",
-    28: "quad9",
-}
+KINDS = {3: "line", 5: "triangle", 8: "pixel", 9: "quad", 10: "tetra", 11: "voxel", 12: "hexahedron", 13: "wedge"}
+KINDS |= {14: "pyramid", 21: "line3", 22: "triangle6", 23: "quad8", 24: "tetra10", 25: "hexahedron20", 28: "quad9"}
 """VTK's numbers of cell types → their names."""
 OF_ORDER = {(68, 2): "line", (68, 3): "line3", (69, 3): "triangle", (69, 6): "triangle6", (70, 4): "quad"}
 OF_ORDER |= {(70, 9): "quad9", (71, 4): "tetra", (71, 10): "tetra10"}
@@ -202,9 +187,8 @@ def joined(parts: Sequence[Contents]) -> Contents:
     if len(parts) == 1:
         return parts[0]
     shifts = np.cumsum([0, *(len(part.points) for part in parts)])
-    points, first, number = np.unique(
-        np.concatenate([part.points for part in parts]), axis=0, return_index=True, return_inverse=True
-    )
+    every = np.concatenate([part.points for part in parts])
+    points, first, number = np.unique(every, axis=0, return_index=True, return_inverse=True)
     blocks = tuple(
         Block(block.kind, number.reshape(-1)[block.nodes + shift], block.data)
         for part, shift in zip(parts, shifts.tolist(), strict=False)

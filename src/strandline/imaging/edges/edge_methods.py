@@ -342,9 +342,8 @@ def _made(found: Any, name: object, options: Mapping[str, Any], place: str) -> A
     except InvalidInput:
         raise
     except Exception as error:
-        raise unfit(
-            place, f"{name} with options {dict(options)}", f"options it takes ({str(error).partition(chr(10))[0]})"
-        ) from None
+        found, why = f"{name} with options {dict(options)}", str(error).partition("\n")[0]
+        raise unfit(place, found, f"options it takes ({why})") from None
 
 
 def _sound(found: Any, name: object, place: str) -> EdgeMethod:

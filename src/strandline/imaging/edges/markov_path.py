@@ -147,10 +147,8 @@ class _Speckle:
         usable = strip.usable.astype(float)
         scale = np.maximum(expected, 1e-6 * float(np.abs(expected).max()))
         residuals = np.where(strip.usable, (strip.samples - expected) / scale, 0.0)
-        slow = gaussian_filter(residuals, (_SLOW, _SLOW / strip.step))
-        residuals = np.where(
-            strip.usable, residuals - slow / np.maximum(gaussian_filter(usable, (_SLOW, _SLOW / strip.step)), 1e-9), 0
-        )
+        slow, seen = (gaussian_filter(one, (_SLOW, _SLOW / strip.step)) for one in (residuals, usable))
+        residuals = np.where(strip.usable, residuals - slow / np.maximum(seen, 1e-9), 0)
         number = max(float(usable.sum()), 1.0)
         variance = max(float((residuals**2).sum()) / number, 1e-300)
         covariance = autocovariance(residuals, strip.usable)
