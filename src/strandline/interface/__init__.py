@@ -17,7 +17,7 @@ from strandline.interface.normals import (
     steady_normals,
 )
 from strandline.interface.point_errors import GLOBAL, MOST, ErrorModel, PointErrors, summed_length
-from strandline.interface.triangles import shortest_altitudes, signed_volume, vector_areas
+from strandline.interface.triangles import shortest_altitudes, signed_volume, triangle_sides, vector_areas
 
 __all__ = [
     "GLOBAL",

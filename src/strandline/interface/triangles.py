@@ -22,6 +22,16 @@ def shortest_altitudes(points: Points, cells: Triangles) -> Float[np.ndarray, " 
     return np.asarray(np.divide(twice, longest, out=np.zeros_like(twice), where=longest > 0))
 
 
+def triangle_sides(points: int, cells: Triangles) -> tuple[Int[np.ndarray, "side 2"], Int[np.ndarray, " side"]]:
+    """Return the sides of triangles between so many points, each once, and how many triangles share each.
+
+    The lower number comes first.
+    """
+    both = np.sort(np.stack([cells.ravel(), np.roll(cells, -1, axis=1).ravel()], axis=1), axis=1)
+    found, counts = np.unique(both[:, 0] * points + both[:, 1], return_counts=True)
+    return np.stack(np.divmod(found, points), axis=1), counts
+
+
 def encloses(points: Points, cells: Triangles) -> bool:
     """Return whether the surface is closed: each side of a triangle belongs to one other, in the opposite direction."""
     one, two = cells.ravel(), np.roll(cells, -1, axis=1).ravel()

@@ -17,7 +17,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from strandline.foundations import of_extra, unfit
-from strandline.interface import vector_areas
+from strandline.interface import triangle_sides, vector_areas
 
 Points = Float[np.ndarray, "point 3"]
 PerPoint = Float[np.ndarray, " point"]
@@ -59,10 +59,7 @@ class Mesh:
     @cached_property
     def edges(self) -> tuple[Sides, Int[np.ndarray, " edge"]]:
         """Sides of triangles, the lower number first, and to how many triangles each belongs."""
-        one, two = self.cells.ravel(), np.roll(self.cells, -1, axis=1).ravel()
-        number = len(self.points)
-        keys, counts = np.unique(np.minimum(one, two) * number + np.maximum(one, two), return_counts=True)
-        return np.stack([keys // number, keys % number], axis=1), counts
+        return triangle_sides(len(self.points), self.cells)
 
     @cached_property
     def neighbours(self) -> csr_array:

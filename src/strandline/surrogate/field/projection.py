@@ -20,7 +20,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from strandline.discrepancy import Snapshot, closest_points, squared_distances
-from strandline.interface import Interface, shortest_altitudes, vector_areas
+from strandline.interface import Interface, shortest_altitudes, triangle_sides, vector_areas
 
 CANDIDATES = 8
 """Number of runs, counted from the first, whose surface may be the reference."""
@@ -259,22 +259,15 @@ def _vertex_normals(points: Points, cells: Cells) -> Points:
     return np.asarray(np.divide(total, length, out=np.zeros_like(total), where=length > 0))
 
 
-def _sides(surface: Interface) -> tuple[Sides, Int[np.ndarray, " side"]]:
-    """Return all sides of triangles, each once, and how many triangles share each."""
-    cells, number = surface.cells, len(surface.points)
-    both = np.sort(np.stack([cells.ravel(), np.roll(cells, -1, axis=1).ravel()], axis=1), axis=1)
-    found, counts = np.unique(both[:, 0] * number + both[:, 1], return_counts=True)
-    return np.stack(np.divmod(found, number), axis=1), counts
-
-
 def _rim(surface: Interface) -> Sides:
-    sides, counts = _sides(surface)
+    sides, counts = triangle_sides(len(surface.points), surface.cells)
     return np.asarray(sides[counts == 1])
 
 
 def _topology(surface: Interface) -> Topology:
-    sides, counts = _sides(surface)
-    number, rim = len(surface.points), sides[counts == 1]
+    number = len(surface.points)
+    sides, counts = triangle_sides(number, surface.cells)
+    rim = sides[counts == 1]
     loose = number - len(np.unique(rim))  # nodes that no side of the rim joins to others
     return Topology(_parts(sides, number), _parts(rim, number) - loose, number - len(sides) + len(surface.cells))
 
