@@ -29,16 +29,12 @@ def oriented_like_runs(observed: Interface, runs: Sequence[Interface]) -> Orient
         runs: Simulated interfaces; a surface is ignored if the observation is a polyline, and so on, and an open run if
             the observation is closed.
     """
-    apart = [(_distance(observed, run), k) for k, run in enumerate(runs) if _alike(observed, run)]
+    alike = [one.dim == observed.dim and (one.closed or not observed.closed) for one in runs]
+    finite = [float(np.abs(one.points).max()) < LARGEST for one in runs]  # so are the squares of its coordinates
+    apart = [(_distance(observed, run), k) for k, run in enumerate(runs) if alike[k] and finite[k]]
     votes = [observed.runs_against(runs[k]) for _, k in sorted(apart)[:NEAREST]]
     against = 2 * sum(votes) > len(votes)
     return Oriented(observed.reversed() if against else observed, against)
-
-
-def _alike(observed: Interface, run: Interface) -> bool:
-    """Return whether a run can be compared: it is of the same kind and the squares of its coordinates are finite."""
-    same = run.dim == observed.dim and (run.closed or not observed.closed)
-    return same and float(np.abs(run.points).max()) < LARGEST
 
 
 def _distance(observed: Interface, run: Interface) -> float:

@@ -118,8 +118,10 @@ class _Best:
         self.squares[rows[better]], self.cells[rows[better]] = least[better], cell[better]
 
     def found(self) -> ClosestPoints:
-        corners = _corners(self.target, self.cells)
-        return ClosestPoints(_closest(self.columns, corners).T.copy(), self.cells, self.squares)
+        residuals = np.stack(list(_residuals(self.columns, _corners(self.target, self.cells))))
+        best = np.argmin(_dot(np.moveaxis(residuals, 1, 0), np.moveaxis(residuals, 1, 0)), axis=0)
+        closest = self.columns - np.take_along_axis(residuals, best[None, None], axis=0)[0]
+        return ClosestPoints(closest.T.copy(), self.cells, self.squares)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,13 +185,6 @@ def _corners(target: Interface, which: Int[np.ndarray, "*#pair"]) -> list[Float[
 def _squares(p: Vectors, corners: list[Vectors]) -> Float[np.ndarray, "..."]:
     """Return the squared distances of points (xyz, pair) to cells; shapes may broadcast."""
     return np.asarray(reduce(np.minimum, (_dot(r, r) for r in _residuals(p, corners))))
-
-
-def _closest(p: Vectors, corners: list[Vectors]) -> Vectors:
-    """Return the closest points of cells."""
-    residuals = np.stack(list(_residuals(p, corners)))
-    best = np.argmin(_dot(np.moveaxis(residuals, 1, 0), np.moveaxis(residuals, 1, 0)), axis=0)
-    return np.asarray(p - np.take_along_axis(residuals, best[None, None], axis=0)[0])
 
 
 def _residuals(p: Vectors, corners: list[Vectors]) -> Iterator[Vectors]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from strandline.foundations import InvalidInput, content_of, keys_of, named, number, suggestion, unfit
+from strandline.foundations import content_of, keys_of, named, number, suggestion, unfit
 from strandline.imaging.paths import as_points, require_inside, require_path, require_polygon
 
 Point = tuple[float, float]
@@ -178,7 +178,11 @@ def as_json(clicks: Clicks) -> dict[str, Any]:
 def _contents(path: Path) -> Mapping[str, Any]:
     """Return the file as plain data with the right keys."""
     if not path.exists():
-        raise _missing(path)
+        there = sorted(one.name for one in path.parent.glob(f"*{SUFFIX}"))
+        only = f"Did you mean {there[0]}?" if len(there) == 1 else "Move it there, or correct its name."
+        value = f"no such file; the folder has {', '.join(there) or 'no file of clicks'}"
+        expected = f"a file of clicks, PICTURE{SUFFIX}, at the path that the study gives"
+        raise unfit("cannot be read", value, expected, suggestion(path.name, there, only))
     content = content_of(path, "a file of clicks, NAME.path.json")
     try:
         found = json.loads(content.decode("utf-8-sig"))
@@ -188,15 +192,6 @@ def _contents(path: Path) -> Mapping[str, Any]:
     if found["version"] != VERSION:
         raise unfit("version of the file", found["version"], f"{VERSION}", "Update strandline, or click again.")
     return found
-
-
-def _missing(path: Path) -> InvalidInput:
-    """Return the error for a file that is not there, with the files of clicks that are."""
-    there = sorted(one.name for one in path.parent.glob(f"*{SUFFIX}"))
-    only = f"Did you mean {there[0]}?" if len(there) == 1 else "Move it there, or correct its name."
-    found = f"no such file; the folder has {', '.join(there) or 'no file of clicks'}"
-    expected = f"a file of clicks, PICTURE{SUFFIX}, at the path that the study gives"
-    return unfit("cannot be read", found, expected, suggestion(path.name, there, only))
 
 
 def _with_keys(found: object, known: tuple[str, ...], needed: tuple[str, ...], place: str) -> Mapping[str, Any]:

@@ -59,15 +59,11 @@ def _notes(image: Any, path: Path) -> tuple[str, ...]:
         notes.append("palette replaced by its colours")
     if getattr(image, "is_animated", False):
         notes.append(f"an animation of {image.n_frames} frames; its first frame is read")
-    if path.suffix.lower() == ".png" and image.mode in ("LA", "RGB", "RGBA") and _bits(path) == 16:
+    with path.open("rb") as file:
+        header = file.read(25)  # of a PNG file, with the bits of a channel at its end
+    if path.suffix.lower() == ".png" and image.mode in ("LA", "RGB", "RGBA") and header[24] == 16:
         notes.append("16-bit colours read with 8 bits each; a TIFF keeps them all")
     return tuple(notes)
-
-
-def _bits(path: Path) -> int:
-    """Return the bits of a channel that the header of a PNG file states."""
-    with path.open("rb") as file:
-        return file.read(25)[24]
 
 
 def read_npy(path: Path, how: PictureReading, name: str) -> PictureFile:
@@ -93,8 +89,10 @@ def read_hdf5(path: Path, how: PictureReading, name: str) -> PictureFile:
     """Return the picture in a dataset of numbers."""
     h5py = importlib.import_module("h5py")
     if not h5py.is_hdf5(path):
+        with path.open("rb") as stream:
+            found = f"a file that begins with {stream.read(16)!r}"
         what, remedy = f"{name} is no HDF5 file", "In MATLAB, save it with the option '-v7.3'."
-        raise refused(what, _beginning(path), "a whole HDF5 file, or one that MATLAB saved as version 7.3", remedy)
+        raise refused(what, found, "a whole HDF5 file, or one that MATLAB saved as version 7.3", remedy)
     with ExitStack() as stack:
         return _opened_hdf5(stack.enter_context(h5py.File(path, "r")), h5py, how, name, stack)
 
@@ -162,11 +160,6 @@ def _no_dataset(found: list[str], asked: str | None, name: str) -> Unreadable:
         remedy = f"Add `dataset: {found[0]}` or another to the picture."
         return refused(f"{name} holds several arrays", listed, "the name of one of them", remedy)
     return refused(f"{name} has no array {asked}", asked, f"one of {listed}", suggestion(asked, found, "Choose one."))
-
-
-def _beginning(path: Path) -> str:
-    with path.open("rb") as file:
-        return f"a file that begins with {file.read(16)!r}"
 
 
 HEADER, INTENSITY = "Header.xml", "data/Intensity.data"

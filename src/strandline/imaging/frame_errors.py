@@ -13,7 +13,7 @@ from itertools import islice
 import numpy as np
 from jaxtyping import Bool, Int
 
-from strandline.discrepancy import Repeats, errors_from_repeats
+from strandline.discrepancy import errors_from_repeats
 from strandline.foundations import named
 from strandline.imaging.edges.edge import Edge
 from strandline.imaging.edges.edge_checks import require_edge
@@ -82,7 +82,8 @@ def errors_from_frames(
     chosen = islice(enumerate(frames, 1), 0, None, -(-number // MOST))
     found = [_in_frame(frame, k, edge, exclude, piece) for k, frame in chosen]
     repeats, own = errors_from_repeats(found), edge.errors
-    return FrameErrors(number, len(found), repeats.errors, own.sd, own.length, _doubts(repeats))
+    notes = [note.replace("pictures", "frames") for note in repeats.notes if "did the outline change" in note]
+    return FrameErrors(number, len(found), repeats.errors, own.sd, own.length, tuple(notes))
 
 
 def _in_frame(
@@ -114,8 +115,3 @@ def _longest(kept: Bool[np.ndarray, " normal"], *, closed: bool) -> Int[np.ndarr
     begins, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
     longest = int(np.argmax(ends - begins))
     return order[begins[longest] : ends[longest]]
-
-
-def _doubts(repeats: Repeats) -> tuple[str, ...]:
-    """Return sentences on a state that seems to change between frames."""
-    return tuple(note.replace("pictures", "frames") for note in repeats.notes if "did the outline change" in note)

@@ -144,12 +144,14 @@ def read_frames(paths: Paths, how: PictureReading) -> Iterator[Picture]:
         with opened(path, how) as file:
             digest = checksum([path])
             size = agreed(how.pixel, file.size, path.name)
+            of_size = [f"pixel size {PixelSize(size.x, size.y)} from {size.source}"]
+            of_size += [f"index {how.index:g} divides y"] if how.index not in (None, 1) else []
             numbers = range(file.frames) if how.average else (_page(file, how, path.name),)
             who = "the default" if how.page is None else "from the study"
             for k in numbers:
                 values, notes = intensity(loaded(file, k, path.name), how, path.name)
                 frame = [f"frame {k} of {file.frames}{_layers(file)}, {who}"] if len(numbers) < file.frames else []
-                said = (*_size_notes(size, how.index), *file.notes, *frame, *notes)
+                said = (*of_size, *file.notes, *frame, *notes)
                 yield Picture(values, (size.x, size.y / (how.index or 1.0)), path.name, digest, said)
 
 
@@ -215,12 +217,6 @@ def _page(file: PictureFile, how: PictureReading, name: str) -> int:
 
 def _layers(file: PictureFile) -> str:
     return f" ({', '.join(f'{axis} {length}' for axis, length in file.axes)})" if len(file.axes) else ""
-
-
-def _size_notes(size: PixelSize, index: float | None) -> tuple[str, ...]:
-    plain = PixelSize(size.x, size.y)
-    notes = (f"pixel size {plain} from {size.source}",)
-    return notes if index is None or index == 1 else (*notes, f"index {index:g} divides y")
 
 
 def _require_same(first: Picture, other: Picture) -> None:

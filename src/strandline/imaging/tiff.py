@@ -35,7 +35,10 @@ TO_MM = {"nm": 1e-6, "mm": 1.0, "cm": 10.0, "m": 1e3, "inch": 25.4, "in": 25.4} 
 
 def read_tiff(path: Path, how: PictureReading, name: str) -> PictureFile:
     """Return the first series of pictures in a TIFF file."""
-    tifffile = _imported(name)
+    tifffile = of_extra("tifffile", "image", f"{name} needs tifffile")
+    log = logging.getLogger("tifffile")
+    if not log.handlers:  # what it logs about a damaged file stays off the screen, for the error says it
+        log.addHandler(logging.NullHandler())
     with ExitStack() as stack:
         file = stack.enter_context(tifffile.TiffFile(path))
         require_whole_chain(file)
@@ -94,15 +97,6 @@ def _notes(file: Any, page: Any) -> tuple[str, ...]:
     if page.photometric == MIN_IS_WHITE:
         notes.append("0 is white in this file: turned so that high numbers are bright")
     return tuple(notes)
-
-
-def _imported(name: str) -> Any:
-    """Return tifffile; what it logs about a damaged file stays off the screen, for the error says it."""
-    tifffile = of_extra("tifffile", "image", f"{name} needs tifffile")
-    log = logging.getLogger("tifffile")
-    if not log.handlers:
-        log.addHandler(logging.NullHandler())
-    return tifffile
 
 
 def _of_ome(header: str) -> PixelSize | None:

@@ -242,16 +242,15 @@ class PointErrors:
     def _global(self, seen: Interface, middle: Place) -> Float[np.ndarray, "point error"]:
         """Return B: what one standard deviation of each global error does to the signed distances, mm."""
         normals, arm = self._normals(seen), seen.points - middle
-        turns = _cross(arm, normals)
+        turns = np.cross(arm, normals) if seen.dim == 3 else arm[:, :1] * normals[:, 1:] - arm[:, 1:] * normals[:, :1]
         columns = {
             "shift": normals,
             "rotation": math.radians(1.0) * turns,
             "scale": (normals * arm).sum(axis=1, keepdims=True),
             "offset": np.ones((len(arm), 1)),
         }
-        return np.hstack(
-            [getattr(self, name) * columns[name] for name in GLOBAL if getattr(self, name) > 0] or [arm[:, :0]]
-        )
+        stated = [getattr(self, name) * columns[name] for name in GLOBAL if getattr(self, name) > 0]
+        return np.hstack(stated or [arm[:, :0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,15 +326,6 @@ def _require_sds(sds: Sequence[float] | PerPoint) -> None:
 def _numbers(dim: int) -> dict[str, int]:
     """Return how many global errors of each kind there are."""
     return {"shift": dim, "rotation": 1 if dim == 2 else 3, "scale": 1, "offset": 1}
-
-
-def _cross(
-    arm: Float[np.ndarray, "point xyz"], normals: Float[np.ndarray, "point xyz"]
-) -> Float[np.ndarray, "point axis"]:
-    """Return what a small turn about each axis does along the normals, in the plane about the only one."""
-    if arm.shape[1] == 3:
-        return np.cross(arm, normals)
-    return np.asarray(arm[:, :1] * normals[:, 1:] - arm[:, 1:] * normals[:, :1])
 
 
 def summed_length(length: Any, spacing: Any) -> Any:

@@ -136,7 +136,10 @@ class Reading:
 
     def __post_init__(self) -> None:
         for name in ("columns", "sd", "field"):
-            self._require_columns(name)
+            found = getattr(self, name)
+            columns = found if isinstance(found, tuple) else (found,)
+            if len(set(columns)) < len(columns) or any(isinstance(one, int) and one < 1 for one in columns):
+                raise unfit(name, found, "columns, by name or by number from 1, e.g. [x, y] or [1, 2]")
         if self.delimiter is not None and (len(self.delimiter) != 1 or self.delimiter == self.decimal):
             raise unfit("delimiter", self.delimiter, "one character other than the decimal mark, e.g. ;")
         if self.count is not None and self.count < 2:
@@ -149,13 +152,6 @@ class Reading:
         if self.near is not None and self.keep is not None:
             raise unfit("near and keep", "both", "one of the two")
         self._require_format()
-
-    def _require_columns(self, name: str) -> None:
-        """Refuse numbers of columns below 1, and the same column twice."""
-        found = getattr(self, name)
-        columns = found if isinstance(found, tuple) else (found,)
-        if len(set(columns)) < len(columns) or any(isinstance(one, int) and one < 1 for one in columns):
-            raise unfit(name, found, "columns, by name or by number from 1, e.g. [x, y] or [1, 2]")
 
     def _require_format(self) -> None:
         """Refuse options that do not fit the format."""

@@ -116,8 +116,7 @@ def _contents(path: Path, how: Reading, name: str) -> Contents:
         raise refused(f"{name} is a table of one time", "`time` or `plane`", "`columns` alone", "Remove it.")
     with undamaged(name, f"a whole {how.suffix} file"):
         contents = reader(path, how, name)
-        _require_contents(contents, target)
-        _require_whole(contents)
+        _require_sound(contents, target)
     return contents
 
 
@@ -159,17 +158,13 @@ def _require_known(begin: bytes, how: Reading, name: str) -> None:
         raise refused(f"{name} is {form}", kind or how.suffix or "no suffix", expected, remedy)
 
 
-def _require_contents(found: object, target: str) -> None:
-    """Refuse anything but contents from a reader of the user's own."""
-    if isinstance(found, Contents) and isinstance(found.points, np.ndarray):
-        return
-    what = f"a {type(found).__name__}" if not isinstance(found, Contents) else "points that are not a NumPy array"
-    expected = "strandline.readers.Contents, its points a NumPy array (point, xyz)"
-    raise unfit(f"what the reader {target} returns", what, expected, "Correct the reader.")
-
-
-def _require_whole(contents: Contents) -> None:
-    """Refuse data that do not belong to the points and cells."""
+def _require_sound(contents: object, target: str) -> None:
+    """Refuse anything but contents from a reader of the user's own, and data that do not belong to points and cells."""
+    if not isinstance(contents, Contents) or not isinstance(contents.points, np.ndarray):
+        known = isinstance(contents, Contents)
+        what = "points that are not a NumPy array" if known else f"a {type(contents).__name__}"
+        expected = "strandline.readers.Contents, its points a NumPy array (point, xyz)"
+        raise unfit(f"what the reader {target} returns", what, expected, "Correct the reader.")
     number = len(contents.points)
     for block in contents.blocks:
         if block.nodes.min() < 0 or block.nodes.max() >= number:

@@ -13,7 +13,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from jaxtyping import Int, Shaped
+from jaxtyping import Shaped
 
 from strandline.readers.contents import Block, Contents, refused
 from strandline.readers.options import Reading
@@ -232,16 +232,11 @@ def _cells(piece: ElementTree.Element, encoding: Encoding, *, poly: bool) -> Ite
     for tag, kind in kinds.items():
         cells = _arrays(piece.find(tag), encoding)
         if cells and (len(cells["offsets"]) or not poly):
-            nodes = _sliced(cells)
+            ends, connectivity = (cells[name].astype(np.int64) for name in ("offsets", "connectivity"))
+            if len(ends) and (ends[-1] != len(connectivity) or (np.diff(ends, prepend=0) < 0).any()):
+                raise ValueError("cells cut off")
+            nodes = np.split(connectivity, ends[:-1]) if len(ends) else []
             yield from zip([kind] * len(nodes) if kind else cells["types"].tolist(), nodes, strict=True)
-
-
-def _sliced(cells: dict[str, Shaped[np.ndarray, "..."]]) -> list[Int[np.ndarray, " node"]]:
-    ends = cells["offsets"].astype(np.int64)
-    connectivity = cells["connectivity"].astype(np.int64)
-    if len(ends) and (ends[-1] != len(connectivity) or (np.diff(ends, prepend=0) < 0).any()):
-        raise ValueError("cells cut off")
-    return np.split(connectivity, ends[:-1]) if len(ends) else []
 
 
 def blocks_of(

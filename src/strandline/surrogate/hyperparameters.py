@@ -185,8 +185,8 @@ def fit_hyperparameters(
             "Raise the nugget, clip extreme log-likelihoods or bound the length scale lower."
         )
     length, at_bound = best.length_scale, bool(np.max(best.length_scale) >= length_scale_bound * (1 - 1e-6))
-    ends = best.message, best.verdict, attempts
-    return FittedHyperparameters(length, best.signal_variance, nugget, best.log_evidence, at_bound, *ends)
+    how = best.message, best.verdict, attempts
+    return FittedHyperparameters(length, best.signal_variance, nugget, best.log_evidence, at_bound, *how)
 
 
 def require_runs(x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " target"]) -> None:

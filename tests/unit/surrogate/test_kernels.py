@@ -10,7 +10,7 @@ import pytest
 from tests.unit.surrogate.peers import EVERY, lengths_of, peers_correlation
 
 from strandline.foundations import InvalidInput
-from strandline.surrogate import tiles
+from strandline.surrogate import covariance
 from strandline.surrogate.kernels import KERNELS, as_lengths, decay, kernel_named
 
 OFFSETS = np.random.default_rng(0).normal(size=(40, 3))
@@ -79,4 +79,4 @@ def test_threads_change_no_bit_and_lose_no_failure(monkeypatch):
         for one, three in zip(*found, strict=True):
             np.testing.assert_array_equal(three, one)
     with pytest.raises(ZeroDivisionError):
-        tiles.over_tiles(rows, lambda tile: 1 / 0)
+        covariance.over_tiles(rows, lambda tile: 1 / 0)

@@ -115,9 +115,13 @@ def smoothed(points: PathPoints, *, closed: bool, sigma: float) -> SmoothPath:
 
     The ends of an open path stay in place.
     """
-    course = _equally_spaced(points, closed=closed)
-    points = _convolved(course.points, sigma, closed=closed)
-    return _equally_spaced(points, closed=closed)
+    course = _equally_spaced(points, closed=closed).points
+    if closed:
+        return _equally_spaced(np.asarray(gaussian_filter1d(course, sigma, axis=0, mode="wrap")), closed=True)
+    pad = min(len(course) - 1, int(4 * sigma) + 1)  # reflected through the end points, which therefore stay
+    before, after = 2 * course[0] - course[pad:0:-1], 2 * course[-1] - course[-2 : -pad - 2 : -1]
+    longer = np.concatenate([before, course, after])
+    return _equally_spaced(np.asarray(gaussian_filter1d(longer, sigma, axis=0)[pad:-pad]), closed=False)
 
 
 def _equally_spaced(points: PathPoints, *, closed: bool) -> SmoothPath:
@@ -127,14 +131,6 @@ def _equally_spaced(points: PathPoints, *, closed: bool) -> SmoothPath:
     places = np.linspace(0.0, arc[-1], max(round(float(arc[-1])), 3) + 1)
     places = places[:-1] if closed else places
     return SmoothPath(np.stack([np.interp(places, arc, path[:, k]) for k in (0, 1)], axis=1), closed)
-
-
-def _convolved(points: PathPoints, sigma: float, *, closed: bool) -> PathPoints:
-    if closed:
-        return np.asarray(gaussian_filter1d(points, sigma, axis=0, mode="wrap"))
-    pad = min(len(points) - 1, int(4 * sigma) + 1)  # reflected through the end points, which therefore stay
-    before, after = 2 * points[0] - points[pad:0:-1], 2 * points[-1] - points[-2 : -pad - 2 : -1]
-    return np.asarray(gaussian_filter1d(np.concatenate([before, points, after]), sigma, axis=0)[pad:-pad])
 
 
 def _slope(values: PathPoints, closed: bool) -> PathPoints:

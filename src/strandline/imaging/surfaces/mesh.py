@@ -281,7 +281,8 @@ def field_of(
 
 def two_levels(values: Voxels) -> tuple[float, float]:
     """Return the median grey values of the dark and of the bright part, told apart by Otsu's threshold (1979)."""
-    some = _some(values)
+    step = max(1, round((values.size / _EVERY) ** (1 / 3)))
+    some = values[::step, ::step, ::step].ravel()
     if some.min() == some.max():
         return float(some[0]), float(some[0])
     counts, edges = np.histogram(some, _BINS)
@@ -295,11 +296,6 @@ def _noise(values: Voxels) -> float:
     step = max(1, round((values.size / _EVERY) ** (1 / 2)))
     difference = np.diff(values[::step, ::step], axis=2)
     return float(np.median(np.abs(difference))) / (_NORMAL * math.sqrt(2))
-
-
-def _some(values: Voxels) -> Float32[np.ndarray, " some"]:
-    step = max(1, round((values.size / _EVERY) ** (1 / 3)))
-    return values[::step, ::step, ::step].ravel()
 
 
 def _blurred(values: Voxels, sigma: float, stretch: Float[np.ndarray, " 3"]) -> Voxels:

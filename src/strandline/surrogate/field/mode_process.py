@@ -265,16 +265,13 @@ class ModeProcess:
         errors = np.einsum("nk,nk->n", blocks[:, 0], self.factors.alpha[rows])
         return LeftOutErrors(errors, self.scale * blocks[:, 0, 0])
 
-    def _rows(self, z: Points) -> Float[np.ndarray, "point row"]:
-        gradients = self.observed.gradients is not None
-        return covariance(z / self.lengths, self.observed.z / self.lengths, rows=False, columns=gradients)
-
     def _trend(self, z: Points) -> Float[np.ndarray, "point term"]:
         return trend(z, self.lengths, linear=self.observed.linear, derivatives=False)
 
     def _reduced(self, z: Points) -> tuple[Float[np.ndarray, "row point"], Float[np.ndarray, "term point"]]:
         """Return roots of the variance at z that the runs explain and of the part that the unknown mean adds."""
-        rows = self._rows(z)
+        u, v, gradients = z / self.lengths, self.observed.z / self.lengths, self.observed.gradients is not None
+        rows = covariance(u, v, rows=False, columns=gradients)
         half = solve_triangular(self.factors.cholesky, rows.T, lower=True, check_finite=False)
         unexplained = self._trend(z) - rows @ self.factors.solved_trend
         root = np.linalg.cholesky(self.factors.normal)
