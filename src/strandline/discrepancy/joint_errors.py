@@ -27,6 +27,9 @@ from strandline.interface import ErrorModel, Interface, Observation, PointErrors
 
 Points = Mapping[str, Float[np.ndarray, "_ _ _"]]
 """Points of interfaces by condition, one interface a row, mm."""
+Templates = Mapping[str, Interface]
+Errors = Float[np.ndarray, "run error"]
+"""Global errors of the observations for each interface, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +54,7 @@ class JointErrors:
             columns.append(np.concatenate([each.model(one, middle=self._middle).shared for each, one in ours]))
         return ErrorModel(np.concatenate([one.local for one in own]), np.hstack(columns))
 
-    def followed(
-        self, points: Points, templates: Mapping[str, Interface], by: Float[np.ndarray, "run error"]
-    ) -> dict[str, Float[np.ndarray, "_ _ _"]]:
+    def followed(self, points: Points, templates: Templates, by: Errors) -> dict[str, Float[np.ndarray, "_ _ _"]]:
         """Return simulated interfaces as `PointErrors.followed` does; further columns of `by` are left out."""
         found = {}
         for one, seen, part in zip(self._own, self.observations, self._parts, strict=True):
@@ -87,7 +88,7 @@ class JointErrors:
         points = {seen.condition: interfaces[seen.condition].points[None] for seen in self.observations}
         return float(self.many(points, interfaces)[0])
 
-    def many(self, points: Points, templates: Mapping[str, Interface]) -> Float[np.ndarray, " run"]:
+    def many(self, points: Points, templates: Templates) -> Float[np.ndarray, " run"]:
         """Return d² of each run, given its points by condition."""
         return self.model.square_of(*sums_of(self, points, templates))
 
@@ -126,9 +127,7 @@ def places_of(numbers: Iterable[int]) -> list[slice]:
     return [slice(begin, end) for begin, end in pairwise(np.cumsum([0, *numbers]).tolist())]
 
 
-def residuals_of(
-    joint: JointErrors, points: Points, templates: Mapping[str, Interface]
-) -> Float[np.ndarray, "run seen"]:
+def residuals_of(joint: JointErrors, points: Points, templates: Templates) -> Float[np.ndarray, "run seen"]:
     """Return the signed distances of all observed points, mm, a row for each predicted interface."""
     model, found = joint.model, _distances(joint, points, templates)
     if not model.shared.any():
@@ -140,9 +139,9 @@ def residuals_of(
 def sums_of(
     joint: JointErrors,
     points: Points,
-    templates: Mapping[str, Interface],
+    templates: Templates,
     model: ErrorModel | None = None,
-    estimate: Callable[[Float[np.ndarray, "run error"]], Float[np.ndarray, "run error"]] | None = None,
+    estimate: Callable[[Errors], Errors] | None = None,
 ) -> Sums:
     """Return qᵀ D⁻¹ q and Bᵀ D⁻¹ q over the residuals q of all observed points, for each predicted interface.
 
@@ -176,7 +175,7 @@ def sums_of(
     return squares + 2 * (products * g).sum(axis=1) + (more * g).sum(axis=1), products + more
 
 
-def _distances(joint: JointErrors, points: Points, templates: Mapping[str, Interface]) -> Float[np.ndarray, "run seen"]:
+def _distances(joint: JointErrors, points: Points, templates: Templates) -> Float[np.ndarray, "run seen"]:
     found = []
     for seen in joint.observations:
         rows, cells = points[seen.condition], templates[seen.condition].cells
@@ -233,9 +232,7 @@ class WhitenedOffset:
         require_alike(template, observed)
         return self.model(observed).square_of(*self.sums(points, template, observed))
 
-    def global_errors(
-        self, points: ManyPoints, template: Interface, observed: Interface
-    ) -> Float[np.ndarray, "run error"]:
+    def global_errors(self, points: ManyPoints, template: Interface, observed: Interface) -> Errors:
         """Return the most probable global errors of the observation for each simulated interface, in their sds."""
         return self.model(observed).shared_errors(self.sums(points, template, observed)[1])
 

@@ -15,6 +15,7 @@ from strandline.discrepancy.kernel_sums import SMALL, Nodes, kernel_sum
 from strandline.foundations import NumericsError
 from strandline.interface import Interface
 
+Pairs = Int[np.ndarray, " pair"]
 PANEL = 6.0
 """Longest piece of a segment that one Gauss rule integrates over, in kernel widths."""
 BLOCK = 1 << 16
@@ -104,9 +105,7 @@ class _Pieces:
         return np.asarray(np.hypot(self.steps[:, 0], self.steps[:, 1]))
 
 
-def _near_pairs(
-    pieces: _Pieces, b: Interface, rows: slice, reach: float
-) -> tuple[Int[np.ndarray, " pair"], Int[np.ndarray, " pair"]]:
+def _near_pairs(pieces: _Pieces, b: Interface, rows: slice, reach: float) -> tuple[Pairs, Pairs]:
     """Return the pieces and segments that come within `reach` of each other, perhaps a few more."""
     tangents = (b.ends - b.starts) / b.lengths[:, None]
     middle = pieces.starts[rows] + 0.5 * pieces.steps[rows]
@@ -119,14 +118,7 @@ def _near_pairs(
     return row + rows.start, column
 
 
-def _pair_integrals(
-    pieces: _Pieces,
-    b: Interface,
-    row: Int[np.ndarray, " pair"],
-    column: Int[np.ndarray, " pair"],
-    width: float,
-    order: int,
-) -> float:
+def _pair_integrals(pieces: _Pieces, b: Interface, row: Pairs, column: Pairs, width: float, order: int) -> float:
     """Return Σ over the pairs of n·m ∫∫ K; `along` and `across` are the nodes' coordinates in the segment's frame."""
     nodes, weights = _unit_gauss(order)
     scale = 1 / (math.sqrt(2) * width)

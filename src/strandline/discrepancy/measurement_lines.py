@@ -34,6 +34,7 @@ MOST_TRIMMED = 0.4
 MOST_LINES = 100_000
 """Largest number of lines in a measure; each costs memory and time in every comparison."""
 Bases = Float[np.ndarray, "line 4"]
+Cells = Int[np.ndarray, "cell 2"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,9 +215,7 @@ def _equally_spaced(observed: Interface, number: int, smooth: float | None, trim
     return np.hstack([points, (observed.normals / observed.lengths[:, None])[segment]])
 
 
-def _nearest_crossings(
-    points: Float[np.ndarray, "point 2"], cells: Int[np.ndarray, "cell 2"], lines: Bases
-) -> Float[np.ndarray, " line"]:
+def _nearest_crossings(points: Float[np.ndarray, "point 2"], cells: Cells, lines: Bases) -> Float[np.ndarray, " line"]:
     """Return the signed distance from each line's point to its nearest crossing with a polyline; inf if none."""
     along, side = _components(points, lines[:, None])
     i, j = cells.T
@@ -225,9 +224,7 @@ def _nearest_crossings(
     return np.asarray(np.take_along_axis(place, nearest[..., None], axis=-1)[..., 0])
 
 
-def _least_distances(
-    points: Float[np.ndarray, "run point 2"], cells: Int[np.ndarray, "cell 2"], lines: Bases, reach: float
-) -> Float[np.ndarray, "run line"]:
+def _least_distances(points: ManyPoints, cells: Cells, lines: Bases, reach: float) -> Float[np.ndarray, "run line"]:
     """Return the distance from each line's point to its nearest crossing with each polyline; at most `reach`.
 
     Only segments that may cross the line within its reach in some run are considered.
@@ -243,9 +240,7 @@ def _least_distances(
     return out
 
 
-def _may_cross(
-    points: Float[np.ndarray, "run point 2"], cells: Int[np.ndarray, "cell 2"], lines: Bases, reach: float
-) -> Bool[np.ndarray, "line cell"]:
+def _may_cross(points: ManyPoints, cells: Cells, lines: Bases, reach: float) -> Bool[np.ndarray, "line cell"]:
     middle, moved = motion(points)
     along, side = _components(middle, lines[:, None])
     moved = moved + 1e-9 * float(np.abs(middle).max() + np.abs(lines).max())  # far more than rounding

@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from strandline.foundations import unfit
 from strandline.imaging.surfaces.mesh import Field, Mesh, PerPoint, Points
 
+Values = Float[np.ndarray, "point place"]
 REACH, STEP = 7.0, 0.5
 PLATEAU = 4.0
 """Distance from the surface beyond which a side has its own grey value, in sides of a voxel."""
@@ -99,11 +100,7 @@ def profiles_at(field: Field, mesh: Mesh, normals: Points, *, level: float) -> P
 
 
 def _side(
-    mesh: Mesh,
-    u: Float[np.ndarray, " place"],
-    values: Float[np.ndarray, "point place"],
-    usable: Bool[np.ndarray, "point place"],
-    side: float,
+    mesh: Mesh, u: Float[np.ndarray, " place"], values: Values, usable: Bool[np.ndarray, "point place"], side: float
 ) -> PerPoint:
     """Return the grey value on one side of the surface: up to where the profile meets another part of it."""
     order = np.argsort(side * u)
