@@ -162,6 +162,10 @@ def fit_of_the_user(x: Inputs, log_likelihood: Float[np.ndarray, " target"], fit
 def _learnt(fit: Fit, x: Inputs, y: Targets) -> Predictor:
     found = fit(x, y)
     if not isinstance(found, Predictor):
-        what, remedy = "what the surrogate's function returns", "Check it with strandline.testing.surrogates."
-        raise unfit(what, type(found).__name__, "an object with the methods mean and variance", remedy)
+        raise unfit(
+            "what the surrogate's function returns",
+            type(found).__name__,
+            "an object with the methods mean and variance",
+            "Check it with strandline.testing.surrogates.",
+        )
     return found
