@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
-    from strandline.runs.array_task import run_task
     from strandline.runs.batches import run_batches
     from strandline.runs.campaign import Progress, run_campaign
     from strandline.runs.executors import EXECUTORS, Executor, InProcess, LocalProcesses, usable_cores, with_workers
     from strandline.runs.executors.dask import DaskCluster
-    from strandline.runs.executors.slurm_array import Detached, SlurmArray
+    from strandline.runs.executors.slurm_array import Detached, SlurmArray, run_task
     from strandline.runs.executors.slurm_batch import known_batches
     from strandline.runs.failures import COMMON_KINDS, FailurePolicy, Retry, counted, require_kinds
     from strandline.runs.ledger.journal import note
@@ -31,8 +30,7 @@ if TYPE_CHECKING:
     from strandline.runs.ledger.overview import OPEN, STATES, Attempt, Details, Driver, Overview, Run
     from strandline.runs.ledger.plans import Plan
     from strandline.runs.ledger.record import ENDS, NOT_NOW, RunRecord, RunRequest, attempt, ended, run_key, told_folder
-    from strandline.runs.worker import packed_model
-    from strandline.runs.worker_slot import WorkerSlot
+    from strandline.runs.worker import WorkerSlot, packed_model
 else:
     __getattr__ = door(__name__, __file__)
 

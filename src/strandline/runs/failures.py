@@ -50,9 +50,8 @@ class Retry:
 
     def __post_init__(self) -> None:
         if self.times < 1:
-            raise InvalidInput(
-                "retry of a failed run", value=self.times, expected="at least 1", remedy="Use `continue` for none."
-            )
+            remedy = "Use `continue` for none."
+            raise InvalidInput("retry of a failed run", value=self.times, expected="at least 1", remedy=remedy)
 
 
 @dataclass(frozen=True)
@@ -76,12 +75,8 @@ class FailurePolicy:
     def __post_init__(self) -> None:
         for kind, action in self.actions.items():
             if not isinstance(action, Retry) and action not in ("continue", "abort"):
-                raise InvalidInput(
-                    f"what is done about {kind}",
-                    value=action,
-                    expected="continue, abort, or {retry: N}",
-                    remedy="Correct the action.",
-                )
+                what, expected = f"what is done about {kind}", "continue, abort, or {retry: N}"
+                raise InvalidInput(what, value=action, expected=expected, remedy="Correct the action.")
         if self.stop_after < 1 or not self.stop_share > 0:
             raise InvalidInput(
                 "when a failing campaign is stopped",
@@ -109,13 +104,8 @@ class FailurePolicy:
         return not record.ok and (wanted or self.aborts(record))
 
     def require_worth_going_on(self, made: Sequence[RunRecord]) -> None:
-        """Stop a campaign if nearly all of the runs that it has settled so far fail, or the first ones by the same
-        mistake in the model's code.
-
-        Raises:
-            CampaignStopped: Nearly all runs fail; the message contains the most common kind and the last lines of one
-                of its logs.
-        """
+        """Raise CampaignStopped if nearly all runs settled so far fail, or the first ones by one mistake; it shows a
+        log."""
         failed = [record for record in made if not record.ok]
         if len(made) >= self.stop_after and len(failed) >= self.stop_share * len(made):
             raise _mostly_failed(failed, len(made))
@@ -168,35 +158,23 @@ def _mostly_failed(failed: Sequence[RunRecord], made: int) -> CampaignStopped:
 def _told(record: RunRecord) -> str:
     """Return the inputs of a run, the reason why it failed, and the end of its log."""
     inputs = ", ".join(f"{name} = {value:.6g}" for name, value in record.inputs.items())
-    lines = (record.message or "no message").splitlines()
-    return "\n".join([f"at {inputs}: {lines[0]}", *(f"  {line}" for line in _last(lines[1:]))])
-
-
-def _last(lines: Iterable[str]) -> list[str]:
-    return [line.rstrip() for line in lines if line.strip()][-LINES_SHOWN:]
+    reason, *lines = (record.message or "no message").splitlines()
+    last = [f"  {line.rstrip()}" for line in lines if line.strip()][-LINES_SHOWN:]
+    return "\n".join([f"at {inputs}: {reason}", *last])
 
 
 def require_kinds(again: Iterable[str], known: Iterable[str]) -> None:
-    """Refuse a kind of failure that no run ended with.
-
-    Raises:
-        InvalidInput: No run ended with one of the kinds; the message lists those that occurred.
-    """
+    """Refuse a kind of failure that no run ended with; the message lists those that occurred."""
     present = sorted(set(known))
     for kind in again:
         if kind not in present:
-            raise InvalidInput(
-                "--kind",
-                value=kind,
-                expected=f"one of {', '.join(present)}" if present else "a failed run; there is none",
-                remedy="`strandline status` lists the kinds and how many there are.",
-            )
+            expected = f"one of {', '.join(present)}" if present else "a failed run; there is none"
+            remedy = "`strandline status` lists the kinds and how many there are."
+            raise InvalidInput("--kind", value=kind, expected=expected, remedy=remedy)
 
 
 class Outages:
-    """Counts the runs in a row that did not reach the server of `model`, if it has one (`require_server`), and waits
-    for it.
-    """
+    """Counts the runs in a row that did not reach the server of `model` (`require_server`), if any; waits for it."""
 
     def __init__(self, model: ForwardModel, wait: Callable[[float], None] = time.sleep) -> None:
         self.probe, self.wait = getattr(model, "require_server", None), wait

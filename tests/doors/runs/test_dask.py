@@ -16,8 +16,7 @@ from tests.doors.runs.processes import Unloadable, alive, driven_by, hanging_dri
 from tests.unit.runs.fakes import Seen, batches, campaign, counts, design
 
 from strandline.foundations import InvalidInput
-from strandline.runs.executors.dask import DaskCluster
-from strandline.runs.executors.dask_cluster import opened
+from strandline.runs.executors.dask import DaskCluster, opened
 from strandline.testing import executors as suite
 from strandline.testing.executors import requests_for
 from strandline.testing.models import Cantilever, Counted, Faulty, Slow

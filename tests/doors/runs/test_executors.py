@@ -13,8 +13,7 @@ from tests.doors.runs.processes import Unloadable, hanging_driver, pids, process
 
 from strandline.foundations import InvalidInput
 from strandline.runs import InProcess, LocalProcesses
-from strandline.runs.worker import packed_model
-from strandline.runs.worker_slot import WorkerSlot
+from strandline.runs.worker import WorkerSlot, packed_model
 from strandline.testing.executors import CHECKS, CRASH_CHECKS, TIMEOUT_CHECKS, WAITING_CHECKS, requests_for
 from strandline.testing.models import Cantilever, Counted, Faulty
 

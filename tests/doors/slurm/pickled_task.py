@@ -4,7 +4,7 @@ import pickle
 import sys
 from pathlib import Path
 
-from strandline.runs.array_task import run_task
+from strandline.runs.executors.slurm_array import run_task
 
 if __name__ == "__main__":
     model, folder, number = sys.argv[1:]

@@ -8,8 +8,7 @@ from tests.doors.runs.processes import driven_by, wait_until
 from tests.unit.runs.fakes import campaign, design, states
 
 from strandline.foundations import InvalidInput
-from strandline.runs.executors.dask import DaskCluster
-from strandline.runs.executors.dask_cluster import opened
+from strandline.runs.executors.dask import DaskCluster, opened
 from strandline.testing.executors import requests_for
 from strandline.testing.models import Cantilever, Slow
 

@@ -8,11 +8,10 @@ import pytest
 
 from strandline.foundations import InvalidInput, end_of
 from strandline.runs import LocalProcesses, RunRecord
-from strandline.runs.array_task import _out_of_walltime
-from strandline.runs.executors import dask_cluster, slurm_batch, with_workers
-from strandline.runs.executors.dask import DaskCluster
+from strandline.runs.executors import slurm_batch, with_workers
+from strandline.runs.executors.dask import DaskCluster, _listening, _shared_folder
 from strandline.runs.executors.shared import walltime_seconds
-from strandline.runs.executors.slurm_array import SlurmArray, _without_result
+from strandline.runs.executors.slurm_array import SlurmArray, _out_of_walltime, _without_result
 from strandline.runs.executors.slurm_batch import ArrayBatch, known_batches, read_run
 from strandline.testing.executors import requests_for, same_outcome
 from strandline.testing.models import Cantilever
@@ -78,18 +77,18 @@ def test_a_missing_extra_names_its_install_command(monkeypatch):
 def test_the_scheduler_of_jobs_listens_at_one_address_and_shows_no_pages():
     from distributed.utils import get_ip
 
-    options = dask_cluster._listening("slurm", {})
+    options = _listening("slurm", {})
     assert options == {"dashboard": False, "dashboard_address": "127.0.0.1:0", "host": get_ip()}
-    assert "host" not in dask_cluster._listening("slurm", {"interface": "ib0"})
+    assert "host" not in _listening("slurm", {"interface": "ib0"})
 
 
 def test_a_folder_for_keys_that_cannot_be_written_is_one_clear_error(tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert dask_cluster._shared_folder("slurm") == str(tmp_path / ".cache" / "strandline")
+    assert _shared_folder("slurm") == str(tmp_path / ".cache" / "strandline")
     (tmp_path / "file").touch()
     monkeypatch.setenv("HOME", str(tmp_path / "file"))
     with pytest.raises(InvalidInput, match=r"folder for the keys.*jobqueue\.pbs\.shared-temp-directory"):
-        dask_cluster._shared_folder("pbs")
+        _shared_folder("pbs")
 
 
 def test_the_options_of_an_array_are_those_of_sbatch():

@@ -19,9 +19,8 @@ from tests.unit.runs.fakes import design, key_of
 from strandline.foundations import ForwardModelError, InvalidInput, how_it_ended
 from strandline.interface import Interface
 from strandline.models.protocol import Simulation
-from strandline.runs import InProcess, RunRecord, RunRequest, attempt, run_key
+from strandline.runs import InProcess, RunRecord, RunRequest, attempt, run_key, worker
 from strandline.runs.executors.slurm_batch import read_run, write_run
-from strandline.runs.ledger import scratch
 from strandline.runs.ledger.record import MESSAGE_CHARACTERS, with_log
 from strandline.testing.executors import same_outcome
 from strandline.testing.models import Cantilever, TwoLoads
@@ -220,7 +219,7 @@ def parent(tmp_path, monkeypatch):
 
 
 def test_the_next_driver_clears_the_folder_of_one_that_is_gone_and_its_own(parent):
-    mine = scratch.scratch_folder()
+    mine = worker.scratch_folder()
     gone = parent / mine.name.replace(f"-{os.getpid()}-", "-999999999-")
     gone.mkdir()
     (gone / "mesh.msh").write_text("large")
@@ -232,28 +231,28 @@ def test_the_next_driver_clears_the_folder_of_one_that_is_gone_and_its_own(paren
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the system does not say when a process was started")
 def test_a_process_that_has_the_number_of_a_dead_one_does_not_keep_its_folder(parent):
-    mine = scratch.scratch_folder()
-    machine, pid, begun = mine.name.removeprefix(scratch.PREFIX).split("-")[:3]
-    (parent / f"{scratch.PREFIX}{machine}-{pid}-{int(begun) - 1}-abc").mkdir()
-    assert scratch.clear_stale(parent) == 1
+    mine = worker.scratch_folder()
+    machine, pid, begun = mine.name.removeprefix(worker.PREFIX).split("-")[:3]
+    (parent / f"{worker.PREFIX}{machine}-{pid}-{int(begun) - 1}-abc").mkdir()
+    assert worker.clear_stale(parent) == 1
     assert list(parent.iterdir()) == [mine]
 
 
 def test_folders_of_other_machines_and_users_and_links_stay(parent, monkeypatch):
-    gone = scratch.scratch_folder().name.replace(f"-{os.getpid()}-", "-999999999-")
-    machine = gone.removeprefix(scratch.PREFIX).split("-")[0]
+    gone = worker.scratch_folder().name.replace(f"-{os.getpid()}-", "-999999999-")
+    machine = gone.removeprefix(worker.PREFIX).split("-")[0]
     elsewhere = gone.replace(machine, "0" * 8)
     foreign = [parent / name for name in (elsewhere, "strandline-runs-notes", "strandline-on-call-abc", "target")]
     for folder in foreign:
         folder.mkdir()
     (parent / gone).symlink_to(parent / "target")
-    assert scratch.clear_stale(parent) == 0
+    assert worker.clear_stale(parent) == 0
     (parent / gone).unlink()
     (parent / gone).mkdir()
     with monkeypatch.context() as patch:
         patch.setattr(os, "getuid", lambda: 12345)
-        assert scratch.clear_stale(parent) == 0
-    assert scratch.clear_stale(parent) == 1
+        assert worker.clear_stale(parent) == 0
+    assert worker.clear_stale(parent) == 1
     assert all(folder.is_dir() for folder in foreign)
 
 

@@ -2,23 +2,27 @@
 
 Each run is submitted to one chosen thread of one worker only when that thread is free. So a worker that vanishes takes
 down exactly the runs that it was making. Dask itself would also give up on the runs queued on that worker, or repeat
-forever a run that outlives the walltime of its job.
+forever a run that outlives the walltime of its job. Below: how clusters start and end.
 """
 
+import contextlib
+import logging
+import os
 import sys
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from operator import length_hint
+from pathlib import Path
 from typing import Any, ClassVar
 
 from strandline.foundations import InvalidInput, of_extra
 from strandline.models import ForwardModel
 from strandline.runs.executors import shared
-from strandline.runs.executors.dask_cluster import EXTRA, JOB_OPTIONS, opened
-from strandline.runs.executors.dask_driver import DaskDispatcher
+from strandline.runs.executors.dask_driver import Cluster, DaskDispatcher, Submissions
 from strandline.runs.executors.local import usable_cores
 from strandline.runs.ledger.record import RunRecord, RunRequest
-from strandline.runs.worker import packed_model, require_posix
+from strandline.runs.worker import interrupts_held_back, packed_model, require_not_loading, require_posix
 
 __all__ = ["DaskCluster"]
 
@@ -95,15 +99,8 @@ class DaskCluster:
         least = min(needed, most if self.minimum is None else self.minimum)
         with opened(self.kind, self.address, needed, self.jobs) as cluster:
             life = shared.walltime_seconds(self.jobs["walltime"]) if "walltime" in self.jobs else None
-            runs = DaskDispatcher(
-                cluster,
-                setup,
-                iter(requests),
-                timeout=self.timeout,
-                life=life,
-                least=least,
-                most=length_hint(requests, sys.maxsize),
-            )
+            limits = {"least": least, "most": length_hint(requests, sys.maxsize)}
+            runs = DaskDispatcher(cluster, setup, iter(requests), timeout=self.timeout, life=life, **limits)
             try:
                 yield from runs.records()
             finally:
@@ -141,3 +138,168 @@ def _job_faults(options: DaskCluster) -> list[tuple[bool, str, object, str, str]
         *((name not in JOB_OPTIONS, "jobs: unknown option", name, known, f"Remove {name}; {rest}") for name in jobs),
         *((name not in jobs, f"jobs.{name}", None, ", ".join(needed), f"Add {name}.") for name in needed),
     ]
+
+
+JOB_OPTIONS = ("cores", "memory", "walltime", "queue", "account", "interface", "extra", "prologue")
+EXTRA = ("dask", "the executor dask")
+REACH_SECONDS = 20.0
+LOOPBACK = "127.0.0.1:0"
+"""Where Dask serves the dashboard of a cluster, which shows what runs and needs no key: any free port, local only."""
+LOST_WORKER = "distributed.deploy.lost-worker-timeout"
+LOST_JOB_SECONDS = 2
+"""A job that is gone does not come back: it is replaced at once, not after Dask's 15 s."""
+LOST_PROCESS_SECONDS = 15
+"""Seconds to wait for a process on this machine, which is restarted; on a busy machine that takes seconds."""
+
+
+@contextlib.contextmanager
+def opened(
+    kind: str,
+    address: str | None,
+    workers: int,
+    jobs: Mapping[str, Any],
+    *,
+    reach_seconds: float = REACH_SECONDS,
+    lost_process_seconds: int = LOST_PROCESS_SECONDS,
+) -> Iterator[Cluster]:
+    """Yield a cluster with `workers` workers, or jobs with these options; end it afterwards if it was started here.
+
+    With the address of an existing scheduler, none is started. A cluster that does not start, or whose scheduler does
+    not answer within `reach_seconds`, is refused. A worker on this machine must come back within
+    `lost_process_seconds`.
+    """
+    import dask.config
+
+    with contextlib.ExitStack() as stack:
+        if address is not None:
+            client = stack.enter_context(_client(address, address, reach_seconds))
+            yield Cluster(client, address)
+            return
+        submissions = Submissions() if kind in ("slurm", "pbs") else None
+        maker = _started(kind, workers, jobs, submissions)
+        stack.callback(_end, maker)
+        client = stack.enter_context(_client(maker, str(maker.scheduler_address), reach_seconds))
+        patience = lost_process_seconds if submissions is None else LOST_JOB_SECONDS
+        stack.enter_context(dask.config.set({LOST_WORKER: f"{patience}s"}))
+        yield Cluster(client, str(maker.scheduler_address), maker, submissions)
+
+
+def _end(maker: Any) -> None:
+    with contextlib.suppress(TimeoutError, OSError):
+        maker.close(timeout=10)
+    for kept in vars(maker).values():
+        if isinstance(kept, tempfile._TemporaryFileWrapper):  # a file of the key, which dask-jobqueue leaves open
+            kept.close()
+
+
+@contextlib.contextmanager
+def _client(place: Any, address: str, reach_seconds: float) -> Iterator[Any]:
+    """Yield a client of the scheduler at `place`, an address or one of our clusters."""
+    from distributed import Client
+
+    try:
+        client: Any = Client(place, set_as_default=False, timeout=reach_seconds)  # type: ignore[no-untyped-call]
+    except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise InvalidInput(
+            "Dask scheduler",
+            value=f"{address}: {reason}",
+            expected="a scheduler that answers: tcp://host:port; or tls://host:port, with Dask's setting "
+            "distributed.comm.tls naming the keys",
+            remedy="Start it (`dask scheduler`), correct the address, or give Dask the keys that it accepts.",
+        ) from None
+    try:
+        yield client
+    finally:
+        client.close(timeout=5)
+
+
+def _started(kind: str, workers: int, jobs: Mapping[str, Any], submissions: Submissions | None) -> Any:
+    """Return a cluster of our own with a new key, needed to give or take runs; its processes leave Ctrl-C to the
+    driver."""
+    from distributed.security import Security
+
+    require_not_loading()
+    of_extra("cryptography", *EXTRA)
+    security: Any = Security.temporary()  # type: ignore[no-untyped-call]
+    with interrupts_held_back():
+        return _local(workers, security) if submissions is None else _queued(kind, workers, jobs, submissions, security)
+
+
+def _local(workers: int, security: Any) -> Any:
+    from distributed import LocalCluster
+
+    try:
+        return LocalCluster(  # type: ignore[no-untyped-call]
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=0,
+            host="127.0.0.1",
+            security=security,
+            dashboard_address=LOOPBACK,
+            silence_logs=logging.CRITICAL,
+        )
+    except RuntimeError as error:
+        what = "the workers of the Dask cluster do not start"
+        expected = "runs started under `if __name__ == '__main__':` where they are started by a script"
+        remedy = "Put the code that starts the runs under that line."
+        raise InvalidInput(what, value=str(error), expected=expected, remedy=remedy) from error
+
+
+def _queued(kind: str, workers: int, jobs: Mapping[str, Any], submissions: Submissions, security: Any) -> Any:
+    """Return a cluster whose workers are jobs, always adaptive: with plain scaling, a lost job is never replaced.
+
+    Jobs find the key in a file that only this user can read, and that goes with the cluster.
+    """
+    import dask.config
+
+    queues: Any = of_extra("dask_jobqueue", *EXTRA)
+    options = {name: value for name, value in jobs.items() if name not in ("extra", "prologue")}
+    cluster_type = {"slurm": queues.SLURMCluster, "pbs": queues.PBSCluster}[kind]
+    arguments = dask.config.get(f"jobqueue.{kind}.worker-extra-args", None) or []
+    maker = cluster_type(
+        **options,
+        job_cls=submissions.noted(cluster_type.job_cls),
+        processes=1,
+        job_extra_directives=list(jobs.get("extra", ())),
+        job_script_prologue=list(jobs.get("prologue", ())),
+        silence_logs=logging.CRITICAL,
+        security=security,
+        shared_temp_directory=_shared_folder(kind),
+        protocol="tls://",
+        scheduler_options=_listening(kind, jobs),
+        worker_extra_args=[*arguments, "--no-dashboard", "--dashboard-address", LOOPBACK],
+    )
+    maker.adapt(minimum_jobs=workers, maximum_jobs=workers, interval="1s")
+    return maker
+
+
+def _listening(kind: str, jobs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return where the scheduler listens: only at the address by which the workers reach it, not at all addresses."""
+    import dask.config
+    from distributed.utils import get_ip
+
+    options: dict[str, Any] = {"dashboard": False, "dashboard_address": LOOPBACK}
+    if not (jobs.get("interface") or dask.config.get(f"jobqueue.{kind}.interface", None)):
+        options["host"] = get_ip()  # type: ignore[no-untyped-call]
+    return options
+
+
+def _shared_folder(kind: str) -> str:
+    """Return the folder of the keys that jobs read, in the home folder unless Dask's configuration names another."""
+    import dask.config
+
+    named = dask.config.get(f"jobqueue.{kind}.shared-temp-directory", None)
+    folder = Path(os.path.expandvars(named)).expanduser() if named else Path.home() / ".cache" / "strandline"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise InvalidInput(
+            "folder for the keys of a Dask cluster",
+            value=f"{folder}: {error.strerror or error}",
+            expected="a folder that can be written here and read on the nodes",
+            remedy=f"Name one in Dask's configuration: jobqueue.{kind}.shared-temp-directory.",
+        ) from None
+    return str(folder)

@@ -12,10 +12,9 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from strandline.foundations import InvalidInput
-from strandline.runs.executors.dask_cluster import Cluster
 from strandline.runs.executors.shared import SPARE_SECONDS, Dispatcher
 from strandline.runs.ledger.record import RunRecord, RunRequest, ended
-from strandline.runs.worker_slot import WorkerSlot
+from strandline.runs.worker import WorkerSlot
 
 SECONDS_BETWEEN_DISMISSALS = 2.0
 SECONDS_BETWEEN_LOOKS = 1.0
@@ -41,11 +40,8 @@ class DaskJob:
     timeout: float | None = None
 
     def __call__(self) -> RunRecord | bool | None:
-        """Return the record of the run, however it ends, or whether a worker process is ready; None if not wanted.
-
-        Raises:
-            InvalidInput: the worker process cannot load the model.
-        """
+        """Return the record of the run, or whether a process has loaded the model (else InvalidInput); None if not
+        wanted."""
         wanted = _wanted()
         if self.request is None:
             with _lock:  # the drivers of other sessions may be gone; if not, they start new processes
@@ -117,12 +113,66 @@ class _DaskTask:
     began: float
 
 
+@dataclass
+class Cluster:
+    """A cluster ready for use: our client and, if we started the cluster, what makes its workers."""
+
+    client: Any
+    address: str
+    maker: Any = None
+    submissions: "Submissions | None" = None
+
+    def shrink(self, jobs: int) -> None:
+        """Keep only this many jobs; busy ones go last."""
+        if self.submissions is not None:
+            self.maker.adapt(minimum_jobs=jobs, maximum_jobs=max(jobs, 1))
+
+    def replace_the_lost(self) -> None:
+        """Restart workers on this machine that Dask has given up on, as it does if they come back too late."""
+        if self.maker is None or self.submissions is not None:
+            return
+        wanted = self.maker.worker_spec
+        if set(wanted) - set(self.maker.workers):
+            self.maker.scale(len(wanted))
+
+    @property
+    def refused(self) -> str | None:
+        """Why the queueing system refused the last job; None if it took the job, or was not asked."""
+        return None if self.submissions is None else self.submissions.refused
+
+
+@dataclass
+class Submissions:
+    """How the queueing system answered our jobs; Dask would wait forever for a worker whose job was refused."""
+
+    refused: str | None = None
+
+    def noted(self, job_type: Any) -> Any:
+        """Return a type of job that reports here."""
+        from distributed.core import Status
+
+        submissions = self
+
+        class NotedJob(job_type):  # type: ignore[misc]
+            async def start(self) -> None:
+                """Submit the job; if the queueing system refuses it, note why."""
+                try:
+                    await super().start()
+                except RuntimeError as error:
+                    submissions.refused = str(error)
+                    self.status = Status.failed  # else the cluster could not be closed
+                    raise
+                submissions.refused = None
+
+        return NotedJob
+
+
 class DaskDispatcher(Dispatcher[str]):
     """One call: the runs that are out, the records not handed over yet, and the workers present.
 
     A thread gets runs only when it has a worker process that has loaded the model, so no run waits for that. A run is
     killed after `timeout` seconds, a worker lives `life` seconds; None: no limit. At least so many jobs are kept when
-    fewer runs than jobs are left, at most so many threads are used; the scheduler may be unreachable for
+    fewer runs than jobs are left, at most so many threads are used; the scheduler may be silent for
     `silence_borne_seconds`.
     """
 
@@ -241,11 +291,7 @@ class DaskDispatcher(Dispatcher[str]):
             self.done.append((task.worker, replace(record, seconds=time.monotonic() - task.began)))
 
     def _result(self, future: Any) -> Any:
-        """Return what a future holds, or the error that says that its worker is gone.
-
-        Raises:
-            InvalidInput: the worker cannot make any run.
-        """
+        """Return what a future holds, or the error that its worker is gone; refuse workers that can make no runs."""
         from distributed import KilledWorker
         from distributed.client import FutureCancelledError
 

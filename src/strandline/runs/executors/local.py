@@ -13,9 +13,7 @@ from typing import Any, ClassVar
 from strandline.models import ForwardModel
 from strandline.runs.executors.shared import Dispatcher, require_count, require_seconds
 from strandline.runs.ledger.record import RunRecord, RunRequest, attempt
-from strandline.runs.ledger.scratch import scratch_folder
-from strandline.runs.worker import packed_model, require_posix
-from strandline.runs.worker_slot import WorkerSlot
+from strandline.runs.worker import WorkerSlot, packed_model, require_posix, scratch_folder
 
 LONGEST_WAIT_SECONDS = 0.5
 """Time after which requests are pulled again if there were none the last time."""
@@ -23,10 +21,8 @@ LONGEST_WAIT_SECONDS = 0.5
 
 @dataclass(frozen=True)
 class InProcess:
-    """Runs one after the other in this process: for small models and for debugging.
-
-    A simulator that crashes takes the driver down, and one that hangs blocks it; `LocalProcesses` is safe.
-    """
+    """Runs one after the other in this process, for small models and debugging: a crash or a hang takes the driver
+    along."""
 
     def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:
         for request in requests:
@@ -47,8 +43,7 @@ class LocalProcesses:
         timeout: Seconds after which a run is killed; default: never.
 
     Workers are fresh interpreters that load the model once. Each run has its own empty folder, which is removed
-    afterwards. The simulator's output is kept if the run did not end well. Workers stay alive while there is no run for
-    them yet (`NOT_NOW`).
+    afterwards. The simulator's output is kept if the run did not end well. Workers wait for their next run (`NOT_NOW`).
     """
 
     workers: int | None = None

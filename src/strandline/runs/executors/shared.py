@@ -39,28 +39,18 @@ def require_room_in_walltime(timeout: float | None, walltime: str | None) -> Non
         return
     longest = walltime_seconds(walltime) - SPARE_SECONDS
     if timeout > longest:
-        raise InvalidInput(
-            "timeout and walltime of a job",
-            value=f"{timeout:g} s in a job of {walltime}",
-            expected=f"at most {max(longest, 0.0):g} s, the walltime less {SPARE_SECONDS:g} s for start and end",
-            remedy="Ask for a longer walltime, or shorten the timeout.",
-        )
+        what = "timeout and walltime of a job"
+        expected = f"at most {max(longest, 0.0):g} s, the walltime less {SPARE_SECONDS:g} s for start and end"
+        remedy = "Ask for a longer walltime, or shorten the timeout."
+        raise InvalidInput(what, value=f"{timeout:g} s in a job of {walltime}", expected=expected, remedy=remedy)
 
 
 def walltime_seconds(text: str) -> float:
-    """Return the seconds of a walltime as SLURM writes it: MM:SS, HH:MM:SS, D-HH, D-HH:MM or D-HH:MM:SS.
-
-    Raises:
-        InvalidInput: It is none of these; a bare number is refused, since SLURM and PBS differ in its unit.
-    """
+    """Return the seconds of MM:SS, HH:MM:SS, D-HH, D-HH:MM or D-HH:MM:SS; refuse a bare number: units differ."""
     found = DAYS.fullmatch(text) or CLOCK.fullmatch(text)
     if found is None:
-        raise InvalidInput(
-            "walltime",
-            value=text,
-            expected='hours:minutes:seconds, e.g. "02:30:00", or days-hours, e.g. "1-12"',
-            remedy="Write it like this, in quotes.",
-        )
+        expected = 'hours:minutes:seconds, e.g. "02:30:00", or days-hours, e.g. "1-12"'
+        raise InvalidInput("walltime", value=text, expected=expected, remedy="Write it like this, in quotes.")
     parts = {name: int(number or 0) for name, number in found.groupdict().items()}
     hours = 24 * parts.get("days", 0) + parts["hours"]
     return 3600.0 * hours + 60.0 * parts["minutes"] + parts["seconds"]

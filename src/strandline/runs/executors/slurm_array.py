@@ -1,22 +1,26 @@
 """Runs as the jobs of SLURM arrays, which go on without a driver: for long runs, and for runs that use MPI.
 
 The executor keeps no essential state in memory: what was submitted and what has come back is in the folders of its
-batches. If a driver was killed or left, another one can collect the results.
+batches. If a driver was killed or left, another one can collect the results. What one job does is at the end;
+`strandline.studies.array_task` is the command for the model of a study.
 """
 
 import contextlib
 import re
 import shlex
+import signal
+import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from strandline.foundations import InvalidInput, StrandlineError, end_of
-from strandline.models import ForwardModel, asks_sensitivities
+from strandline.models import ForwardModel, asks_sensitivities, fingerprint, with_sensitivities
 from strandline.runs.executors import shared, slurm_batch
 from strandline.runs.executors.slurm_batch import ArrayBatch, SlurmUnreachable, read_run
 from strandline.runs.ledger.record import RunRecord, RunRequest, State, ended, with_log
+from strandline.runs.worker import WorkerSlot, packed_model
 
 __all__ = ["UNUSABLE", "Detached", "SlurmArray"]
 
@@ -255,20 +259,14 @@ class _ArrayRuns:
         except InvalidInput as error:
             return ended(request, "killed", "damaged_result", str(error))
         if record.failure_kind == UNUSABLE:
-            self._give_up(batch)
-            raise InvalidInput(
-                "a job could not load the model",
-                value=(record.message or "").splitlines()[0],
-                expected="a model that the nodes can load as this machine does",
-                remedy="Fix that and run again; the jobs of this array are cancelled.",
-            )
+            with contextlib.suppress(SlurmUnreachable):
+                slurm_batch.cancel_jobs(batch.name)
+            batch.remove()
+            what = "a job could not load the model"
+            expected = "a model that the nodes can load as this machine does"
+            remedy = "Fix that and run again; the jobs of this array are cancelled."
+            raise InvalidInput(what, value=(record.message or "").splitlines()[0], expected=expected, remedy=remedy)
         return record
-
-    def _give_up(self, batch: ArrayBatch) -> None:
-        """Cancel a batch that cannot succeed."""
-        with contextlib.suppress(SlurmUnreachable):
-            slurm_batch.cancel_jobs(batch.name)
-        batch.remove()
 
     def _tidy(self) -> None:
         """Remove the batches whose results are all taken; the ledger has them."""
@@ -295,3 +293,49 @@ def _without_result(batch: ArrayBatch, index: int, request: RunRequest, job_stat
     told = f"SLURM says {job_state}" if job_state else "SLURM no longer knows it"
     message = f"job {batch.job}_{index} of this run ended without a result; {told}"
     return with_log(ended(request, state, kind, message), log)
+
+
+def run_task(folder: Path, index: int, load: Callable[[], ForwardModel]) -> None:
+    """Make one run of the batch in `folder`, of the model that `load` returns, and write its record, unless it has one.
+
+    A crash, a hang and the end of the walltime, of which SLURM warns by SIGUSR1, become records.
+    """
+    walltime_over = threading.Event()
+    signal.signal(signal.SIGUSR1, lambda number, frame: walltime_over.set())
+    try:
+        batch = ArrayBatch.read(folder)
+    except FileNotFoundError:
+        return  # the batch was given up meanwhile
+    if index in batch.present()[0] or index in batch.present()[1]:
+        return
+    request, began = batch.requests[index], time.monotonic()
+    try:
+        slot = WorkerSlot(packed_model(_fitting(load(), batch)))
+        try:
+            record = slot.run(request, batch.timeout, wanted=lambda: not walltime_over.is_set())
+        finally:
+            slot.close()
+    except InvalidInput as error:
+        batch.put(index, ended(request, "killed", UNUSABLE, str(error)))
+        return
+    if record is None or walltime_over.is_set():
+        record = _out_of_walltime(record, request, time.monotonic() - began)
+    batch.put(index, record)
+
+
+def _fitting(model: ForwardModel, batch: ArrayBatch) -> ForwardModel:
+    """Return the model as the batch needs it; refuse one that has changed since."""
+    if batch.sensitivities and not asks_sensitivities(model):
+        model = with_sensitivities(model)
+    if fingerprint(model) != batch.fingerprint:
+        what, remedy = "the model has changed since the runs were submitted", "Cancel the array, or undo the change."
+        raise InvalidInput(what, value=fingerprint(model), expected=batch.fingerprint, remedy=remedy)
+    return model
+
+
+def _out_of_walltime(record: RunRecord | None, request: RunRequest, seconds: float) -> RunRecord:
+    """Return the record of a run that was stopped shortly before SLURM would have stopped it."""
+    if record is not None and record.state != "timeout":
+        return record
+    killed = ended(request, "timeout", "walltime", "still running at the end of its job's walltime, and killed")
+    return with_log(replace(killed, seconds=seconds), "" if record is None else record.log)

@@ -45,19 +45,11 @@ def write_run(path: Path, record: RunRecord) -> None:
 
 
 def read_run(path: Path) -> RunRecord:
-    """Return the record in `path`.
-
-    Raises:
-        InvalidInput: the content is not what was written.
-    """
+    """Return the record in `path`; raise InvalidInput if the content is not what was written."""
     header, _, content = path.read_bytes().partition(b"\n")
     if header != HEADER + hashlib.sha256(content).hexdigest().encode():
-        raise InvalidInput(
-            f"the result of a run in {path}",
-            value="a checksum that does not match",
-            expected="what was written",
-            remedy="The run is made again.",
-        )
+        what, remedy = f"the result of a run in {path}", "The run is made again."
+        raise InvalidInput(what, value="a checksum that does not match", expected="what was written", remedy=remedy)
     row, arrays = json.loads(content, object_hook=lambda packed: base64.b64decode(packed["base64"]))
     return record_of(path, tuple(row), [tuple(one) for one in arrays])
 
@@ -102,11 +94,7 @@ class ArrayBatch:
 
     @classmethod
     def read(cls, folder: Path) -> "ArrayBatch":
-        """Return the batch in `folder`.
-
-        Raises:
-            FileNotFoundError: There is no batch, or it has been removed.
-        """
+        """Return the batch in `folder`; raise FileNotFoundError if there is none, or none any more."""
         content = json.loads((folder / BATCH).read_text(encoding="utf-8"))
         requests = tuple(RunRequest(**run) for run in content.pop("runs"))
         del content["version"]
@@ -172,20 +160,12 @@ class SlurmUnreachable(InvalidInput):
 
 
 def submit_job(options: Sequence[str], script: Path) -> str:
-    """Submit `script` and return the number of its job.
-
-    Raises:
-        SlurmUnreachable: The command sbatch fails; the message contains its output.
-    """
+    """Submit `script` and return the number of its job; raise SlurmUnreachable, with sbatch's output, if that fails."""
     return _said("sbatch", "--parsable", *options, str(script)).strip().partition(";")[0]
 
 
 def job_states(names: Iterable[str]) -> dict[tuple[str, int], str]:
-    """Return the states of the jobs that SLURM remembers, by name and number in the array.
-
-    Raises:
-        SlurmUnreachable: the controller does not answer.
-    """
+    """Return the states of the jobs that SLURM remembers, by name and number; SlurmUnreachable if it is silent."""
     form = "%j|%K|%T"
     text = _said("squeue", "--noheader", "--array", "--states=all", f"--name={','.join(names)}", f"--format={form}")
     rows = (line.strip().split("|") for line in text.splitlines())
@@ -193,11 +173,7 @@ def job_states(names: Iterable[str]) -> dict[tuple[str, int], str]:
 
 
 def job_called(name: str) -> str | None:
-    """Return the number of the job with this name; None if SLURM knows none.
-
-    Raises:
-        SlurmUnreachable: the controller does not answer.
-    """
+    """Return the number of the job with this name, None if there is none; raise SlurmUnreachable if SLURM is silent."""
     text = _said("squeue", "--noheader", "--states=all", f"--name={name}", "--format=%F")
     return text.split()[0] if text.split() else None
 
@@ -229,18 +205,14 @@ def _said(*command: str) -> str:
             command, capture_output=True, text=True, timeout=ANSWER_SECONDS, check=True, stdin=subprocess.DEVNULL
         )
     except FileNotFoundError:
-        raise InvalidInput(
-            "the executor slurm_array",
-            value=f"no command {command[0]}",
-            expected="the commands of SLURM: sbatch, squeue, scontrol, scancel",
-            remedy="Run it where jobs are submitted, or choose another executor.",
-        ) from None
+        what = "the executor slurm_array"
+        expected = "the commands of SLURM: sbatch, squeue, scontrol, scancel"
+        remedy = "Run it where jobs are submitted, or choose another executor."
+        raise InvalidInput(what, value=f"no command {command[0]}", expected=expected, remedy=remedy) from None
     except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
         stderr = error.stderr.decode() if isinstance(error.stderr, bytes) else error.stderr
-        raise SlurmUnreachable(
-            f"{command[0]} failed",
-            value=(stderr or str(error)).strip(),
-            expected="SLURM to take the command",
-            remedy="Look at partition, account and limits (`sinfo`, `squeue`), then run again: nothing is lost.",
-        ) from None
+        what = f"{command[0]} failed"
+        expected = "SLURM to take the command"
+        remedy = "Look at partition, account and limits (`sinfo`, `squeue`), then run again: nothing is lost."
+        raise SlurmUnreachable(what, value=(stderr or str(error)).strip(), expected=expected, remedy=remedy) from None
     return done.stdout

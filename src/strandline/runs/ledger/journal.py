@@ -32,21 +32,13 @@ FORMAT_BYTE = 18
 
 
 def journal_for(path: Path, *, environment: Mapping[str, str] | None = None, mounts: Path | None = None) -> Journal:
-    """Return which journal the ledger at `path` should have.
-
-    Raises:
-        InvalidInput: The environment variable is neither ``wal`` nor ``delete``.
-    """
+    """Return which journal the ledger at `path` should have; refuse an environment that says neither wal nor delete."""
     asked = (os.environ if environment is None else environment).get(VARIABLE, "")
     if asked in ("wal", "delete"):
         return "wal" if asked == "wal" else "delete"
     if asked:
-        raise InvalidInput(
-            f"{VARIABLE} in the environment",
-            value=asked,
-            expected="wal or delete",
-            remedy="Unset it to let the file system decide.",
-        )
+        remedy = "Unset it to let the file system decide."
+        raise InvalidInput(f"{VARIABLE} in the environment", value=asked, expected="wal or delete", remedy=remedy)
     return "delete" if is_network(file_system(path, mounts=mounts)) else "wal"
 
 
@@ -82,11 +74,7 @@ def file_system(path: Path, *, mounts: Path | None = None) -> str | None:
 
 
 def settle(connection: sqlite3.Connection, path: Path, *, busy_seconds: float = BUSY_SECONDS) -> None:
-    """Give the ledger at `path` the journal that it should have; `connection` must not have read it yet.
-
-    Raises:
-        LedgerError: other programs are reading a ledger that must be converted.
-    """
+    """Give the ledger at `path` its journal before `connection` has read it; refuse to convert one that others read."""
     if journal_for(path) == "wal":
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")

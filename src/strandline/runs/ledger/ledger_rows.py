@@ -55,19 +55,13 @@ def rows_of(record: RunRecord, origin: str | None) -> tuple[tuple[Any, ...], lis
 
 
 def record_of(path: Path, row: tuple[Any, ...], arrays: Sequence[tuple[Any, ...]]) -> RunRecord:
-    """Return the record of a row (key, inputs, *`OUTCOME_COLUMNS`) and its `arrays`, rows of `ARRAY_COLUMNS`.
-
-    Raises:
-        LedgerError: the rows do not match their checksum.
-    """
+    """Return the record of a row (key, inputs, *`OUTCOME_COLUMNS`) and its `arrays`; refuse another checksum."""
     key, inputs, *values, checksum = row
     if checksum != _checksum(key, inputs, tuple(values), arrays):
-        raise LedgerError(
-            f"run {key[:12]} in {path} is damaged",
-            value=f"inputs {inputs}",
-            expected=f"contents with the checksum {checksum[:12]}",
-            remedy="Restore the ledger from a backup, or move it away and run again.",
-        )
+        what = f"run {key[:12]} in {path} is damaged"
+        expected = f"contents with the checksum {checksum[:12]}"
+        remedy = "Restore the ledger from a backup, or move it away and run again."
+        raise LedgerError(what, value=f"inputs {inputs}", expected=expected, remedy=remedy)
     state, points, points_shape, cells, cells_shape, diagnostics, seconds, kind, message, log, origin = values
     plain = {} if points is None else {"": _interface(points, points_shape, cells, cells_shape)}
     figures = json.loads(diagnostics)

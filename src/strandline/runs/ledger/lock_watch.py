@@ -11,11 +11,7 @@ from strandline.runs.ledger.ledger_schema import last_driver
 
 
 def locked(path: Path) -> BaseFileLock:
-    """Acquire and return the driver's lock on the ledger at `path`.
-
-    Raises:
-        LedgerError: another driver holds the lock, or the folder is not writable.
-    """
+    """Acquire and return the driver's lock on a ledger; refuse if another holds it, or the folder is not writable."""
     lock = FileLock(path.with_suffix(".lock"))
     try:
         path.parent.resolve(strict=True)  # the lock would create a missing folder
@@ -28,12 +24,9 @@ def locked(path: Path) -> BaseFileLock:
             remedy="Wait for the other run to end, or stop it; finished runs are kept.",
         ) from None
     except OSError as error:
-        raise LedgerError(
-            f"folder of {path} cannot be written",
-            value=str(error),
-            expected="an existing, writable folder",
-            remedy="Create the folder or correct its permissions; read_only=True reads without writing.",
-        ) from error
+        what = f"folder of {path} cannot be written"
+        remedy = "Create the folder or correct its permissions; read_only=True reads without writing."
+        raise LedgerError(what, value=str(error), expected="an existing, writable folder", remedy=remedy) from error
     return lock
 
 
@@ -50,11 +43,8 @@ class Hold:
         self._file, self._lock_file = _identity(path), _identity(self._lock_path)
 
     def require(self, connection: sqlite3.Connection, session: int) -> None:
-        """Refuse to write if the ledger no longer belongs to this driver, whose session has this number.
-
-        Raises:
-            LedgerError: the ledger was deleted, moved or replaced, or another driver uses it.
-        """
+        """Raise LedgerError if the ledger was deleted, moved or replaced, or no longer belongs to this driver's
+        session."""
         if _identity(self.path) != self._file:
             raise LedgerError(
                 f"ledger {self.path} is not the file that this run opened",

@@ -1,7 +1,6 @@
 """A quick overview of the runs in a ledger that does not read their interfaces; standard library only.
 
-It works while a driver is at work, and takes no lock. Checksums are not compared: to get the interfaces, open the
-ledger with `Ledger.open`.
+It works while a driver is at work, and takes no lock. Checksums are not compared: `Ledger.open` gives the interfaces.
 """
 
 import contextlib
@@ -17,7 +16,6 @@ from typing import Any, NamedTuple, TypeVar
 from strandline.runs.ledger import ledger_schema
 from strandline.runs.ledger.ledger_schema import ATTEMPTS, INTERRUPTED, translated
 from strandline.runs.ledger.plans import Exclusion, Plan, read_exclusions, read_plan
-from strandline.runs.ledger.scratch import exists
 
 OPEN = "open"
 """State of a run that was started and has not ended: under way, or lost with its driver."""
@@ -159,11 +157,7 @@ class Overview(OpenedLedger["Overview"]):
     """A ledger opened to look at its runs."""
 
     def __init__(self, path: Path, *, model: str | None = None) -> None:
-        """Open the ledger at `path`; it must be of `model` if one is given.
-
-        Raises:
-            LedgerError: the ledger is missing, damaged, of another version, or of another model.
-        """
+        """Open the ledger at `path`; LedgerError if it is missing, damaged, or of another version or `model`."""
         super().__init__(path, ledger_schema.opened_for_reading(path))
         self._checked(model)
 
@@ -183,9 +177,7 @@ class Overview(OpenedLedger["Overview"]):
         return sorted(runs, key=lambda run: run.last.number)
 
     def changes(self, after: int, among: Collection[int]) -> list[tuple[str, Attempt]]:
-        """Return keys and starts that are new, with a number above `after`, or that may have ended since an earlier
-        look: those `among` numbers that had not.
-        """
+        """Return keys and starts numbered above `after`, and those `among` numbers, which had not ended before."""
         which = "attempt > ? OR attempt IN (SELECT value FROM json_each(?))"
         with translated(self.path):
             return list(self._attempts(which, (after, json.dumps([*among]))))
@@ -217,8 +209,8 @@ class Overview(OpenedLedger["Overview"]):
 def is_at_work(pid: int, host: str, lock: Path) -> bool | None:
     """Return whether the process `pid` on `host` holds the file `lock`, without touching it; None from another host.
 
-    The lock is held as long as the file is open. If the system does not report who has it open, a process that is alive
-    counts as holding it.
+    The lock is held as long as the file is open. If the system does not say who has it open, a process that is alive
+    does.
     """
     if host != socket.gethostname() or os.name != "posix":
         return None
@@ -237,3 +229,14 @@ def is_at_work(pid: int, host: str, lock: Path) -> bool | None:
             if os.path.samestat(descriptor.stat(), held):
                 return True
     return False
+
+
+def exists(pid: int) -> bool:
+    """Return whether there is a process of this number, whoever owns it."""
+    try:
+        os.kill(pid, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass
+    return True

@@ -19,8 +19,8 @@ class Plan:
     """The runs that a study, known by the SHA-256 of the text of study.yaml, asks for, as far as they are known.
 
     `model` is the fingerprint of its model, `inputs` are the names of the unknown ones. `planned` is the number of runs
-    of the design and of all rounds of refinement, including those to come; `parts` are keys of the runs of the design,
-    then of each round that has begun.
+    of the design and of all rounds of refinement, also to come; `parts` are keys of the runs of the design, then of
+    each round begun.
     """
 
     study_sha256: str
@@ -37,10 +37,7 @@ class Plan:
 
 
 def read_plan(connection: sqlite3.Connection, study_sha256: str) -> Plan | None:
-    """Return the plan of the study with this digest; None if no driver has recorded one.
-
-    Each row holds one part and replaces that part and all later ones.
-    """
+    """Return the recorded plan of a study, or None; a row holds one part and replaces that and all later ones."""
     plan = None
     sql = f"SELECT {COLUMNS} FROM plans WHERE study_sha256 = ? ORDER BY plan"
     for digest, part, name, model, inputs, sensitivities, planned, keys in connection.execute(sql, (study_sha256,)):
@@ -81,29 +78,17 @@ def read_exclusions(connection: sqlite3.Connection) -> Mapping[str, Exclusion]:
 
 
 def require_reason(why: str) -> str:
-    """Return the reason on one line.
-
-    Raises:
-        LedgerError: The reason is empty.
-    """
+    """Return the reason on one line; raise LedgerError if it is empty."""
     if not why.strip():
-        raise LedgerError(
-            "reason for excluding a run",
-            value="an empty text",
-            expected="a few words",
-            remedy='Say why: --why "the mesh folded over".',
-        )
+        remedy = 'Say why: --why "the mesh folded over".'
+        raise LedgerError("reason for excluding a run", value="an empty text", expected="a few words", remedy=remedy)
     return " ".join(why.split())
 
 
 def write_exclusion(
     connection: sqlite3.Connection, session: int, key: str, *, excluded: bool, why: str, at: float
 ) -> None:
-    """Add a row that says whether a run is excluded from now on.
-
-    Raises:
-        LedgerError: The run has not ended yet, or is excluded (or not) already.
-    """
+    """Add a row that excludes a run from now on, or not; LedgerError if it has not ended, or nothing would change."""
     ended = "SELECT count(*) FROM starts JOIN outcomes USING (attempt) WHERE key = ?"
     known = read_exclusions(connection)
     if not connection.execute(ended, (key,)).fetchone()[0]:
@@ -115,9 +100,5 @@ def write_exclusion(
 
 
 def _refused(key: str, found: str, expected: str) -> LedgerError:
-    return LedgerError(
-        f"run {key[:12]}",
-        value=found,
-        expected=expected,
-        remedy="`strandline runs STUDY` lists the runs with their states.",
-    )
+    remedy = "`strandline runs STUDY` lists the runs with their states."
+    return LedgerError(f"run {key[:12]}", value=found, expected=expected, remedy=remedy)

@@ -113,10 +113,7 @@ def run_key(fingerprint: str, inputs: Mapping[str, float]) -> str:
 
 
 def attempt(model: ForwardModel, request: RunRequest, workdir: Path) -> RunRecord:
-    """Call `model` in the empty folder `workdir` and return its outcome; exceptions of the model become records.
-
-    Only `KeyboardInterrupt`, which is meant for the driver, is passed on.
-    """
+    """Call `model` in the empty folder `workdir` and return its outcome; of its exceptions only Ctrl-C is passed on."""
     begin, log = time.perf_counter(), ""
     try:
         with _working_directory_kept():
@@ -127,10 +124,9 @@ def attempt(model: ForwardModel, request: RunRequest, workdir: Path) -> RunRecor
     except InvalidInterface as error:
         ending = ended(request, "invalid", "invalid_interface", str(error))
     except (Exception, SystemExit) as error:
-        if _is_want_of_memory(error):
-            ending = ended(request, "killed", "out_of_memory", _told(error, request))
-        else:
-            ending = ended(request, "failed", "exception", _told(error, request))
+        ending = ended(request, "failed", "exception", _told(error, request))
+        if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
+            ending = replace(ending, state="killed", failure_kind="out_of_memory")  # the machine may be less busy later
     ending = _retained(replace(ending, seconds=time.perf_counter() - begin), model, workdir)
     return with_log(ending, log)
 
@@ -180,14 +176,8 @@ def _accepted(request: RunRequest, result: object, model: ForwardModel) -> RunRe
     """Return the record of a run of `model` that returned `result`."""
     asked = asks_sensitivities(model)
     good = checked(result, conditions=declared_conditions(model), inputs=request.inputs, sensitivities=asked)
-    return RunRecord(
-        request.key,
-        request.inputs,
-        "ok",
-        good.interfaces,
-        _figures(good.diagnostics),
-        sensitivities=good.sensitivities,
-    )
+    figures = _figures(good.diagnostics)
+    return RunRecord(request.key, request.inputs, "ok", good.interfaces, figures, sensitivities=good.sensitivities)
 
 
 def ended(
@@ -196,11 +186,6 @@ def ended(
     """Return the record of a run without an interface; `kind` and `message` say why."""
     figures, message = _figures(evidence or {}), _short(_clean(message))
     return RunRecord(request.key, request.inputs, state, {}, figures, failure_kind=_clean(kind), message=message)
-
-
-def _is_want_of_memory(error: BaseException) -> bool:
-    """Return whether the machine, not the simulator, is the cause: it may be less busy at the next attempt."""
-    return isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM)
 
 
 def _figures(given: Mapping[str, object]) -> dict[str, float]:
@@ -224,12 +209,8 @@ def _told(error: BaseException, request: RunRequest) -> str:
 
 def _exact(name: str, value: float) -> str:
     if not math.isfinite(value):
-        raise InvalidInput(
-            f"input {name} of a run",
-            value=value,
-            expected="a finite number",
-            remedy="Correct the design or the prior it comes from.",
-        )
+        remedy = "Correct the design or the prior it comes from."
+        raise InvalidInput(f"input {name} of a run", value=value, expected="a finite number", remedy=remedy)
     return (float(value) + 0.0).hex()
 
 
@@ -247,59 +228,44 @@ def _short(text: str) -> str:
 def checked(result: object, *, conditions: Collection[str], inputs: Collection[str], sensitivities: bool) -> Simulation:
     """Check what a model returned and return a copy that shares no memory with the model.
 
-    It must have the declared conditions and, if these were requested, sensitivities in the run's inputs.
-
-    Raises:
-        ForwardModelError: ``invalid``: there is no interface, the conditions differ from those declared, a number is
-            not finite, or sensitivities are missing or do not belong to the interfaces.
+    Raises ForwardModelError, ``invalid``: there is no interface, the conditions differ from those declared, a number is
+    not finite, or requested sensitivities are missing or do not belong to interfaces and inputs.
     """
     simulation = Simulation.of(result) if isinstance(result, Interface) else result
     found: Any = getattr(simulation, "interfaces", None)
     sound = isinstance(found, Mapping) and found and all(isinstance(one, Interface) for one in found.values())
     if not isinstance(simulation, Simulation) or not sound:
-        raise ForwardModelError(
-            "not_an_interface",
-            f"the model returned {_described(result)}; expected a Simulation or an Interface. "
-            "Correct the model's return value.",
-            state="invalid",
-        )
+        found = _described(result)
+        expected = "expected a Simulation or an Interface. Correct the model's return value."
+        raise _invalid("not_an_interface", f"the model returned {found}; {expected}")
     _require_conditions(simulation.interfaces, conditions)
     interfaces = {name: _copied(name, interface) for name, interface in simulation.interfaces.items()}
     given = simulation.sensitivities
     if sensitivities and not (isinstance(given, Mapping) and all(given.get(name) for name in interfaces)):
-        raise ForwardModelError(
-            "sensitivities",
-            "the model was asked for sensitivities and returned none for at least one condition. Return them by "
-            "condition and input, or take the field `sensitivities` from the model.",
-            state="invalid",
-        )
+        found = "the model was asked for sensitivities and returned none for at least one condition"
+        remedy = "Return them by condition and input, or take the field `sensitivities` from the model."
+        raise _invalid("sensitivities", f"{found}. {remedy}")
     return Simulation(interfaces, simulation.diagnostics, _sensitivities(given, interfaces, inputs))
 
 
 def _require_conditions(given: Mapping[str, Interface], declared: Collection[str]) -> None:
     bad = [name for name in given if not is_condition(name)]
     if bad:
-        raise ForwardModelError(
-            "conditions",
-            f"the model returned an interface of the condition {bad[0]!r}; expected a short name without slashes. "
-            "Correct the name.",
-            state="invalid",
-        )
+        expected = "expected a short name without slashes. Correct the name."
+        raise _invalid("conditions", f"the model returned an interface of the condition {bad[0]!r}; {expected}")
     if set(given) != set(declared):
-        raise ForwardModelError(
-            "conditions",
-            f"the model returned interfaces of {_listed(given)}; expected {_listed(declared)}. Its attribute "
-            "`conditions`, a tuple, must name those that it returns.",
-            state="invalid",
-        )
+        found = f"the model returned interfaces of {_listed(given)}; expected {_listed(declared)}"
+        remedy = "Its attribute `conditions`, a tuple, must name those that it returns."
+        raise _invalid("conditions", f"{found}. {remedy}")
 
 
 def _copied(condition: str, interface: Interface) -> Interface:
     points = np.array(interface.points, dtype=np.float64, order="C")
     if not np.isfinite(points).all():
-        bad, where = np.count_nonzero(~np.isfinite(points)), f" of {condition}" if condition else ""
-        message = f"{bad} of {points.size} coordinates of the interface{where} are not finite"
-        raise ForwardModelError("non_finite", message, state="invalid")
+        bad = np.count_nonzero(~np.isfinite(points))
+        raise _invalid(
+            "non_finite", f"{bad} of {points.size} coordinates of the interface{_of(condition)} are not finite"
+        )
     return Interface(points, np.array(interface.cells, dtype=np.int64, order="C"))
 
 
@@ -332,8 +298,11 @@ def _derivative(condition: str, name: str, value: Any, interfaces: Mapping[str, 
 
 
 def _unfit(problem: str) -> ForwardModelError:
-    message = f"sensitivities: {problem}. Correct what the model returns."
-    return ForwardModelError("sensitivities", message, state="invalid")
+    return _invalid("sensitivities", f"sensitivities: {problem}. Correct what the model returns.")
+
+
+def _invalid(kind: str, message: str) -> ForwardModelError:
+    return ForwardModelError(kind, message, state="invalid")
 
 
 def _of(condition: str) -> str:
