@@ -11,9 +11,9 @@ from strandline.cli.main import COMMANDS, command_named
 from strandline.discrepancy import DISCREPANCIES
 from strandline.foundations import lookup
 from strandline.models import MODELS
-from strandline.studies.keys import StudyFile
+from strandline.studies import StudyFile
+from strandline.studies.keys.folder import EXAMPLES
 from strandline.studies.keys.schema import PLAIN, Options, listed
-from strandline.studies.keys.template import EXAMPLES
 
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
 

@@ -23,8 +23,7 @@ from strandline.models import MODELS
 from strandline.parameters import PRIORS
 from strandline.readers import READERS, Reading
 from strandline.runs import RunRequest, attempt
-from strandline.studies import check_posterior
-from strandline.studies.keys import StudyFile
+from strandline.studies import StudyFile, check_posterior
 from strandline.studies.keys.observation import ObservationFile
 from strandline.studies.load.models import build_model
 from strandline.surrogate import KERNELS

@@ -29,7 +29,7 @@ from verification.validation.tables import EXAMPLES, arguments, kept_or_scratch
 from strandline.posterior import read
 from strandline.runs.ledger.journal import VARIABLE, has_rollback_journal
 from strandline.runs.ledger.ledger_schema import connect_read_only
-from strandline.runs.ledger.scratch import PREFIX
+from strandline.runs.worker import PREFIX
 
 COMMAND = [sys.executable, "-m", "strandline", "run", "--quiet"]
 RUNS, ACTIVE_RUNS = 400, 220

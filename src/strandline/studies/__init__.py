@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
+    from strandline.studies.doctor import examine
     from strandline.studies.foresight.check import (
         PosteriorCheck,
         check_posterior,
@@ -28,10 +29,11 @@ if TYPE_CHECKING:
     from strandline.studies.foresight.measure_doubts import measure_lines, node_lines
     from strandline.studies.foresight.serve import Solver, served_models
     from strandline.studies.foresight.widths import slopes_by_differences, slopes_by_sensitivities
-    from strandline.studies.keys import StudyFile
     from strandline.studies.keys.folder import (
+        EXAMPLES,
         LEDGER,
         NEXT_LEDGER,
+        OWN,
         POSTERIOR,
         REFINEMENT,
         REPLICATES,
@@ -41,23 +43,30 @@ if TYPE_CHECKING:
         SPECIMENS_TABLE,
         STUDY,
         SUMMARY,
+        Observed,
         digest_of,
         require_temporary,
         require_writable,
         told_if_unwritable,
+        write_example,
     )
     from strandline.studies.keys.observation import Noise, ObservationFile
     from strandline.studies.keys.parse import checked, entry, in_words, parse_study, refused_at
-    from strandline.studies.keys.scalars import Number, Section
-    from strandline.studies.keys.schema import listed
-    from strandline.studies.keys.study_file import SpecimensFile, WhatIf
-    from strandline.studies.keys.template import EXAMPLES, OWN, Observed, write_example
+    from strandline.studies.keys.schema import Number, Section, listed
+    from strandline.studies.keys.study_file import SpecimensFile, StudyFile, WhatIf
     from strandline.studies.keys.text import REMOVED, changed_text, load_yaml
     from strandline.studies.load.inputs import build_prior, check_complete
     from strandline.studies.load.load import load_study, study_of
     from strandline.studies.load.models import cheaper_dropped, cheaper_lines, differentiating
     from strandline.studies.load.noise import build_noise, require_fits
     from strandline.studies.load.observed import read_observation, read_points, require_plausible
+    from strandline.studies.load.photographed import (
+        UNDEFORMED,
+        picture_of,
+        reference_of,
+        undeformed_picture,
+        with_errors_of,
+    )
     from strandline.studies.load.progress import (
         RunReported,
         StudyProgress,
@@ -67,13 +76,9 @@ if TYPE_CHECKING:
     )
     from strandline.studies.load.provenance import facts_of, points_digest, results_at_hand, versions
     from strandline.studies.load.study import Study, settled
-    from strandline.studies.pictures.photographed import UNDEFORMED, picture_of, reference_of
-    from strandline.studies.pictures.undeformed import undeformed_picture, with_errors_of
-    from strandline.studies.run.doctor import examine
-    from strandline.studies.run.run import Outcome, run_study, submit_study
+    from strandline.studies.run import Outcome, Result, load_result, run_study, submit_study
     from strandline.studies.write.changed_copy import changed_study, reuse_from, write_copy
     from strandline.studies.write.export import write_csv, write_netcdf
-    from strandline.studies.write.result import Result, load_result
     from strandline.studies.write.shown import (
         IMAGE,
         PictureFiles,

@@ -16,8 +16,8 @@ from strandline.posterior import read
 from strandline.runs import InProcess, Ledger
 from strandline.studies import load_study, run_study
 from strandline.studies.load.progress import progress_of
-from strandline.studies.write.result import load_result
-from strandline.studies.write.summary_field import certificate
+from strandline.studies.run import load_result
+from strandline.studies.write.summary import certificate
 from strandline.testing.studies import write_study
 
 

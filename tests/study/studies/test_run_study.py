@@ -20,7 +20,7 @@ from strandline.runs import InProcess
 from strandline.studies import load_study, run_study
 from strandline.studies.load.progress import progress_of
 from strandline.studies.load.provenance import observation_digest, results_at_hand
-from strandline.studies.run.run import Results, submit_study
+from strandline.studies.run import Results, submit_study
 from strandline.studies.write.summary import _sensitivity
 from strandline.testing.studies import BEAM_STUDY, write_study
 from strandline.testing.studies import beam as simulator
@@ -98,15 +98,15 @@ def test_a_study_changed_in_memory_alone_is_refused_and_leaves_the_folder_as_it_
 
 
 def test_an_analysis_that_fails_far_from_the_observation_says_so(beam, copy_of, monkeypatch):
-    monkeypatch.setattr("strandline.studies.run.run.calibrate", Mock(side_effect=NumericsError("singular")))
-    monkeypatch.setattr("strandline.studies.run.run.nothing_near", lambda found: f"{len(found)} run is far away.")
+    monkeypatch.setattr("strandline.studies.run.calibrate", Mock(side_effect=NumericsError("singular")))
+    monkeypatch.setattr("strandline.studies.run.nothing_near", lambda found: f"{len(found)} run is far away.")
     with pytest.raises(NumericsError, match=r"1 run is far away\. The analysis failed: singular"):
         rerun(copy_of(beam))
 
 
 BROKEN = {
-    "posterior.nc": ("strandline.studies.run.run.write", ImportError("No module named 'h5py'")),
-    "summary.json": ("strandline.studies.run.run.write_json", OSError(28, "No space left on device")),
+    "posterior.nc": ("strandline.studies.run.write", ImportError("No module named 'h5py'")),
+    "summary.json": ("strandline.studies.run.write_json", OSError(28, "No space left on device")),
 }
 
 
@@ -118,8 +118,8 @@ def test_a_result_that_cannot_be_written_leaves_the_others(beam, copy_of, monkey
         (folder / old).write_text("old")
     monkeypatch.setattr("strandline.report.page.figure_groups", lambda *_: {})
     monkeypatch.setattr(place, Mock(side_effect=error))
-    monkeypatch.setattr("strandline.studies.run.run.summarise", lambda *a, **o: dict(beam.outcome.summary))
-    monkeypatch.setattr("strandline.studies.run.run.calibrate", lambda *a, **o: beam.outcome.calibration)
+    monkeypatch.setattr("strandline.studies.run.summarise", lambda *a, **o: dict(beam.outcome.summary))
+    monkeypatch.setattr("strandline.studies.run.calibrate", lambda *a, **o: beam.outcome.calibration)
     with pytest.raises(ResultsNotWritten, match="finished forward runs are kept") as raised:
         rerun(folder)
     assert list(raised.value.missing) == [name]

@@ -11,7 +11,7 @@ import tifffile
 
 from strandline.foundations import InvalidInput
 from strandline.imaging.read import read_picture
-from strandline.studies.pictures.photographed import picture_reading
+from strandline.studies.load.photographed import picture_reading
 
 SQUARE = {"size": 2.0, "unit": "um"}
 

@@ -23,7 +23,7 @@ from strandline.studies import load_study
 from strandline.studies.foresight import first_run
 from strandline.studies.foresight.measure_doubts import _sagittas, measure_lines, node_lines
 from strandline.studies.load.models import cheaper_lines
-from strandline.studies.run.run import _checking_sizes
+from strandline.studies.run import _checking_sizes
 from strandline.testing.studies import beam, write_study
 
 TRUTH = {"E": 430.0, "tilt": 0.02, "load": 1e-5}

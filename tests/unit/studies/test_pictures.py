@@ -23,7 +23,7 @@ from strandline.report.plots.picture import off_smooth
 from strandline.runs import InProcess, RunRecord
 from strandline.studies import load_study
 from strandline.studies.foresight.measure_doubts import measure_lines
-from strandline.studies.pictures.photographed import frame_note
+from strandline.studies.load.photographed import frame_note
 from strandline.studies.write.shown import _along, _small, described, picture_png, read_how, write_pictures
 from strandline.testing.studies import TWO_LOADS_STUDY, write_study
 

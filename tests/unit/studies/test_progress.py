@@ -11,9 +11,9 @@ from strandline.models.identity import fingerprint
 from strandline.runs import Ledger, RunRecord, RunRequest, attempt, run_key
 from strandline.runs.ledger.ledger_schema import ATTEMPTS
 from strandline.studies import load_study
+from strandline.studies.doctor import _gaps
 from strandline.studies.load.progress import RATE_RUNS, _per_minute, progress_in, progress_of
 from strandline.studies.load.study import settled
-from strandline.studies.run.doctor import _gaps
 from strandline.testing.studies import write_study
 
 RUNS = 8

@@ -23,7 +23,7 @@ from strandline.runs.executors.slurm_array import SlurmArray
 from strandline.smc import SMCSettings
 from strandline.studies import load_study
 from strandline.studies.keys.parse import parse_study
-from strandline.studies.keys.settings import ExecutorChoice
+from strandline.studies.keys.study_file import ExecutorChoice
 from strandline.studies.keys.text import _not_yaml
 from strandline.studies.load.inputs import require_prior
 from strandline.studies.load.noise import require_stated

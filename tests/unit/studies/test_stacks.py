@@ -18,8 +18,8 @@ from strandline.interface import GaussianNoise, Interface, PointErrors
 from strandline.readers import Reading, read_interface
 from strandline.studies import load_study
 from strandline.studies.keys.observation import StackFile
-from strandline.studies.pictures.scanned import Scanned
-from strandline.studies.pictures.undeformed import with_errors_of
+from strandline.studies.load.observed import Scanned
+from strandline.studies.load.photographed import with_errors_of
 from strandline.studies.write.shown import read_how, write_pictures
 from strandline.testing.studies import BEAM_STUDY, write_study
 

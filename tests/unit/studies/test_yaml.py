@@ -14,8 +14,7 @@ import yaml
 from tests.unit.cli.command_line import contents
 
 from strandline.foundations import InvalidInput, InvalidStudy
-from strandline.studies import load_study
-from strandline.studies.keys import StudyFile
+from strandline.studies import StudyFile, load_study
 from strandline.studies.keys import text as study_text
 from strandline.studies.keys.folder import QUESTION, digest_of
 from strandline.studies.keys.schema import listed

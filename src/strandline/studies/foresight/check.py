@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -90,10 +90,7 @@ def describe(
         "verdict": verdict_on(smoothed),
         "remarks": list(_remarks(study, found)),
         "ess": smoothed.ess,
-        "log_likelihood": {
-            "mean_difference": float(difference.mean()),
-            "rms_difference": float(difference.std()),
-        },
+        "log_likelihood": {"mean_difference": float(difference.mean()), "rms_difference": float(difference.std())},
         "inputs": _inputs(found),
         "particles": {
             "number": found.chosen.tolist(),
@@ -125,24 +122,21 @@ def posterior_digest(posterior: Posterior) -> str:
 
 
 def _inputs(found: CheckedDraws) -> dict[str, dict[str, Any]]:
-    return {
-        parameter.name: {
-            "unit": parameter.unit,
-            **{name: float(getattr(found.result, name)[i]) for name in MOMENTS},
-        }
-        for i, parameter in enumerate(found.posterior.space)
-    }
+    def moments(i: int) -> dict[str, float]:
+        return {name: float(getattr(found.result, name)[i]) for name in MOMENTS}
+
+    return {one.name: {"unit": one.unit, **moments(i)} for i, one in enumerate(found.posterior.space)}
 
 
 def _remarks(study: Study, found: CheckedDraws) -> Iterator[str]:
     verdict = verdict_on(found.result.smoothed)
     yield VERDICTS[verdict]
     if verdict != "good":
-        refined = getattr(study.measure, "quadrature", None) == "centre"
+        coarse = getattr(study.measure, "quadrature", None) == "centre"
+        refined = ", the refined quadrature of the measure," if coarse else ""
         yield (
-            "Remedy: more runs near the posterior (a narrower box, or a larger design)"
-            + (", the refined quadrature of the measure," if refined else "")
-            + " or a larger noise. Then run the study and this check again."
+            f"Remedy: more runs near the posterior (a narrower box, or a larger design){refined} or a larger noise. "
+            "Then run the study and this check again."
         )
     if verdict != "bad":
         yield from _differences(found)
@@ -172,7 +166,9 @@ def _interfaces(study: Study, observation: Observation, records: Sequence[RunRec
         return {"condition": observation.condition, "points": None, "note": note, "displacement": None, "offset": None}
     points = np.stack([interface.points for interface in interfaces])
     band = interface_band(points)
-    origin, reference = _reference(study, band.median)
+    origin, reference, undeformed = "median", band.median, undeformed_interface(study.model)
+    if undeformed is not None and undeformed.points.shape == band.median.shape:
+        origin, reference = "undeformed", undeformed.points
     return {
         "condition": observation.condition,
         "points": points.shape[1],
@@ -186,16 +182,6 @@ def _interfaces(study: Study, observation: Observation, records: Sequence[RunRec
         },
         "offset": offset_band(points, Interface(band.median, interfaces[0].cells), observation.interface),
     }
-
-
-def _reference(
-    study: Study, median: Float[np.ndarray, "point xyz"]
-) -> tuple[Literal["undeformed", "median"], Float[np.ndarray, "point xyz"]]:
-    """Return the reference of displacements: the undeformed nodes if the model offers them, else the median."""
-    undeformed = undeformed_interface(study.model)
-    if undeformed is not None and undeformed.points.shape == median.shape:
-        return "undeformed", undeformed.points
-    return "median", median
 
 
 def offset_band(
@@ -249,12 +235,9 @@ def check_posterior(
     """
     posterior = finished_posterior(study)
     if not FEWEST_DRAWS <= draws <= posterior.number:
-        raise InvalidInput(
-            "draws of the check",
-            value=draws,
-            expected=f"from {FEWEST_DRAWS} to {posterior.number}, the number of particles",
-            remedy="200 are a good start; more draws make k̂ more certain.",
-        )
+        expected = f"from {FEWEST_DRAWS} to {posterior.number}, the number of particles"
+        remedy = "200 are a good start; more draws make k̂ more certain."
+        raise InvalidInput("draws of the check", value=draws, expected=expected, remedy=remedy)
     require_writable(study.folder)
     tell, begun = observer_or_default(observer), time.perf_counter()
     observations = study.observations(observations_of(study))
@@ -267,7 +250,15 @@ def check_posterior(
     observations = turned_like(observations, records)
     likelihood = InterfaceLikelihood(observations, study.measure)
     true = np.array([likelihood(record.interfaces) if record.ok else -np.inf for record in records])
-    _require_one(records)
+    if not any(record.ok for record in records):
+        first = records[0]
+        reason = (first.message or "no message").splitlines()[0]
+        raise TooFewRuns(
+            "the true model failed at every draw of the posterior",
+            value=f"0 of {len(records)}; e.g. {first.failure_kind or first.state}: {reason}",
+            expected="a posterior where the simulator runs",
+            remedy="Look at the failures; the surrogate knows nothing of where the posterior lies.",
+        )
     found = CheckedDraws(posterior, chosen, records, true, surrogate, reweight(positions, true - surrogate))
     content = describe(study, found, observations, new_runs=new_runs)
     with told_if_unwritable(study.folder):
@@ -292,12 +283,8 @@ def finished_posterior(study: Study, *, purpose: str = "check") -> Posterior:
     try:
         return from_datatree(read(path), study.space)
     except (OSError, KeyError, ValueError) as error:
-        raise InvalidStudy(
-            f"{POSTERIOR} cannot be read",
-            value=str(error),
-            expected="the posterior of this study",
-            remedy=f"Make it again: strandline report {study.folder}",
-        ) from error
+        expected, remedy = "the posterior of this study", f"Make it again: strandline report {study.folder}"
+        raise InvalidStudy(f"{POSTERIOR} cannot be read", value=str(error), expected=expected, remedy=remedy) from error
 
 
 def _run(
@@ -317,15 +304,3 @@ def plain_model(study: Study) -> ForwardModel:
     model: Any = study.model
     plain: ForwardModel = dataclasses.replace(model, sensitivities=False) if study.sensitivities else model
     return plain
-
-
-def _require_one(records: tuple[RunRecord, ...]) -> None:
-    if not any(record.ok for record in records):
-        first = records[0]
-        raise TooFewRuns(
-            "the true model failed at every draw of the posterior",
-            value=f"0 of {len(records)}; e.g. {first.failure_kind or first.state}: "
-            + (first.message or "no message").splitlines()[0],
-            expected="a posterior where the simulator runs",
-            remedy="Look at the failures; the surrogate knows nothing of where the posterior lies.",
-        )

@@ -43,8 +43,7 @@ class NoiseLength:
 def noise_of(study: Study, interface: Interface, condition: str = "") -> NoiseLength:
     """Return the noise of the first measure as a length.
 
-    The sd of an observed point or σ_N if the measure sums squared distances; otherwise the shift of `interface` for
-    which d² = σ_N².
+    The sd of an observed point or σ_N if the measure sums squares; else the shift of `interface` with d² = σ_N².
     """
     measure, seen = study.measure, study.observation(interface, condition)
     sd = sd_of_distances(seen, measure, interface)
@@ -211,16 +210,13 @@ def displacement_lines(study: Study, record: RunRecord) -> Iterator[str]:
         if run.dim != undeformed.dim:
             continue
         of, noise = f" ({condition})" if condition else "", noise_of(study, undeformed, condition)
-        moved = _largest_displacement(run, undeformed)
+        if run.points.shape == undeformed.points.shape:
+            moved = float(np.linalg.norm(run.points - undeformed.points, axis=1).max())
+        else:
+            moved = apart(run, undeformed)[1]
         yield f"largest displacement{of}: {_length(moved)}, {noise.times(moved)}"
         if _hidden(measure, run, study.observation(undeformed, condition)):
             yield f"warning{of}: the displacement is below the noise: the data cannot show it"
-
-
-def _largest_displacement(run: Interface, undeformed: Interface) -> float:
-    if run.points.shape == undeformed.points.shape:
-        return float(np.linalg.norm(run.points - undeformed.points, axis=1).max())
-    return apart(run, undeformed)[1]
 
 
 def _hidden(measure: Discrepancy, run: Interface, undeformed: Observation) -> bool:

@@ -65,8 +65,8 @@ def measure_lines(study: Study, record: RunRecord) -> Iterator[str]:
 def contradictions(study: Study) -> Iterator[str]:
     """Yield the errors of outlines in pictures that contradict each other: too small a shift beside scale or rotation.
 
-    Scale and rotation act about the middle of the observed points. The origin of the frame was clicked: about it, they
-    also move this middle.
+    Scale and rotation act about the middle of the observed points. About the origin of the frame, a click, they also
+    move it.
     """
     for condition in study.pictures:
         errors, of = study.noise_of(condition), f" ({condition})" if condition else ""
@@ -142,10 +142,7 @@ def _turning(measure: MeasurementLines, seen: Interface, of: str) -> Iterator[st
 
 
 def _steady_piece(measure: MeasurementLines, seen: Interface, scatter: float) -> str:
-    """Return a length in mm, rounded up, over which points as noisy as these turn a chord by 3°.
-
-    Independent errors of sd s at its ends turn a chord of length w by √2 s/w.
-    """
+    """Return a length w, mm, rounded up, over which points as noisy (sd s) as these turn a chord by 3°: by √2 s/w."""
     spacing = float(np.median(seen.lengths))
     present = max(measure.smooth or 0.0, spacing)
     length = max(PIECE * spacing, present * scatter / STEADY)

@@ -42,11 +42,8 @@ class Solver:
         self._lock = threading.Lock()
 
     def __call__(self, inputs: Mapping[str, float]) -> RunRecord:
-        """Return the record of the run: made now, being made for another caller, or remembered if it ended well.
-
-        Raises:
-            InvalidInput: The model cannot be loaded in its own process.
-        """
+        """Return the record of the run: made now, being made, or remembered; InvalidInput if the model cannot be
+        loaded."""
         request = RunRequest(run_key("", inputs), dict(inputs))
         with self._lock:
             if request.key not in self._known:
@@ -166,9 +163,7 @@ def _check_box(values: Mapping[str, float], space: ParameterSpace) -> None:
     for parameter in space:
         low, high = parameter.interval
         if not low <= values[parameter.name] <= high:
-            raise InvalidInput(
-                f"input.{parameter.name}",
-                value=values[parameter.name],
-                expected=f"a number from {low:g} to {high:g}, the box of its prior",
-                remedy="Stay within it, or start the server with `serve --outside`.",
-            )
+            what = f"input.{parameter.name}"
+            expected = f"a number from {low:g} to {high:g}, the box of its prior"
+            remedy = "Stay within it, or start the server with `serve --outside`."
+            raise InvalidInput(what, value=values[parameter.name], expected=expected, remedy=remedy)

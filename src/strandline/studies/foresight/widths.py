@@ -66,12 +66,11 @@ def expected_sd(
 ) -> Float[np.ndarray, " dim"]:
     """Return the posterior's standard deviation of each input if the interface is linear in them.
 
-    The observation is taken to be the part of the simulated interface that was observed. Of the observed interfaces,
-    if they are known, only the places of their points along the interface count. `slopes` hold at `interfaces`.
+    The observation is taken to be the part of the simulated interface that was observed. Of the observed interfaces, if
+    they are known, only the places of their points along the interface count. `slopes` hold at `interfaces`.
 
-    Raises:
-        InvalidInput: The measure refuses the interfaces, or no noise variance of it fits the errors of the points.
-        NumericsError: The slopes give no finite widths.
+    Raises InvalidInput if the measure refuses the interfaces, or no noise variance of it fits the errors of the points;
+    NumericsError if the slopes give no finite widths.
     """
     prior = np.diag(1 / _prior_sd(study.space) ** 2)
     if not all(np.isfinite(one).all() for one in slopes.values()):

@@ -7,8 +7,7 @@ from pydantic import AfterValidator, ConfigDict, Discriminator, Field, Tag, mode
 
 from strandline.interface import MOST, is_condition
 from strandline.readers import Reading
-from strandline.studies.keys.scalars import VARIANCES, Name, Number, Section, Seed, Switch
-from strandline.studies.keys.schema import with_keys_of
+from strandline.studies.keys.schema import VARIANCES, Name, Number, Section, Seed, Switch, with_keys_of
 
 Place = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
@@ -206,10 +205,6 @@ Sd = Annotated[Number, Field(gt=0)] | Literal["unknown", "column", "image"] | Ra
 Length = NotNegative | Literal["unknown"] | Range
 
 
-def _written(sd: object) -> str:
-    return f"[{', '.join(f'{end:g}' for end in sd)}]" if isinstance(sd, tuple) else str(sd)
-
-
 class Unknown(Section):
     """Errors that all points of an observed interface share."""
 
@@ -259,7 +254,8 @@ class ConditionNoise(Section):
         if self.of_points and self.variance is not None:
             raise ValueError("`unit` goes with `sd`; a `variance` is already in the unit of d²")
         if not self.of_points and not isinstance(self.sd, float | None):
-            raise ValueError(f"`sd: {_written(self.sd)}` with the `unit` of the observed points: mm, um or m")
+            sd = f"[{', '.join(f'{end:g}' for end in self.sd)}]" if isinstance(self.sd, tuple) else self.sd
+            raise ValueError(f"`sd: {sd}` with the `unit` of the observed points: mm, um or m")
         for name in ("length", "unknown", "model_error", "spread"):
             if getattr(self, name) not in (None, False, []) and not self.of_points:
                 raise ValueError(f"`{name}` with the `sd` of the observed points and its `unit`: mm, um or m")

@@ -10,10 +10,10 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from strandline.foundations import InvalidInput, InvalidStudy, lookup, suggestion
-from strandline.studies.keys import SCHEMA_VERSION, StudyFile
 from strandline.studies.keys.folder import STUDY
 from strandline.studies.keys.observation import ONE, SEVERAL, ConditionFile
 from strandline.studies.keys.schema import PLAIN, Options, annotation_of, keys_within, stated
+from strandline.studies.keys.study_file import SCHEMA_VERSION, StudyFile
 from strandline.studies.keys.text import load_yaml
 
 T = TypeVar("T")
@@ -39,7 +39,21 @@ INTERNAL = {ONE, SEVERAL, "[key]", "float", "int", "str", "Quantity", "Stop", "d
 
 def parse_study(folder: Path) -> tuple[StudyFile, str]:
     """Return the validated content of `folder`/study.yaml and its text."""
-    text = _read(folder)
+    try:
+        text = (folder / STUDY).read_text(encoding="utf-8")
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
+        is_file = folder.is_file()
+        raise InvalidStudy(
+            "not a study folder",
+            value=str(folder),
+            expected=f"a folder with a file {STUDY}",
+            remedy=f"Give the folder that it is in, `{folder.parent}`, not a file"
+            if is_file
+            else "Make one with `strandline init FOLDER`, or correct the path.",
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        expected, remedy = "a readable text file in UTF-8", "Check its permissions and encoding."
+        raise InvalidStudy(f"{STUDY} cannot be read", value=str(error), expected=expected, remedy=remedy) from None
     return parsed(text), text
 
 
@@ -55,29 +69,6 @@ def parsed(text: str) -> StudyFile:
             remedy=f"Put `version: {SCHEMA_VERSION}` on its first line, or use a matching strandline.",
         )
     return checked(StudyFile, content)
-
-
-def _read(folder: Path) -> str:
-    path = folder / STUDY
-    try:
-        return path.read_text(encoding="utf-8")
-    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
-        is_file = folder.is_file()
-        raise InvalidStudy(
-            "not a study folder",
-            value=str(folder),
-            expected=f"a folder with a file {STUDY}",
-            remedy=f"Give the folder that it is in, `{folder.parent}`, not a file"
-            if is_file
-            else "Make one with `strandline init FOLDER`, or correct the path.",
-        ) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidStudy(
-            f"{STUDY} cannot be read",
-            value=str(error),
-            expected="a readable text file in UTF-8",
-            remedy="Check its permissions and encoding.",
-        ) from None
 
 
 def first_problem(error: ValidationError, schema: Any = StudyFile, within: str = "") -> InvalidStudy:
@@ -103,13 +94,11 @@ def first_problem(error: ValidationError, schema: Any = StudyFile, within: str =
             expected=f"one of {', '.join(known)}" if known else "no such key",
             remedy=suggestion(name, known, f"Remove {place}.") + more,
         )
-    place = place.removesuffix(".") or "study"
-    return InvalidStudy(
-        f"{file}{place}",
-        value=None if first["type"] == "missing" else first["input"],
-        expected=" or ".join(dict.fromkeys(_expectation(one) for one in same)),
-        remedy=_remedy(first, place) + more,
-    )
+    place, expected = place.removesuffix(".") or "study", " or ".join(dict.fromkeys(_expectation(one) for one in same))
+    if first["type"] == "missing":
+        return InvalidStudy(f"{file}{place}", value=None, expected=expected, remedy=f"Add it.{more}")
+    remedy = suggestion(str(first["input"]), _words(first), f"Correct {place}.")
+    return InvalidStudy(f"{file}{place}", value=first["input"], expected=expected, remedy=remedy + more)
 
 
 def _of_one_place(findings: Sequence[Mapping[str, Any]], first: Mapping[str, Any]) -> list[Any]:
@@ -161,12 +150,6 @@ def _expectation(finding: Mapping[str, Any]) -> str:
     return f"a number {said}" if kind.startswith(("greater_than", "less_than")) else said
 
 
-def _remedy(finding: Mapping[str, Any], place: str) -> str:
-    """Return what to do next: add a missing key, or take the word that was probably meant."""
-    given = str(finding["input"])
-    return "Add it." if finding["type"] == "missing" else suggestion(given, _words(finding), f"Correct {place}.")
-
-
 def _words(finding: Mapping[str, Any]) -> list[str]:
     """Return the words that a key may have; none if it may have others."""
     return re.findall("'([^']+)'", finding["ctx"]["expected"]) if finding["type"] == "literal_error" else []
@@ -215,12 +198,8 @@ def _refused(error: InvalidInput, place: str) -> InvalidStudy:
 def entry(registry: Mapping[str, Any], name: str, place: str) -> Any:
     """Return the entry `name` of one of our own registries; refuse an unknown name and suggest the nearest one."""
     if name not in registry:
-        raise InvalidStudy(
-            place,
-            value=name,
-            expected=f"one of {', '.join(registry)}",
-            remedy=suggestion(name, registry, "Choose one of them."),
-        )
+        remedy = suggestion(name, registry, "Choose one of them.")
+        raise InvalidStudy(place, value=name, expected=f"one of {', '.join(registry)}", remedy=remedy)
     return registry[name]
 
 
@@ -229,12 +208,9 @@ def open_entry(registry: Mapping[str, Any], name: str, place: str, protocol: str
     with refused_at():
         found = lookup(registry, name, place)
     if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
-        raise InvalidStudy(
-            place,
-            value=name,
-            expected=f"a dataclass that is {protocol}: its fields are the options",
-            remedy="Decorate the class with @dataclass(frozen=True).",
-        )
+        expected = f"a dataclass that is {protocol}: its fields are the options"
+        remedy = "Decorate the class with @dataclass(frozen=True)."
+        raise InvalidStudy(place, value=name, expected=expected, remedy=remedy)
     return found
 
 
@@ -242,12 +218,9 @@ def require_parts(entry: object, parts: Iterable[str], place: str) -> None:
     """Refuse an object that lacks some of these parts."""
     missing = [name for name in parts if not hasattr(entry, name)]
     if missing:
-        raise InvalidStudy(
-            place,
-            value=f"a class without {', '.join(missing)}",
-            expected=f"the parts {', '.join(parts)}",
-            remedy="Add what is missing; the conformance suite in strandline.testing says what it must do.",
-        )
+        expected = f"the parts {', '.join(parts)}"
+        remedy = "Add what is missing; the conformance suite in strandline.testing says what it must do."
+        raise InvalidStudy(place, value=f"a class without {', '.join(missing)}", expected=expected, remedy=remedy)
 
 
 def in_words(chosen: Any) -> str:

@@ -1,7 +1,8 @@
 """The options of a class of the library as keys of study.yaml, and all keys in one list.
 
 A class states name, type and default of each option once, as the fields of a dataclass; `Options` turns them into keys,
-so that pydantic checks names, types and missing keys. Which values make sense the class checks when it is made.
+so that pydantic checks names, types and missing keys. Which values make sense the class checks when it is made. Types
+of values come first: what could not be used later is refused, and so are unknown keys.
 """
 
 import dataclasses
@@ -18,7 +19,71 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, PydanticUseDefault, core_schema
 
-from strandline.studies.keys.scalars import Number, Section, Size, Switch, Text, Whole
+from strandline.foundations import decimal, is_label, is_name
+
+MOST = 1_000_000
+"""Largest count of runs, particles, workers and so on: more than anybody needs, and few enough for memory."""
+MOST_RETRIES = 1000
+MOST_VALUES = 10_000
+"""Values of the nuisance inputs; the sampler runs once for each."""
+VARIANCES = 1e-30, 1e30
+"""Smallest and largest σ_N²; beyond them, likelihoods overflow."""
+
+
+def _number(value: Any) -> Any:
+    """Refuse true/false and text instead of a number; accept `1e-5`, which YAML 1.1 reads as text."""
+    if isinstance(value, bool):
+        raise ValueError("a number, not a truth value")
+    if isinstance(value, str):
+        number = decimal(value)
+        if number is None:
+            raise ValueError("a finite number" if value.strip(".+-").lower() in ("nan", "inf") else "a number")
+        return number
+    return value
+
+
+def _whole(value: Any) -> Any:
+    """Refuse true/false and text, even `"80"`, instead of a whole number."""
+    if isinstance(value, bool):
+        raise ValueError("a number, not a truth value")
+    if isinstance(value, str):
+        raise ValueError("a whole number, without quotes" if decimal(value) is not None else "a whole number")
+    return value
+
+
+def _name(value: str) -> str:
+    if not is_name(value):
+        raise ValueError("a short name on one line, without / \\ = $ and without blanks at its ends")
+    return value
+
+
+def _label(value: str) -> str:
+    if not is_label(value):
+        raise ValueError("a short text on one line without $, e.g. mm²/s")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_number), Field(allow_inf_nan=False)]
+Whole = Annotated[int, BeforeValidator(_whole)]
+Count = Annotated[Whole, Field(ge=1, le=MOST)]
+Size = Annotated[Whole, Field(le=MOST)]
+"""A count whose smallest value is checked elsewhere."""
+Seed = Annotated[Whole, Field(ge=0, lt=2**32)]
+Name = Annotated[str, AfterValidator(_name)]
+Unit = Annotated[str, AfterValidator(_label)]
+Text = Annotated[str, Field(strict=True, min_length=1)]
+
+
+Choice = Annotated[dict[str, dict[str, Any] | None], Field(min_length=1, max_length=1)]
+"""One named variant with its options: ``{currents: {width: 0.005}}``."""
+Switch = Annotated[bool, Field(strict=True)]
+
+
+class Section(BaseModel):
+    """Keys with values."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
 
 READ = "read"
 """In the metadata of a field: function that turns a value of the study file into one of the field."""
@@ -32,14 +97,10 @@ BOUNDED: dict[Any, Any] = {**PLAIN, int: Size, str: Text}
 
 @dataclass(frozen=True, eq=False)
 class Options:
-    """A mark for a value in the study file whose keys are the fields of a dataclass.
+    """A mark for a value in the study file whose keys are the fields of the dataclass `of`, `without` some of them.
 
-    Args:
-        of: The dataclass.
-        without: Fields that are not keys.
-        also: Further keys, or fields with another form in the study file: type and default by name.
-        plain: Types of values by the types of fields.
-        make: Whether a validated value is an object of the class, not the mapping of its options.
+    Keys that are there `also`, or fields of another form in the study file, have type and default by name; `plain` has
+    types of values by the types of fields. With `make`, a validated value is an object of the class, not its options.
     """
 
     of: type
@@ -162,12 +223,10 @@ def meanings(kind: type) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Key:
-    """A key of study.yaml that takes a value.
+    """A key of study.yaml with its default, as YAML writes it, or ``required``, and its meaning in Markdown.
 
-    Args:
-        name: Name with the sections around it: ``design.sobol.runs``; NAME stands for a name that the user chooses.
-        default: Default as YAML writes it, or ``required``.
-        meaning: Meaning in Markdown; empty if a key before it explains this one too.
+    The name has the sections around it, ``design.sobol.runs``; NAME stands for a name that the user chooses. The
+    meaning is empty if a key before it explains this one too.
     """
 
     name: str

@@ -26,10 +26,7 @@ UNUSABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x84\x86-\x9f\ud800-\udff
 
 
 def load_yaml(text: str) -> Any:
-    """Return the content of `text`.
-
-    Numbers with underscores are texts: YAML 1.1 would read ``1_0`` as 10.
-    """
+    """Return the content of `text`; numbers with underscores are texts: YAML 1.1 would read ``1_0`` as 10."""
     try:
         _require_bearable(text)
         return yaml.load(text, Loader=_Loader)

@@ -39,24 +39,20 @@ def build_fixed(study: StudyFile, model: ForwardModel) -> dict[str, float]:
     if isinstance(model, UsesNames):
         with refused_at():
             model.require_names(study.inputs, study.fixed)
-    fixed = {name: _fixed_value(name, given, declared) for name, given in study.fixed.items()}
+    for name, given in study.fixed.items():
+        if isinstance(given, Quantity):
+            _require_unit(given.unit, declared.get(name), f"fixed.{name}", "convert the value")
+    fixed = {name: float(one.value if isinstance(one, Quantity) else one) for name, one in study.fixed.items()}
     check_values(fixed, model, "fixed")
     for name in fixed:
         if name in study.inputs:
-            raise InvalidStudy(
-                f"{name} is both fixed and an input",
-                value=fixed[name],
-                expected="one of the two",
-                remedy=f"Remove {name} from fixed or from inputs.",
-            )
+            what, remedy = f"{name} is both fixed and an input", f"Remove {name} from fixed or from inputs."
+            raise InvalidStudy(what, value=fixed[name], expected="one of the two", remedy=remedy)
     missing = [name for name in declared if name not in fixed and name not in study.inputs]
     if missing:
-        raise InvalidStudy(
-            f"no value for {', '.join(missing)}, which the model takes",
-            value=None,
-            expected="a prior under inputs or a number under fixed",
-            remedy=f"Add e.g. `fixed: {{{missing[0]}: …}}`.",
-        )
+        what = f"no value for {', '.join(missing)}, which the model takes"
+        expected = "a prior under inputs or a number under fixed"
+        raise InvalidStudy(what, value=None, expected=expected, remedy=f"Add e.g. `fixed: {{{missing[0]}: …}}`.")
     return fixed
 
 
@@ -71,10 +67,7 @@ def check_values(values: Mapping[str, float], model: ForwardModel, place: str) -
 def check_complete(
     values: Mapping[str, float], names: Iterable[str], model: ForwardModel, place: str, *, add: str = "Add {name}."
 ) -> None:
-    """Refuse values unless there is one for each input that the model declares, else for each of the study's `names`.
-
-    `add` is the remedy for a missing value.
-    """
+    """Refuse values unless each input that the model declares, else each of `names`, has one; `add` is the remedy."""
     names = [item.name for item in declared_inputs(model)] or list(names)
     for name in values:
         _check_name(name, dict.fromkeys(names), f"{place}.{name}")
@@ -82,12 +75,8 @@ def check_complete(
     missing = [name for name in names if name not in values]
     if missing:
         given = ", ".join(f"{name}: {value:g}" for name, value in values.items())
-        raise InvalidStudy(
-            place,
-            value=given or None,
-            expected=f"a value for {', '.join(missing)} too",
-            remedy=add.format(name=missing[0]),
-        )
+        expected, remedy = f"a value for {', '.join(missing)} too", add.format(name=missing[0])
+        raise InvalidStudy(place, value=given or None, expected=expected, remedy=remedy)
 
 
 def _parameter(name: str, item: Input, declared: ModelInput | None) -> Parameter:
@@ -102,19 +91,13 @@ def _parameter(name: str, item: Input, declared: ModelInput | None) -> Parameter
 
 def build_prior(given: Mapping[str, list[float]], at: str) -> Prior:
     """Return the prior that the study file names."""
-    (kind, numbers) = next(iter(given.items()))
+    ((kind, numbers),) = given.items()
     prior_class: Any = open_entry(PRIORS, kind, at, "a prior")
-    wanted = [field.name for field in dataclasses.fields(prior_class)]
+    place, wanted = f"{at}.{kind}", [field.name for field in dataclasses.fields(prior_class)]
     if len(numbers) != len(wanted):
-        raise InvalidStudy(
-            f"{at}.{kind}",
-            value=numbers,
-            expected=f"{len(wanted)} numbers {getattr(prior_class, 'fields', wanted)}",
-            remedy="Correct the list.",
-        )
-    place = f"{at}.{kind}"
-    options = dict(zip(wanted, numbers, strict=True))
-    prior: Prior = made(prior_class, options, place)
+        expected = f"{len(wanted)} numbers {getattr(prior_class, 'fields', wanted)}"
+        raise InvalidStudy(place, value=numbers, expected=expected, remedy="Correct the list.")
+    prior: Prior = made(prior_class, dict(zip(wanted, numbers, strict=True)), place)
     if ":" in kind:
         require_prior(prior, place)
     return prior
@@ -132,13 +115,6 @@ def _check_prior_in_box(parameter: Parameter) -> None:
             expected="a bounded prior within the box, or at most half of an unbounded prior's mass outside",
             remedy="Widen the box or narrow the prior.",
         )
-
-
-def _fixed_value(name: str, given: float | Quantity, declared: Mapping[str, ModelInput]) -> float:
-    if not isinstance(given, Quantity):
-        return float(given)
-    _require_unit(given.unit, declared.get(name), f"fixed.{name}", "convert the value")
-    return float(given.value)
 
 
 def _require_unit(unit: str | None, declared: ModelInput | None, place: str, remedy: str) -> None:
@@ -161,12 +137,8 @@ def _check_range(value: float, declared: Mapping[str, ModelInput], name: str, pl
     item = declared.get(name)
     if item is not None and not item.admits(value):
         meaning = f" ({item.meaning})" if item.meaning else ""
-        raise InvalidStudy(
-            place,
-            value=value,
-            expected=f"{name}{meaning} in {item.range_text()} {'' if item.unit == '1' else item.unit}".rstrip(),
-            remedy=f"Choose values of {name} within this range.",
-        )
+        expected = f"{name}{meaning} in {item.range_text()} {'' if item.unit == '1' else item.unit}".rstrip()
+        raise InvalidStudy(place, value=value, expected=expected, remedy=f"Choose values of {name} within this range.")
 
 
 def _plain(unit: str) -> str:
@@ -174,12 +146,9 @@ def _plain(unit: str) -> str:
     return unit.replace("²", "^2").replace("³", "^3").replace("**", "^").replace(" ", "")
 
 
-PARTS = ("support", "log_density", "cdf", "quantile")
-
-
 def require_prior(prior: Prior, place: str) -> None:
     """Refuse a prior that lacks a part, has no interval as support, or whose density JAX cannot compile."""
-    require_parts(prior, PARTS, place)
+    require_parts(prior, ("support", "log_density", "cdf", "quantile"), place)
     support = prior.support
     if not (isinstance(support, tuple) and len(support) == 2 and support[0] < support[1]):
         raise _refused(place, f"the support {support!r}", "a property `support` of two numbers, (low, high)")
@@ -187,9 +156,8 @@ def require_prior(prior: Prior, place: str) -> None:
     try:
         shape = jax.eval_shape(prior.log_density, numbers).shape
     except Exception as error:
-        raise _refused(
-            place, f"a log_density that fails with {type(error).__name__}", "one that works on JAX arrays under jax.jit"
-        ) from None
+        found = f"a log_density that fails with {type(error).__name__}"
+        raise _refused(place, found, "one that works on JAX arrays under jax.jit") from None
     if shape != (3,):
         raise _refused(place, f"a log_density that turns 3 numbers into the shape {shape}", "a number for each")
 
@@ -216,12 +184,8 @@ def read_candidates(
     looks = [Look(*row) for row in product(conditions, given.part or [WHOLE], given.points or [None], sds)]
     found = candidates(values, looks, together=given.together, present=fixed)
     if len(found) > MOST_CANDIDATES:
-        raise InvalidStudy(
-            "next: too many candidates",
-            value=len(found),
-            expected=f"at most {MOST_CANDIDATES}",
-            remedy="List fewer values, or lower `together`.",
-        )
+        expected, remedy = f"at most {MOST_CANDIDATES}", "List fewer values, or lower `together`."
+        raise InvalidStudy("next: too many candidates", value=len(found), expected=expected, remedy=remedy)
     return found
 
 
@@ -234,12 +198,9 @@ def _require_settable(
     for value in values:
         check_values({name: value}, model, "next")
         if name in space.names and not space[name].interval[0] <= value <= space[name].interval[1]:
-            raise InvalidStudy(
-                f"next.{name}",
-                value=value,
-                expected=f"a value in the box of this input, {list(space[name].interval)}: no run was made outside it",
-                remedy="Correct the value, or make the box wider and run the study again.",
-            )
+            expected = f"a value in the box of this input, {list(space[name].interval)}: no run was made outside it"
+            remedy = "Correct the value, or make the box wider and run the study again."
+            raise InvalidStudy(f"next.{name}", value=value, expected=expected, remedy=remedy)
 
 
 def _condition(given: str | list[str], model: ForwardModel) -> tuple[str, ...]:

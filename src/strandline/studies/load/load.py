@@ -1,25 +1,30 @@
-"""study.yaml → a study, checked as far as possible without a forward run."""
+"""study.yaml → a study, checked as far as possible without a forward run; its settings and its executor."""
 
 import os
+import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
-from strandline.foundations import InvalidStudy
+from strandline.calibration import Settings
+from strandline.design import Active, Refinement
+from strandline.foundations import InvalidStudy, lookup
 from strandline.interface import Noise, PointErrors, UnknownErrors
-from strandline.models import ForwardModel, declared_conditions
-from strandline.studies.keys import StudyFile
+from strandline.models import ForwardModel, declared_conditions, declared_failure_kinds
+from strandline.runs import EXECUTORS, Executor, FailurePolicy, Retry
+from strandline.smc import SMCSettings
 from strandline.studies.keys.folder import LEDGER
 from strandline.studies.keys.observation import COLUMN, IMAGE, ConditionNoise
-from strandline.studies.keys.parse import parse_study
+from strandline.studies.keys.parse import entry, made, open_entry, parse_study, refused_at, require_parts
+from strandline.studies.keys.study_file import ExecutorChoice, Failures, StudyFile
 from strandline.studies.load import noise as noise_keys
 from strandline.studies.load.inputs import build_fixed, build_space, check_complete, read_candidates
 from strandline.studies.load.models import build_discrepancies, build_model, with_cheaper
 from strandline.studies.load.observed import Found, SyntheticNoise, read_observations, require_condition
-from strandline.studies.load.settings import build_executor, build_settings
-from strandline.studies.load.study import Study
-from strandline.studies.pictures.undeformed import undeformed_in, with_errors_of
+from strandline.studies.load.photographed import undeformed_in, with_errors_of
+from strandline.studies.load.study import Study, failure_words
 
 
 def load_study(folder: Path | str) -> Study:
@@ -118,10 +123,102 @@ def _require_taken(given: ConditionNoise, one: Found, condition: str) -> None:
 def _reused_ledger(folder: Path, other: str) -> Path:
     target = folder / other
     if not os.path.isdir(target):  # noqa: PTH112, which is False for a name that the system cannot hold, too
-        raise InvalidStudy(
-            "reuse",
-            value=other,
-            expected="the folder of another study, relative to this one",
-            remedy="Correct the path or remove it.",
-        )
+        expected = "the folder of another study, relative to this one"
+        raise InvalidStudy("reuse", value=other, expected=expected, remedy="Correct the path or remove it.")
     return target / LEDGER
+
+
+FEW_INPUTS = 3
+"""Largest number of inputs with one length scale for all in a surrogate of the log-likelihood made for comparison."""
+
+SLURM = "slurm"
+"""Folder in the study that holds the batches of SLURM arrays."""
+
+
+def build_settings(content: StudyFile, model: ForwardModel) -> Settings:
+    """Return how the posterior is computed."""
+    smc, sobol = dict(content.sampler.smc), content.design.sobol
+    particles = smc.pop("particles")
+    refine = build_refinement(content.design.refine, particles)
+    with refused_at("sampler.smc"):
+        sampler = SMCSettings(**smc)
+    dim, log_likelihood = len(content.inputs), content.surrogate.log_likelihood
+    active = build_active(content.design.active, dim, sensitivities=content.sensitivities)
+    if sobol is not None and sobol.runs < dim + 2:
+        expected = f"at least {dim + 2} runs for {dim} input(s); 100 are a start"
+        raise InvalidStudy("design.sobol.runs", value=sobol.runs, expected=expected, remedy="Enlarge the design.")
+    by_field = active is not None or content.surrogate.field is not None
+    kernel, fit = (None, None) if log_likelihood is None else (log_likelihood.kernel, log_likelihood.fit)
+    kernel = kernel or ("matern32" if dim <= FEW_INPUTS or not by_field else "matern32_product")
+    scramble = (content.design.active or {}).get("scramble") if sobol is None else sobol.scramble
+    failures = build_failures(content.failures, model)
+    with refused_at("surrogate.log_likelihood"):
+        return Settings(
+            runs=sobol.runs if sobol is not None else (active.initial if active and active.initial else 0),
+            scramble=scramble,
+            refine=refine,
+            kernel=kernel,
+            fit=fit,
+            surrogate="field" if by_field else "log_likelihood",
+            active=active,
+            particles=particles,
+            smc=sampler,
+            seed=content.seed,
+            nuisance_values=content.sampler.cut.values,
+            failures=failures,
+            draft=content.draft,
+        )
+
+
+def build_failures(given: Failures, model: ForwardModel) -> FailurePolicy:
+    """Return the policy for failed runs; refuse a kind that the model is known not to have."""
+    if declared_failure_kinds(model) is not None:
+        known = dict.fromkeys(failure_words(model))
+        for kind in given.kinds:
+            entry(known, kind, "failures.kinds")
+    actions = {kind: action if isinstance(action, str) else Retry(action) for kind, action in given.kinds.items()}
+    if isinstance(given.stop, str):
+        return FailurePolicy(actions, stop_share=2.0)
+    return FailurePolicy(actions, stop_after=given.stop.after, stop_share=given.stop.share)
+
+
+def build_active(given: Mapping[str, Any] | None, dim: int, *, sensitivities: bool) -> Active | None:
+    """Return the settings of an active design, with the number of its first runs."""
+    if given is None:
+        return None
+    options = {name: value for name, value in given.items() if name != "scramble"}
+    usual = 4 + 2 * dim
+    options.setdefault("initial", max(usual // 2, 3) if sensitivities else usual)
+    with refused_at("design.active"):
+        return Active(**options)
+
+
+def build_refinement(given: Mapping[str, Any] | None, particles: int) -> Refinement:
+    """Return the rounds of refinement, none by default; a round has no more runs than there are particles."""
+    if given is None:
+        return Refinement()
+    with refused_at("design.refine"):
+        refinement = Refinement(**given)
+    if refinement.runs > particles:
+        expected = f"at most {particles}, the number of particles that they are drawn from"
+        remedy = "Make fewer runs in a round, and more rounds."
+        raise InvalidStudy("design.refine.runs", value=refinement.runs, expected=expected, remedy=remedy)
+    return refinement
+
+
+def build_executor(choice: ExecutorChoice, folder: Path) -> Executor:
+    """Return the executor of the study in `folder`; worker processes on this machine if it names none."""
+    for name, options in (choice.model_extra or {}).items():
+        own: Executor = made(open_entry(EXECUTORS, name, "executor", "an executor"), options, f"executor.{name}")
+        require_parts(own, ("__call__",), f"executor.{name}")
+        return own
+    named: dict[str, dict[str, Any]] = {name: dict(options) for name, options in choice if options is not None}
+    name, given = next(iter(named.items()), ("local", {}))
+    if name == "slurm_array":
+        given |= {
+            "folder": folder.resolve() / SLURM,
+            "command": (sys.executable, "-m", "strandline.studies.array_task", str(folder.resolve())),
+        }
+    with refused_at(f"executor.{name}"):
+        executor: Executor = lookup(EXECUTORS, name, "executor")(**given)
+    return executor

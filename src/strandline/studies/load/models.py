@@ -12,12 +12,12 @@ from strandline.discrepancy import DISCREPANCIES, Discrepancy, apart
 from strandline.foundations import InvalidInput, InvalidStudy, read_json
 from strandline.models import CHEAPER, MODELS, ForwardModel, UsesNames, WithCheaper, by_cheaper, with_sensitivities
 from strandline.runs import RunRecord
-from strandline.studies.keys import StudyFile
 from strandline.studies.keys.folder import SUMMARY
 from strandline.studies.keys.parse import checked, made, open_entry, refused_at, require_parts
-from strandline.studies.keys.scalars import Choice, Number, Section
+from strandline.studies.keys.schema import Choice, Number, Section
+from strandline.studies.keys.study_file import StudyFile
 from strandline.studies.load.observed import read_points
-from strandline.studies.pictures.undeformed import Undeformed, undeformed_in
+from strandline.studies.load.photographed import Undeformed, undeformed_in
 
 
 def build_model(
@@ -35,12 +35,10 @@ def build_model(
     """
     (name, options) = next(iter(choice.items()))
     if "sensitivities" in (options or {}):
-        raise InvalidStudy(
-            f"model.{name}: sensitivities is not an option of the model",
-            value=(options or {})["sensitivities"],
-            expected="`sensitivities: true` as a key of the study",
-            remedy="Move the key to the top level of study.yaml.",
-        )
+        what = f"model.{name}: sensitivities is not an option of the model"
+        expected = "`sensitivities: true` as a key of the study"
+        remedy = "Move the key to the top level of study.yaml."
+        raise InvalidStudy(what, value=(options or {})["sensitivities"], expected=expected, remedy=remedy)
     factory, place = open_entry(MODELS, name, "model", "a forward model"), f"model.{name}"
     if any(one.name == "folder" and one.init for one in dataclasses.fields(factory)):
         model: ForwardModel = made(factory, options, place, folder=folder)
@@ -119,12 +117,9 @@ def with_cheaper(
     (given,) = content.fidelities
     stated = checked(_Cheaper, {"mesh": given} if isinstance(given, str) else given, "fidelities")
     if isinstance(given, str) and not hasattr(model, "mesh"):
-        raise InvalidStudy(
-            "fidelities",
-            value=given,
-            expected="the options in which the cheaper model differs: only a model with meshes has names for them",
-            remedy=f"Write e.g. fidelities: [{EXAMPLES.get(next(iter(content.model)), EXAMPLE)}].",
-        )
+        expected = "the options in which the cheaper model differs: only a model with meshes has names for them"
+        remedy = f"Write e.g. fidelities: [{EXAMPLES.get(next(iter(content.model)), EXAMPLE)}]."
+        raise InvalidStudy("fidelities", value=given, expected=expected, remedy=remedy)
     if CHEAPER in {*content.inputs, *content.fixed}:
         raise InvalidStudy(
             "an input of a study with fidelities", value=CHEAPER, expected="another name", remedy="Rename it."
@@ -134,12 +129,10 @@ def with_cheaper(
         ((name, own),) = content.model.items()
         choice = {name: {**(own or {}), **differing}}
     elif differing:
-        raise InvalidStudy(
-            "fidelities.model",
-            value=f"with {', '.join(differing)} beside it",
-            expected="one simulator with its options, as under `model`, and only `cost` beside it",
-            remedy="Write e.g. fidelities: [{model: {command: {…}}, cost: 0.1}].",
-        )
+        what = "fidelities.model"
+        expected = "one simulator with its options, as under `model`, and only `cost` beside it"
+        remedy = "Write e.g. fidelities: [{model: {command: {…}}, cost: 0.1}]."
+        raise InvalidStudy(what, value=f"with {', '.join(differing)} beside it", expected=expected, remedy=remedy)
     with refused_at("fidelities"):
         cheaper = build_model(choice, folder, sensitivities=content.sensitivities, undeformed=undeformed)
         if isinstance(cheaper, UsesNames):

@@ -31,22 +31,15 @@ def build_noise(
     if found is not None and found.picture is not None:
         place = found.picture.errors
         if unknown.shared and (place.shift or place.rotation):
-            raise InvalidStudy(
-                "noise.unknown.shared",
-                value=True,
-                expected="pictures without a registration, each of which has an error of its own",
-                remedy="Leave shared out.",
-            )
+            expected = "pictures without a registration, each of which has an error of its own"
+            raise InvalidStudy("noise.unknown.shared", value=True, expected=expected, remedy="Leave shared out.")
         common |= {name: math.hypot(common[name], getattr(place, name)) for name in ("shift", "rotation")}
     sd, length = _in_mm(given.sd, mm), _in_mm(given.length or 0.0, mm)
     sds = None if found is None else found.sds
     if given.sd == COLUMN and sds is None:
-        raise InvalidStudy(
-            "noise.sd",
-            value=COLUMN,
-            expected="a table with the standard deviation of each point",
-            remedy="Name its column, `observation: {file: …, sd: COLUMN}`, or state one sd for all points.",
-        )
+        expected = "a table with the standard deviation of each point"
+        remedy = "Name its column, `observation: {file: …, sd: COLUMN}`, or state one sd for all points."
+        raise InvalidStudy("noise.sd", value=COLUMN, expected=expected, remedy=remedy)
     for name in given.spread:
         entry(dict.fromkeys(names), name, "noise.spread")
     spread = tuple(names.index(name) for name in given.spread)
@@ -59,12 +52,8 @@ def build_noise(
         if isinstance(sd, float) and isinstance(length, float) and not (given.model_error or spread):
             return PointErrors(sd, length, **common, shared=unknown.shared)
         if unknown.shared:
-            raise InvalidInput(
-                "noise.unknown.shared",
-                value=True,
-                expected="a known sd and length, no model_error and no spread",
-                remedy="Leave shared out.",
-            )
+            expected = "a known sd and length, no model_error and no spread"
+            raise InvalidInput("noise.unknown.shared", value=True, expected=expected, remedy="Leave shared out.")
         return UnknownErrors(sd, length, **common, model_error=given.model_error, spread=spread)
 
 
@@ -72,19 +61,13 @@ def _shown(given: ConditionNoise, found: Found | None) -> PointErrors:
     """Return the errors that the picture shows, lengths in mm."""
     seen = None if found is None else found.errors
     if seen is None:
-        raise InvalidStudy(
-            "noise.sd",
-            value=IMAGE,
-            expected="an observation that comes from a picture or a stack of them",
-            remedy="State the sd of the points, or write `observation: {image: …}` or `{stack: …}`.",
-        )
+        expected = "an observation that comes from a picture or a stack of them"
+        remedy = "State the sd of the points, or write `observation: {image: …}` or `{stack: …}`."
+        raise InvalidStudy("noise.sd", value=IMAGE, expected=expected, remedy=remedy)
     if given.length is not None:
-        raise InvalidStudy(
-            "noise.sd",
-            value=f"{IMAGE}, with a length",
-            expected="the length that the picture shows",
-            remedy="Leave it out, or state sd and length as numbers, as `strandline image` prints them.",
-        )
+        expected = "the length that the picture shows"
+        remedy = "Leave it out, or state sd and length as numbers, as `strandline image` prints them."
+        raise InvalidStudy("noise.sd", value=f"{IMAGE}, with a length", expected=expected, remedy=remedy)
     return seen
 
 
@@ -92,23 +75,18 @@ def require_offset(given: ConditionNoise) -> None:
     """Refuse an edge in a picture whose offset along the normals is known exactly: no threshold is."""
     stated = given.unknown is not None and "offset" in given.unknown.model_fields_set
     if given.of_points and not (given.unknown and given.unknown.offset) and (stated or given.sd != IMAGE):
-        raise InvalidStudy(
-            "noise.unknown.offset",
-            value=0,
-            expected="above 0 for an edge in a picture, which is always found a little too far in or out",
-            remedy=f"Write `sd: {IMAGE}`, which estimates it, or about 0.1 pixels for a camera, 0.4 for OCT.",
-        )
+        expected = "above 0 for an edge in a picture, which is always found a little too far in or out"
+        remedy = f"Write `sd: {IMAGE}`, which estimates it, or about 0.1 pixels for a camera, 0.4 for OCT."
+        raise InvalidStudy("noise.unknown.offset", value=0, expected=expected, remedy=remedy)
 
 
 def require_unit(given: ConditionNoise, measures: Iterable[Discrepancy]) -> None:
     """Refuse an sd of observed points without a unit: the measure normal_offset has no other noise."""
     if given.sd is not None and not given.of_points and any(isinstance(one, NormalOffset) for one in measures):
-        raise InvalidStudy(
-            "noise.sd, of an observed point",
-            value=f"{given.sd:g} without a unit",
-            expected="`unit: um` or `unit: mm` beside it, for the measure normal_offset",
-            remedy=f"Write `{{sd: {given.sd:g}, unit: um}}` if that is what you mean.",
-        )
+        what = "noise.sd, of an observed point"
+        expected = "`unit: um` or `unit: mm` beside it, for the measure normal_offset"
+        remedy = f"Write `{{sd: {given.sd:g}, unit: um}}` if that is what you mean."
+        raise InvalidStudy(what, value=f"{given.sd:g} without a unit", expected=expected, remedy=remedy)
 
 
 def _of_each(
@@ -171,9 +149,6 @@ def require_stated(noises: Iterable[object], command: str) -> None:
     """Refuse unknown noise where the true model's log-likelihood is needed, which then depends on all runs."""
     found = next((noise for noise in noises if isinstance(noise, UnknownErrors)), None)
     if found is not None:
-        raise InvalidStudy(
-            f"`{command}` needs a known noise",
-            value=found.inferred,
-            expected="a known sd and length, and no model error",
-            remedy="State what the study found, in summary.json under likelihood.inferred_noise.",
-        )
+        expected = "a known sd and length, and no model error"
+        remedy = "State what the study found, in summary.json under likelihood.inferred_noise."
+        raise InvalidStudy(f"`{command}` needs a known noise", value=found.inferred, expected=expected, remedy=remedy)

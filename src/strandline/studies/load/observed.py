@@ -8,15 +8,81 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from strandline import imaging
 from strandline.discrepancy import extent, extent_ratio, unit_mistake
 from strandline.foundations import InvalidInput, InvalidStudy, suggestion
 from strandline.interface import Interface, PointErrors
 from strandline.models import ForwardModel, declared_conditions, undeformed_interface
 from strandline.readers import Reading, read_interface, read_point_sds
-from strandline.studies.keys.observation import ConditionFile, ObservationFile
+from strandline.studies.keys.observation import ConditionFile, ObservationFile, StackFile
 from strandline.studies.keys.parse import made, refused_at
-from strandline.studies.pictures.photographed import Photographed, photographed
-from strandline.studies.pictures.scanned import Scanned, scanned
+from strandline.studies.load.photographed import Photographed, frame_note, photographed, picture_reading
+
+PLACE = "observation.stack"
+
+
+@dataclass(frozen=True, eq=False)
+class Scanned:
+    """A stack, the surface in it, and where it lies in the model's coordinates.
+
+    The surface is in voxels, its errors in mm, as is the `interface`. `placed` says where the model lies in it, and who
+    said so.
+    """
+
+    stack: imaging.Stack
+    frame: imaging.StackFrame
+    surface: imaging.Surface
+    interface: Interface
+    placed: str = ""
+
+    @property
+    def name(self) -> str:
+        return self.stack.name
+
+    @property
+    def errors(self) -> PointErrors:
+        """Errors of the interface's points that the stack shows: local ones and a common offset."""
+        found = self.surface.errors
+        return PointErrors(found.sd, found.length, offset=found.offset)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences that say what was taken from where, and what of the solid the stack shows."""
+        found, notes = self.surface.errors, [*self.stack.notes, *([self.placed] if self.placed else [])]
+        if found.open_share > 0:
+            notes.append(f"the surface is open: the faces of the stack cut off {100 * found.open_share:.2g} % of it")
+        if found.area_share < 0.999:
+            notes.append(f"the largest of several surfaces, {100 * found.area_share:.3g} % of their area")
+        if self.surface.left_out:
+            left = f"{self.surface.left_out} triangles in excluded regions left out"
+            notes.append(f"{left}: `closest_point` does not compare there, but currents compare whole surfaces")
+        return tuple(notes)
+
+
+def scanned(folder: Path, given: StackFile) -> Scanned:
+    """Return the surface in a stack of a study."""
+    with refused_at():
+        stack = imaging.read_stack([folder / name for name in given.files], _reading(given))
+        frame = made(imaging.StackFrame, given.frame or {}, f"{PLACE}.frame", voxel=stack.voxel)
+        exclude = [
+            made(imaging.StatedRegion, one, f"{PLACE}.exclude[{k}]").within(frame)
+            for k, one in enumerate(given.exclude)
+        ]
+        surface = imaging.find_surface(
+            stack, solid=given.solid, triangles=given.triangles, smooth=given.smooth, exclude=exclude
+        )
+        return Scanned(stack, frame, surface, frame.interface(surface.mesh), frame_note(frame, given.frame))
+
+
+def _reading(given: StackFile) -> imaging.PictureReading:
+    how = picture_reading(given.reading, PLACE)
+    if given.voxel is None:
+        return how
+    if isinstance(given.voxel, dict) and given.voxel.get("size") is not None:
+        raise InvalidStudy(
+            f"{PLACE}.voxel", value=given.voxel, expected="x, y and z", remedy="Write {x: 6, y: 6, z: 10, unit: um}."
+        )
+    return imaging.PictureReading(**how.given, pixel=made(imaging.StatedSize, given.voxel, f"{PLACE}.voxel").in_mm)
 
 
 @dataclass(frozen=True)
@@ -43,12 +109,10 @@ def _disturbed(interface: Interface, condition: str, noise: SyntheticNoise) -> I
     try:
         moved.require_simple()
     except InvalidInput as error:
-        raise InvalidStudy(
-            f"observation.noise: with it, {error.what}",
-            value=f"sd: {noise.sd:g}",
-            expected=f"noise well below the distance of the nodes, {float(np.median(interface.lengths)):.2g} mm",
-            remedy="Lower observation.noise.sd, which is in mm.",
-        ) from None
+        what = f"observation.noise: with it, {error.what}"
+        expected = f"noise well below the distance of the nodes, {float(np.median(interface.lengths)):.2g} mm"
+        remedy = "Lower observation.noise.sd, which is in mm."
+        raise InvalidStudy(what, value=f"sd: {noise.sd:g}", expected=expected, remedy=remedy) from None
     return moved
 
 
@@ -92,8 +156,7 @@ def require_plausible(name: str, observed: Interface, simulated: Interface, *, u
 class Found:
     """An observed interface, mm, whether its points were reversed, and what is known of their errors.
 
-    `sds` are the standard deviations of the points, mm, if the file holds them. The interface may have been found in a
-    picture or a stack.
+    `sds` are the standard deviations of the points, mm, if the file holds them. It may come from a picture or a stack.
     """
 
     interface: Interface
@@ -121,12 +184,10 @@ def read_observations(
 def require_condition(name: str, known: Collection[str], place: str) -> None:
     """Refuse a condition that the model does not have; a model with a single one has no name for it."""
     if name not in known:
-        raise InvalidStudy(
-            f"{place}: the model has no such condition",
-            value=name or "no name",
-            expected=f"some of {', '.join(known)}" if any(known) else "no name, since the model has a single condition",
-            remedy=suggestion(name, known, "Correct the name, or give one." if any(known) else "Remove it."),
-        )
+        what = f"{place}: the model has no such condition"
+        expected = f"some of {', '.join(known)}" if any(known) else "no name, since the model has a single condition"
+        remedy = suggestion(name, known, "Correct the name, or give one." if any(known) else "Remove it.")
+        raise InvalidStudy(what, value=name or "no name", expected=expected, remedy=remedy)
 
 
 def read_observation(folder: Path, source: ObservationFile, model: ForwardModel) -> Found:

@@ -98,11 +98,8 @@ class StudyProgress:
 def progress_in(folder: Path) -> StudyProgress:
     """Return the progress of the study in `folder`: from the plan in its ledger if there is one, else by loading it.
 
-    The plan does not show that a model has changed while study.yaml stayed the same.
-
-    Raises:
-        InvalidStudy: There is no plan, and the study cannot be loaded.
-        LedgerError: The ledger cannot be used.
+    The plan does not show that a model has changed while study.yaml stayed the same. Raises InvalidStudy if there is no
+    plan and the study cannot be loaded, LedgerError if the ledger cannot be used.
     """
     plan = recorded_plan(folder)
     if plan is not None:
@@ -177,6 +174,11 @@ def _counted(plan: Plan, ledger: Overview, *, detached: bool) -> StudyProgress:
     ok = [one for one in ended if one[1].state == "ok"]
     slowest = max([*ok, *failed], key=lambda one: one[1].seconds or 0.0, default=None)
     rate, left = _pace(runs, driver, plan.planned - len(ended))
+    kinds = [attempt.kind or attempt.state for _, attempt in failed]
+    failures = {
+        kind: Failures(count, _shown(failed[kinds.index(kind)], plan, ledger))
+        for kind, count in Counter(kinds).most_common()
+    }
     return StudyProgress(
         plan.name,
         plan.planned,
@@ -184,7 +186,7 @@ def _counted(plan: Plan, ledger: Overview, *, detached: bool) -> StudyProgress:
         failed=len(failed),
         open=open_runs,
         lost=lost,
-        failures=_failures(failed, plan, ledger),
+        failures=failures,
         rate=rate,
         seconds_left=left,
         median_seconds=median(attempt.seconds or 0.0 for _, attempt in ended) if ended else None,
@@ -192,14 +194,6 @@ def _counted(plan: Plan, ledger: Overview, *, detached: bool) -> StudyProgress:
         driver=driver,
         detached=detached,
     )
-
-
-def _failures(failed: Sequence[_Ended], plan: Plan, ledger: Overview) -> dict[str, Failures]:
-    kinds = [attempt.kind or attempt.state for _, attempt in failed]
-    return {
-        kind: Failures(count, _shown(failed[kinds.index(kind)], plan, ledger))
-        for kind, count in Counter(kinds).most_common()
-    }
 
 
 def _shown(one: _Ended, plan: Plan, ledger: Overview | None = None) -> RunReported:
@@ -229,10 +223,7 @@ def _pace(runs: Sequence[Run], driver: Driver | None, left: int) -> tuple[float 
 
 
 def _per_minute(made: Sequence[Attempt]) -> float | None:
-    """Return the pace of the last `RATE_RUNS` runs that one driver has made.
-
-    If there are no earlier ones, time counts from the first start: parallel runs may all end at once.
-    """
+    """Return the pace of one driver's last runs; if it made no others, time counts from the first start."""
     ends = sorted(attempt.finished_at or 0.0 for attempt in made)
     if not ends:
         return None

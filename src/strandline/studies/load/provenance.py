@@ -22,10 +22,7 @@ FREE = frozenset({"folder", "text", "settings", "executor", "reuse", "as_loaded"
 
 
 def require_its_own_text(study: Study) -> None:
-    """Refuse a study that was changed after it was loaded: its results would not match its study.yaml.
-
-    The executor, the policy for failed runs and the reused ledgers may be changed.
-    """
+    """Refuse a study changed since it was loaded, except executor, policy for failed runs and reused ledgers."""
     loaded = study.as_loaded
     if loaded is None or study.text != loaded.text:
         return
@@ -34,12 +31,10 @@ def require_its_own_text(study: Study) -> None:
     now, then = (vars(replace(one.settings, failures=FailurePolicy())) for one in (study, loaded))
     changed += [f"settings.{name}" for name in then if not _same(now[name], then[name])]
     if changed:
-        raise InvalidStudy(
-            "the study was changed after it was loaded",
-            value=", ".join(changed),
-            expected="the values of its study.yaml, since the results are stored with that file",
-            remedy="Write the change into a study.yaml, in a separate folder to keep both, and load that.",
-        )
+        what = "the study was changed after it was loaded"
+        expected = "the values of its study.yaml, since the results are stored with that file"
+        remedy = "Write the change into a study.yaml, in a separate folder to keep both, and load that."
+        raise InvalidStudy(what, value=", ".join(changed), expected=expected, remedy=remedy)
 
 
 def observation_digest(study: Study) -> str:

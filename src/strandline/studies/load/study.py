@@ -13,15 +13,20 @@ from strandline.design import Candidate, sobol
 from strandline.discrepancy import Discrepancy
 from strandline.foundations import InvalidStudy, html_table, html_text, read_json, write_json
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
-from strandline.models import CHEAPER, ForwardModel, asks_sensitivities, fingerprint, first_runs, run_identity
+from strandline.models import (
+    CHEAPER,
+    ForwardModel,
+    asks_sensitivities,
+    declared_failure_kinds,
+    fingerprint,
+    first_runs,
+    run_identity,
+)
 from strandline.parameters import ParameterSpace
-from strandline.runs import ATTEMPTS, EXCLUDED, Executor, Ledger, Plan, RunRecord, run_key
+from strandline.runs import ATTEMPTS, COMMON_KINDS, ENDS, EXCLUDED, Executor, Ledger, Plan, RunRecord, run_key
 from strandline.studies.keys.folder import LEDGER, REFINEMENT, digest_of
-from strandline.studies.load.observed import SyntheticNoise
-from strandline.studies.load.settings import failure_words
-from strandline.studies.pictures.photographed import Photographed
-from strandline.studies.pictures.scanned import Scanned
-from strandline.studies.pictures.undeformed import Undeformed
+from strandline.studies.load.observed import Scanned, SyntheticNoise
+from strandline.studies.load.photographed import Photographed, Undeformed
 
 
 @dataclass(frozen=True)
@@ -160,10 +165,7 @@ class StudyRuns:
 
     @property
     def planned(self) -> int:
-        """Number of runs of the design and of all rounds of refinement.
-
-        For an active design: the most that it may make; once it has ended, those that it made.
-        """
+        """Number of runs of the design and all rounds; at most, if it is active, and those made once it has ended."""
         settings, begun = self.study.settings, self.rounds
         first, made = len(self.design), sum(len(keys) for keys in begun)
         if settings.active is not None:
@@ -320,3 +322,9 @@ def settled(ledger: Ledger, keys: Iterable[str], *, sensitivities: bool = False)
         for record in ledger.latest(keys).values()
         if record.settles(sensitivities=sensitivities) or ledger.open_attempts(record.key) >= ATTEMPTS
     ]
+
+
+def failure_words(model: ForwardModel) -> tuple[str, ...]:
+    """Return the known words for failed runs of `model`: states, its own kinds, kinds of any model."""
+    states = (state for state in ENDS if state != "ok")
+    return tuple(dict.fromkeys([*states, *(declared_failure_kinds(model) or ()), *COMMON_KINDS]))

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from strandline.foundations import InvalidInput, InvalidStudy
-from strandline.studies.keys.folder import STUDY, is_result, told_if_unwritable
+from strandline.studies.keys.folder import STUDY, is_result, study_name, told_if_unwritable
 from strandline.studies.keys.parse import parse_study, parsed
-from strandline.studies.keys.template import study_name
 from strandline.studies.keys.text import Changes, changed_text, flow, load_yaml
 from strandline.studies.load.load import load_study, study_of
 
@@ -24,8 +23,8 @@ LONGEST = 63
 def changed_study(folder: Path, settings: Sequence[str], into: Path | None = None) -> Path:
     """Return the folder of the study in `folder` with other values; it is written unless it is there already.
 
-    The values are ``KEY=VALUE``, with dotted keys and values in YAML. Without `into`, the copy lies beside `folder`,
-    named after it and the values.
+    The values are ``KEY=VALUE``, with dotted keys and values in YAML. By default, the copy lies beside `folder`, named
+    after both.
     """
     content, text = parse_study(folder)
     present, raw = folder.resolve(), load_yaml(text)
@@ -66,9 +65,7 @@ def _same_model(present: Path, changes: Changes, text: str) -> bool:
 def write_copy(present: Path, target: Path, text: str) -> None:
     """Copy the files of a study, but not its results, into a new folder with another study.yaml.
 
-    Raises:
-        InvalidInput: The copy is no sound study; then nothing is written.
-        InvalidStudy: The folder cannot be written to.
+    Raises InvalidInput, and writes nothing, if the copy is no sound study; InvalidStudy if it cannot write there.
     """
     partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
     with told_if_unwritable(target.parent):
@@ -103,12 +100,9 @@ def _changes(settings: Sequence[str], content: dict[Any, Any]) -> dict[tuple[str
         name, sign, value = setting.partition("=")
         name = name.strip()
         if not (sign and value.strip()) or not all(name.split(".")):
-            raise InvalidStudy(
-                "--set",
-                value=setting,
-                expected="KEY=VALUE, e.g. noise.sd=3 or inputs.E.prior.uniform=[100,800]",
-                remedy="Write the keys of study.yaml with dots between them, = and the value.",
-            )
+            expected = "KEY=VALUE, e.g. noise.sd=3 or inputs.E.prior.uniform=[100,800]"
+            remedy = "Write the keys of study.yaml with dots between them, = and the value."
+            raise InvalidStudy("--set", value=setting, expected=expected, remedy=remedy)
         keys = _keys(name, content)
         if keys in found:
             raise InvalidStudy("--set", value=name, expected="each key once", remedy="Remove one of them.")
@@ -121,12 +115,8 @@ def _keys(name: str, content: Any) -> tuple[str, ...]:
     parts, keys = name.split("."), list[str]()
     while parts:
         if content is not None and not isinstance(content, dict):
-            raise InvalidStudy(
-                f"--set {name}: {'.'.join(keys)} has no keys below it",
-                value=content,
-                expected="keys with values",
-                remedy=f"Set {'.'.join(keys)} as a whole.",
-            )
+            what, expected = f"--set {name}: {'.'.join(keys)} has no keys below it", "keys with values"
+            raise InvalidStudy(what, value=content, expected=expected, remedy=f"Set {'.'.join(keys)} as a whole.")
         known = content or {}
         number = next((n for n in range(len(parts), 0, -1) if ".".join(parts[:n]) in known), 1)
         keys.append(".".join(parts[:number]))
@@ -138,12 +128,10 @@ def _value(name: str, text: str) -> Any:
     try:
         return load_yaml(text)
     except InvalidStudy as error:
-        raise InvalidStudy(
-            f"--set {name}: the value is not valid YAML",
-            value=text,
-            expected="a number, a text, a list such as [1, 2], or keys such as {a: 1}",
-            remedy=f"Put quotes around it for the shell: --set '{name}=…'.",
-        ) from error
+        what = f"--set {name}: the value is not valid YAML"
+        expected = "a number, a text, a list such as [1, 2], or keys such as {a: 1}"
+        remedy = f"Put quotes around it for the shell: --set '{name}=…'."
+        raise InvalidStudy(what, value=text, expected=expected, remedy=remedy) from error
 
 
 def _named(name: str, changes: Changes) -> str:
@@ -159,12 +147,10 @@ def _require_same(present: Path, target: Path, text: str) -> None:
     """Refuse a folder that does not hold the study that would be written there."""
     differing = next(_differing(present, target, text), None)
     if differing is not None:
-        raise InvalidStudy(
-            "there is another study already",
-            value=f"{target}, where {differing} differs",
-            expected="a new folder, or the same study with the same settings, which would go on",
-            remedy="Choose another folder with --into, or move this one away.",
-        )
+        what = "there is another study already"
+        expected = "a new folder, or the same study with the same settings, which would go on"
+        remedy = "Choose another folder with --into, or move this one away."
+        raise InvalidStudy(what, value=f"{target}, where {differing} differs", expected=expected, remedy=remedy)
 
 
 def _differing(present: Path, target: Path, text: str) -> Iterator[str]:

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 def write_csv(path: Path, runs: Sequence[Run], ledger: Overview) -> str:
     """Write a row for each run, whole or not at all; return a remark, here always empty.
 
-    Columns: key, state, kind, seconds, message (its first line), then ``input.NAME`` and ``diagnostic.NAME``; empty
-    if a run has none.
+    Columns: key, state, kind, seconds, message (its first line), then ``input.NAME`` and ``diagnostic.NAME``; or empty.
     """
     messages, figures = _facts(runs, ledger)
     inputs = [run.inputs for run in runs]
@@ -41,11 +40,8 @@ def write_netcdf(path: Path, runs: Sequence[Run], ledger: Overview) -> str:
 
     Variables by run: state, kind, message, seconds, inputs (run, input), diagnostics (run, diagnostic) and for each
     condition the interface (run, point, xyz) in mm, NaN if the run is not ok. The interface is left out if the runs
-    have different numbers of points; the cells are included if all runs have the same.
-
-    Raises:
-        InvalidStudy: The file cannot be written.
-        LedgerError: A stored outcome does not match its checksum.
+    have different numbers of points; the cells are included if all runs have the same. Raises InvalidStudy if the file
+    cannot be written, LedgerError if a stored outcome does not match its checksum.
     """
     content, missing = _dataset(runs, ledger)
     with told_if_unwritable(path), whole_file(path) as partial:

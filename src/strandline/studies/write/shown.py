@@ -20,11 +20,10 @@ from strandline.report import DOTS_PER_INCH, click_page, html, plot_picture, plo
 from strandline.studies.keys.folder import require_writable, told_if_unwritable
 from strandline.studies.keys.observation import ImageFile
 from strandline.studies.keys.parse import in_words, refused_at
+from strandline.studies.load.observed import Scanned
+from strandline.studies.load.photographed import UNDEFORMED, Photographed, Undeformed, clicked, read_only_picture
 from strandline.studies.load.provenance import named
 from strandline.studies.load.study import Study
-from strandline.studies.pictures.photographed import UNDEFORMED, Photographed, clicked, read_only_picture
-from strandline.studies.pictures.scanned import Scanned
-from strandline.studies.pictures.undeformed import Undeformed
 
 
 def read_how(study: Study) -> list[dict[str, Any]]:
@@ -52,10 +51,8 @@ QUALITY = 80
 
 
 def picture_behind(study: Study, condition: str, source: str) -> dict[str, Any] | None:
-    """Return size, place and address of a condition's picture; None if it has none.
-
-    A point m in mm lies at the pixel `matrix` m + `origin`.
-    """
+    """Return size, place and address of a condition's picture, or None; m in mm lies at the pixel `matrix` m +
+    `origin`."""
     found = study.pictures.get(condition)
     if found is None:
         return None

@@ -1,4 +1,4 @@
-"""From a study folder to its results: the ledger, posterior.nc, summary.json, figures and report.html."""
+"""From a study folder to its results, the ledger, posterior.nc, summary.json, figures and report.html; and back."""
 
 import io
 import time
@@ -13,18 +13,38 @@ from typing import Any
 
 from xarray import DataTree
 
-from strandline.calibration import Calibration, Observer, Problem, calibrate, observer_or_default
-from strandline.design import BatchReport
-from strandline.foundations import InvalidInput, InvalidStudy, NumericsError, ResultsNotWritten, __version__, write_json
-from strandline.interface import Interface
+from strandline.calibration import Calibration, Observer, Problem, Settings, calibrate, observer_or_default
+from strandline.design import BatchReport, Refinement
+from strandline.discrepancy import Discrepancy
+from strandline.foundations import (
+    InvalidInput,
+    InvalidStudy,
+    NumericsError,
+    ResultsNotWritten,
+    __version__,
+    read_json,
+    write_json,
+)
+from strandline.interface import GaussianNoise, Interface, Noise, PointErrors, UnknownErrors
 from strandline.likelihood import compared
-from strandline.models import prepare_runs
-from strandline.posterior import to_datatree, write
-from strandline.report import FIGURES, nearest_runs, nothing_near, of_other_pages, remove_report, template, write_report
-from strandline.runs import Executor, FailurePolicy, Ledger, Progress, RunRecord, run_campaign
-from strandline.studies.foresight.check import read_check
-from strandline.studies.foresight.first_run import require_ok, require_same_axes, require_same_size
+from strandline.models import is_cheaper, prepare_runs
+from strandline.posterior import Posterior, to_datatree, write
+from strandline.report import (
+    FIGURES,
+    PosteriorPlots,
+    nearest_runs,
+    nothing_near,
+    of_other_pages,
+    remove_report,
+    template,
+    write_report,
+)
+from strandline.runs import Executor, FailurePolicy, InProcess, Ledger, Progress, RunRecord, run_campaign
+from strandline.studies.foresight.check import finished_posterior, read_check
+from strandline.studies.foresight.first_run import observations_of, require_ok, require_same_axes, require_same_size
 from strandline.studies.keys.folder import POSTERIOR, REPORT, SUMMARY, require_writable
+from strandline.studies.load.load import load_study
+from strandline.studies.load.models import cheaper_dropped
 from strandline.studies.load.observed import noisy
 from strandline.studies.load.provenance import require_its_own_text
 from strandline.studies.load.study import Study
@@ -84,7 +104,9 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
         observed = _observe(study, ledger, executor, observer)
         observations = study.observations(observed)
         problem = Problem(study.model, study.space, study.fixed, observations, study.discrepancies)
-        _try_measures(problem)
+        for discrepancy in problem.discrepancies.values():  # tried on itself, so that errors come before the runs
+            for seen in problem.observations:
+                compared(seen, discrepancy, len(seen.interface.points)).measure(seen.interface, seen.interface)
         with _told_if_nothing_near(study, problem, ledger):
             calibration = calibrate(
                 problem,
@@ -183,14 +205,6 @@ def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observe
     return noisy(record.interfaces, study.synthetic_noise)
 
 
-def _try_measures(problem: Problem) -> None:
-    """Evaluate each measure once on each observed interface against itself, so that errors come before the runs."""
-    for discrepancy in problem.discrepancies.values():
-        for observation in problem.observations:
-            seen = observation.interface
-            compared(observation, discrepancy, len(seen.points)).measure(seen, seen)
-
-
 def _write_results(study: Study, calibration: Calibration, new_runs: int, observer: Observer) -> Outcome:
     """Write every result whole or not at all; one that fails does not keep the others from being written.
 
@@ -247,12 +261,10 @@ def require_writers() -> None:
         try:
             trial()
         except Exception as error:
-            raise InvalidInput(
-                f"{name} could not be written at the end",
-                value=reason(error),
-                expected="the libraries that strandline is installed with",
-                remedy="Install strandline again with its dependencies (`pip install --force-reinstall strandline`).",
-            ) from error
+            what = f"{name} could not be written at the end"
+            expected = "the libraries that strandline is installed with"
+            remedy = "Install strandline again with its dependencies (`pip install --force-reinstall strandline`)."
+            raise InvalidInput(what, value=reason(error), expected=expected, remedy=remedy) from error
 
 
 class Results:
@@ -300,3 +312,60 @@ def _try_netcdf() -> None:
     import h5netcdf
 
     h5netcdf.File(io.BytesIO(), "w").close()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result:
+    """A finished study as its folder now has it, with the posterior and the summary that were written last."""
+
+    study: Study
+    posterior: Posterior
+    summary: dict[str, Any]
+
+    def __repr__(self) -> str:
+        return f"<Result of {self.study.name}: {self.posterior!r}>"
+
+    def _repr_html_(self) -> str:
+        return self.posterior._repr_html_()
+
+    @property
+    def plot(self) -> PosteriorPlots:
+        """Figures of the posterior: ``result.plot.joint(ax=ax)``."""
+        return PosteriorPlots(self.posterior)
+
+    def with_noise(
+        self, noise: float | Noise | PointErrors | UnknownErrors, measure: Discrepancy | None = None
+    ) -> Calibration:
+        """Return the posterior under another noise, from the existing runs; nothing is written.
+
+        The noise is a variance σ_N² in the unit of d² [mm² or mm], or a model of it, or errors of the observed points;
+        it takes the place of all that the study says of its noise, shared errors too. The measure is the study's by
+        default.
+
+        Raises:
+            InvalidInput: The variance is not above 0.
+        """
+        measures = self.study.discrepancies if measure is None else {type(measure).__name__: measure}
+        stated = GaussianNoise(noise) if isinstance(noise, float) else noise
+        study = replace(self.study, noise=stated, noises={}, discrepancies=measures)
+        settings: Settings = replace(study.settings, active=None, refine=Refinement())
+        synthetic = None if study.truth is None else study.runs.key(study.truth)
+        dropped = cheaper_dropped(study.folder)
+        with study.runs.ledger() as ledger:
+            records = ledger.latest([key for key in study.runs.needed_keys if key != synthetic]).values()
+            given = [record.inputs for record in records if not (dropped and is_cheaper(record.inputs))]
+            observations = study.observations(observations_of(study))
+            problem = Problem(study.model, study.space, study.fixed, observations, study.discrepancies)
+            return calibrate(problem, settings, ledger=ledger, executor=InProcess(), given=given)
+
+
+def load_result(folder: Path | str) -> Result:
+    """Return the results of the study in `folder`.
+
+    Raises:
+        InvalidStudy: The study is not finished, or study.yaml has changed since its results were written.
+    """
+    study = load_study(folder)
+    study.runs.require_finished()
+    posterior = finished_posterior(study, purpose="load")
+    return Result(study, posterior, read_json(study.folder / SUMMARY))

@@ -26,11 +26,7 @@ class Finding:
 
 
 def examine(folder: Path) -> list[Finding]:
-    """Return everything that is wrong in the study folder; an empty list if it is sound.
-
-    Raises:
-        InvalidStudy: There is no study.yaml in it.
-    """
+    """Return everything that is wrong in the study folder, nothing if it is sound; refuse one without study.yaml."""
     found = list(_ledgers(folder))
     damaged = bool(found)
     try:

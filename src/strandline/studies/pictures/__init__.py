@@ -1,1 +1,0 @@
-"""`observation.picture` and `observation.stack` of study.yaml → observations, and the outline that a picture gives."""
