@@ -1,4 +1,4 @@
-"""The command line, one file per command; a command's imports run when it is called.
+"""The command line, one file per command or a few; their imports run when one is called.
 
 In: words of the shell. Out: text, exit code 0, 1 (it did not work) or 2 (wrong input). Nobody imports it.
 """

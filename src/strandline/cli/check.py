@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,14 +42,30 @@ def command(study: Path, plot: bool, as_json: bool, widths: bool) -> None:
     lines, known = list(_lines(loaded, record, log_likelihoods)), loaded.runs.known
     lines += _widths(loaded, record, asked=widths)
     picture = _drawn(loaded, record) if plot else None
-    lines = [*_about(loaded, record), told, *_prepared(loaded), *lines, *_unheard(loaded)]
-    most, planned = _planned(loaded, known)
+    lines = [*_about(loaded, record), told, *_prepared(loaded), *lines]
+    for kind in loaded.runs.unheard_kinds:
+        lines.append(f"warning: failures.kinds.{kind}: no run has ended with it yet; does the model use it?")
+    settings = loaded.settings
+    planned, refine = max(settings.planned_runs, known), settings.refine
     if as_json:
-        click.echo(json.dumps(_as_dict(loaded, record, log_likelihoods, lines, planned, known)))
+        figures = {name: value for name, value in record.diagnostics.items() if math.isfinite(value)}
+        shown = {
+            "study": loaded.name,
+            "inputs": {p.name: {"unit": p.unit, "box": list(p.interval), "nuisance": p.nuisance} for p in loaded.space},
+            "run": {"inputs": dict(record.inputs), "seconds": record.seconds, "diagnostics": figures},
+            "log_likelihood": log_likelihoods,
+            "planned": planned,
+            "known": known,
+            "lines": lines,
+        }
+        click.echo(json.dumps(shown))
         return
     number = sum(line.startswith("warning") for line in lines)
     doubts = f", with {number} warning{'s' * (number > 1)}" if number else ""
-    click.echo("\n  ".join([f"{loaded.name}: study.yaml is sound{doubts}", *lines, most]))
+    rounds = f" ({settings.runs} and {refine.rounds} rounds of {refine.runs})" if refine.rounds else ""
+    most = "at most " if settings.active is not None else ""
+    lines.append(f"{most}{planned} forward runs planned{rounds}, {known} of them known already")
+    click.echo("\n  ".join([f"{loaded.name}: study.yaml is sound{doubts}", *lines]))
     if picture is not None:
         click.echo(f"wrote {picture}")
     click.echo(f"next: strandline run {study}")
@@ -85,44 +101,6 @@ def _prepared(study: "Study") -> Iterator[str]:
     doubt = "" if 2 * served >= len(planned) else "warning: "
     first = "first " if len(planned) < study.settings.planned_runs else ""
     yield f"{doubt}{model.preparation}: {served} of the {first}{len(planned)} planned runs start from them"
-
-
-def _unheard(study: "Study") -> Iterator[str]:
-    """Yield a warning for each kind of failure that study.yaml names and no run has had."""
-    for kind in study.runs.unheard_kinds:
-        yield f"warning: failures.kinds.{kind}: no run has ended with it yet; does the model use it?"
-
-
-def _planned(study: "Study", known: int) -> tuple[str, int]:
-    refine = study.settings.refine
-    rounds = f" ({study.settings.runs} and {refine.rounds} rounds of {refine.runs})" if refine.rounds else ""
-    most = "at most " if study.settings.active is not None else ""
-    planned = max(study.settings.planned_runs, known)
-    return f"{most}{planned} forward runs planned{rounds}, {known} of them known already", planned
-
-
-def _as_dict(
-    study: "Study",
-    record: "RunRecord",
-    log_likelihoods: Mapping[str, float],
-    lines: Sequence[str],
-    planned: int,
-    known: int,
-) -> dict[str, Any]:
-    """Return what the check shows, in types that JSON has."""
-    return {
-        "study": study.name,
-        "inputs": {p.name: {"unit": p.unit, "box": list(p.interval), "nuisance": p.nuisance} for p in study.space},
-        "run": {
-            "inputs": dict(record.inputs),
-            "seconds": record.seconds,
-            "diagnostics": {name: value for name, value in record.diagnostics.items() if math.isfinite(value)},
-        },
-        "log_likelihood": dict(log_likelihoods),
-        "planned": planned,
-        "known": known,
-        "lines": list(lines),
-    }
 
 
 def _lines(study: "Study", record: "RunRecord", log_likelihoods: Mapping[str, float]) -> Iterator[str]:

@@ -79,9 +79,12 @@ def command(
     names = (*loaded.space.names, *loaded.fixed)
     check_complete(inputs, names, loaded.model, "--set", add="Add --set {name}=VALUE.")
     model = without_failure_budget(with_sensitivities(loaded.model) if sensitivities else loaded.model)
-    targets = {} if csv_path is None else _targets(csv_path, declared_conditions(model))
-    for path in targets.values():
-        _require_target(path)
+    targets: dict[str, Path] = {}
+    if csv_path is not None:
+        for condition in declared_conditions(model):
+            name = f"{csv_path.stem}-{condition}{csv_path.suffix}"
+            targets[condition] = csv_path.with_name(name) if condition else csv_path
+            _require_target(targets[condition])
     if (vtu is not None or plot) and not hasattr(model, "fields"):
         raise click.UsageError(f"--vtu and --plot draw the `fields` of a model; {type(model).__name__} has none.")
     record = attempted(model, inputs)
@@ -186,11 +189,6 @@ def _require_target(path: Path) -> None:
     else:
         return
     raise click.UsageError(f"{path} is {problem}; expected a file name in a folder that can be written to.")
-
-
-def _targets(path: Path, conditions: tuple[str, ...]) -> dict[str, Path]:
-    """Return the file of each condition: `path` itself for one without a name."""
-    return {c: path.with_name(f"{path.stem}-{c}{path.suffix}") if c else path for c in conditions}
 
 
 def _told(record: "RunRecord", model: "ForwardModel", *, sensitivities: bool) -> Iterator[str]:

@@ -37,7 +37,8 @@ COMMANDS = {
     "serve": "Serve a study's model to other programs, by UM-Bridge.",
 }
 FILES = dict.fromkeys(QUESTIONS, "questions")
-FILES |= {"retry": "run", "report": "run", "doctor": "status", "backup": "status", "view": "serve"}
+FILES |= {"retry": "run", "report": "run", "status": "runs", "doctor": "runs", "backup": "runs", "view": "serve"}
+FILES |= {"noise": "observation", "image": "observation"}
 """Modules of the commands that are not called like them."""
 
 

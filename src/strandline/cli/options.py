@@ -43,11 +43,7 @@ device = click.option(
 
 
 def use_device(name: str | None) -> None:
-    """Make JAX compute on a device; call this before anything imports JAX. None keeps the environment's setting.
-
-    Raises:
-        InvalidInput: JAX finds no such device.
-    """
+    """Make JAX compute on a device, unless None, before anything imports it; refuse a device that it does not find."""
     if name is None:
         return
     os.environ["JAX_PLATFORMS"] = "cpu" if name == "cpu" else ""  # empty: the best device available
@@ -58,9 +54,6 @@ def use_device(name: str | None) -> None:
     except RuntimeError:
         found = []
     if not found or jax.default_backend() != name:
-        raise InvalidInput(
-            "--device",
-            value=name,
-            expected=f"a device that JAX has; here it is {jax.default_backend()}",
-            remedy='For an NVIDIA GPU: pip install "jax[cuda12]".' if name == "gpu" else "Leave the option out.",
-        )
+        expected = f"a device that JAX has; here it is {jax.default_backend()}"
+        remedy = 'For an NVIDIA GPU: pip install "jax[cuda12]".' if name == "gpu" else "Leave the option out."
+        raise InvalidInput("--device", value=name, expected=expected, remedy=remedy)

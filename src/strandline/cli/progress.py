@@ -175,18 +175,12 @@ def set_aside_lines(summary: Mapping[str, Any]) -> list[str]:
 def _run_lines(record: RunRecord, kept: Path) -> list[str]:
     inputs = ", ".join(f"{name} = {value:.6g}" for name, value in record.inputs.items())
     state = record.state if record.ok else f"{record.state} ({record.failure_kind})"
-    told = told_folder(record) or next(
-        (f"its folder: {one}" for one in _folders(kept, record.key)), "no folder is kept"
-    )
+    folders = sorted(kept.glob(f"{record.key[:KEY]}-*"), key=lambda path: (len(path.name), path.name))
+    told = told_folder(record) or (f"its folder: {folders[-1]}" if folders else "no folder is kept")
     origin = f"; taken over from {record.origin}" if record.origin else ""
     lines = [f"run {record.key[:KEY]} {state} in {record.seconds:.3g} s at {inputs}; {told}{origin}"]
     reason = (record.message or "").partition("\n")[0]
     return lines if record.ok or not reason else [*lines, f"  {reason}"]
-
-
-def _folders(kept: Path, key: str) -> list[Path]:
-    """Return the folders of a run that are kept, the last attempt first."""
-    return sorted(kept.glob(f"{key[:KEY]}-*"), key=lambda path: (len(path.name), path.name), reverse=True)
 
 
 def _settings(stated: Stated, executor: Executor) -> dict[str, str]:

@@ -130,19 +130,15 @@ def _with_settings(study: Path, settings: tuple[str, ...], into: Path | None, *,
     from strandline.studies import changed_study
 
     if settings:
-        folder = _shortest(changed_study(study, settings, into))
+        folder, here = changed_study(study, settings, into), Path.cwd()
+        if folder.is_relative_to(here) and folder != here:
+            folder = folder.relative_to(here)
         if not quiet:
             click.echo(f"{', '.join(settings)}: the study in {folder}", err=True)
         return folder
     if into is not None:
         raise click.UsageError("--into is the folder of a copy with other values: add --set KEY=VALUE, or omit it.")
     return study
-
-
-def _shortest(folder: Path) -> Path:
-    """Return the path from the current folder if `folder` lies below it, else `folder`."""
-    here = Path.cwd()
-    return folder.relative_to(here) if folder.is_relative_to(here) and folder != here else folder
 
 
 def _submit(study: "Study", executor: "Executor", observer: "Observer") -> None:
@@ -259,7 +255,10 @@ def show(summary: Mapping[str, Any], report: Path | None, *, as_json: bool = Fal
     click.echo(f"{'input':>10} {'unit':>7} {'mean':>10} {'sd':>9} {'median':>10} {'5 %':>10} {'95 %':>10} {'MAP':>10}")
     for name, item in summary["inputs"].items():
         click.echo(_row(name, item, "" if item["unit"] == "1" else item["unit"]))
-    _show_readings(summary["under_uncertainty"] or {})
+    for reading, content in (summary["under_uncertainty"] or {}).items():
+        click.echo(f"under uncertainty, {reading} reading (MAP: fullest of {content['map_bins']} bins per input):")
+        for name, item in content["inputs"].items():
+            click.echo(_row(name, item))
     click.echo(f"log-evidence {summary['log_evidence']:.3f}; effective samples {summary['sampler']['ess']:.0f}")
     if check is not None:
         click.echo(
@@ -274,7 +273,8 @@ def show(summary: Mapping[str, Any], report: Path | None, *, as_json: bool = Fal
         if certificate.get("fidelities"):
             click.echo(certificate["fidelities"]["statement"])
     for warning in summary["warnings"]:
-        click.echo(_warned(f"warning: {warning}"))
+        line = f"warning: {warning}"
+        click.echo(line if os.environ.get("NO_COLOR") else click.style(line, fg="yellow"))  # no-color.org
     seconds = ", ".join(f"{stage} {value:.1f}" for stage, value in summary["seconds"].items())
     click.echo(f"seconds: {seconds}")
     if summary.get("draft"):
@@ -283,11 +283,6 @@ def show(summary: Mapping[str, Any], report: Path | None, *, as_json: bool = Fal
         click.echo(f"report: {report}")
     if summary["nearest"]["message"]:
         click.echo(summary["nearest"]["message"])
-
-
-def _warned(text: str) -> str:
-    """Return a warning in its colour, or as it is if NO_COLOR is set (no-color.org)."""
-    return text if os.environ.get("NO_COLOR") else click.style(text, fg="yellow")
 
 
 def _certified(certificate: Mapping[str, Any]) -> str:
@@ -306,13 +301,6 @@ def _certified(certificate: Mapping[str, Any]) -> str:
         f"converged: at {check['draws']} {check['by']}{besides} {who} gives {check['effective']:.0%} "
         f"effective draws and moves means by at most {shift:.2f} sd"
     )
-
-
-def _show_readings(readings: Mapping[str, Any]) -> None:
-    for reading, content in readings.items():
-        click.echo(f"under uncertainty, {reading} reading (MAP: fullest of {content['map_bins']} bins per input):")
-        for name, item in content["inputs"].items():
-            click.echo(_row(name, item))
 
 
 def _row(name: str, item: Mapping[str, Any], unit: str = "") -> str:

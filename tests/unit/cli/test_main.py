@@ -120,7 +120,7 @@ def test_how_a_command_ends(handlers, capsys, monkeypatch):
         def command(error=error):
             raise error
 
-        monkeypatch.setattr("strandline.cli.status.doctor", command)
+        monkeypatch.setattr("strandline.cli.runs.doctor", command)
         assert ends("doctor") == code
         assert capsys.readouterr().err == f"strandline: {told}\n"
 

@@ -6,7 +6,7 @@ import pytest
 
 from strandline.calibration import progress
 from strandline.cli.progress import SECONDS_BETWEEN_LINES, detailed, observing, set_aside_lines
-from strandline.cli.status import lines_of
+from strandline.cli.runs import lines_of
 from strandline.design.active import BatchReport
 from strandline.runs import InProcess, RunRecord
 from strandline.runs import Progress as Runs
