@@ -27,9 +27,9 @@ from verification.validation.generality import cost
 from strandline.foundations import ForwardModelError, InvalidInput
 from strandline.models.biofilm.cells.cell import Setting
 from strandline.models.biofilm.equations.system import CoupledSystem
+from strandline.models.biofilm.linear import SOLVERS, VARIABLE, Factorisation, linear_solver
 from strandline.models.biofilm.mesh.geometry import MESHES, MeshSize
 from strandline.models.biofilm.model import Biofilm
-from strandline.models.biofilm.solver.linear import SOLVERS, VARIABLE, Factorisation, linear_solver
 from strandline.runs import LocalProcesses, RunRecord, RunRequest
 
 POINTS, PROFILED, WORKERS, REPEATS = 256, 64, 2, 3

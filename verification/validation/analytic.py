@@ -15,13 +15,13 @@ from verification.validation.biofilm_mesh import flow_cell
 from verification.validation.energies import FURTHER, isochoric_piola, shear_modulus, symbolic_piola, volume_piola
 from verification.validation.tables import Table, observed_orders, table
 
+from strandline.models.biofilm import newton
 from strandline.models.biofilm.cells.cell import FlowCell, Setting
 from strandline.models.biofilm.equations.flow import STRESS_SCALE
 from strandline.models.biofilm.equations.system import BoundaryNames, CoupledSystem
 from strandline.models.biofilm.materials import LAWS
 from strandline.models.biofilm.mesh.geometry import MESHES, MeshSize, Partition
 from strandline.models.biofilm.mesh.outline import Channel, Outline
-from strandline.models.biofilm.solver import newton
 
 Tensor = Float[np.ndarray, "2 2"]
 YOUNG = 3.0

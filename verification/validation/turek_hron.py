@@ -18,8 +18,8 @@ from netgen.geom2d import SplineGeometry
 from verification.validation.fluid_forms import CubicSystem
 from verification.validation.tables import Table, observed_orders, table
 
+from strandline.models.biofilm import newton
 from strandline.models.biofilm.equations.system import BoundaryNames, CoupledSystem
-from strandline.models.biofilm.solver import newton
 
 LENGTH, HEIGHT = 2.5, 0.41
 CENTRE, RADIUS, HALF = 0.2, 0.05, 0.01

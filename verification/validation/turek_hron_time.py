@@ -20,7 +20,7 @@ from verification.validation.turek_hron import COARSEST, DENSITY, POISSON, Bench
 
 from strandline.models.biofilm.cells.transient import March, StepSettings
 from strandline.models.biofilm.equations.moving import Moment, MovingSystem
-from strandline.models.biofilm.solver.newton import NewtonSettings
+from strandline.models.biofilm.newton import NewtonSettings
 
 RAMP = 2.0
 WAKE = Size(far=0.035, near=0.007, corner=0.004)

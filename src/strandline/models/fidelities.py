@@ -11,16 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from strandline.interface import Interface
-from strandline.models import refused
+from strandline.models import protocol, refused
 from strandline.models.identity import fingerprint
-from strandline.models.protocol import (
-    ForwardModel,
-    PreparesRuns,
-    Simulation,
-    declared_conditions,
-    declared_inputs,
-    prepare_runs,
-)
 
 CHEAPER = "cheaper_model"
 """Input that marks a run by the cheaper model; its value is 1."""
@@ -38,8 +30,8 @@ class WithCheaper:
         InvalidInput: The two are the same, or differ in inputs or conditions; a cost out of range.
     """
 
-    model: ForwardModel
-    cheaper: ForwardModel
+    model: protocol.ForwardModel
+    cheaper: protocol.ForwardModel
     cost: float
 
     def __post_init__(self) -> None:
@@ -51,15 +43,15 @@ class WithCheaper:
             expected = "a model whose runs are cheaper, such as one with a coarser mesh"
             remedy = "Change an option, or remove the cheaper model."
             raise refused("the cheaper model", "the model itself", expected, remedy)
-        names = [sorted(one.name for one in declared_inputs(model)) for model in (self.model, self.cheaper)]
-        conditions = [sorted(declared_conditions(model)) for model in (self.model, self.cheaper)]
+        names = [sorted(one.name for one in protocol.declared_inputs(model)) for model in (self.model, self.cheaper)]
+        conditions = [sorted(protocol.declared_conditions(model)) for model in (self.model, self.cheaper)]
         for what, (own, other) in (("inputs", names), ("conditions", conditions)):
             if own != other:
                 expected = f"those of the model: {', '.join(own) or 'none'}"
                 remedy = "Let both models take the same inputs and return the same conditions."
                 raise refused(f"{what} of the cheaper model", ", ".join(other) or "none", expected, remedy)
 
-    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation | Interface:
+    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> protocol.Simulation | Interface:
         if is_cheaper(inputs):
             return self.cheaper({name: value for name, value in inputs.items() if name != CHEAPER}, workdir)
         return self.model(inputs, workdir)
@@ -75,15 +67,15 @@ class WithCheaper:
     @property
     def preparation(self) -> str:
         pair = (self.model, self.cheaper)
-        return next((one.preparation for one in pair if isinstance(one, PreparesRuns) and one.preparation), "")
+        return next((one.preparation for one in pair if isinstance(one, protocol.PreparesRuns) and one.preparation), "")
 
     def is_prepared(self, inputs: Mapping[str, float]) -> bool:
         """Return whether a run of the model makes use of what it has prepared."""
-        return isinstance(self.model, PreparesRuns) and self.model.is_prepared(inputs)
+        return isinstance(self.model, protocol.PreparesRuns) and self.model.is_prepared(inputs)
 
     def prepare_runs(self) -> None:
-        prepare_runs(self.model)
-        prepare_runs(self.cheaper)
+        protocol.prepare_runs(self.model)
+        protocol.prepare_runs(self.cheaper)
 
     def __getattr__(self, name: str) -> Any:
         """Return what the model itself offers or declares."""
@@ -102,15 +94,12 @@ def by_cheaper(inputs: Mapping[str, float]) -> dict[str, float]:
     return {**inputs, CHEAPER: 1.0}
 
 
-def run_identity(model: ForwardModel, own: str, inputs: Mapping[str, float]) -> str:
-    """Return the fingerprint that a run's content address begins with: that of the model that makes it.
-
-    `own` is the fingerprint of the model, or of the pair.
-    """
+def run_identity(model: protocol.ForwardModel, own: str, inputs: Mapping[str, float]) -> str:
+    """Return the fingerprint of the model that makes a run; `own` is that of the model, or of the pair."""
     return model.fingerprint_of_cheaper if isinstance(model, WithCheaper) and is_cheaper(inputs) else own
 
 
-def first_runs(model: ForwardModel, inputs: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
+def first_runs(model: protocol.ForwardModel, inputs: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
     """Return the runs of a first design at these inputs: all by the cheaper model if there is one, some by both."""
     if not isinstance(model, WithCheaper):
         return [dict(entry) for entry in inputs]

@@ -51,16 +51,13 @@ def _options_beside(model: Any) -> str:
     declared = "fingerprint" in inspect.get_annotations(kind)
     if not dataclasses.is_dataclass(model) or declared or not isinstance(vars(kind).get("fingerprint"), str):
         return ""
-    given = {
-        f.name: value
-        for f in dataclasses.fields(model)
-        if f.init and f.name != "sensitivities" and repr(value := getattr(model, f.name)) != repr(_default(f))
-    }
+    given = {}
+    for one in dataclasses.fields(model):
+        if one.init and one.name != "sensitivities":
+            default = one.default if one.default_factory is dataclasses.MISSING else one.default_factory()
+            if repr(value := getattr(model, one.name)) != repr(default):
+                given[one.name] = value
     return f"/{json.dumps(given, default=repr, sort_keys=True)}" if given else ""
-
-
-def _default(field: "dataclasses.Field[Any]") -> Any:
-    return field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
 
 
 def _described(model: ForwardModel) -> tuple[Any, dict[str, Any]]:
@@ -77,10 +74,8 @@ def sources_of(module: str) -> list[tuple[str, str]]:
     """Return (name, text) of `module` and the neighbouring modules it imports, directly or not, sorted by name.
 
     Neighbouring modules are those of the same top-level package, and, unless it is installed, those in the same folder
-    as that package or file. Modules imported under a computed name are not found; neither are data files.
-
-    Raises:
-        OSError: The module has no file that can be read.
+    as that package or file. Modules imported under a computed name are not found; neither are data files. Raises
+    OSError if the module has no file that can be read.
     """
     first = _file(module)
     if first is None:
@@ -120,7 +115,8 @@ def _file(name: str) -> Path | None:
 @lru_cache(maxsize=4096)
 def _imported(text: str, package: str) -> tuple[str, ...]:
     """Return the names of all modules that this source may import, parents included."""
-    return tuple(dict.fromkeys(part for name in _named(ast.parse(text), package) for part in _with_parents(name)))
+    parts = (name.split(".") for name in _named(ast.parse(text), package))
+    return tuple(dict.fromkeys(".".join(some[: i + 1]) for some in parts for i in range(len(some))))
 
 
 def _named(tree: ast.AST, package: str) -> Iterator[str]:
@@ -135,8 +131,3 @@ def _named(tree: ast.AST, package: str) -> Iterator[str]:
                 if origin
                 else (alias.name for alias in node.names)
             )
-
-
-def _with_parents(name: str) -> Iterator[str]:
-    parts = name.split(".")
-    yield from (".".join(parts[: i + 1]) for i in range(len(parts)))

@@ -14,6 +14,7 @@ import numpy as np
 from strandline.foundations import ForwardModelError, imported
 from strandline.interface import Interface
 from strandline.models import refused
+from strandline.models.biofilm import options
 from strandline.models.biofilm.cells.anchors import (
     AnchoredCell,
     Box,
@@ -30,20 +31,11 @@ from strandline.models.biofilm.cells.fields import FlowFields, flow_fields
 from strandline.models.biofilm.cells.transient import TransientCell
 from strandline.models.biofilm.equations import flow
 from strandline.models.biofilm.equations.memory import Branch, branch_inputs
+from strandline.models.biofilm.linear import linear_solver
 from strandline.models.biofilm.materials import LAWS, law_named
 from strandline.models.biofilm.mesh.course import Course
 from strandline.models.biofilm.mesh.geometry import FINER, MESHES, MeshSize, Partition, is_adapted, subdivide
 from strandline.models.biofilm.mesh.outline import Channel, Outline, Pairs, check_clamped, check_inside, check_outline
-from strandline.models.biofilm.options import (
-    SolidInputs,
-    as_inflow,
-    as_inflow_rates,
-    as_pressure_drops,
-    check_budget,
-    check_course,
-    check_loads,
-)
-from strandline.models.biofilm.solver.linear import linear_solver
 from strandline.models.identity import fingerprint as fingerprint_of
 from strandline.models.protocol import ModelInput, Simulation
 
@@ -106,10 +98,10 @@ class Biofilm:
     outline: Outline = Outline()
     partition: Partition = Partition()
     fluid: flow.Fluid = flow.WATER
-    inflow: str | Pairs = field(default=flow.PARABOLA, metadata={"read": as_inflow})
+    inflow: str | Pairs = field(default=flow.PARABOLA, metadata={"read": options.as_inflow})
     clamped: Pairs = ()
-    inflow_rates: tuple[tuple[str, float], ...] = field(default=(), metadata={"read": as_inflow_rates})
-    pressure_drops: tuple[tuple[str, float], ...] = field(default=(), metadata={"read": as_pressure_drops})
+    inflow_rates: tuple[tuple[str, float], ...] = field(default=(), metadata={"read": options.as_inflow_rates})
+    pressure_drops: tuple[tuple[str, float], ...] = field(default=(), metadata={"read": options.as_pressure_drops})
     course: Course | None = None
     branches: int = 0
     sensitivities: bool = False
@@ -124,10 +116,10 @@ class Biofilm:
         if self.mesh not in MESHES:
             raise refused("mesh of the biofilm model", self.mesh, f"one of {', '.join(MESHES)}")
         law_named(self.material)
-        check_budget(self.failure_budget)
-        check_loads(self.inflow_rates, self.pressure_drops, self.inflow)
+        options.check_budget(self.failure_budget)
+        options.check_loads(self.inflow_rates, self.pressure_drops, self.inflow)
         several, sensitivities = bool(self._loads), self.sensitivities
-        check_course(self.course, several=several, branches=self.branches, sensitivities=sensitivities)
+        options.check_course(self.course, several=several, branches=self.branches, sensitivities=sensitivities)
         reference = self.outline.interface()
         check_inside(self.outline.points, self.channel)
         check_outline(reference, self.channel)
@@ -159,8 +151,8 @@ class Biofilm:
         return flow.DROP if self.inflow == flow.PRESSURE else flow.RATE
 
     @property
-    def _solid(self) -> SolidInputs:
-        return SolidInputs(law_named(self.material), max(1, len(self.partition.markers)))
+    def _solid(self) -> options.SolidInputs:
+        return options.SolidInputs(law_named(self.material), max(1, len(self.partition.markers)))
 
     @property
     def conditions(self) -> tuple[str, ...]:
@@ -327,10 +319,10 @@ def _anchored_cell(model: Biofilm, box: Box) -> AnchoredCell:
 
 
 def _new_cell(model: Biofilm, size: MeshSize, solid_density: float | None, *, creeps: bool) -> FlowCell:
-    options = {name: getattr(model, name) for name in OF_CELL} | {"law": law_named(model.material)}
+    given = {name: getattr(model, name) for name in OF_CELL} | {"law": law_named(model.material)}
     if solid_density is not None:
-        return TransientCell(model.outline.interface(), size, solid_density=solid_density, **options)
-    return (CreepingCell if creeps else FlowCell)(model.outline.interface(), size, **options)
+        return TransientCell(model.outline.interface(), size, solid_density=solid_density, **given)
+    return (CreepingCell if creeps else FlowCell)(model.outline.interface(), size, **given)
 
 
 @lru_cache(maxsize=16)

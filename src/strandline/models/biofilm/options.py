@@ -120,10 +120,7 @@ def _load(option: str, name: object, load: object) -> float:
 
 
 def check_course(course: Course | None, *, several: bool, branches: object, sensitivities: bool) -> None:
-    """Refuse a course, or Maxwell branches, with what they cannot be combined with.
-
-    `several` says whether inflow rates or pressure drops of several experiments are given, too.
-    """
+    """Refuse a course, or Maxwell branches, with what does not go with them, such as loads of `several` experiments."""
     if isinstance(branches, bool) or branches not in range(MOST_BRANCHES + 1):
         raise _refused("branches", branches, f"a whole number from 0 to {MOST_BRANCHES}")
     if branches and (course is None or course.is_transient):

@@ -41,8 +41,8 @@ KINDS = (
 class ProcessEnd:
     """How a command ended: its exit code, minus the number of a signal; None if it never started, with the `problem`.
 
-    `timed_out`: its time was up. `tail` is the end of its output. `out_of_memory`: the kernel killed a process during
-    the run for lack of memory.
+    `timed_out`: its time was up. `tail` is the end of its output. `out_of_memory`: the kernel killed a process for lack
+    of it.
     """
 
     exit_code: int | None
@@ -50,11 +50,6 @@ class ProcessEnd:
     tail: str
     problem: str = ""
     out_of_memory: bool = False
-
-    @property
-    def killed(self) -> bool:
-        """Whether a SIGKILL from outside ended it: from an operator, the kernel or a batch system."""
-        return not self.timed_out and self.exit_code in (-signal.SIGKILL, KILLED_IN_A_SHELL)
 
 
 @dataclass(frozen=True)
@@ -155,12 +150,7 @@ class CommandModel:
                 raise refused(what, "an input without effect", expected, f"Put it there, or remove {name} from inputs.")
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
-        """Run the command in `workdir` and return the resulting interfaces.
-
-        Raises:
-            ForwardModelError: The run fails; the error holds the kind, the state, and the last lines that the command
-                printed.
-        """
+        """Run the command in `workdir`; return its interfaces; a failure has kind, state and the last lines printed."""
         values: dict[str, Any] = {name: float(value) for name, value in inputs.items()} | {PYTHON: sys.executable}
         parts = self._parts
         self._fill(workdir, values)
@@ -215,8 +205,12 @@ class CommandModel:
             message = f"still running after {self.timeout:g} s, and ended with all its processes"
             raise ForwardModelError("timeout", message)
         codes, code = self._parts.exit_codes, ended.exit_code
-        if ended.killed and code not in (codes or ()):
-            raise _killed(ended, program)
+        if code in (-signal.SIGKILL, KILLED_IN_A_SHELL) and code not in (codes or ()):
+            kind, why = "simulator_killed", ": something killed it from outside"
+            if ended.out_of_memory:
+                kind, why = "out_of_memory", " while the machine was out of memory"
+            message = f"{program} ended with {how_it_ended(code)}{why}"
+            raise ForwardModelError(kind, message, {"exit_code": float(code or 0)}, state="killed")
         if code is None or (codes is not None and code not in codes):
             evidence = {} if code is None else {"exit_code": float(code)}
             raise ForwardModelError("exit_code", f"{program} ended with {how_it_ended(code)}", evidence)
@@ -279,15 +273,6 @@ def _require_distinct(targets: list[str]) -> None:
             raise refused("templates and files", found, expected, "Choose another name.")
 
 
-def _killed(ended: ProcessEnd, program: str) -> ForwardModelError:
-    """Return the error for a command that was killed, but neither by itself nor by strandline."""
-    kind, why = "simulator_killed", ": something killed it from outside"
-    if ended.out_of_memory:
-        kind, why = "out_of_memory", " while the machine was out of memory"
-    message = f"{program} ended with {how_it_ended(ended.exit_code)}{why}"
-    return ForwardModelError(kind, message, {"exit_code": float(ended.exit_code or 0)}, state="killed")
-
-
 def _now(workdir: Path) -> int:
     """Return the time by the clock of the folder's file system, nanoseconds."""
     stamp = workdir / ".started"
@@ -309,10 +294,8 @@ def supervised(
     """Run a command in `folder`, without a shell, to its end; no process that it started remains afterwards.
 
     `environment` is complete. After `timeout` seconds (None: no limit) it is ended by SIGTERM and, `grace` seconds
-    later, by SIGKILL. The file `log` gets its output, at most twice `LOG_LIMIT` bytes.
-
-    Raises:
-        ForwardModelError: ``supervisor_died`` or ``out_of_memory``, both with the state ``killed``; ``processes_left``.
+    later, by SIGKILL. The file `log` gets its output, at most twice `LOG_LIMIT` bytes. Raises ForwardModelError:
+    ``supervisor_died`` or ``out_of_memory``, both with the state ``killed``; ``processes_left``.
     """
     asked = {
         "arguments": list(arguments),

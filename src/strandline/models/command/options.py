@@ -29,10 +29,7 @@ DECLARED = {"unit", "low", "high", "meaning"}
 
 @dataclass(frozen=True)
 class InputTemplate:
-    """A text that contains inputs as ``{{ name }}``; numbers are written in at most 20 characters.
-
-    `place` is the name of the text in messages, e.g. that of the file.
-    """
+    """A text with inputs as ``{{ name }}``, numbers in at most 20 characters; `place` is its name in messages."""
 
     place: str
     text: str
@@ -59,10 +56,8 @@ class InputTemplate:
         for name in sorted(self.names - known):
             found = _environment().parse(self.text).find_all(nodes.Name)
             line = min((node.lineno for node in found if node.name == name), default=1)
-            expected, remedy = (
-                f"one of {', '.join(sorted(known))}",
-                f"Correct the name, or add {name} to inputs or fixed.",
-            )
+            expected = f"one of {', '.join(sorted(known))}"
+            remedy = f"Correct the name, or add {name} to inputs or fixed."
             raise refused(f"{self.place}, line {line}: unknown variable", name, expected, remedy)
 
     def rendered(self, values: Mapping[str, Any]) -> str:
@@ -285,8 +280,7 @@ def readings_of(result: Reading | None, results: Mapping[str, Reading] | None) -
 def read_result(reading: Reading, folder: Path, started: int) -> Interface:
     """Return the interface in a result file of a run that started at a time by the folder's file system, nanoseconds.
 
-    Raises:
-        ForwardModelError: The result cannot be used; the state is ``invalid``, the kind says why.
+    Raises ForwardModelError, ``invalid``, if the result cannot be used; the kind says why.
     """
     path = folder / reading.file
     if not path.resolve().is_relative_to(folder.resolve()):

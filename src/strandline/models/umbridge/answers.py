@@ -20,8 +20,8 @@ class ServedModel:
     `gradient` takes the numbers of an output and an input block, the input blocks, and weights, and yields the weights
     times the Jacobian; `apply_jacobian` likewise the Jacobian times a vector. None: the model does not offer it.
 
-    Every exception of the functions becomes an answer: `InvalidInput` is the caller's mistake, any other exception is
-    the model's failure.
+    Every exception of the functions becomes an answer: `InvalidInput` is the caller's mistake, any other the model's
+    failure.
     """
 
     name: str

@@ -80,11 +80,7 @@ class Client:
             raise refused("timeout", self.timeout, "seconds above 0", "Leave it out for 10 minutes.")
 
     def describe(self) -> Description:
-        """Return the server's description of the model.
-
-        Raises:
-            ForwardModelError: no server, another protocol or version, no such model, or one without Evaluate.
-        """
+        """Return the server's description of the model; fails without a server, our version, the model, or Evaluate."""
         info = self._mapping("Info", None)
         version, models = info.get("protocolVersion"), info.get("models")
         if version is True or version != PROTOCOL_VERSION:
@@ -110,10 +106,7 @@ class Client:
     def jacobian(
         self, out: int, into: int, blocks: Sequence[Sequence[float]], described: Description
     ) -> Float[np.ndarray, "number input"]:
-        """Return the Jacobian of output block `out` by input block `into`.
-
-        It takes a call of ApplyJacobian for each input or, if the server lacks it, of Gradient for each output.
-        """
+        """Return d(block `out`)/d(block `into`), by ApplyJacobian for each input, or by Gradient for each output."""
         rows, columns = described.output_sizes[out], described.input_sizes[into]
         by_columns = described.support.get("ApplyJacobian", False)
         feature, key = ("ApplyJacobian", "vec") if by_columns else ("Gradient", "sens")
@@ -260,11 +253,7 @@ def _parsed(body: bytes) -> Any:
 
 
 def as_vector(values: object, size: int) -> Vector:
-    """Return a list in JSON as `size` numbers; NaN in place of null, which C++ servers write for it.
-
-    Raises:
-        ValueError: It is another list, or none; the message says what it is.
-    """
+    """Return a list in JSON as `size` numbers, null of C++ servers as NaN; ValueError says what else it is."""
     if not isinstance(values, list):
         raise ValueError(shortened(values))
     if len(values) != size:

@@ -57,12 +57,7 @@ class BlockLayout:
         return np.stack(list(columns), axis=1)
 
     def interface(self, blocks: Sequence[Float[np.ndarray, " number"]], factor: float) -> Interface:
-        """Return the interface; `factor` is mm per unit of the coordinates.
-
-        Raises:
-            ForwardModelError: ``protocol``: as for `points`, or a surface without triangles.
-            InvalidInterface: points that form no interface.
-        """
+        """Return the interface, `factor` mm per unit; fails as `points`, without triangles, or as InvalidInterface."""
         points = factor * self.points(blocks)
         if self.dim == 2:
             return Interface.polyline(points, closed=self.closed)
@@ -196,10 +191,8 @@ class UMBridgeModel:
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
         """Return the interface that the server computes.
 
-        Raises:
-            ForwardModelError: ``connection``, ``timeout``, ``protocol``, ``model_error`` or ``non_finite``, see the
-                client; ``inputs`` if the study's are not the model's; ``no_sensitivities``.
-            InvalidInterface: an output that forms no interface.
+        Raises ForwardModelError: ``connection``, ``timeout``, ``protocol``, ``model_error`` or ``non_finite``, see the
+        client; ``inputs`` if the study's are not the model's; ``no_sensitivities``; or InvalidInterface.
         """
         known = {name for block in self.inputs.names for name in block}
         if set(inputs) != known:

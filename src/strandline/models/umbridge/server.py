@@ -46,8 +46,7 @@ class Access:
     """Lets requests in, or refuses them.
 
     The server may be called (`Host`) by `names` in lower case, and by loopback addresses or `any_address`. Web pages of
-    the `origins`, e.g. ``https://example.org``, may send requests. Each request must carry the `token`, if there is
-    one.
+    the `origins`, e.g. ``https://example.org``, may send requests. Each must carry the `token`, if there is one.
     """
 
     names: frozenset[str] = frozenset({"localhost"})
@@ -132,8 +131,8 @@ class UMBridgeServer(ThreadingHTTPServer):
 
     Several threads call the models' functions at once, so these functions must be thread-safe. Port 0 takes any free
     one, which `url` then holds. The `door` decides which requests are answered; by default, those to an address of the
-    server itself. There are so many `connections`, and threads, at most; a client must send a whole request within
-    `patience` seconds.
+    server itself. There are so many `connections`, and threads, at most; a request must arrive within `patience`
+    seconds.
     """
 
     daemon_threads = True

@@ -10,11 +10,11 @@ from scipy.optimize import root
 from tests.unit.models.biofilm.cells import coarse_cell, failure, largest
 
 from strandline.foundations import ForwardModelError
+from strandline.models.biofilm import newton
 from strandline.models.biofilm.cells import cell as cell_module
 from strandline.models.biofilm.cells.cell import Setting
+from strandline.models.biofilm.cells.fields import Strain, jacobian_bound
 from strandline.models.biofilm.cells.steady import ARRIVAL, Path, Steady, steady_state
-from strandline.models.biofilm.equations.strain import Strain, jacobian_bound
-from strandline.models.biofilm.solver import newton
 
 LIMIT = 3.0**-1.5
 """Largest w(1 - w)(2 - w)/2, at w = 1 - 3^-1/2: the force that a Saint-Venant–Kirchhoff bar with ν = 0, E = 1 bears."""

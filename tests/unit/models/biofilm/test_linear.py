@@ -11,9 +11,9 @@ from scipy.sparse.linalg import spsolve
 from tests.unit.models.biofilm.cells import rough, rough_cell
 
 from strandline.foundations import ForwardModelError, InvalidInput
+from strandline.models.biofilm import linear
+from strandline.models.biofilm.linear import SOLVERS, Factorisation, linear_solver
 from strandline.models.biofilm.model import Biofilm, _flow_cell
-from strandline.models.biofilm.solver import linear
-from strandline.models.biofilm.solver.linear import SOLVERS, Factorisation, linear_solver
 
 needs_mkl = pytest.mark.skipif(
     not any(one.name.lower() == "mkl" for one in metadata.distributions()),

@@ -8,9 +8,9 @@ import pytest
 from tests.unit.models.biofilm.cells import INPUTS, SOLID, coarse, failure, largest, moved, rough
 
 from strandline.models.biofilm.cells.fields import write_vtu
+from strandline.models.biofilm.linear import linear_solver
 from strandline.models.biofilm.mesh.outline import Outline
 from strandline.models.biofilm.model import Biofilm
-from strandline.models.biofilm.solver.linear import linear_solver
 
 REFERENCE = Outline().interface()
 

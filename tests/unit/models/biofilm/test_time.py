@@ -13,7 +13,7 @@ from strandline.models.biofilm.equations.system import BoundaryNames
 from strandline.models.biofilm.materials import deformation_gradient
 from strandline.models.biofilm.mesh.geometry import MESHES, mesh_flow_cell
 from strandline.models.biofilm.mesh.outline import Channel, Outline
-from strandline.models.biofilm.solver.newton import NewtonSettings
+from strandline.models.biofilm.newton import NewtonSettings
 
 TIGHT = NewtonSettings(tolerance=1e-11, maximum_jacobians=8)
 AMPLITUDE = 1e-5

@@ -36,14 +36,14 @@ from scipy.interpolate import RBFInterpolator
 
 from strandline.foundations import ForwardModelError, whole_file
 from strandline.models import refused
+from strandline.models.biofilm import newton
 from strandline.models.biofilm.cells.cell import FlowCell, Setting, Solution
 from strandline.models.biofilm.cells.steady import DIRECT_STRAIN, SAFE_STRAIN, AtLoad, first_order
 from strandline.models.biofilm.equations.flow import DROP, RATE
 from strandline.models.biofilm.equations.system import CoupledSystem
+from strandline.models.biofilm.linear import Factorisation, linear_solver
 from strandline.models.biofilm.mesh.outline import finite
-from strandline.models.biofilm.solver import newton
-from strandline.models.biofilm.solver.linear import Factorisation, linear_solver
-from strandline.models.biofilm.solver.newton import NewtonSettings, Vector
+from strandline.models.biofilm.newton import NewtonSettings, Vector
 from strandline.models.protocol import ModelInput
 
 Ranges = tuple[tuple[str, float, float], ...]
@@ -230,10 +230,7 @@ class States:
 
 
 def anchors_file(geometry: str, box: Box) -> Path:
-    """Return the file in the user's cache for a cell and a box; its name tells all that their bits depend on.
-
-    `geometry` is a text that identifies the cell.
-    """
+    """Return the file in the user's cache for a cell and a box; its name depends on all that determines their bits."""
     parts = [str(REVISION), geometry, repr(box), linear_solver(), platform.machine(), *map(_installed, PACKAGES)]
     folder = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "strandline" / "anchors"
     return folder / f"{hashlib.sha256('|'.join(parts).encode()).hexdigest()[:32]}.npz"
@@ -288,10 +285,8 @@ class AnchoredCell:
         self._kept = _spread(box, self.states.anchors)
 
     def solve(self, inputs: Mapping[str, float], budget: int) -> Solution:
-        """Return the steady state; it depends on the inputs alone, among them what drives the flow.
-
-        The `budget` and failures are those of `FlowCell.solve`, which is called if anchors do not serve.
-        """
+        """Return the steady state, which depends on `inputs` alone, as `FlowCell.solve`; that is called if anchors do
+        not serve."""
         figures, strain = {"anchored": 0.0}, self._predicted_strain(inputs)
         if np.isfinite(strain):
             figures["predicted_strain"] = strain

@@ -10,16 +10,16 @@ from jaxtyping import Float, Int
 
 from strandline.foundations import ForwardModelError
 from strandline.interface import Interface
+from strandline.models.biofilm import newton
+from strandline.models.biofilm.cells.fields import StrainProbe, jacobian_bound
 from strandline.models.biofilm.cells.steady import steady_state
 from strandline.models.biofilm.equations import flow
 from strandline.models.biofilm.equations.memory import Branch
-from strandline.models.biofilm.equations.strain import StrainProbe, jacobian_bound
 from strandline.models.biofilm.equations.system import BoundaryNames, CoupledSystem
+from strandline.models.biofilm.linear import Factorisation, Vector
 from strandline.models.biofilm.materials import Law, further_parameters, typical_value
 from strandline.models.biofilm.mesh.geometry import MeshSize, Partition, mesh_flow_cell, subdivide
 from strandline.models.biofilm.mesh.outline import Channel, Pairs
-from strandline.models.biofilm.solver import newton
-from strandline.models.biofilm.solver.linear import Factorisation, Vector
 
 _SCALES = {"Pa": flow.STRESS_SCALE, "1": 1.0}
 NORM_WEIGHTS = (1.0, 0.1, 10.0, 0.1)
@@ -36,8 +36,7 @@ Points = Float[np.ndarray, "point 2"]
 class Solution:
     """A steady state: scaled unknowns, displacements of the interface's nodes, mm, and figures for a run's record.
 
-    `bounds` are those of `FlowCell.check`; `jacobians` have been assembled and factorised, including those on the load
-    path.
+    `bounds` are those of `FlowCell.check`; so many `jacobians` were factorised, on the load path too.
     """
 
     unknowns: Vector
@@ -131,10 +130,9 @@ class FlowCell:
     def solve(self, setting: Setting, budget: int = 0) -> Solution:
         """Return the steady state; the search is given up after a budget of Jacobians, if it is not 0.
 
-        Raises:
-            ForwardModelError: ``limit_point``, ``continuation_stalled``, ``newton_maxit``, ``newton_stalled``,
-                ``inverted_elements``, ``unbalanced``, ``nonfinite_residual`` or ``linear_solve``; loads in the evidence
-                are inflow rates in mm²/s.
+        Raises ForwardModelError: ``limit_point``, ``continuation_stalled``, ``newton_maxit``, ``newton_stalled``,
+        ``inverted_elements``, ``unbalanced``, ``nonfinite_residual`` or ``linear_solve``; loads in the evidence are
+        inflow rates in mm²/s.
         """
         load = self.set(setting)
         try:
@@ -240,10 +238,8 @@ class FlowCell:
             raise ForwardModelError("unbalanced", message, {"residual": float(left), "reaction": float(reaction)})
 
     def set_loads(self, rate: float, fluid: flow.Fluid) -> float:
-        """Set the fluid and the loads at the end of the load path; return the load there.
-
-        A load is the scaled inflow or pressure drop, or a share of all loads if a force acts on the fluid too.
-        """
+        """Set the fluid and its loads; return the load at the end of their path, scaled, or 1 for all if a force acts
+        too."""
         viscosity, density, *force = fluid.values()
         self.system.viscosity.Set(viscosity / flow.VISCOSITY_SCALE)
         self.system.density.Set(density / flow.DENSITY_SCALE)

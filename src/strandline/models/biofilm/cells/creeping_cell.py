@@ -14,14 +14,14 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.foundations import ForwardModelError
+from strandline.models.biofilm import newton
 from strandline.models.biofilm.cells.cell import FlowCell, Setting, Solution
 from strandline.models.biofilm.cells.steady import SHORTER_STEPS, AtLoad, steady_state
 from strandline.models.biofilm.equations.flow import Fluid
 from strandline.models.biofilm.equations.memory import Branch, Memory, Past
 from strandline.models.biofilm.equations.system import CoupledSystem
 from strandline.models.biofilm.mesh.course import Course, Piece, pieces
-from strandline.models.biofilm.solver import newton
-from strandline.models.biofilm.solver.newton import LinearSolver, NewtonSettings, Vector
+from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, Vector
 
 STEP = NewtonSettings(maximum_jacobians=4, smallest_damping=1.0)
 FIRST_STEP = 0.2
@@ -36,10 +36,7 @@ SAFETY, GROWTH, CUT = 0.9, 3.0, 0.2
 
 @dataclass(frozen=True, eq=False)
 class CreepState:
-    """What is known at a point in time, s: the share of the full inflow, all unknowns, scaled, and the stresses.
-
-    The displacements of the interface's nodes (point, 2) are in mm.
-    """
+    """Time, s, share of the full inflow, scaled unknowns, stresses, displacements of the interface (point, 2), mm."""
 
     time: float
     share: float
@@ -75,10 +72,8 @@ class QuasiStatic:
     def follow(self, course: Course) -> Iterator[CreepState]:
         """Yield the state at each time observed; of a sudden change, that after it.
 
-        A run starts relaxed, in the steady state of the first share.
-
-        Raises:
-            ForwardModelError: No state was found; after the start, the evidence holds the `time`, s.
+        A run starts relaxed, in the steady state of the first share. Raises ForwardModelError if no state is found;
+        after the start, the evidence holds the `time`, s.
         """
         waiting = [time for _, time in course.times]
         now, step, whole = self._start(course), 0.0, waiting[-1] - course.start
@@ -216,11 +211,8 @@ class CreepingCell(FlowCell):
         """Yield name and state of each time observed; while one is yielded, the system holds it.
 
         The rate in the `setting` is where the course has the share 1. The `budget` of Jacobians is for searches along a
-        load path; 0: no limit.
-
-        Raises:
-            ForwardModelError: As `solve` at the start and after a sudden load at rest; ``time_step`` or
-                ``inverted_elements`` later, with the time, s.
+        load path; 0: no limit. Raises as `solve` at the start and after a sudden load at rest; later ForwardModelError
+        of the kind ``time_step`` or ``inverted_elements``, with the time, s.
         """
         self.set(setting)
         way = QuasiStatic(self, setting.rate, setting.fluid, setting.branches, course.tolerance, budget=budget)

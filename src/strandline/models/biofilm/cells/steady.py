@@ -22,9 +22,9 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.foundations import ForwardModelError
-from strandline.models.biofilm.equations.strain import Strain
-from strandline.models.biofilm.solver import newton
-from strandline.models.biofilm.solver.newton import LinearSolver, NewtonSettings, NewtonStep, Vector
+from strandline.models.biofilm import newton
+from strandline.models.biofilm.cells.fields import Strain
+from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, NewtonStep, Vector
 
 SAFE_STRAIN = 0.2
 DIRECT_STRAIN = 0.27
@@ -89,10 +89,7 @@ class Steady:
 
 
 class Path:
-    """The path of steady states from rest to a load above zero.
-
-    The `budget` of Jacobians does not count the arrival at the load once it is passed; 0: no limit.
-    """
+    """The steady states from rest to a load; the `budget` (0: no limit) counts no Jacobians once that is passed."""
 
     def __init__(self, system: LoadedSystem, load: float, budget: int) -> None:
         self.system, self.load = system, load
@@ -103,12 +100,10 @@ class Path:
     def follow(self, linear: Vector, first_load: float) -> Steady:
         """Return the state at the load; the path begins at `first_load`, `linear` is the first-order solution.
 
-        Raises:
-            ForwardModelError: ``limit_point``: the load has a maximum below the target load, shown by the sign of the
-                tangent beyond it; ``continuation_stalled``: neither is found within the budget; or what `check` raises.
-                The evidence holds `load_reached`, the largest load with a steady state that was found, and with a limit
-                point `limit_load`, an estimate of the maximum, and `load_slope`, d(load)/d(strain) beyond it, which is
-                negative.
+        Raises ForwardModelError: ``limit_point``: the load has a maximum below the target load, shown by the sign of
+        the tangent beyond it; ``continuation_stalled``: neither is found within the budget; or what `check` raises. The
+        evidence holds `load_reached`, the largest load with a steady state that was found, and with a limit point
+        `limit_load`, an estimate of the maximum, and `load_slope`, d(load)/d(strain) beyond it, which is negative.
         """
         last = PathPoint(np.zeros_like(linear), 0.0, linear / self.load)
         point = self._first_point(linear, first_load)
@@ -131,10 +126,8 @@ class Path:
             step *= 0.5
 
     def _arrival(self, below: PathPoint, above: PathPoint, strain: Strain) -> Vector | None:
-        """Return the steady state at the load between two points; None if Newton's method does not find it.
-
-        Such a state exists, so the first search may exceed the budget.
-        """
+        """Return the steady state at the load between two points, which exists, within the budget or not; None if not
+        found."""
         if self.budget > 0 and not self.bracketed:
             self.budget = max(self.budget, self.jacobians + ARRIVAL.maximum_jacobians)
         self.bracketed = True
@@ -189,10 +182,8 @@ class Path:
         return float(np.clip(wanted, 0.5 * LARGEST_STEP, LARGEST_STEP))
 
     def _advance(self, last: PathPoint, point: PathPoint, strain: Strain, step: float) -> PathPoint:
-        """Return the point whose strain is larger by `step`, or by a half, a quarter, … of it.
-
-        A tangent that seems to fall is judged with a new Jacobian, at the fully converged point.
-        """
+        """Return the point whose strain is larger by `step`, a half, a quarter, …; a falling tangent is judged at full
+        accuracy."""
         reason: tuple[str, str, dict[str, float]]
         reason = ("continuation_stalled", "the steps along the load path became too short", {})
         while step >= SMALLEST_STEP:
@@ -304,12 +295,9 @@ def first_order(bending: Bending, load: float) -> tuple[Vector, NewtonStep]:
 
 
 def steady_state(bending: Bending, load: float, *, budget: int = 0) -> Steady:
-    """Return the steady state at a load that is connected with the one at rest.
+    """Return the steady state at a load that is connected with the one at rest; raise as `Path.follow`.
 
     The `budget` is a number of Jacobians after which a search along the load path is given up; 0: no limit.
-
-    Raises:
-        ForwardModelError: For the reasons given in `Path.follow`.
     """
     start, first = first_order(bending, load)
     linear = np.asarray(start + first.correction)

@@ -19,13 +19,13 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.foundations import ForwardModelError
+from strandline.models.biofilm import newton
 from strandline.models.biofilm.cells.cell import FlowCell, Setting, Solution
 from strandline.models.biofilm.equations.flow import DENSITY_SCALE, VELOCITY_SCALE
 from strandline.models.biofilm.equations.moving import LARGEST_RATIO, Moment, MovingSystem, extrapolated, share_of_error
 from strandline.models.biofilm.equations.system import CoupledSystem, Values
 from strandline.models.biofilm.mesh.course import Course
-from strandline.models.biofilm.solver import newton
-from strandline.models.biofilm.solver.newton import LinearSolver, NewtonSettings, Vector
+from strandline.models.biofilm.newton import LinearSolver, NewtonSettings, Vector
 
 AS_BEFORE = 0.25
 """A Jacobian is kept while its leading weight differs from that of the step by at most this share."""
@@ -194,10 +194,8 @@ class TransientCell(FlowCell):
         """Yield name and state of each time observed; while one is yielded, the system holds it.
 
         The rate in the `setting` is where the course has the share 1. The `budget` of Jacobians is for the search for
-        the steady state at the start; 0: no limit.
-
-        Raises:
-            ForwardModelError: As `solve` at the start; ``time_step`` or ``inverted_elements`` later, with the time, s.
+        the steady state at the start; 0: no limit. Raises as `solve` at the start; later ForwardModelError of the kind
+        ``time_step`` or ``inverted_elements``, with the time, s.
         """
         system = self.system
         assert isinstance(system, MovingSystem)

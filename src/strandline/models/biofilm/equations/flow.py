@@ -1,8 +1,7 @@
 """What moves the fluid of a flow cell: inflow or pressure drop, and forces; and the fluid's viscosity and density.
 
 A profile of the inflow is a function of the height y (point,), mm, and of the heights between which the fluid enters;
-it returns velocities in any unit, since they are scaled to the volume rate. A new one is one function and a line in
-`PROFILES`.
+it returns velocities in any unit, since they are scaled to the volume rate. A new one is a function in `PROFILES`.
 """
 
 import dataclasses

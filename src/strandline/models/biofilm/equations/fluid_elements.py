@@ -38,7 +38,7 @@ class FluidElements:
 
     Components 0, 1 and 2 of `space` are v and d, quadratic, and p, linear. `cells` are triangles that may be curved;
     those among them that are `loading` touch the interface, where the traction loads the solid. Viscosity and density
-    are NGSolve parameters, scaled.
+    are scaled NGSolve parameters.
     """
 
     def __init__(

@@ -22,10 +22,7 @@ Form = Any  # an NGSolve coefficient function
 
 @dataclass(frozen=True, eq=False)
 class FluidLoad:
-    """A load on the fluid that is proportional to an NGSolve parameter, scaled.
-
-    It is a force per volume along x and y, and a pressure from outside, a form, on boundaries by a regular expression.
-    """
+    """A force per volume, and a pressure (a form) on boundaries by a pattern, in proportion to an NGSolve parameter."""
 
     parameter: Any
     force: tuple[float, float] = (0.0, 0.0)

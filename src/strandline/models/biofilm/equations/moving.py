@@ -81,10 +81,8 @@ def differences(times: Sequence[float]) -> tuple[float, ...]:
 
 
 def extrapolated(time: float, last: Sequence[Moment]) -> Values:
-    """Return the values at `time` on the polynomial through the last moments, newest first, at most three.
-
-    At a start, values before the first moment are those that its rates lead back to.
-    """
+    """Return values at `time` by the polynomial through at most three moments, newest first; at a start, by their
+    rates."""
     times, values = [moment.time for moment in last[:3]], [moment.values for moment in last[:3]]
     wanted = 2 if len(last) == 1 else 3
     while len(times) < wanted:
@@ -113,10 +111,7 @@ def share_of_error(time: float, last: Sequence[Moment]) -> float:
 
 
 class FluidInertia(FluidElements):
-    """The fluid's inertia on a moving mesh in all elements at once: `FluidElements` with the rates of all coefficients.
-
-    Its viscosity has no effect.
-    """
+    """The fluid's inertia on a moving mesh: `FluidElements` with the rates of all coefficients, without viscosity."""
 
     def __init__(self, *arguments: Any, rates: Rates, **options: Any) -> None:
         super().__init__(*arguments, **options)

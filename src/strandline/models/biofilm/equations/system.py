@@ -22,8 +22,8 @@ from strandline.models.biofilm.equations import forms
 from strandline.models.biofilm.equations.fluid_elements import Entries, FluidElements, Values
 from strandline.models.biofilm.equations.memory import Memory
 from strandline.models.biofilm.equations.solid_elements import SolidElements
+from strandline.models.biofilm.linear import Factorisation, Vector
 from strandline.models.biofilm.materials import LAWS, IsotropicLaw, Law, further_parameters, typical_value
-from strandline.models.biofilm.solver.linear import Factorisation, Vector
 
 Numbers = Int[np.ndarray, " entry"]
 
@@ -69,8 +69,8 @@ def product(places: tuple[Numbers, Numbers], entries: Entries, vector: Values) -
 class Pattern:
     """Where the entries of the parts go in the sparse matrix of the free unknowns.
 
-    `slots` has the place of each entry among the matrix's values, one behind the last for those left out; `constants`
-    are its values from constant rows.
+    `slots` has the place of each entry among the matrix's values, behind the last if left out; `constants` are those of
+    constant rows.
     """
 
     matrix: Any
@@ -95,8 +95,8 @@ class Pattern:
         """Return the pattern of the places where some entry is not zero.
 
         `used` tells which entries of the parts are not zero; if only a load is zero now, other entries hold its place.
-        The rows that are constant come from `constant` (constant, dof), not from the parts. `free` has the numbers of
-        the unknowns.
+        The rows that are constant come from `constant` (constant, dof), not from the parts. `free` numbers the
+        unknowns.
         """
         number, count = np.full(len(is_constant), -1), len(free)
         number[free] = np.arange(count)
@@ -235,10 +235,8 @@ class CoupledSystem:
         return Factorisation(pattern.fill(self._assemble()), len(self.free), own_analysis=own_analysis)
 
     def by_parameter(self, parameter: Any) -> Vector:
-        """Return the derivative of the residual with respect to one parameter at the current state.
-
-        It is one of `material`, `viscosity`, `density` or the parameter of a load.
-        """
+        """Return the derivative of the residual by one of `material`, `viscosity`, `density`, or the parameter of a
+        load."""
         if parameter not in self._derivatives:
             form = forms.solid_form(self, derivative_by=parameter)
             forms.add_loads(form, self, derivative_by=parameter)

@@ -36,10 +36,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class SaintVenantKirchhoff(IsotropicLaw):
-    """Energy μ E:E + ½ λ (tr E)² of the strain E = ½ (C - I).
-
-    Source: Holzapfel, Nonlinear Solid Mechanics (2000), section 6.5.
-    """
+    """Energy μ E:E + ½ λ (tr E)² of E = ½ (C - I); Holzapfel, Nonlinear Solid Mechanics (2000), section 6.5."""
 
     def coefficients(self, invariant: Number, log_volume: Number, pressure: Number, shear: Number, /) -> Coefficients:
         """Return those of S = 2 μ E + pₛ I."""
@@ -52,10 +49,7 @@ class SaintVenantKirchhoff(IsotropicLaw):
 
 @dataclass(frozen=True)
 class NeoHookean(IsotropicLaw):
-    """Energy ½ μ (I₁ - 3 - 2 ln J) + ½ λ (ln J)².
-
-    Source: Holzapfel, Nonlinear Solid Mechanics (2000), section 6.5.
-    """
+    """Energy ½ μ (I₁ - 3 - 2 ln J) + ½ λ (ln J)²; Holzapfel, Nonlinear Solid Mechanics (2000), section 6.5."""
 
     def coefficients(self, invariant: Number, log_volume: Number, pressure: Number, shear: Number, /) -> Coefficients:
         """Return those of S = μ (I - C⁻¹) + pₛ C⁻¹."""

@@ -16,12 +16,9 @@ Form = Any  # an NGSolve coefficient function
 
 @dataclass(frozen=True)
 class MixedStress:
-    """Stress of a law, and the constraint that defines its pressure.
+    """Second Piola–Kirchhoff stress S of a law, a 2 × 2 form, and S_zz, pₛ if None.
 
-    Args:
-        second_piola: Second Piola–Kirchhoff stress S, a 2 × 2 form.
-        constraint: Form that vanishes where pₛ is the pressure-like stress of the law.
-        out_of_plane: S_zz; None: pₛ.
+    The constraint is a form that vanishes where pₛ is the pressure-like stress of the law.
     """
 
     second_piola: Form

@@ -51,10 +51,7 @@ class NewtonSettings:
 
 @dataclass(frozen=True, eq=False)
 class NewtonSolution:
-    """The root, the Jacobians factorised, the steps taken with a Jacobian from another point, and the last Jacobian.
-
-    The last was factorised near the root, not at it.
-    """
+    """The root, Jacobians factorised, steps with a Jacobian from elsewhere, and the last Jacobian, near the root."""
 
     x: Vector
     jacobians: int
@@ -170,8 +167,7 @@ class _Search:
     ) -> tuple[Vector, float]:
         """Continue with Broyden updates of a Jacobian while they contract; return the point and the last correction.
 
-        `x` is the point after the first correction, which is the Newton step; the second is the simplified one that it
-        leaves.
+        `x` is the point after the first correction, which is the Newton step; the second is what that leaves.
         """
         directions = [corrections[0]]
         squares = [self._inner(corrections[0], corrections[0])]

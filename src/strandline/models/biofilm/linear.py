@@ -4,8 +4,8 @@ NGSolve finds PARDISO by itself if mkl is installed, and runs it on one thread. 
 (matching, scaling, ordering) costs several times its factorisation, so it is kept. It is made with the first values
 that a matrix is factorised with; a `FlowCell` chooses these itself, so that no run depends on earlier runs. If the
 analysis does not suit later values, above all at ν = 0.5, or if a matrix is singular, PARDISO perturbs pivots and
-returns wrong results without a warning. So its residual is checked, and a solution that fails the check is computed
-again with its own analysis.
+returns wrong results without a warning. So its residual is checked, and a bad solution computed again with its own
+analysis.
 """
 
 import contextlib

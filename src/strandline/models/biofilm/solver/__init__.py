@@ -1,1 +1,0 @@
-"""Linear systems and Newton's method."""
