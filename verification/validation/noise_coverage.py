@@ -21,7 +21,7 @@ from strandline.discrepancy import ClosestPoint, Currents, Discrepancy, JointErr
 from strandline.foundations import InvalidInput, use_double
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import FieldLikelihood
-from strandline.likelihood.compared import with_variance
+from strandline.likelihood.interfaces import with_variance
 from strandline.likelihood.linearised_residuals import linearise
 from strandline.models.biofilm.model import Biofilm
 from strandline.posterior.rank_tests import coverage_of, uniformity

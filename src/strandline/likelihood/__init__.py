@@ -4,7 +4,6 @@ In: interfaces, a measure, the noise (stated or unknown). Out: log-likelihoods, 
 posterior of the noise. It knows no solver.
 """
 
-from strandline.likelihood.compared import Compared, Registered, adapted, compared, with_variance
 from strandline.likelihood.field import DRAWS, FieldLikelihood, evaluated, noise_length, predicted, sd_of_distances
 from strandline.likelihood.inferred_noise import (
     InferredNoise,
@@ -13,7 +12,7 @@ from strandline.likelihood.inferred_noise import (
     require_inferable,
     require_inferable_noise,
 )
-from strandline.likelihood.interfaces import InterfaceLikelihood
+from strandline.likelihood.interfaces import Compared, InterfaceLikelihood, Registered, adapted, compared, with_variance
 from strandline.likelihood.local_likelihood import Mixture, Nearby, follows_offsets
 from strandline.likelihood.noise_rule import (
     ResidualNoise,

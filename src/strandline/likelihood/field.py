@@ -23,8 +23,8 @@ from strandline.discrepancy import (
 )
 from strandline.foundations import InvalidInput
 from strandline.interface import Interface, Noise, Observation, PointErrors
-from strandline.likelihood.compared import compared
 from strandline.likelihood.inferred_noise import InferredNoise, infer_noise
+from strandline.likelihood.interfaces import compared
 from strandline.likelihood.local_likelihood import Nearby, OfMixture, Values, nearby
 from strandline.likelihood.parabolas import FittedParabola, NearParabola, log_gain, mean_of_draws, numbers, share_gained
 from strandline.smc import BatchedLogDensity, OnHost, is_on_host

@@ -14,7 +14,7 @@ from scipy.special import logsumexp, softmax
 
 from strandline.discrepancy import Discrepancy, FollowsOffsets, JointErrors, NormalOffset, Points, places_of, sums_of
 from strandline.interface import ErrorModel, Interface, Observation, PointErrors
-from strandline.likelihood.compared import Compared, compared
+from strandline.likelihood.interfaces import Compared, compared
 from strandline.likelihood.linearised_residuals import NearField, linearise
 from strandline.likelihood.parabolas import Modes, NearParabola, Values
 from strandline.surrogate import FieldSurrogate

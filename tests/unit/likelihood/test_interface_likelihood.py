@@ -23,7 +23,7 @@ from strandline.discrepancy.normal_offset import signed_distances
 from strandline.foundations import InvalidInput, InvalidInterface, NumericsError
 from strandline.interface import GaussianNoise, Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import InterfaceLikelihood, compared
-from strandline.likelihood.compared import Registered
+from strandline.likelihood.interfaces import Registered
 
 SMALL = PointErrors(3e-6, 0.02, shift=1e-5, rotation=5e-4, scale=5e-6, offset=2e-6)
 """So small that the residuals are linear in the global errors."""
