@@ -3,7 +3,13 @@
 In: draws and their log-densities. Out: moments, intervals, approximations, importance weights and their reliability.
 """
 
-from strandline.posterior.gaussian import GaussianApproximation, LaplaceApproximation, laplace, log_prior_hessian
+from strandline.posterior.densities import (
+    GaussianApproximation,
+    KernelDensity,
+    LaplaceApproximation,
+    laplace,
+    log_prior_hessian,
+)
 from strandline.posterior.importance import (
     NEARLY_EQUAL,
     Reweighting,
@@ -17,7 +23,6 @@ from strandline.posterior.importance import (
     subset,
     verdict_on,
 )
-from strandline.posterior.kde import KernelDensity
 from strandline.posterior.marginals import (
     Histogram,
     InterfaceBand,

@@ -6,7 +6,7 @@ from scipy.stats import chi2, gaussian_kde, truncnorm, uniform
 
 from strandline.foundations import InvalidInput, NumericsError
 from strandline.posterior import KernelDensity
-from strandline.posterior.kde import slope_correction
+from strandline.posterior.densities import slope_correction
 
 UNIT = [(0.0, 1.0)]
 
@@ -97,7 +97,7 @@ def test_the_largest_error_of_a_density_with_bounds_and_mirrored_kernels_alone_m
         assert np.trapezoid(found, grid) == pytest.approx(1.0, abs=1e-3)
     falling = np.random.default_rng(0).beta(2.0, 3.0, 5000)
     assert estimate(falling).density(zero)[0] < 0.1 * 1.7778
-    monkeypatch.setattr("strandline.posterior.kde.slope_correction", lambda points, *rest: np.zeros(len(points)))
+    monkeypatch.setattr("strandline.posterior.densities.slope_correction", lambda points, *rest: np.zeros(len(points)))
     exact, allowed = BOUNDED["normal, mode outside"]
     found = estimate(drawn["normal, mode outside"]).density(zero)
     assert abs(found[0] - exact.pdf(0.0)) / exact.pdf(0.0) > allowed
