@@ -25,13 +25,12 @@ if TYPE_CHECKING:
         simulator_noise,
         training_of,
     )
+    from strandline.design.active.choice import LARGEST_BATCH
     from strandline.design.active.fidelities import Fidelities, FidelityReport, as_by_model
-    from strandline.design.active.sampling import DRAFT_PARTICLES
-    from strandline.design.active.settings import LARGEST_BATCH
+    from strandline.design.active.state import DRAFT_PARTICLES
     from strandline.design.candidates import FEWEST_POINTS, WHOLE, Candidate, Look, Setting, key_of
-    from strandline.design.refinement import SAMPLING, Learnt, Refinement, Round, refine, shifts
+    from strandline.design.refinement import SAMPLING, Learnt, Refinement, Round, refine, shifts, sobol
     from strandline.design.run_filter import RunFilter, SetAside, says_whether_runs_succeed
-    from strandline.design.space_filling import sobol
 else:
     __getattr__ = door(__name__, __file__)
 

@@ -1,8 +1,9 @@
-"""Further forward runs where the posterior lies (Willmann et al. 2022, Remark 7), in rounds.
+"""Designs that do not depend on the posterior so far, and rounds of further runs where it lies.
 
-Each round samples the posterior of the surrogate so far, runs the simulator at some of the particles, and trains the
-surrogate again with all runs. The difference between what the surrogate had predicted there and the results of the runs
-is an honest measure of its error, because it was not trained with these runs.
+A Sobol sequence fills the unit cube. Each round (Willmann et al. 2022, Remark 7) samples the posterior of the surrogate
+so far, runs the simulator at some of the particles, and trains the surrogate again with all runs. The difference
+between what the surrogate had predicted there and the results of the runs is an honest measure of its error, because it
+was not trained with these runs.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -14,7 +15,9 @@ import jax
 import numpy as np
 from jaxtyping import Float
 from scipy.special import log_softmax
+from scipy.stats import qmc
 
+from strandline.foundations import InvalidInput
 from strandline.likelihood import predicted
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted
@@ -22,7 +25,32 @@ from strandline.runs import RunRecord
 from strandline.smc import SMCSettings, require, sample
 from strandline.surrogate import LogLikelihoodSurrogate
 
-__all__ = ["SAMPLING", "Learnt", "Refinement", "Round", "refine", "shifts"]
+__all__ = ["SAMPLING", "Learnt", "Refinement", "Round", "refine", "shifts", "sobol"]
+
+MOST_POINTS = 2**24
+MOST_INPUTS = qmc.Sobol.MAXDIM
+"""Largest number of inputs for which direction numbers are known."""
+
+
+def sobol(number: int, dim: int, *, scramble: int | None = None) -> Float[np.ndarray, "run dim"]:
+    """Return the first `number` points of one Sobol sequence in the unit cube.
+
+    Designs are nested: a larger one begins with the smaller one and reuses its runs. `scramble` is the seed of an Owen
+    scrambling; None (the default) is the plain sequence, whose first point is the origin.
+
+    Raises:
+        InvalidInput: `number` or `dim` below 1, or more than the sequence has.
+    """
+    if not 1 <= number <= MOST_POINTS or not 1 <= dim <= MOST_INPUTS:
+        raise InvalidInput(
+            "size of the Sobol design",
+            value=f"{number} points in {dim} dimensions",
+            expected=f"at least 1 of each, at most {MOST_POINTS} points and {MOST_INPUTS} dimensions",
+            remedy="Ask for another number of runs.",
+        )
+    engine = qmc.Sobol(dim, scramble=scramble is not None, rng=scramble)
+    return np.asarray(engine.random_base2(max(number - 1, 0).bit_length())[:number])
+
 
 SAMPLING = SMCSettings(rejuvenation_steps=10, zeta=0.5)
 """Settings of the samplings between rounds: cheaper than the one for the final posterior."""

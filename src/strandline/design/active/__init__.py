@@ -3,11 +3,9 @@
 from strandline.design.active.active_design import KINDS, ActiveDesign, Batch, Step
 from strandline.design.active.campaign import ActiveRuns, BatchReport, Certificate, FieldOutcome, VarianceEffect
 from strandline.design.active.checking import BatchCheck
-from strandline.design.active.choice import CRITERIA, Criterion
+from strandline.design.active.choice import CRITERIA, Active, Criterion
 from strandline.design.active.posterior_check import SimulatorNoise, simulator_noise
-from strandline.design.active.sampling import posterior_state
-from strandline.design.active.settings import Active
-from strandline.design.active.state import Knowledge, State, learn, training_of
+from strandline.design.active.state import Knowledge, State, learn, posterior_state, training_of
 
 __all__ = [
     "CRITERIA",

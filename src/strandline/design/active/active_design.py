@@ -13,12 +13,11 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.design.active.checking import BatchCheck, number_of_probes
-from strandline.design.active.choice import Losses, choose, price_of_a_hang
+from strandline.design.active.choice import LARGEST_BATCH, Active, Losses, choose, price_of_a_hang
 from strandline.design.active.coverage_runs import Surprise, points_around, points_elsewhere
 from strandline.design.active.posterior_check import PosteriorCheck
-from strandline.design.active.settings import LARGEST_BATCH, Active
 from strandline.design.active.state import PosteriorMove, State
-from strandline.design.space_filling import sobol
+from strandline.design.refinement import sobol
 from strandline.parameters import ParameterSpace
 from strandline.posterior import subset
 from strandline.runs import RunRecord

@@ -9,12 +9,11 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.design.active.active_design import ActiveDesign, Batch, Step
+from strandline.design.active.choice import Active
 from strandline.design.active.coverage_runs import SURE, least_found
 from strandline.design.active.fidelities import Fidelities, FidelityReport
 from strandline.design.active.posterior_check import NONE, SimulatorNoise
-from strandline.design.active.sampling import posterior_state
-from strandline.design.active.settings import Active
-from strandline.design.active.state import Knowledge, State, hidden_shift, learn
+from strandline.design.active.state import Knowledge, State, hidden_shift, learn, posterior_state
 from strandline.design.run_filter import RunFilter
 from strandline.discrepancy import Discrepancy
 from strandline.foundations import NoCommonPoints, TooFewRuns, html_table, one_thread, with_sd

@@ -18,7 +18,7 @@ from scipy.stats import norm
 
 from strandline.design.active.checking import farthest_first
 from strandline.design.active.state import State
-from strandline.design.space_filling import sobol
+from strandline.design.refinement import sobol
 from strandline.discrepancy import apart
 from strandline.interface import Interface
 from strandline.parameters import ParameterSpace

@@ -15,11 +15,9 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.design.active import checking, coverage_runs
-from strandline.design.active.checking import BatchCheck
-from strandline.design.active.choice import Losses
+from strandline.design.active.checking import WHOLE, BatchCheck, LogRatios, fewest, smooth_effect
+from strandline.design.active.choice import Active, Losses
 from strandline.design.active.coverage_runs import Surprise, points_elsewhere
-from strandline.design.active.parabola import WHOLE, LogRatios, fewest, smooth_effect
-from strandline.design.active.settings import Active
 from strandline.design.active.state import Knowledge, State
 from strandline.foundations import one_thread
 from strandline.parameters import ParameterSpace

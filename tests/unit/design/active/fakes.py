@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 import strandline as sl
-from strandline.design.active.parabola import LogRatios
+from strandline.design.active.checking import LogRatios
 from strandline.design.active.posterior_check import PosteriorCheck
 from strandline.design.active.state import Knowledge, State
 from strandline.foundations import TooFewRuns

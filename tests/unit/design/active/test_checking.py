@@ -6,9 +6,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from strandline.design.active import checking, parabola
-from strandline.design.active.checking import BatchCheck, Tolerances, number_of_probes, probes, verdict
-from strandline.design.active.parabola import LogRatios, fewest, smooth_effect
+from strandline.design.active import checking
+from strandline.design.active.checking import (
+    BatchCheck,
+    LogRatios,
+    Tolerances,
+    fewest,
+    number_of_probes,
+    probes,
+    smooth_effect,
+    verdict,
+)
 
 TOLERANCES = Tolerances(shift=0.1, width=0.15, k_hat=0.5, effective=0.8)
 
@@ -132,14 +140,14 @@ def test_bounds_hold_if_half_of_the_expected_errors_are_far_too_large(monkeypatc
         return np.mean([one.shift_bounds[0] > 0 for one in effects])
 
     assert wrong() <= 0.17  # 5 % on each side if the expected errors were right
-    fitted = parabola._fitted
+    fitted = checking._fitted
 
     def of_all(A, ratios, roots):
         fit = fitted(A, ratios, roots)
         squares = float(np.sum((roots * (ratios - A @ fit.best)) ** 2))
         return replace(fit, squares=squares, freedom=float(len(A) - len(fit.best)))
 
-    monkeypatch.setattr(parabola, "_fitted", of_all)
+    monkeypatch.setattr(checking, "_fitted", of_all)
     assert wrong() > 0.2
 
 
@@ -219,7 +227,7 @@ def test_noise_in_many_inputs_is_not_taken_for_a_shift(monkeypatch):
     draws, posterior, errors = drawn(1, 24, 7)
     assert smooth_effect(alike(draws, 0.6 * draws[:, 2] + 0.1 * errors), posterior, 0.01).shift_bounds[0] > 0.2
     assert above() <= 0.05
-    monkeypatch.setattr(parabola, "_bounds", lambda drawn, level: (np.quantile(np.abs(drawn).max(1), level), np.inf))
+    monkeypatch.setattr(checking, "_bounds", lambda drawn, level: (np.quantile(np.abs(drawn).max(1), level), np.inf))
     assert above() >= 0.2
 
 

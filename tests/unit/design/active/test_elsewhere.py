@@ -16,8 +16,7 @@ from strandline.design.active import posterior_check as check_module
 from strandline.design.active.choice import Losses
 from strandline.design.active.coverage_runs import least_found, left_out_surprise, points_elsewhere, surprises
 from strandline.design.active.posterior_check import left_out_ratios
-from strandline.design.active.sampling import posterior_state
-from strandline.design.active.state import Knowledge, State
+from strandline.design.active.state import Knowledge, State, posterior_state
 from strandline.surrogate.field import fit_field
 
 X = even(24)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.unit.design.active.fakes import SPACE, Assumed, even, known, own, state_of
 
-from strandline.design.active import sampling as module
+from strandline.design.active import state as module
 
 X = even(12)
 PARTICLES = 600

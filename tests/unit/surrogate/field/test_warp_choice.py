@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from strandline.design.space_filling import sobol
+from strandline.design.refinement import sobol
 from strandline.surrogate.field import warping as module
 from strandline.surrogate.field.warping import WARPS, Data, Warping, choose_warping, eligible, fewest_runs
 
