@@ -20,9 +20,8 @@ import numpy as np
 from verification.validation.tables import arguments, show, table
 
 from strandline.calibration.coverage import CoverageFound, repeatable, replicated
-from strandline.calibration.experiment import Experiment
+from strandline.calibration.experiment import Experiment, field_quality, prior_source
 from strandline.calibration.learning import known_field
-from strandline.calibration.source import field_quality, prior_source
 from strandline.design.run_filter import RunFilter
 from strandline.discrepancy import NormalOffset
 from strandline.foundations import one_thread, use_double

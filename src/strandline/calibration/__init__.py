@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
-    from strandline.calibration.alternative import Alternative, Baseline, Kind, baseline, interim_posterior
+    from strandline.calibration.best_fit import Prediction, by_field, by_runs
     from strandline.calibration.coverage import CoverageFound, Replicate, repeatable, replicated
     from strandline.calibration.evidence import (
         ERRORS,
@@ -22,12 +22,19 @@ if TYPE_CHECKING:
         require_odds,
     )
     from strandline.calibration.experiment import (
+        TOLERATED,
+        TOLERATED_SHARE,
         CoordinateErrors,
         Errors,
         Experiment,
+        FieldQuality,
         Footprint,
+        Source,
         errors_behind,
+        field_quality,
         footprint,
+        posterior_source,
+        prior_source,
     )
     from strandline.calibration.importance_sampler import (
         ENOUGH,
@@ -44,31 +51,33 @@ if TYPE_CHECKING:
         prior_pool,
         tempered,
     )
-    from strandline.calibration.learning import known_field
+    from strandline.calibration.learning import known_field, steps_of
     from strandline.calibration.method import calibrate
-    from strandline.calibration.misfit import (
-        ConditionMisfit,
-        Misfit,
-        Prediction,
-        Region,
-        by_field,
-        by_runs,
-        unlikely_errors,
+    from strandline.calibration.misfit import ConditionMisfit, Misfit, Region, unlikely_errors
+    from strandline.calibration.problem import (
+        STAGES,
+        Calibration,
+        Observer,
+        Problem,
+        Settings,
+        observer_or_default,
+        part_note,
+        run_note,
+        step_note,
     )
-    from strandline.calibration.problem import Calibration, Observer, Problem, Settings
-    from strandline.calibration.progress import STAGES, observer_or_default, part_note, run_note, step_note
-    from strandline.calibration.source import (
-        TOLERATED,
-        TOLERATED_SHARE,
-        FieldQuality,
-        Source,
-        field_quality,
-        posterior_source,
-        prior_source,
-    )
-    from strandline.calibration.steps import steps_of
     from strandline.calibration.usual_alternatives import facts_of, prior_in_words, scaled_noise, with_prior
-    from strandline.calibration.what_if import LEAST_RATIO, LEAST_SHIFT, Answer, reweight_or_resample, reweighted
+    from strandline.calibration.what_if import (
+        LEAST_RATIO,
+        LEAST_SHIFT,
+        Alternative,
+        Answer,
+        Baseline,
+        Kind,
+        baseline,
+        interim_posterior,
+        reweight_or_resample,
+        reweighted,
+    )
 else:
     __getattr__ = door(__name__, __file__)
 

@@ -13,9 +13,8 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibration.experiment import Experiment, experiment_behind
+from strandline.calibration.experiment import Experiment, Source, experiment_behind
 from strandline.calibration.importance_sampler import By, Points, Pool, Sampled, Values, importance_or_smc, only_inside
-from strandline.calibration.source import Source
 from strandline.likelihood import FieldLikelihood
 from strandline.posterior import Band, Coverage, Weighted, coverage_of, region_coverage_of, uniformity, weighted_ranks
 

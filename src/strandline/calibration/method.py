@@ -19,8 +19,7 @@ from jaxtyping import Float
 
 from strandline.calibration.learning import Given, Learning
 from strandline.calibration.misfit import DRAFT, Effort
-from strandline.calibration.problem import Calibration, Observer, Problem, Settings, Stopwatch
-from strandline.calibration.progress import observer_or_default
+from strandline.calibration.problem import Calibration, Observer, Problem, Settings, Stopwatch, observer_or_default
 from strandline.calibration.sampler_check import compare_halves
 from strandline.calibration.targets import LARGEST_DIM, Target, under_uncertainty
 from strandline.foundations import use_double

@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import partial
 
 from strandline import parameters
-from strandline.calibration.alternative import Alternative, Baseline, Kind
+from strandline.calibration.what_if import Alternative, Baseline, Kind
 from strandline.discrepancy import Discrepancy, NormalOffset
 from strandline.interface import GLOBAL, GaussianNoise, Noise, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import FieldLikelihood, InferredNoise

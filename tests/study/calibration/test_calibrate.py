@@ -10,7 +10,7 @@ import pytest
 from tests.study.calibration.beams import NOISE, ONE, SETTINGS, X, answer, exact, learnt, problem, summed
 
 from strandline.calibration import Problem, calibrate
-from strandline.calibration.progress import cell_observer, observer_or_default
+from strandline.calibration.problem import cell_observer, observer_or_default
 from strandline.cli.run import show
 from strandline.design.refinement import Refinement
 from strandline.discrepancy import ClosestPoint, TrackedPoints

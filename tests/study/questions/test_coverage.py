@@ -8,7 +8,7 @@ from tests.study.questions.conftest import Stopped, content_of, lines_of, stops_
 
 import strandline as sl
 from strandline.calibration import Observer
-from strandline.calibration.source import FieldQuality
+from strandline.calibration.experiment import FieldQuality
 from strandline.cli import main
 from strandline.foundations import InvalidInput
 from strandline.interface import GaussianNoise, Interface

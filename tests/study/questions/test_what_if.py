@@ -9,7 +9,7 @@ from tests.study.conftest import NOISY, SAMPLER
 from tests.study.questions.conftest import content_of, line_by_line
 
 import strandline as sl
-from strandline.calibration.alternative import baseline
+from strandline.calibration.what_if import baseline
 from strandline.cli import main
 from strandline.foundations import InvalidInput, InvalidStudy, NoCommonPoints
 from strandline.questions.knowledge import field_knowledge

@@ -12,8 +12,7 @@ from tests.unit.discrepancy.surfaces import sheet
 
 from strandline.calibration import importance_sampler
 from strandline.calibration.coverage import CoverageFound, Replicate, repeatable, replicated
-from strandline.calibration.experiment import CoordinateErrors, footprint
-from strandline.calibration.source import field_quality, posterior_source, prior_source
+from strandline.calibration.experiment import CoordinateErrors, field_quality, footprint, posterior_source, prior_source
 from strandline.discrepancy import ClosestPoint, NormalOffset, signed_distances
 from strandline.foundations import InvalidInput
 from strandline.interface import GaussianNoise, Interface, Observation, PointErrors

@@ -10,9 +10,9 @@ from scipy.stats import multivariate_normal
 from tests.unit.calibration.arches import SD, SPACE, TRACKED, Exact, arch, knowledge, seen
 
 from strandline.calibration import importance_sampler
-from strandline.calibration.alternative import interim_posterior
 from strandline.calibration.evidence import CANNOT_TELL, Evidence, ModelComparison, averaged, in_words, log_evidence
 from strandline.calibration.importance_sampler import Pool, followed
+from strandline.calibration.what_if import interim_posterior
 from strandline.design import sobol
 from strandline.design.active import Knowledge
 from strandline.discrepancy import NormalOffset

@@ -9,9 +9,10 @@ import pytest
 from scipy import stats
 from tests.unit.discrepancy.surfaces import sheet
 
-from strandline.calibration.misfit import Effort, Prediction, assess_fit, by_runs, misfit_of, reference
-from strandline.calibration.misfit.reference import corrected, drawn_statistics
-from strandline.calibration.misfit.verdict import verdict_on
+from strandline.calibration import assess_fit
+from strandline.calibration.assess_fit import misfit_of
+from strandline.calibration.best_fit import Prediction, by_runs, corrected, drawn_statistics
+from strandline.calibration.misfit import Effort, verdict_on
 from strandline.discrepancy import ClosestPoint, Currents, NormalOffset, TrackedPoints
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood.noise_rule import noise_variance
@@ -136,7 +137,7 @@ def test_inputs_that_act_only_together_raise_no_false_alarm(monkeypatch):
         return found.smooth_p
 
     assert stats.kstest([smooth_p(seed) for seed in range(20)], "uniform").pvalue > 0.005
-    monkeypatch.setattr(reference, "beyond", separately)
+    monkeypatch.setattr(assess_fit, "beyond", separately)
     assert stats.kstest([smooth_p(seed) for seed in range(20)], "uniform").pvalue < 0.005
 
 
@@ -151,7 +152,7 @@ def test_p_values_of_right_models_are_uniform(monkeypatch):
     for given, function, planted in rows:
         assert stats.kstest(p_values(*given), "uniform").pvalue > 0.005
         with monkeypatch.context() as patch:
-            patch.setattr(reference, function, planted)
+            patch.setattr(assess_fit, function, planted)
             assert stats.kstest(p_values(*given), "uniform").pvalue < 0.005
 
 
@@ -188,7 +189,7 @@ def test_what_could_not_be_computed_is_none_and_no_p_value_of_a_good_fit(monkeyp
     def failing(*_, **__):
         raise ArithmeticError("singular")
 
-    module = sys.modules["strandline.calibration.misfit.assess_fit"]
+    module = sys.modules["strandline.calibration.assess_fit"]
     monkeypatch.setattr(module, "predictive_shares", failing)
     found = judged(outline())
     assert (found.flagged, found.predictive_p, found.conditions[0].predictive_p) == (False, None, None)

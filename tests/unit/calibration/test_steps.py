@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.unit.discrepancy.curves import graph
 
-from strandline.calibration.steps import steps_of
+from strandline.calibration.learning import steps_of
 from strandline.design import sobol
 
 X = np.linspace(0.0, 1.0, 41)

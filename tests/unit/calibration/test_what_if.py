@@ -11,9 +11,8 @@ from tests.unit.calibration.arches import SD, SPACE, TRACKED, Exact, knowledge, 
 
 from strandline.calibration import usual_alternatives as questions
 from strandline.calibration import what_if as module
-from strandline.calibration.alternative import Alternative, baseline
 from strandline.calibration.usual_alternatives import facts_of, other_priors, scaled_noise, with_prior
-from strandline.calibration.what_if import reweight_or_resample
+from strandline.calibration.what_if import Alternative, baseline, reweight_or_resample
 from strandline.design import sobol
 from strandline.discrepancy import ClosestPoint, NormalOffset
 from strandline.interface import GaussianNoise, Observation, PointErrors, UnknownErrors

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from strandline.calibration import progress
+from strandline.calibration import problem
 from strandline.cli.progress import SECONDS_BETWEEN_LINES, detailed, observing, set_aside_lines
 from strandline.cli.runs import lines_of
 from strandline.design.active import BatchReport
@@ -63,7 +63,7 @@ def test_a_stage_has_a_line_now_and_then_and_one_at_its_end(capsys):
 
 def test_durations():
     told = {0.4: "0 s", 59.4: "59 s", 60.0: "1 min 00 s", 3599.9: "1 h 00 min", 7265.0: "2 h 01 min"}
-    assert {seconds: progress._duration(seconds) for seconds in told} == told
+    assert {seconds: problem._duration(seconds) for seconds in told} == told
 
 
 def test_details_of_runs_name_folders_origins_and_reasons(tmp_path):

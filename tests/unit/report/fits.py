@@ -3,8 +3,7 @@
 import numpy as np
 
 from strandline.calibration import Misfit
-from strandline.calibration.misfit import ConditionMisfit, Region
-from strandline.calibration.misfit.verdict import FitVerdict, verdict_on
+from strandline.calibration.misfit import ConditionMisfit, FitVerdict, Region, verdict_on
 from strandline.interface import PointErrors
 from strandline.likelihood.noise_rule import ResidualNoise, StatedErrors
 

@@ -10,8 +10,7 @@ import pytest
 from tests.unit.report.fits import BAD, FINE, condition, misfit, verdict
 
 from strandline.calibration import Misfit, Problem
-from strandline.calibration.misfit import unlikely_errors
-from strandline.calibration.misfit.verdict import FitVerdict, with_fitted_noise
+from strandline.calibration.misfit import FitVerdict, unlikely_errors, with_fitted_noise
 from strandline.discrepancy import DISCREPANCIES
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import InterfaceLikelihood

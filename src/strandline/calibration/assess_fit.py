@@ -13,19 +13,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibration.misfit import reference
-from strandline.calibration.misfit.best_fit import BestFit, Prediction, Residuals, best_fit
-from strandline.calibration.misfit.verdict import ConditionMisfit, Effort, Misfit, Region, verdict_on, with_fitted_noise
-from strandline.discrepancy import (
-    Currents,
-    Discrepancy,
-    NormalOffset,
-    TrackedPoints,
-    WhitenedOffset,
-    closest_points,
-    shared_errors,
-    squared_discrepancies,
+from strandline import discrepancy
+from strandline.calibration.best_fit import (
+    ArcParts,
+    BestFit,
+    Prediction,
+    Residuals,
+    Statistics,
+    best_fit,
+    beyond,
+    corrected,
+    drawn_statistics,
+    observed_statistics,
+    parts_of,
+    tail,
+    waves_p,
 )
+from strandline.calibration.misfit import ConditionMisfit, Effort, Misfit, Region, verdict_on, with_fitted_noise
 from strandline.foundations import StrandlineError, listed
 from strandline.interface import GLOBAL, GaussianNoise, Interface, Observation, arc_lengths, steady_normals
 from strandline.likelihood import Compared, Registered, StatedErrors, compared, noise_of_residuals, noise_on_surface
@@ -33,7 +37,7 @@ from strandline.posterior import Posterior
 
 FEW_DRAWS = 32
 """Most draws of the posterior for surfaces, which are compared one by one; too few to flag a model."""
-SYMMETRIC = (Currents, TrackedPoints)
+SYMMETRIC = (discrepancy.Currents, discrepancy.TrackedPoints)
 """Measures in which both interfaces can change places: many drawn observations are compared at once."""
 FULL = Effort()
 FAILURES = StrandlineError, ArithmeticError, ValueError
@@ -70,7 +74,7 @@ def predictive_shares(
     posterior has seen the observation: these p-values are conservative, near ½ more often than not.
     """
     observations, measure, templates = residuals.observations, residuals.measure, prediction.templates
-    slow = any(seen.interface.dim == 3 for seen in observations) and not isinstance(measure, NormalOffset)
+    slow = any(seen.interface.dim == 3 for seen in observations) and not isinstance(measure, discrepancy.NormalOffset)
     draws = min(FEW_DRAWS, most) if slow else most
     points, at_fit = prediction.points(posterior.equally_weighted(random, draws)), prediction.points(fit.at[None])
     noise = residuals.drawn(draws, random)
@@ -80,16 +84,16 @@ def predictive_shares(
         template = templates[seen.condition]
         how = _plain(compared(seen, measure, len(template.points)))
         predicted = Interface(at_fit[seen.condition][0], template.cells)
-        true = squared_discrepancies(how.measure, points[seen.condition], template, seen.interface)
+        true = discrepancy.squared_discrepancies(how.measure, points[seen.condition], template, seen.interface)
         others = _drawn(how, stated, predicted, noise[:, part], fields[:, part], random)
         observed.append(-2 * how.noise.log_density(true))
         drawn.append(-2 * how.noise.log_density(others))
     both = np.sum(observed, axis=0), np.sum(drawn, axis=0)
-    shared = shared_errors(observations, measure)
+    shared = discrepancy.shared_errors(observations, measure)
     if shared is not None:
         both = shared.many(points, templates), shared.model.square(noise + fields)
-    each = (float(reference.tail(others, true)) for true, others in zip(observed, drawn, strict=True))
-    return PredictiveShares(float(reference.tail(both[1], both[0])), tuple(each))
+    each = (float(tail(others, true)) for true, others in zip(observed, drawn, strict=True))
+    return PredictiveShares(float(tail(both[1], both[0])), tuple(each))
 
 
 def _plain(how: Compared) -> Compared:
@@ -111,16 +115,20 @@ def _drawn(
     `noise` and `fields` are drawn errors of the points and of the surrogate along the normals, mm.
     """
     measure, seen = how.measure, how.observation.interface
-    if isinstance(measure, WhitenedOffset):
+    if isinstance(measure, discrepancy.WhitenedOffset):
         return measure.model(seen).square(noise + fields)
-    if isinstance(measure, NormalOffset):
+    if isinstance(measure, discrepancy.NormalOffset):
         return np.asarray(((noise + fields) ** 2).sum(axis=1))
-    without = predicted if isinstance(measure, TrackedPoints) else closest_points(seen.points, predicted)
+    without = (
+        predicted
+        if isinstance(measure, discrepancy.TrackedPoints)
+        else discrepancy.closest_points(seen.points, predicted)
+    )
     points = without.points + _displacements(seen, stated, len(noise), random)
     if fields.any():
         points += fields[..., None] * steady_normals(seen)
     if isinstance(measure, SYMMETRIC):
-        return squared_discrepancies(measure, points, seen, predicted)
+        return discrepancy.squared_discrepancies(measure, points, seen, predicted)
     return np.array([measure(predicted, Interface(row, seen.cells)) for row in points], float)
 
 
@@ -136,7 +144,7 @@ def _displacements(
 def misfit_of(
     prediction: Prediction,
     observations: Sequence[Observation],
-    measure: Discrepancy,
+    measure: discrepancy.Discrepancy,
     posterior: Posterior,
     *,
     fixed: Sequence[str] = (),
@@ -155,17 +163,17 @@ def misfit_of(
     random = np.random.default_rng([seed, STREAM])
     try:
         residuals = Residuals.of(observations, measure, prediction.templates, explained)
-        fit, parts = best_fit(residuals, prediction, posterior), reference.parts_of(observations)
-        parts = replace(parts, waves=reference.beyond(parts.waves, fit.by_inputs, fit.with_modes(residuals.model)))
-        seen = reference.observed_statistics(residuals, fit, parts)
-        drawn = reference.drawn_statistics(residuals, fit, parts, random, effort)
+        fit, parts = best_fit(residuals, prediction, posterior), parts_of(observations)
+        parts = replace(parts, waves=beyond(parts.waves, fit.by_inputs, fit.with_modes(residuals.model)))
+        seen = observed_statistics(residuals, fit, parts)
+        drawn = drawn_statistics(residuals, fit, parts, random, effort)
         predictive, failed = PredictiveShares(1.0, (1.0,) * len(observations)), []
         try:
             predictive = predictive_shares(residuals, fit, prediction, posterior, random, effort.predictive)
         except FAILURES as error:
             failed = [f"d² of drawn observations could not be computed: {' '.join(str(error).split())}"]
         conditions = _conditions(residuals, fit, parts, seen, drawn, None if failed else predictive)
-        p_value, smooth_p = float(reference.tail(drawn.whole, seen.whole)), reference.waves_p(drawn.waves, seen.waves)
+        p_value, smooth_p = float(tail(drawn.whole, seen.whole)), waves_p(drawn.waves, seen.waves)
         shares = p_value, predictive.whole, 1.0 if smooth_p is None else smooth_p
         verdict = verdict_on(*shares, conditions, run_alone=prediction.run_alone)
         if fitted:
@@ -182,14 +190,14 @@ def misfit_of(
 def _conditions(
     residuals: Residuals,
     fit: BestFit,
-    parts: reference.ArcParts,
-    seen: reference.Statistics,
-    drawn: reference.Statistics,
+    parts: ArcParts,
+    seen: Statistics,
+    drawn: Statistics,
     predictive: PredictiveShares | None,
 ) -> tuple[ConditionMisfit, ...]:
     """Return the residuals of each observation, global errors and errors of the surrogate removed: D (C + FFᵀ)⁻¹ r."""
     weighted = fit.with_modes(residuals.model).solved(fit.residuals)
-    local, shares = residuals.model.local * weighted, reference.tail(drawn.conditions, seen.conditions)
+    local, shares = residuals.model.local * weighted, tail(drawn.conditions, seen.conditions)
     regions = _regions(residuals, local, parts, seen, drawn)
     removed = residuals.joint.sizes(residuals.model.shared.T @ weighted)
     found = []
@@ -215,18 +223,11 @@ def _conditions(
 
 
 def _regions(
-    residuals: Residuals,
-    local: Float[np.ndarray, " seen"],
-    parts: reference.ArcParts,
-    seen: reference.Statistics,
-    drawn: reference.Statistics,
+    residuals: Residuals, local: Float[np.ndarray, " seen"], parts: ArcParts, seen: Statistics, drawn: Statistics
 ) -> list[Region]:
     """Return the parts of the arcs and the patches, with corrected p-values of their mean and their sum of squares."""
-    by_squares, by_mean = (
-        reference.tail(drawn.squares, seen.squares),
-        reference.tail(np.abs(drawn.means), np.abs(seen.means)),
-    )
-    p_values = reference.corrected(np.concatenate([by_squares, by_mean])).reshape(2, -1).min(axis=0)
+    by_squares, by_mean = (tail(drawn.squares, seen.squares), tail(np.abs(drawn.means), np.abs(seen.means)))
+    p_values = corrected(np.concatenate([by_squares, by_mean])).reshape(2, -1).min(axis=0)
     chosen = sorted({span.observation for span in parts.spans if span.centre is None})
     normals = {k: steady_normals(residuals.observations[k].interface) for k in chosen}
     found = []
