@@ -1,8 +1,14 @@
-"""Which model do the data prefer? Finished studies of the same data, compared without a run."""
+"""Which model do the data prefer? Finished studies of the same data, compared without a run.
+
+They can be compared only if they explain the same data, with the same measure, noise and supports of priors:
+log-likelihoods leave out constants, so that evidences of other data, measures or noise differ by more than the models.
+What may differ is the model, its unknown and its known inputs, and whether the study allows for an error of the model.
+"""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -18,28 +24,28 @@ from strandline.calibration import (
     require_odds,
 )
 from strandline.foundations import InvalidInput, InvalidStudy, one_thread, read_json, use_double
+from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
+from strandline.likelihood import adapted
 from strandline.parameters import ParameterSpace, Uniform
 from strandline.posterior import Posterior, Weighted
-from strandline.questions.answer import Answer, Part, Table, digits, label_and_unit
-from strandline.questions.comparable import (
-    CandidateSignals,
-    candidates_of,
-    labels_of,
-    may_err,
-    require_comparable,
-    require_settable,
-    require_several,
-    shown_by_models,
-)
-from strandline.questions.comparison import ComparedStudy, describe_comparison, not_flat
+from strandline.questions.answer import Answer
+from strandline.questions.comparison import ComparedStudy, answer_of, describe_comparison, may_err, not_flat
 from strandline.questions.information import Discrimination, expected_discrimination
 from strandline.questions.knowledge import field_knowledge, require, require_seed
-from strandline.report import Captioned, plots
+from strandline.questions.prospects import CandidateSignals, candidates_of, require_settable, shown_by_models
 from strandline.runs import Executor
-from strandline.studies import STUDY, SUMMARY, Study, finished_posterior, load_study, observations_of, require_writable
+from strandline.studies import (
+    STUDY,
+    SUMMARY,
+    Study,
+    finished_posterior,
+    in_words,
+    load_study,
+    observations_of,
+    require_writable,
+)
 
 __all__ = ["Comparison", "compare"]
-
 FOLDER = "comparison"
 """Folder that holds the result, in the current one."""
 
@@ -121,7 +127,7 @@ def compare(
     with one_thread():
         separations = [(one, _separation(found, one, seed)) for one in shown]
         content = describe_comparison(found, flat, compared, together, shared, separations, seed=seed)
-    answer = _answer(content, Comparison(found, shared, together), folder)
+    answer = answer_of(content, Comparison(found, shared, together), folder)
     return answer.written(draft=all(one.settings.draft for one in loaded))
 
 
@@ -211,111 +217,135 @@ def _separation(found: ModelComparison, shown: CandidateSignals, seed: int) -> D
     return expected_discrimination(shown.signals, (shares / shares.sum()).tolist(), np.random.default_rng(seed))
 
 
-def _answer(content: dict[str, Any], found: Comparison, folder: Path) -> Answer[Comparison]:
-    names = ", ".join(content["models"])
-    return Answer(
-        title=names,
-        lead="Which of these models do the data prefer?",
-        sentence=content["verdict"],
-        remarks=content["remarks"],
-        good=content["favoured"] is not None,
-        parts=list(_parts(content)),
-        content=content,
-        found=found,
-        page=folder / "compare.html",
-        drawn=_drawn,
-    )
+SAME = 1e-6
+"""Largest distance of points that count as the same, mm."""
+OF_POINTS = ("sd", "length", "shift", "rotation", "scale", "offset", "shared", "shares")
+DEFAULTS = {"shared": False, "shares": ()}
 
 
-def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
-    """Yield the figure of the inputs shared by the models of compare.json, and that of predictions of polylines."""
-    if content["averaged"]:
-        yield Captioned.of("compare_marginals", "compare", plots.plot_averaged(content["averaged"]))
-    bands = {
-        (str(item["condition"]), str(name)): found
-        for item in content["predictive"]
-        for name, band in item["models"].items()
-        if (found := plots.OffsetBand.of(band)) is not None
-    }
-    if bands:
-        yield Captioned.of("compare_predictive", "compare", plots.plot_predictions(bands))
+def require_several(studies: Sequence[Study]) -> None:
+    """Refuse fewer than two studies, and the same folder twice."""
+    folders = ", ".join(str(one.folder) for one in studies) or "none"
+    remedy = "Name the other one too: strandline compare A B"
+    require(len(studies) >= 2, "studies to compare", folders, "at least two study folders", remedy)
+    seen: set[Path] = set()
+    for one in studies:
+        here = one.folder.resolve()
+        require(here not in seen, "studies to compare", f"{one.folder} twice", "different folders")
+        seen.add(here)
 
 
-def _parts(content: Mapping[str, Any]) -> Iterator[Part]:
-    yield _models(content)
-    yield _factors(content)
-    if content["averaged"]:
-        yield _of_average(content["averaged"])
-    verdicts = {
-        name: "The fit was not judged." if one["misfit"] is None else one["misfit"]["verdict"]
-        for name, one in content["models"].items()
-    }
-    yield Part("Does each model explain the data?", lines=[f"{name}: {said}" for name, said in verdicts.items()])
-    if content["separate"]:
-        yield _separate(content["separate"])
-    yield Part("How it was computed", notes="how_compared")
+def labels_of(studies: Sequence[Study]) -> tuple[str, ...]:
+    """Return a different name for each study: its own, or else that of its folder, or else the path."""
+    folders = [one.folder.resolve() for one in studies]
+    for names in ([one.name for one in studies], [one.name for one in folders]):
+        if len(set(names)) == len(names):
+            return tuple(names)
+    return tuple(map(str, folders))
 
 
-def _models(content: Mapping[str, Any]) -> Part:
-    head = "study", "inputs", "known", "log-evidence", "best log L", "information", "probability", "misfit"
-    rows = [
-        (
-            name,
-            ", ".join(one["inputs"]),
-            ", ".join(f"{key} = {digits(value, 4)}" for key, value in one["fixed"].items()),
-            f"{one['log_evidence']:.2f} ± {one['error']:.2f}",
-            f"{one['best_log_likelihood']:.2f}",
-            digits(one["information"], 3),
-            f"{one['probability']:.1%}",
-            "not judged"
-            if one["misfit"] is None or one["misfit"]["flagged"] is None
-            else "noticed"
-            if one["misfit"]["flagged"]
-            else "none",
-        )
-        for name, one in content["models"].items()
-    ]
-    return Part("The models", Table(head, rows), notes="compared_models")
+def require_comparable(studies: Mapping[str, Study]) -> None:
+    """Refuse studies whose data, measure, noise or supports of shared inputs differ; the message says which."""
+    (name, first), *others = studies.items()
+    for one, study in studies.items():
+        _require_known_range(one, study)
+    for other, study in others:
+        both = f"{name} and {other} cannot be compared"
+        _require_same_data(both, first, study)
+        _require_same_measure(both, first, study)
+        _require_same_noise(both, first, study)
+    for (one, study), (other, second) in combinations(studies.items(), 2):
+        _require_same_supports(f"{one} and {other} cannot be compared", study, second)
 
 
-def _factors(content: Mapping[str, Any]) -> Part:
-    head = "of", "over", "ln B", "evidence", "fit", "prior", "with uniform priors"
-    rows = [
-        (
-            one["of"],
-            one["over"],
-            f"{one['ln']:.2f} ± {one['error']:.2f}",
-            one["words"],
-            f"{one['fit']:.2f}",
-            f"{one['prior']:.2f}",
-            "the same" if one["flat_ln"] is None else f"{one['flat_ln']:.2f}, {one['flat_words']}",
-        )
-        for one in content["bayes_factors"]
-    ]
-    return Part("Bayes factors", Table(head, rows), notes="bayes_factors")
+def _require_same_data(both: str, first: Study, other: Study) -> None:
+    seen, others = observations_of(first), observations_of(other)
+    if seen.keys() != others.keys():
+        value = " and ".join(", ".join(map(_condition, one)) for one in (seen, others))
+        _refuse(f"{both}: they observe different conditions", value, "the same conditions in both")
+    for name in seen:
+        apart = _apart(seen[name], others[name])
+        if not apart <= SAME:
+            of = f" of {_condition(name)}" if name else ""
+            value = "another number of points" if apart == np.inf else f"points up to {1e3 * apart:.3g} µm apart"
+            remedy = "Give both studies the same file under observation."
+            if first.truth is not None or other.truth is not None:
+                where = "write it to a file with `strandline forward … --csv`, and give that to both."
+                remedy = f"A synthetic observation comes from the study's own model: {where}"
+            _refuse(f"{both}: the observed interfaces{of} differ", value, "the same data", remedy)
 
 
-def _of_average(averaged: Mapping[str, Any]) -> Part:
-    rows = []
-    for item in averaged.values():
-        for model, one in {"all models": item, **item["models"]}.items():
-            figures = [digits(one[part], 4) for part in ("mean", "sd", "median", "q05", "q95")]
-            rows.append((*label_and_unit(item), model, *figures))
-    head = "input", "unit", "under", "mean", "sd", "median", "5 %", "95 %"
-    return Part("The shared inputs, averaged over the models", Table(head, rows))
+def _apart(one: Interface, other: Interface) -> float:
+    """Return the largest distance of corresponding points, mm, in either direction; infinite if numbers differ."""
+    if one.points.shape != other.points.shape or one.cells.shape != other.cells.shape:
+        return np.inf
+    turned = [other.points, other.points[::-1]] if one.dim == 2 else [other.points]
+    return min(float(np.linalg.norm(one.points - points, axis=1).max()) for points in turned)
 
 
-def _separate(candidates: Sequence[Mapping[str, Any]]) -> Part:
-    head = "experiment", "nats about the model", "the right model wins clearly", "a wrong model wins clearly"
-    rows = [
-        (one["candidate"], one["problem"])
-        if one["nats"] is None
-        else (
-            one["candidate"],
-            f"{digits(one['nats'], 2)} ± {digits(one['error'], 1)}{'' if one['reliable'] else ' (few draws)'}",
-            f"{one['clearly_right']:.0%}",
-            f"{one['clearly_wrong']:.0%}",
-        )
-        for one in candidates
-    ]
-    return Part("Which experiment would tell them apart", Table(head, rows), notes="separate")
+def _require_same_measure(both: str, first: Study, other: Study) -> None:
+    seen = [study.observations(observations_of(study)) for study in (first, other)]
+    studies = zip((first, other), seen, strict=True)
+    one, two = (in_words(adapted(study.measure, some[0]) if some else study.measure) for study, some in studies)
+    if one != two:
+        _refuse(f"{both}: the measures differ", f"{one} and {two}", "the same measure first under discrepancy")
+
+
+def _require_same_noise(both: str, first: Study, other: Study) -> None:
+    for name in observations_of(first):
+        one, two = (_stated(study.noise_of(name)) for study in (first, other))
+        shares = two.get("shares")
+        turned = {**two, "shares": shares[::-1]} if isinstance(shares, tuple) else two
+        if one in (two, turned):
+            continue
+        of = f" of {_condition(name)}" if name else ""
+        different = [key for key in one if one[key] != two.get(key)] or ["its kind"]
+        value = "; ".join(f"{key} {one.get(key)} and {two.get(key)}" for key in different if key != "shares")
+        expected = "the same errors of the data in both; model_error and spread may differ"
+        _refuse(f"{both}: the noise{of} differs", value or "other errors of single points", expected)
+
+
+def _stated(noise: Noise | PointErrors | UnknownErrors) -> dict[str, object]:
+    """Return what is stated about the errors of the data, without those of the model."""
+    if isinstance(noise, PointErrors | UnknownErrors):
+        return {"kind": "points", **{key: getattr(noise, key, DEFAULTS.get(key)) for key in OF_POINTS}}
+    return {"kind": type(noise).__qualname__, **noise.facts}
+
+
+def _require_known_range(name: str, study: Study) -> None:
+    """Refuse unknown errors without a range: each model would then get another prior, from its own residuals."""
+    for condition in observations_of(study):
+        noise = study.noise_of(condition)
+        if isinstance(noise, UnknownErrors) and (noise.sd is None or noise.length is None):
+            _refuse(
+                f"{name} cannot be compared: the range of its unknown noise is not stated",
+                "sd or length: unknown",
+                "a value or a range, since the evidence depends on it",
+                "State a range, e.g. noise: {sd: [1, 10], length: [5, 50], unit: um}, in all studies.",
+            )
+
+
+def _require_same_supports(both: str, first: Study, other: Study) -> None:
+    for parameter in first.space:
+        if parameter.name not in other.space.names:
+            continue
+        second = other.space[parameter.name]
+        if parameter.unit != second.unit:
+            value = f"{parameter.unit} and {second.unit}"
+            _refuse(f"{both}: the units of {parameter.name} differ", value, "the same unit of a shared input")
+        if not np.allclose(parameter.interval, second.interval, rtol=1e-12, atol=0.0):
+            value = " and ".join(f"[{low:g}, {high:g}]" for low, high in (parameter.interval, second.interval))
+            _refuse(
+                f"{both}: the supports of the priors of {parameter.name} differ",
+                value,
+                "the same support of a shared input",
+                "Give it the same box or prior in both, or another name if it means something else.",
+            )
+
+
+def _condition(name: str) -> str:
+    return name or "a condition without a name"
+
+
+def _refuse(what: str, value: str, expected: str, remedy: str = "Make them the same and run again.") -> None:
+    raise InvalidStudy(what, value=value, expected=expected, remedy=remedy)

@@ -1,8 +1,9 @@
-"""compare.json: which of several studies of the same data the data prefer, as plain numbers and sentences."""
+"""Which of several studies of the same data the data prefer: the content of compare.json, in words and tables too."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,12 @@ from jaxtyping import Float
 from strandline.calibration import ERRORS, SCALE, BayesFactor, ModelComparison
 from strandline.design import Knowledge, sobol
 from strandline.foundations import __version__, listed
-from strandline.interface import Interface
+from strandline.interface import Interface, UnknownErrors
 from strandline.posterior import FLAT, Posterior, Weighted, interface_band, prior_conflicts
-from strandline.questions.answer import moments, remark
-from strandline.questions.comparable import CandidateSignals, may_err
+from strandline.questions.answer import Answer, Found, Part, Table, digits, label_and_unit, moments, remark
 from strandline.questions.information import CLEAR, Discrimination
+from strandline.questions.prospects import CandidateSignals
+from strandline.report import Captioned, plots
 from strandline.studies import Study, in_words, offset_band, posterior_digest, versions
 
 QUANTILES = {"median": 0.5, "q05": 0.05, "q95": 0.95}
@@ -244,3 +246,120 @@ def _occam(found: ModelComparison, compared: Mapping[str, ComparedStudy], shared
         narrowed = {other: factor for other, factor in own.items() if factor > 1}
         if sum(map(math.log, narrowed.values())) >= NARROWED:
             yield remark("pays_for_width", name=name, factors=narrowed)
+
+
+def may_err(study: Study) -> bool:
+    """Return whether the study allows for an error of the model."""
+    noises = [study.noise, *study.noises.values()]
+    return any(isinstance(one, UnknownErrors) and (one.model_error or bool(one.spread)) for one in noises)
+
+
+def answer_of(content: dict[str, Any], found: Found, folder: Path) -> Answer[Found]:
+    """Return what compare.json says, in words and tables."""
+    names = ", ".join(content["models"])
+    return Answer(
+        title=names,
+        lead="Which of these models do the data prefer?",
+        sentence=content["verdict"],
+        remarks=content["remarks"],
+        good=content["favoured"] is not None,
+        parts=list(_parts(content)),
+        content=content,
+        found=found,
+        page=folder / "compare.html",
+        drawn=_drawn,
+    )
+
+
+def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
+    """Yield the figure of the inputs shared by the models of compare.json, and that of predictions of polylines."""
+    if content["averaged"]:
+        yield Captioned.of("compare_marginals", "compare", plots.plot_averaged(content["averaged"]))
+    bands = {
+        (str(item["condition"]), str(name)): found
+        for item in content["predictive"]
+        for name, band in item["models"].items()
+        if (found := plots.OffsetBand.of(band)) is not None
+    }
+    if bands:
+        yield Captioned.of("compare_predictive", "compare", plots.plot_predictions(bands))
+
+
+def _parts(content: Mapping[str, Any]) -> Iterator[Part]:
+    yield _models(content)
+    yield _factors(content)
+    if content["averaged"]:
+        yield _of_average(content["averaged"])
+    verdicts = {
+        name: "The fit was not judged." if one["misfit"] is None else one["misfit"]["verdict"]
+        for name, one in content["models"].items()
+    }
+    yield Part("Does each model explain the data?", lines=[f"{name}: {said}" for name, said in verdicts.items()])
+    if content["separate"]:
+        yield _separate(content["separate"])
+    yield Part("How it was computed", notes="how_compared")
+
+
+def _models(content: Mapping[str, Any]) -> Part:
+    head = "study", "inputs", "known", "log-evidence", "best log L", "information", "probability", "misfit"
+    rows = [
+        (
+            name,
+            ", ".join(one["inputs"]),
+            ", ".join(f"{key} = {digits(value, 4)}" for key, value in one["fixed"].items()),
+            f"{one['log_evidence']:.2f} ± {one['error']:.2f}",
+            f"{one['best_log_likelihood']:.2f}",
+            digits(one["information"], 3),
+            f"{one['probability']:.1%}",
+            "not judged"
+            if one["misfit"] is None or one["misfit"]["flagged"] is None
+            else "noticed"
+            if one["misfit"]["flagged"]
+            else "none",
+        )
+        for name, one in content["models"].items()
+    ]
+    return Part("The models", Table(head, rows), notes="compared_models")
+
+
+def _factors(content: Mapping[str, Any]) -> Part:
+    head = "of", "over", "ln B", "evidence", "fit", "prior", "with uniform priors"
+    rows = [
+        (
+            one["of"],
+            one["over"],
+            f"{one['ln']:.2f} ± {one['error']:.2f}",
+            one["words"],
+            f"{one['fit']:.2f}",
+            f"{one['prior']:.2f}",
+            "the same" if one["flat_ln"] is None else f"{one['flat_ln']:.2f}, {one['flat_words']}",
+        )
+        for one in content["bayes_factors"]
+    ]
+    return Part("Bayes factors", Table(head, rows), notes="bayes_factors")
+
+
+def _of_average(averaged: Mapping[str, Any]) -> Part:
+    rows = []
+    for item in averaged.values():
+        for model, one in {"all models": item, **item["models"]}.items():
+            figures = [digits(one[part], 4) for part in ("mean", "sd", "median", "q05", "q95")]
+            rows.append((*label_and_unit(item), model, *figures))
+    head = "input", "unit", "under", "mean", "sd", "median", "5 %", "95 %"
+    return Part("The shared inputs, averaged over the models", Table(head, rows))
+
+
+def _separate(candidates: Sequence[Mapping[str, Any]]) -> Part:
+    head = "experiment", "nats about the model", "the right model wins clearly", "a wrong model wins clearly"
+    rows = [
+        (one["candidate"], one["problem"])
+        if one["nats"] is None
+        else (
+            one["candidate"],
+            f"{digits(one['nats'], 2)} ± {digits(one['error'], 1)}{'' if one['reliable'] else ' (few draws)'}",
+            f"{one['clearly_right']:.0%}",
+            f"{one['clearly_wrong']:.0%}",
+        )
+        for one in candidates
+    ]
+    return Part("Which experiment would tell them apart", Table(head, rows), notes="separate")

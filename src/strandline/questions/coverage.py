@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from strandline import studies
 from strandline.calibration import (
     TOLERATED,
     TOLERATED_SHARE,
@@ -44,17 +45,6 @@ from strandline.questions.answer import (
 from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require, require_seed
 from strandline.report import Captioned, plots
 from strandline.runs import Progress
-from strandline.studies import (
-    REPLICATES,
-    Study,
-    facts_of,
-    finished_posterior,
-    observations_of,
-    points_digest,
-    posterior_digest,
-    require_writable,
-    told_if_unwritable,
-)
 
 __all__ = ["coverage"]
 
@@ -77,7 +67,7 @@ SOURCES = ("prior", "posterior")
 
 
 def coverage(
-    study: Study,
+    study: studies.Study,
     *,
     replicates: int = 200,
     source: str = "prior",
@@ -110,8 +100,8 @@ def coverage(
     name = chosen_measure(study, measure, "the coverage")
     _require_arguments(replicates, source, seed)
     study.runs.require_finished()
-    posterior = finished_posterior(study, purpose="draw from") if source == "posterior" else None
-    require_writable(study.folder)
+    posterior = studies.finished_posterior(study, purpose="draw from") if source == "posterior" else None
+    studies.require_writable(study.folder)
     use_double()
     tell = observer_or_default(observer)
     with one_thread():
@@ -119,8 +109,8 @@ def coverage(
         origin, quality = _origin(study, name, source, posterior)
         experiment = repeatable(origin)
         tell.stage("replicates")
-        file, key = LineFile(study.folder / REPLICATES), _key(study, name, seed, posterior)
-        with file.held("strandline coverage", "replicates"), told_if_unwritable(study.folder):
+        file, key = LineFile(study.folder / studies.REPLICATES), _key(study, name, seed, posterior)
+        with file.held("strandline coverage", "replicates"), studies.told_if_unwritable(study.folder):
             made = tuple(_replicates(experiment, origin, file, key, replicates, seed, tell))
         found = CoverageFound(study.space.names, made)
     tell.stage("report")
@@ -128,7 +118,9 @@ def coverage(
     return _answer(content, found, study.folder).written(draft=study.settings.draft)
 
 
-def _origin(study: Study, measure: str, source: str, posterior: Posterior | None) -> tuple[Source, FieldQuality]:
+def _origin(
+    study: studies.Study, measure: str, source: str, posterior: Posterior | None
+) -> tuple[Source, FieldQuality]:
     """Return where the true inputs come from, and how good the surrogate of the interface is there."""
     knowledge = field_knowledge(study, measure)
     origin = prior_source(knowledge, study.space) if posterior is None else posterior_source(knowledge, posterior)
@@ -175,7 +167,7 @@ def _require_good(quality: FieldQuality, source: str) -> None:
     )
 
 
-def _key(study: Study, measure: str, seed: int, posterior: Posterior | None) -> str:
+def _key(study: studies.Study, measure: str, seed: int, posterior: Posterior | None) -> str:
     """Return a digest of everything that a replicate depends on, apart from its number."""
     stated = [
         repr(one) if isinstance(one, PointErrors | UnknownErrors) else f"{type(one).__qualname__}: {one.facts}"
@@ -187,13 +179,13 @@ def _key(study: Study, measure: str, seed: int, posterior: Posterior | None) -> 
         seed,
         noise=stated,
         conditions=list(study.noises),
-        observed={name: points_digest(seen) for name, seen in observations_of(study).items()},
-        posterior=None if posterior is None else posterior_digest(posterior),
+        observed={name: studies.points_digest(seen) for name, seen in studies.observations_of(study).items()},
+        posterior=None if posterior is None else studies.posterior_digest(posterior),
     )
 
 
 def _described(
-    study: Study,
+    study: studies.Study,
     found: CoverageFound,
     experiment: Experiment,
     quality: FieldQuality,
@@ -204,7 +196,7 @@ def _described(
 ) -> dict[str, Any]:
     """Return the content of coverage.json."""
     return {
-        **facts_of(study, seed),
+        **studies.facts_of(study, seed),
         "source": source,
         "replicates": len(found.replicates),
         "measure": measure,
@@ -231,7 +223,7 @@ def _described(
     }
 
 
-def _inputs(study: Study, found: CoverageFound) -> dict[str, Any]:
+def _inputs(study: studies.Study, found: CoverageFound) -> dict[str, Any]:
     ratios, means, spreads = found.of_limit, found.z.mean(axis=0), found.z.std(axis=0, ddof=1)
     return {
         parameter.name: {
@@ -259,7 +251,7 @@ def _band(band: Band) -> dict[str, list[float]]:
     return {part: getattr(band, part).tolist() for part in ("places", "found", "low", "high")}
 
 
-def _noise(study: Study, experiment: Experiment) -> list[dict[str, Any]]:
+def _noise(study: studies.Study, experiment: Experiment) -> list[dict[str, Any]]:
     return [
         {
             "condition": name,

@@ -27,7 +27,7 @@ the fewest inputs in each is chosen (varimax; Kaiser 1958).
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -35,6 +35,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import logsumexp
 
+from strandline.calibration import Errors
+from strandline.design import Candidate
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted
 
@@ -378,3 +380,48 @@ def in_words(direction: Direction, names: Sequence[str]) -> str:
     moves = [f"{names[k]} {'up' if direction.weights[k] > 0 else 'down'}" for k in order]
     ratio = " : ".join(f"{abs(direction.weights[k]) / largest:.2g}" for k in order)
     return f"{', '.join(moves[:-1])} and {moves[-1]} ({ratio})"
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateAnswer:
+    """What one candidate can be expected to teach.
+
+    `outlook` is None if its run failed, and `problem` then says why. `failing` is the probability that the specimen
+    folds or the run fails, None if nothing is known about it; `displacement` that of the interface from its undeformed
+    state, in standard deviations of the points' errors, None if the model does not know that state.
+    """
+
+    candidate: Candidate
+    outlook: Outlook | None
+    failing: float | None
+    displacement: float | None
+    problem: str = ""
+
+    @property
+    def worth(self) -> float:
+        """Expected information gain, nats, with nothing learnt where the experiment fails."""
+        return -np.inf if self.outlook is None else self.outlook.gain * (1 - (self.failing or 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """What the candidates can be expected to teach.
+
+    `source` is what is known before, the ``prior`` or the ``posterior``, and `now` draws of it; `errors` are those of
+    the observed points by condition. `directions` are combinations of the inputs in prior standard deviations, from the
+    least to the best known: after the present experiment, or before any data after the planned one. `new` runs were
+    made now.
+    """
+
+    source: str
+    now: Weighted
+    errors: Mapping[str, Errors]
+    answers: tuple[CandidateAnswer, ...]
+    directions: tuple[Direction, ...]
+    new: int
+    reused: int
+
+
+def ranked(answers: Sequence[CandidateAnswer]) -> tuple[CandidateAnswer, ...]:
+    """Return the answers in the order of their worth, single experiments before several together."""
+    return tuple(sorted(answers, key=lambda one: (len(one.candidate.settings), -one.worth)))

@@ -1,4 +1,8 @@
-"""Which experiment to make next: candidates of a study ranked by what they can be expected to teach."""
+"""Which experiment to make next: candidates of a study ranked by what they can be expected to teach.
+
+Before any data, this follows from a few runs at draws of the prior: the interface is taken to be linear in the inputs
+near each draw, and the prior to be normal.
+"""
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -7,28 +11,38 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from strandline.calibration import Observer, observer_or_default
-from strandline.design import Candidate
-from strandline.foundations import InvalidStudy, one_thread, unit_text, use_double
-from strandline.interface import UnknownErrors
+from strandline import studies
+from strandline.calibration import Errors, Footprint, Observer, errors_behind, footprint, observer_or_default
+from strandline.design import Candidate, Look, key_of, sobol
+from strandline.foundations import InvalidInput, InvalidStudy, TooFewRuns, one_thread, unit_text, use_double
+from strandline.interface import Interface, UnknownErrors
+from strandline.models import undeformed_interface
+from strandline.posterior import Weighted
 from strandline.questions.answer import TO_MICROMETRES, Answer, Part, Symbol, Table, digits
-from strandline.questions.information import in_words
-from strandline.questions.knowledge import require, require_seed
-from strandline.questions.next_answers import answers_from_posterior, answers_from_prior
-from strandline.questions.next_runs import Answers, CandidateAnswer, ranked
+from strandline.questions.information import (
+    Answers,
+    CandidateAnswer,
+    directions_left,
+    in_words,
+    linear_outlook,
+    ranked,
+    scale_of,
+)
+from strandline.questions.knowledge import PointRuns, problem_of, require, require_seed, runs_at
+from strandline.questions.observing import Observing, View
+from strandline.questions.prospects import answers_from_posterior
 from strandline.report import Captioned, plots
-from strandline.runs import Executor
-from strandline.studies import POSTERIOR, Study, facts_of, finished_posterior, require_writable, results_of
+from strandline.runs import Executor, RunRecord
 
 __all__ = ["next_experiment"]
-
 SOURCES = ("prior", "posterior")
 FEWEST_RUNS, FEWEST_DRAWS, MOST_DRAWS = 4, 200, 4000
 
 
 def next_experiment(
-    study: Study,
+    study: studies.Study,
     *,
     source: str | None = None,
     draws: int = 1000,
@@ -64,12 +78,12 @@ def next_experiment(
     _require_arguments(source, draws, runs, seed)
     begun, tell = time.perf_counter(), observer_or_default(observer)
     executor = executor or study.executor
-    found = results_of(study) == "current" and (study.folder / POSTERIOR).is_file()
+    found = studies.results_of(study) == "current" and (study.folder / studies.POSTERIOR).is_file()
     after = source == "posterior" or (source is None and found)
     if source == "posterior":
-        finished_posterior(study, purpose="plan from")
+        studies.finished_posterior(study, purpose="plan from")
     candidates = _candidates(study, after=after)
-    require_writable(study.folder)
+    studies.require_writable(study.folder)
     use_double()
     with one_thread():
         if after:
@@ -81,7 +95,7 @@ def next_experiment(
     return _answer(content, made, study.folder).written(draft=study.settings.draft)
 
 
-def _candidates(study: Study, *, after: bool) -> tuple[Candidate, ...]:
+def _candidates(study: studies.Study, *, after: bool) -> tuple[Candidate, ...]:
     """Return the candidates; before any data there may be none, since the planned experiment is one."""
     if study.candidates or not after:
         return study.candidates
@@ -116,12 +130,12 @@ UNKNOWN, PARTLY = 0.85, 0.5
 """Shares of the prior's standard deviation above which a direction is not determined, or only roughly."""
 
 
-def _described(study: Study, found: Answers, *, seed: int, seconds: float) -> dict[str, Any]:
+def _described(study: studies.Study, found: Answers, *, seed: int, seconds: float) -> dict[str, Any]:
     """Return the content of next.json; candidates come in the order of their worth, single experiments first."""
     answers = ranked(found.answers)
     sd = found.now.sd
     return {
-        **facts_of(study, seed),
+        **studies.facts_of(study, seed),
         "source": found.source,
         "draws": len(found.now.draws),
         "inputs": {
@@ -151,7 +165,7 @@ def _described(study: Study, found: Answers, *, seed: int, seconds: float) -> di
     }
 
 
-def _noise(study: Study, found: Answers, condition: str) -> dict[str, Any]:
+def _noise(study: studies.Study, found: Answers, condition: str) -> dict[str, Any]:
     """Return the errors of the points of a condition; before any data, unknown ones are a guess."""
     guessed = found.source == "prior" and isinstance(study.noise_of(condition), UnknownErrors)
     sd = TO_MICROMETRES * found.errors[condition].sd
@@ -161,7 +175,7 @@ def _noise(study: Study, found: Answers, condition: str) -> dict[str, Any]:
     return {"condition": condition, "sd_um": sd, "guessed": guessed, "in_words": words}
 
 
-def _candidate(study: Study, one: CandidateAnswer, again: str, sd: np.ndarray) -> dict[str, Any]:
+def _candidate(study: studies.Study, one: CandidateAnswer, again: str, sd: np.ndarray) -> dict[str, Any]:
     names, outlook, look = study.space.names, one.outlook, one.candidate.look
     gained: dict[str, Any] = {"gain": None, "error": None, "by": None, "sd": None, "sd_ratio": None}
     if outlook is not None:
@@ -187,7 +201,7 @@ def _candidate(study: Study, one: CandidateAnswer, again: str, sd: np.ndarray) -
     }
 
 
-def _identifiability(study: Study, found: Answers) -> list[str]:
+def _identifiability(study: studies.Study, found: Answers) -> list[str]:
     """Return which combinations of the inputs the picture cannot determine, in words."""
     picture, leaves, determines, cannot = (
         ("The picture", "leaves", "determines", "cannot determine")
@@ -206,13 +220,13 @@ def _identifiability(study: Study, found: Answers) -> list[str]:
     return lines
 
 
-def _advice(study: Study, found: Answers, answers: Sequence[CandidateAnswer]) -> str:
+def _advice(study: studies.Study, found: Answers, answers: Sequence[CandidateAnswer]) -> str:
     """Return what to do next in a few sentences: the best experiment, and the best of several together."""
     some = groupby(answers, key=lambda one: len(one.candidate.settings))
     return " ".join(_best(study, found, list(those), number) for number, those in some)
 
 
-def _best(study: Study, found: Answers, answers: Sequence[CandidateAnswer], number: int) -> str:
+def _best(study: studies.Study, found: Answers, answers: Sequence[CandidateAnswer], number: int) -> str:
     """Return the best of candidates with the same number of experiments, in words."""
     again, best = AGAIN[found.source], answers[0]
     of = f"Of {number} experiments together: " if number > 1 else ""
@@ -308,3 +322,132 @@ def _row(one: Mapping[str, Any], names: Sequence[str]) -> tuple[str, ...]:
         "–" if one["displacement_in_sd"] is None else digits(one["displacement_in_sd"], 3),
         one["by"],
     )
+
+
+SCRAMBLE = 0
+PRIOR_STEP = 0.05
+"""Step of runs beside a draw, in standard deviations of the prior."""
+PRIOR_DRAWS = 4096
+PLANNED = Candidate(({},), Look())
+"""The experiment of the study."""
+_Experiment = tuple[Observing, Float[np.ndarray, "dim dim"]]
+
+
+def answers_from_prior(
+    study: studies.Study, candidates: Sequence[Candidate], *, runs: int, executor: Executor, observer: Observer
+) -> Answers:
+    """Return what the planned experiment and each candidate can be expected to teach before any data.
+
+    Each is run at so many draws of the prior.
+    """
+    space = study.space
+    x = space.prior_quantiles(sobol(runs, space.dim, scramble=SCRAMBLE))
+    asked = [PLANNED, *(one for one in candidates if one != PLANNED)]
+    settings = list({key_of(one): one for candidate in asked for one in candidate.settings}.values())
+    observer.stage("candidates")
+    made = runs_at(
+        study,
+        [(setting, row) for setting in settings for row in x],
+        PRIOR_STEP * space.prior_sd,
+        usable=lambda record: studies.slopes_by_sensitivities(record, space.names) is not None,
+        executor=executor,
+        observer=observer,
+    )
+    observer.stage("gains")
+    at = {key_of(setting): made.points[k * runs : (k + 1) * runs] for k, setting in enumerate(settings)}
+    failed = [one.failed for one in at[key_of({})] if one.failed is not None]
+    good = [one for one in at[key_of({})] if one.failed is None]
+    if not good:
+        raise TooFewRuns(
+            "the planned experiment failed at every draw of the prior",
+            value=f"0 of {runs}; e.g. {problem_of(failed[0])}",
+            expected="a prior where the simulator runs",
+            remedy="Look at the failures, or move the priors to where it runs.",
+        )
+    errors = _errors(study, good[0].run, asked)
+    now = Weighted(
+        space.prior_quantiles(sobol(PRIOR_DRAWS, space.dim, scramble=SCRAMBLE)), np.full(PRIOR_DRAWS, 1 / PRIOR_DRAWS)
+    )
+    planned = [information for _, information in _experiments(study, errors, good, PLANNED.look)]
+    if not planned:
+        raise InvalidInput(
+            "slopes of the interface in the inputs",
+            value="runs whose interfaces have different nodes, and no sensitivities",
+            expected="interfaces with the same nodes in all runs, or sensitivities",
+            remedy="Let the simulator return the same nodes, or finish the study and plan from its posterior.",
+        )
+    return Answers(
+        source="prior",
+        now=now,
+        errors=errors,
+        answers=tuple(_before(study, errors, candidate, at, now) for candidate in asked),
+        directions=directions_left(scale_of(space), np.array([one.x for one in good]), planned),
+        new=made.new,
+        reused=made.reused,
+    )
+
+
+def _experiments(
+    study: studies.Study, errors: Mapping[str, Errors], points: Sequence[PointRuns], look: Look
+) -> Iterator[_Experiment]:
+    """Yield how the experiment is observed at each point whose runs succeeded, and its Fisher information.
+
+    It is observed at the places of the study's observation if there is one; the errors of the points are by condition.
+    """
+    for one in points:
+        if one.failed is not None:
+            continue
+        slopes = studies.slopes_by_sensitivities(one.run, study.space.names)
+        slopes = slopes or studies.slopes_by_differences(one.run, one.others, one.x, one.beside)
+        if slopes is not None:
+            names = look.conditions or study.observed or one.run.interfaces
+            views = {name: View(_places(study, one.run, name), errors[name]) for name in names}
+            observing = Observing(views, {name: one.run.interfaces[name].points for name in names}).focused(look)
+            yield observing, observing.fisher(slopes)
+
+
+def _errors(study: studies.Study, run: RunRecord, asked: Sequence[Candidate]) -> dict[str, Errors]:
+    """Return the errors of the points in each condition that is, or would be, observed, near a run that succeeded."""
+    measure, found = study.measure, {}
+    wanted = {*(study.observed or run.interfaces), *(name for one in asked for name in one.look.conditions)}
+    for name in sorted(wanted):
+        places, nodes = _places(study, run, name), run.interfaces[name].points
+        seen = study.observation(Interface(places.on(nodes), places.cells), name)
+        found[name] = errors_behind(seen, measure, len(nodes))
+    return found
+
+
+def _places(study: studies.Study, run: RunRecord, name: str) -> Footprint:
+    simulated = run.interfaces[name]
+    return footprint(study.observed.get(name, simulated), simulated)
+
+
+def _before(
+    study: studies.Study,
+    errors: Mapping[str, Errors],
+    candidate: Candidate,
+    at: Mapping[str, Sequence[PointRuns]],
+    now: Weighted,
+) -> CandidateAnswer:
+    """Return what one candidate can be expected to teach; experiments made together share the draws of the inputs."""
+    several = [at[key_of(setting)] for setting in candidate.settings]
+    good = [k for k, points in enumerate(zip(*several, strict=True)) if all(one.failed is None for one in points)]
+    failing = 1 - len(good) / len(several[0])
+    if not good:
+        failed = next(one.failed for points in several for one in points if one.failed is not None)
+        return CandidateAnswer(candidate, None, failing, None, problem_of(failed))
+    found = [[*_experiments(study, errors, [points[k] for k in good], candidate.look)] for points in several]
+    if not all(len(one) == len(good) for one in found):
+        return CandidateAnswer(
+            candidate, None, failing, None, "the runs have different nodes, so that they give no slopes"
+        )
+    informations = [np.sum([one[k][1] for one in found], axis=0) for k in range(len(good))]
+    rest = undeformed_interface(study.model)
+    sizes = [
+        seen.displacement(dict.fromkeys(seen.reference, rest.points))
+        for several in found
+        for seen, _ in several
+        if rest is not None and all(nodes.shape == rest.points.shape for nodes in seen.reference.values())
+    ]
+    outlook = linear_outlook(now.covariance, informations, interest=study.space.calibrated)
+    return CandidateAnswer(candidate, outlook, failing, float(np.median(sizes)) if sizes else None)

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from strandline import studies
 from strandline.discrepancy import Discrepancy
 from strandline.foundations import InvalidInput, InvalidStudy, one_thread, use_double
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
@@ -28,23 +29,6 @@ from strandline.questions.knowledge import chosen_measure, digest_of, field_know
 from strandline.questions.many import Task
 from strandline.questions.specimen import Certified, SpecimenPosterior, Start, posterior_of
 from strandline.runs import Ledger, RunRecord
-from strandline.studies import (
-    SPECIMENS_LEDGER,
-    SPECIMENS_LINES,
-    SPECIMENS_TABLE,
-    ObservationFile,
-    SpecimensFile,
-    Study,
-    StudyFile,
-    build_noise,
-    checked,
-    load_yaml,
-    read_observation,
-    require_fits,
-    require_plausible,
-    settled,
-    with_errors_of,
-)
 
 __all__ = ["Specimens", "open_specimens"]
 
@@ -67,10 +51,10 @@ class SpecimenFiles:
     `known` inputs have their values in `given`, by specimen.
     """
 
-    study: Study
-    content: StudyFile
+    study: studies.Study
+    content: studies.StudyFile
     pattern: str
-    source: ObservationFile
+    source: studies.ObservationFile
     known: tuple[str, ...]
     given: Mapping[str, Mapping[str, float | None]]
 
@@ -84,7 +68,7 @@ class SpecimenFiles:
     def paths(self) -> list[Path]:
         """The files there are now, in the order of their names, without the tables beside them."""
         given = self.content.specimens.given if self.content.specimens else None
-        apart = {(self.study.folder / name).resolve() for name in (SPECIMENS_TABLE, given) if name is not None}
+        apart = {(self.study.folder / name).resolve() for name in (studies.SPECIMENS_TABLE, given) if name is not None}
         pattern = Path(self.pattern)
         try:
             found = Path(pattern.anchor or self.study.folder).glob(str(pattern.relative_to(pattern.anchor)))
@@ -118,11 +102,11 @@ class SpecimenFiles:
         for kind in ("image", "stack"):
             if (part := getattr(self.source, kind)) is not None:
                 changed = {kind: part.model_copy(update={FILE: there})}
-        found = read_observation(self.study.folder, self.source.model_copy(update=changed), self.study.model)
-        noise = build_noise(self.content.noise, tuple(self.content.inputs), found)
+        found = studies.read_observation(self.study.folder, self.source.model_copy(update=changed), self.study.model)
+        noise = studies.build_noise(self.content.noise, tuple(self.content.inputs), found)
         if self.study.undeformed is not None:
-            noise = with_errors_of(self.study.undeformed, noise, found.interface, conditions=1)
-        require_fits(noise, found.interface)
+            noise = studies.with_errors_of(self.study.undeformed, noise, found.interface, conditions=1)
+        studies.require_fits(noise, found.interface)
         return SpecimenOutline(found.interface, noise, digest)
 
     def given_of(self, name: str) -> dict[str, float]:
@@ -139,9 +123,9 @@ def _digest(path: Path) -> str:
     return sha256(path.read_bytes()).hexdigest()
 
 
-def specimen_files(study: Study) -> SpecimenFiles:
+def specimen_files(study: studies.Study) -> SpecimenFiles:
     """Return the files of all specimens of a study; refuse a study that names none."""
-    content = StudyFile.model_validate(load_yaml(study.text))
+    content = studies.StudyFile.model_validate(studies.load_yaml(study.text))
     said = content.specimens
     if said is None:
         expected, remedy = "the key specimens, e.g. `specimens: specimens/*.csv`", "Add it; the runs stay valid."
@@ -151,7 +135,7 @@ def specimen_files(study: Study) -> SpecimenFiles:
     return SpecimenFiles(study, content, said.files, _source(content, said), known, given)
 
 
-def require_one_condition(study: Study) -> None:
+def require_one_condition(study: studies.Study) -> None:
     """Refuse a model with named conditions: a specimen has one outline."""
     names = declared_conditions(study.model)
     require(
@@ -164,7 +148,7 @@ def require_one_condition(study: Study) -> None:
     )
 
 
-def _source(content: StudyFile, said: SpecimensFile) -> ObservationFile:
+def _source(content: studies.StudyFile, said: studies.SpecimensFile) -> studies.ObservationFile:
     if said.read is None:
         own = content.observation
         if isinstance(own, list) or own.synthetic is not None:
@@ -177,10 +161,10 @@ def _source(content: StudyFile, said: SpecimensFile) -> ObservationFile:
         return own
     image = said.read.get("image")
     into = {"image": {**image, FILE: said.files}} if isinstance(image, Mapping) else {FILE: said.files}
-    return checked(ObservationFile, {**said.read, **into}, "specimens.read")
+    return studies.checked(studies.ObservationFile, {**said.read, **into}, "specimens.read")
 
 
-def _table(study: Study, name: str) -> tuple[tuple[str, ...], dict[str, dict[str, float | None]]]:
+def _table(study: studies.Study, name: str) -> tuple[tuple[str, ...], dict[str, dict[str, float | None]]]:
     """Return the names of the known inputs, and their values by specimen."""
     try:
         with (study.folder / name).open(encoding="utf-8-sig", newline="") as file:
@@ -213,12 +197,12 @@ def _number(text: str | None) -> float | None:
 ARRAYS = ("mean", "covariance", "quantiles", "draws")
 
 
-def lines_of(study: Study) -> LineFile:
+def lines_of(study: studies.Study) -> LineFile:
     """Return the file of a study's posteriors, one a line, each with the digest of all that it depends on."""
-    return LineFile(study.folder / SPECIMENS_LINES)
+    return LineFile(study.folder / studies.SPECIMENS_LINES)
 
 
-def known_posteriors(study: Study) -> dict[str, SpecimenPosterior]:
+def known_posteriors(study: studies.Study) -> dict[str, SpecimenPosterior]:
     """Return the posteriors of specimens that have been written, by digest."""
     names = {*study.space.names}
     ours = (one for one in lines_of(study).entries() if "of" in one and names.issuperset(one.get("inputs", [""])))
@@ -259,7 +243,7 @@ class Specimens:
     numbers.
     """
 
-    study: Study
+    study: studies.Study
     measure: str
     seed: int
     begin: Start
@@ -315,7 +299,7 @@ class Specimens:
         template = self.begin.knowledge.surrogate.layouts[""].template
         found, expected = f"{interface.dim} dimensions", f"{template.dim}, as the runs have"
         require(interface.dim == template.dim, f"outline of {name}", found, expected, "Check the file.")
-        require_plausible(f"outline of {name}", interface, template)
+        studies.require_plausible(f"outline of {name}", interface, template)
         seen = Observation(interface, noise)
         return seen.reversed() if interface.runs_against(template) else seen
 
@@ -325,7 +309,7 @@ class Specimens:
         return digest_of(self.study, self.measure, self.seed, further=sorted(record.key for record in self.further))
 
 
-def open_specimens(study: Study, *, seed: int = 1, measure: str | None = None) -> Specimens:
+def open_specimens(study: studies.Study, *, seed: int = 1, measure: str | None = None) -> Specimens:
     """Learn the interface from the runs of a finished study, to analyse many outlines with it.
 
     The measure is the study's first by default; the seed, 0 or above, that of all random numbers.
@@ -347,11 +331,11 @@ def open_specimens(study: Study, *, seed: int = 1, measure: str | None = None) -
     return Specimens(study, name, seed, Start(knowledge, study.space), further)
 
 
-def further_runs(study: Study) -> tuple[RunRecord, ...]:
+def further_runs(study: studies.Study) -> tuple[RunRecord, ...]:
     """Return the runs that were made for specimens of a study, in the order of their keys."""
-    path = study.folder / SPECIMENS_LEDGER
+    path = study.folder / studies.SPECIMENS_LEDGER
     if not path.is_file():
         return ()
     with Ledger.open(path, model=study.runs.identity, read_only=True) as ledger:
         keys = {record.key for record in ledger}
-        return tuple(sorted(settled(ledger, keys), key=lambda record: record.key))
+        return tuple(sorted(studies.settled(ledger, keys), key=lambda record: record.key))

@@ -21,18 +21,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import gammaincinv, ndtri
 
-from strandline.calibration import (
-    ENOUGH,
-    FREEDOM,
-    Densities,
-    Pool,
-    StudentMixture,
-    effective_size,
-    fitted,
-    followed,
-    only_inside,
-    tempered,
-)
+from strandline import calibration
 from strandline.design import Knowledge, sobol
 from strandline.discrepancy import Discrepancy
 from strandline.foundations import InvalidInput, with_sd
@@ -289,7 +278,7 @@ class _Target:
         return np.asarray(plain + log_gain(around, predicted.variance, plain))
 
     def log_densities(self, x: Points) -> tuple[Values, Values]:
-        return only_inside(self.begin.unknown.inside, self._inside)(x)
+        return calibration.only_inside(self.begin.unknown.inside, self._inside)(x)
 
     def _inside(self, x: Points) -> tuple[Values, Values]:
         return np.asarray(self.begin.unknown.log_prior(x)), self.begin.log_density(x) + self.at(x)
@@ -299,22 +288,22 @@ def _sampled(target: _Target, random: np.random.Generator) -> tuple[Weighted, By
     """Return weighted draws of the posterior, and how they were made."""
     near = target.likelihood.nearby
     if near is not None:
-        led = followed(*_begun(replace(target, near=near)), random, enough=LED)
+        led = calibration.followed(*_begun(replace(target, near=near)), random, enough=LED)
         if led is not None:
-            found = _last_round(target, fitted(led.x, led.log_weights, random), random)
-            if effective_size(found.log_weights) >= ENOUGH:
+            found = _last_round(target, calibration.fitted(led.x, led.log_weights, random), random)
+            if calibration.effective_size(found.log_weights) >= calibration.ENOUGH:
                 return found.weighted, "importance"
-    pool = followed(*_begun(target), random)
+    pool = calibration.followed(*_begun(target), random)
     if pool is None:
         return _by_smc(target, random), "smc"
-    found = _last_round(target, fitted(pool.x, pool.log_weights, random), random, pool)
+    found = _last_round(target, calibration.fitted(pool.x, pool.log_weights, random), random, pool)
     return found.weighted, "importance"
 
 
-def _begun(target: _Target) -> tuple[Pool, Densities]:
+def _begun(target: _Target) -> tuple[calibration.Pool, calibration.Densities]:
     """Return the kept draws of the prior with their posterior density, and the densities of others."""
     begin = target.begin
-    pool = Pool(
+    pool = calibration.Pool(
         x=begin.points,
         log_counts=np.zeros(len(begin.points)),
         log_first=np.asarray(begin.unknown.log_prior(begin.points)),
@@ -325,23 +314,26 @@ def _begun(target: _Target) -> tuple[Pool, Densities]:
 
 
 def _last_round(
-    target: _Target, mixture: StudentMixture, random: np.random.Generator, pool: Pool | None = None
-) -> Pool:
+    target: _Target,
+    mixture: calibration.StudentMixture,
+    random: np.random.Generator,
+    pool: calibration.Pool | None = None,
+) -> calibration.Pool:
     """Return draws of a mixture with their weights, beside those of a pool if there is one."""
     x = _spread_draws(mixture, random)
     first, log_target = target.log_densities(x)
     if pool is not None:
         return pool.extended(mixture, x, first, log_target)
-    return Pool(x, np.zeros(len(x)), mixture.log_density(x), log_target, len(x))
+    return calibration.Pool(x, np.zeros(len(x)), mixture.log_density(x), log_target, len(x))
 
 
-def _spread_draws(mixture: StudentMixture, random: np.random.Generator) -> Float[np.ndarray, "draw dim"]:
+def _spread_draws(mixture: calibration.StudentMixture, random: np.random.Generator) -> Float[np.ndarray, "draw dim"]:
     """Return draws of a mixture from a Sobol sequence with a random shift."""
     dim = mixture.means.shape[1]
     u = (_sequence(dim + 2) + random.random(dim + 2)) % 1.0
     u = np.clip(u, 1e-12, 1 - 1e-12)
     which = np.minimum(np.searchsorted(np.cumsum(mixture.shares), u[:, 0]), len(mixture.shares) - 1)
-    stretch = np.sqrt(0.5 * FREEDOM / gammaincinv(0.5 * FREEDOM, u[:, 1]))
+    stretch = np.sqrt(0.5 * calibration.FREEDOM / gammaincinv(0.5 * calibration.FREEDOM, u[:, 1]))
     steps = np.einsum("dij,dj->di", mixture.factors[which], ndtri(u[:, 2:]))
     return np.asarray(mixture.means[which] + stretch[:, None] * steps)
 
@@ -358,7 +350,7 @@ def _by_smc(target: _Target, random: np.random.Generator) -> Weighted:
         feasible = target.begin.log_density(x) - np.asarray(space.log_prior(x))
         return np.asarray(feasible + target.at(x))
 
-    found = tempered(log_likelihood, space, random)
+    found = calibration.tempered(log_likelihood, space, random)
     return Weighted(found.positions, np.exp(found.log_weights))
 
 

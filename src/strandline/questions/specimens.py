@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from strandline import studies
 from strandline.calibration import Observer, observer_or_default
 from strandline.foundations import InvalidInput, InvalidStudy, NumericsError, one_thread
 from strandline.questions.answer import Answer
@@ -21,14 +22,6 @@ from strandline.questions.population import FEWEST_SPECIMENS, population_of, shr
 from strandline.questions.specimen import SpecimenPosterior, runs_for
 from strandline.questions.specimens_content import SpecimensFound, answer_of, describe_specimens, write_table
 from strandline.runs import Executor, Ledger, Progress, run_campaign
-from strandline.studies import (
-    SPECIMENS_LEDGER,
-    SPECIMENS_TABLE,
-    Study,
-    plain_model,
-    require_writable,
-    told_if_unwritable,
-)
 
 __all__ = ["Arrived", "specimens", "watch_specimens"]
 
@@ -37,7 +30,7 @@ BATCH = 4
 
 
 def specimens(
-    study: Study,
+    study: studies.Study,
     *,
     refine: int = 0,
     seed: int = 1,
@@ -71,14 +64,14 @@ def specimens(
     require(refine >= 0, "further runs", refine, "0 or more")
     require(processes is None or processes >= 1, "processes", processes, "1 or more", "Leave it out to use all cores.")
     tell = observer_or_default(observer)
-    require_writable(study.folder)
+    studies.require_writable(study.folder)
     files = specimen_files(study)
     paths = files.paths
     missing, remedy = f"no file {files.pattern} in {study.folder}", "Correct specimens in study.yaml, or add the files."
     require(bool(paths), "specimens", missing, "at least one outline", remedy, InvalidStudy)
     tell.stage("surrogate")
     opened = open_specimens(study, seed=seed, measure=measure)
-    with lines_of(study).held("strandline specimens", "posteriors"), told_if_unwritable(study.folder):
+    with lines_of(study).held("strandline specimens", "posteriors"), studies.told_if_unwritable(study.folder):
         tell.stage("specimens")
         found = posteriors_of_files(opened, paths, processes=processes, tell=tell)
         refused = "; ".join(f"{one.name}: {one.why}" for one in found.refused[:1])
@@ -93,7 +86,7 @@ def specimens(
         tell.stage("report")
         content = describe_specimens(opened, found, made=made, alike=files.alike(paths))
         answer = answer_of(content, found, study.folder).written(draft=study.settings.draft)
-        write_table(study.folder / SPECIMENS_TABLE, content)
+        write_table(study.folder / studies.SPECIMENS_TABLE, content)
     return answer
 
 
@@ -176,8 +169,8 @@ def _run(opened: Specimens, x: Any, executor: Executor, tell: Observer) -> int:
     study = opened.study
     inputs = [{**study.fixed, **study.space.as_mapping(row)} for row in x]
     identity, text = study.runs.identity, f"{study.name}, further runs for specimens"
-    with Ledger.open(study.folder / SPECIMENS_LEDGER, model=identity, description=text) as ledger:
-        run_campaign(plain_model(study), inputs, ledger=ledger, executor=executor, on_record=tell.run)
+    with Ledger.open(study.folder / studies.SPECIMENS_LEDGER, model=identity, description=text) as ledger:
+        run_campaign(studies.plain_model(study), inputs, ledger=ledger, executor=executor, on_record=tell.run)
     return len(inputs)
 
 
@@ -217,7 +210,7 @@ class _Seen:
 
 
 def watch_specimens(
-    study: Study,
+    study: studies.Study,
     *,
     seed: int = 1,
     measure: str | None = None,
@@ -245,7 +238,7 @@ def watch_specimens(
         InvalidInput: As `open_specimens`.
         InvalidStudy: As `open_specimens`, or the folder cannot be written to.
     """
-    require_writable(study.folder)
+    studies.require_writable(study.folder)
     opened = open_specimens(study, seed=seed, measure=measure)
     template = opened.begin.knowledge.surrogate.layouts[""].template
     with lines_of(study).held("strandline specimens", "posteriors"):

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from strandline import studies
 from strandline.calibration import (
     LEAST_RATIO,
     LEAST_SHIFT,
@@ -31,21 +32,6 @@ from strandline.questions.answer import Answer, Part, Symbol, Table, facts_of_su
 from strandline.questions.knowledge import baseline_of, require, require_seed
 from strandline.report import Captioned, axis_label, plots
 from strandline.runs import Progress
-from strandline.studies import (
-    Noise,
-    Study,
-    StudyFile,
-    WhatIf,
-    build_prior,
-    checked,
-    entry,
-    facts_of,
-    finished_posterior,
-    load_yaml,
-    refused_at,
-    require_writable,
-    study_of,
-)
 
 __all__ = ["what_if"]
 
@@ -54,7 +40,7 @@ PLACE = "what_if"
 
 
 def what_if(
-    study: Study,
+    study: studies.Study,
     alternatives: Sequence[Mapping[str, Any]] | None = None,
     *,
     seed: int = 1,
@@ -79,10 +65,10 @@ def what_if(
     require_seed(seed, "what-if")
     words = "at least one", "Leave them out to ask the usual questions."
     require(alternatives is None or len(alternatives) > 0, "alternatives", "none", *words)
-    stated = StudyFile.model_validate(load_yaml(study.text)).what_if
-    asked = stated if alternatives is None else [checked(WhatIf, one, PLACE) for one in alternatives]
-    posterior = finished_posterior(study, purpose="compare with")
-    require_writable(study.folder)
+    stated = studies.StudyFile.model_validate(studies.load_yaml(study.text)).what_if
+    asked = stated if alternatives is None else [studies.checked(studies.WhatIf, one, PLACE) for one in alternatives]
+    posterior = studies.finished_posterior(study, purpose="compare with")
+    studies.require_writable(study.folder)
     use_double()
     for one in asked:  # refused before anything is computed
         alternative_of(one, study, baseline(posterior, None))
@@ -106,17 +92,17 @@ def _answers(now: Baseline, tried: Sequence[Alternative], seed: int, tell: Obser
         tell.part(Progress(len(tried), number, number, 0, 0, time.monotonic() - begun))
 
 
-def alternative_of(asked: WhatIf, study: Study, now: Baseline) -> Alternative:
+def alternative_of(asked: studies.WhatIf, study: studies.Study, now: Baseline) -> Alternative:
     """Return the alternative that is asked for, to be compared with the present posterior; it must fit the study."""
-    priors = {name: build_prior(given, f"{PLACE}.prior.{name}") for name, given in asked.prior.items()}
+    priors = {name: studies.build_prior(given, f"{PLACE}.prior.{name}") for name, given in asked.prior.items()}
     for name in (*priors, *asked.fix):
-        entry(dict.fromkeys(study.space.names), name, f"{PLACE}: name of an input")
+        studies.entry(dict.fromkeys(study.space.names), name, f"{PLACE}: name of an input")
     for name, value in asked.fix.items():
         once = "an input without another prior in the same alternative"
         _require(name not in priors, "fix", name, once, "Remove one of the two.")
         low, high = study.space[name].interval
         _require(low <= value <= high, f"fix.{name}", value, f"a value in its box, [{low:g}, {high:g}]")
-    with refused_at(f"{PLACE}.prior"):
+    with studies.refused_at(f"{PLACE}.prior"):
         space = with_prior(now.space, priors)
     parts = list(_parts(asked))
     other = _changed(asked, study)
@@ -124,7 +110,7 @@ def alternative_of(asked: WhatIf, study: Study, now: Baseline) -> Alternative:
     details = [f"{name}: {prior_in_words(prior)}" for name, prior in priors.items()]
     if likelihood is not None and asked.noise is not None:
         details.append(noise_in_words(likelihood))
-    with refused_at(f"{PLACE}.fix"):
+    with studies.refused_at(f"{PLACE}.fix"):
         return Alternative(
             name=asked.name or ", ".join(name for _, name, _ in parts),
             kind=parts[0][0] if len(parts) == 1 else "several",
@@ -137,7 +123,7 @@ def alternative_of(asked: WhatIf, study: Study, now: Baseline) -> Alternative:
         )
 
 
-def _parts(asked: WhatIf) -> list[tuple[Kind, str, str]]:
+def _parts(asked: studies.WhatIf) -> list[tuple[Kind, str, str]]:
     """Return the kind, the name and the subject of each change."""
     out: list[tuple[Kind, str, str]] = []
     out += [("prior", f"another prior of {name}", f"the prior of {name}") for name in asked.prior]
@@ -151,11 +137,11 @@ def _parts(asked: WhatIf) -> list[tuple[Kind, str, str]]:
     return out
 
 
-def _changes_likelihood(asked: WhatIf) -> bool:
+def _changes_likelihood(asked: studies.WhatIf) -> bool:
     return asked.noise is not None or asked.measure is not None or bool(asked.without)
 
 
-def _likelihood(asked: WhatIf, study: Study, present: FieldLikelihood) -> FieldLikelihood | None:
+def _likelihood(asked: studies.WhatIf, study: studies.Study, present: FieldLikelihood) -> FieldLikelihood | None:
     """Return the likelihood with the noise and measure of `study`, or fewer conditions; None if none is asked for."""
     if not _changes_likelihood(asked):
         return None
@@ -167,29 +153,29 @@ def _likelihood(asked: WhatIf, study: Study, present: FieldLikelihood) -> FieldL
     return replace(present, observations=_left(asked, observations), discrepancy=measure)
 
 
-def _changed(asked: WhatIf, study: Study) -> Study:
+def _changed(asked: studies.WhatIf, study: studies.Study) -> studies.Study:
     """Return the study with another noise or measure, checked as any study is; itself if neither is asked for."""
     if asked.noise is None and asked.measure is None:
         return study
-    content = StudyFile.model_validate(load_yaml(study.text))
+    content = studies.StudyFile.model_validate(studies.load_yaml(study.text))
     changes: dict[str, Any] = {}
     if asked.noise is not None:
-        changes["noise"] = checked(Noise, asked.noise, f"{PLACE}.noise")
+        changes["noise"] = studies.checked(studies.Noise, asked.noise, f"{PLACE}.noise")
     if asked.measure is not None:
         stated = content.discrepancy if isinstance(content.discrepancy, list) else [content.discrepancy]
         named = {name: one for one in stated for name in one}
         given = asked.measure
         changes["discrepancy"] = named.get(given, {given: None}) if isinstance(given, str) else given
-    with refused_at(PLACE):
-        return study_of(study.folder, content.model_copy(update=changes), study.text)
+    with studies.refused_at(PLACE):
+        return studies.study_of(study.folder, content.model_copy(update=changes), study.text)
 
 
-def _left(asked: WhatIf, observations: tuple[Observation, ...]) -> tuple[Observation, ...]:
+def _left(asked: studies.WhatIf, observations: tuple[Observation, ...]) -> tuple[Observation, ...]:
     conditions, named = {seen.condition: seen for seen in observations}, ", ".join(asked.without)
     one_alone = bool(named) and len(conditions) == 1
     _require(not one_alone, "without", named, "several conditions: the study has one", "Remove it.")
     for name in asked.without:
-        entry(conditions, name, f"{PLACE}.without")
+        studies.entry(conditions, name, f"{PLACE}.without")
     left = tuple(seen for name, seen in conditions.items() if name not in asked.without)
     _require(len(left) > 0, "without", named, "at least one condition left", "Leave out fewer.")
     return left
@@ -213,10 +199,10 @@ def in_order(answers: Sequence[Changed]) -> tuple[Changed, ...]:
     return tuple(sorted(answers, key=lambda one: (0 if one.moves else 1 if one.by is None else 2, -one.size)))
 
 
-def _described(study: Study, now: Baseline, answers: Sequence[Changed], seed: int) -> dict[str, Any]:
+def _described(study: studies.Study, now: Baseline, answers: Sequence[Changed], seed: int) -> dict[str, Any]:
     """Return the content of what-if.json."""
     return {
-        **facts_of(study, seed),
+        **studies.facts_of(study, seed),
         "conclusion": _conclusion(answers),
         "remarks": list(_remarks(study, now, answers)),
         "limits": {"shift": LEAST_SHIFT, "sd_ratio": LEAST_RATIO},
@@ -256,7 +242,7 @@ def _with_priors_together(subjects: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(together if one.removeprefix(PRIOR) in names else one for one in subjects))
 
 
-def _remarks(study: Study, now: Baseline, answers: Sequence[Changed]) -> Iterator[str]:
+def _remarks(study: studies.Study, now: Baseline, answers: Sequence[Changed]) -> Iterator[str]:
     number = sum(one.by is None for one in answers)
     if number:
         yield remark("new_runs", number=number, of=len(answers), folder=study.folder.resolve().name)

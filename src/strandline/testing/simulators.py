@@ -11,16 +11,9 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from strandline import models
 from strandline.foundations import InvalidInput
 from strandline.interface import Interface
-from strandline.models import (
-    ForwardModel,
-    SolvesOnFinerMesh,
-    declared_inputs,
-    fingerprint,
-    undeformed_interface,
-    with_sensitivities,
-)
 from strandline.runs import RunRecord, RunRequest, attempt
 from strandline.testing import checks_of
 
@@ -28,32 +21,32 @@ STEP = 1e-4
 """Step of finite differences, relative to an input."""
 
 
-def made(model: ForwardModel, inputs: Mapping[str, float]) -> RunRecord:
+def made(model: models.ForwardModel, inputs: Mapping[str, float]) -> RunRecord:
     """Return the record of a run in its own folder."""
     with TemporaryDirectory() as folder:
         return attempt(model, RunRequest("conformance", dict(inputs)), Path(folder))
 
 
-def run(model: ForwardModel, inputs: Mapping[str, float]) -> dict[str, np.ndarray]:
+def run(model: models.ForwardModel, inputs: Mapping[str, float]) -> dict[str, np.ndarray]:
     """Return the points by condition; the run must succeed."""
     record = made(model, inputs)
     assert record.ok, f"the run ends as {record.state} ({record.failure_kind}): {record.message}"
     return {name: interface.points for name, interface in record.interfaces.items()}
 
 
-def check_a_run_yields_its_interfaces(model: ForwardModel, inputs: Mapping[str, float]) -> None:
+def check_a_run_yields_its_interfaces(model: models.ForwardModel, inputs: Mapping[str, float]) -> None:
     """A run succeeds, with an interface for each condition that the model declares."""
     for points in run(model, inputs).values():
         assert np.isfinite(points).all(), "a point is not finite"
 
 
-def check_it_repeats_itself(model: ForwardModel, inputs: Mapping[str, float]) -> None:
+def check_it_repeats_itself(model: models.ForwardModel, inputs: Mapping[str, float]) -> None:
     """The same inputs give the same interfaces to the bit."""
     first, second = run(model, inputs), run(model, inputs)
     assert all(np.array_equal(first[name], second[name]) for name in first), "a second run gives another interface"
 
 
-def check_it_leaves_its_inputs_alone(model: ForwardModel, inputs: Mapping[str, float]) -> None:
+def check_it_leaves_its_inputs_alone(model: models.ForwardModel, inputs: Mapping[str, float]) -> None:
     """The mapping of inputs is unchanged after a run."""
     given = dict(inputs)
     with TemporaryDirectory() as folder:
@@ -61,7 +54,7 @@ def check_it_leaves_its_inputs_alone(model: ForwardModel, inputs: Mapping[str, f
     assert given == dict(inputs), "a run changes its inputs"
 
 
-def check_it_writes_in_its_folder_alone(model: ForwardModel, inputs: Mapping[str, float]) -> None:
+def check_it_writes_in_its_folder_alone(model: models.ForwardModel, inputs: Mapping[str, float]) -> None:
     """A run leaves no file in the current folder, because runs are made side by side."""
     with TemporaryDirectory() as folder:
         work, here = Path(folder) / "work", Path(folder) / "here"
@@ -73,27 +66,27 @@ def check_it_writes_in_its_folder_alone(model: ForwardModel, inputs: Mapping[str
     assert not left, f"a run writes {', '.join(left)} outside its folder"
 
 
-def check_it_can_be_sent(model: ForwardModel, inputs: Mapping[str, float]) -> None:
+def check_it_can_be_sent(model: models.ForwardModel, inputs: Mapping[str, float]) -> None:
     """A pickled copy, as worker processes get it, gives the same interfaces and counts as the same model."""
-    copy: ForwardModel = pickle.loads(pickle.dumps(model))
-    assert fingerprint(copy) == fingerprint(model), "a pickled copy has another fingerprint"
+    copy: models.ForwardModel = pickle.loads(pickle.dumps(model))
+    assert models.fingerprint(copy) == models.fingerprint(model), "a pickled copy has another fingerprint"
     there, here = run(copy, inputs), run(model, inputs)
     assert all(np.array_equal(there[name], here[name]) for name in here), "a pickled copy gives another interface"
 
 
-def check_its_inputs_admit_the_run(model: ForwardModel, inputs: Mapping[str, float]) -> None:
+def check_its_inputs_admit_the_run(model: models.ForwardModel, inputs: Mapping[str, float]) -> None:
     """The inputs that it declares are those of the run, which lie in their ranges."""
-    declared = {item.name: item for item in declared_inputs(model)}
+    declared = {item.name: item for item in models.declared_inputs(model)}
     if declared:
         assert set(declared) == set(inputs), f"it declares {', '.join(declared)}; the run has {', '.join(inputs)}"
     for name, item in declared.items():
         assert item.admits(inputs[name]), f"{name} = {inputs[name]:g} lies outside {item.range_text()}"
 
 
-def check_sensitivities_are_derivatives(model: ForwardModel, inputs: Mapping[str, float]) -> None:
+def check_sensitivities_are_derivatives(model: models.ForwardModel, inputs: Mapping[str, float]) -> None:
     """Sensitivities, if it offers them, agree with central differences of its interfaces to 1 %."""
     try:
-        asked: ForwardModel = with_sensitivities(model)
+        asked: models.ForwardModel = models.with_sensitivities(model)
     except InvalidInput:
         return
     found = made(asked, inputs).sensitivities
@@ -107,15 +100,15 @@ def check_sensitivities_are_derivatives(model: ForwardModel, inputs: Mapping[str
             assert error <= 0.01 * np.abs(slope).max() + 1e-9 / step, f"the sensitivity to {name} is no derivative"
 
 
-def check_what_it_offers_fits_its_runs(model: ForwardModel, inputs: Mapping[str, float]) -> None:
+def check_what_it_offers_fits_its_runs(model: models.ForwardModel, inputs: Mapping[str, float]) -> None:
     """The undeformed interface and that of a finer mesh have as many coordinates as those of its runs."""
     dim = next(iter(run(model, inputs).values())).shape[1]
-    others = [undeformed_interface(model)]
-    if isinstance(model, SolvesOnFinerMesh):
+    others = [models.undeformed_interface(model)]
+    if isinstance(model, models.SolvesOnFinerMesh):
         others += model.on_finer_mesh(inputs).values()
     for other in others:
         assert other is None or isinstance(other, Interface), f"a {type(other).__name__} is not an interface"
         assert other is None or other.dim == dim, f"an interface with {other.dim} coordinates, not {dim}"
 
 
-CHECKS: dict[str, Callable[[ForwardModel, Mapping[str, float]], None]] = checks_of(globals())
+CHECKS: dict[str, Callable[[models.ForwardModel, Mapping[str, float]], None]] = checks_of(globals())

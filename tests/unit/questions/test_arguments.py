@@ -14,10 +14,11 @@ from strandline.calibration.evidence import Evidence, ModelComparison
 from strandline.design.candidates import Candidate, Look
 from strandline.foundations import InvalidInput, InvalidStudy
 from strandline.questions.answer import LineFile
-from strandline.questions.comparable import labels_of, may_err, require_comparable, require_settable, require_several
-from strandline.questions.comparison import _factor, _verdict
+from strandline.questions.compare import labels_of, require_comparable, require_several
+from strandline.questions.comparison import _factor, _verdict, may_err
 from strandline.questions.knowledge import _thinned
 from strandline.questions.opened import specimen_files
+from strandline.questions.prospects import require_settable
 from strandline.runs import RunRecord
 from strandline.testing.studies import BEAM_STUDY, TWO_LOADS_STUDY, undeclared_beam, write_study
 

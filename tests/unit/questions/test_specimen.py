@@ -73,7 +73,7 @@ def test_it_depends_on_name_and_seed_alone():
 
 def test_tempering_takes_over_from_importance_sampling(monkeypatch):
     one = found()
-    monkeypatch.setattr(module, "followed", lambda *given, **how: None)
+    monkeypatch.setattr(module.calibration, "followed", lambda *given, **how: None)
     tempered = found()
     assert (one.by, tempered.by) == ("importance", "smc")
     assert np.abs((tempered.mean - one.mean) / one.sd).max() < 0.3

@@ -1,42 +1,26 @@
-"""What each candidate can be expected to show and to teach, from a study's posterior and a run of each candidate.
+"""What candidates for the next experiment can be expected to show, and to teach, given a posterior and their runs."""
 
-Before any data, it follows from a few runs at draws of the prior: the interface is taken to be linear in the inputs
-near each draw, and the prior to be normal.
-"""
-
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibration import (
-    Errors,
-    Experiment,
-    Footprint,
-    Observer,
-    Source,
-    errors_behind,
-    footprint,
-    posterior_source,
-    repeatable,
-)
-from strandline.design import Candidate, Knowledge, Look, Setting, key_of, sobol, training_of
-from strandline.foundations import InvalidInput, NoCommonPoints, TooFewRuns
-from strandline.interface import Interface
+from strandline.calibration import Experiment, Observer, Source, errors_behind, footprint, posterior_source, repeatable
+from strandline.design import Candidate, Knowledge, Look, Setting, key_of, training_of
+from strandline.foundations import InvalidStudy, NoCommonPoints
 from strandline.models import declared_conditions, undeformed_interface
 from strandline.posterior import Weighted, systematic_indices
 from strandline.questions.information import (
+    Answers,
+    CandidateAnswer,
     Direction,
-    directions_left,
     directions_of,
     expected_outlook,
-    linear_outlook,
     scale_of,
 )
-from strandline.questions.knowledge import field_knowledge, runs_to_learn_from
-from strandline.questions.next_runs import Answers, CandidateAnswer, PointRuns, problem_of, runs_at
+from strandline.questions.knowledge import PointRuns, field_knowledge, problem_of, require, runs_at, runs_to_learn_from
 from strandline.questions.observing import (
     Fails,
     Fields,
@@ -45,13 +29,14 @@ from strandline.questions.observing import (
     crossing_share,
     field_of,
     learn_failure_by_size,
+    signals_of,
     slopes_of_field,
     slopes_of_points,
     transfer,
     with_known,
 )
-from strandline.runs import Executor, RunRecord
-from strandline.studies import Study, finished_posterior, slopes_by_differences, slopes_by_sensitivities
+from strandline.runs import Executor
+from strandline.studies import Study, finished_posterior
 from strandline.surrogate import FieldSurrogate, fit_field
 
 STEP = 0.5
@@ -280,130 +265,113 @@ def _after(present: AfterExperiment, candidate: Candidate, made: Sequence[Prospe
     return CandidateAnswer(candidate, outlook, failing, max(sizes, default=None))
 
 
-SCRAMBLE = 0
-PRIOR_STEP = 0.05
-"""Step of runs beside a draw, in standard deviations of the prior."""
-PRIOR_DRAWS = 4096
-PLANNED = Candidate(({},), Look())
-"""The experiment of the study."""
-_Experiment = tuple[Observing, Float[np.ndarray, "dim dim"]]
+DRAWS = 500
+"""Draws of each posterior, few enough to be all different."""
 
 
-def answers_from_prior(
-    study: Study, candidates: Sequence[Candidate], *, runs: int, executor: Executor, observer: Observer
-) -> Answers:
-    """Return what the planned experiment and each candidate can be expected to teach before any data.
+@dataclass(frozen=True, eq=False)
+class CandidateSignals:
+    """What a candidate shows under each model: signals of equally likely draws, in the same coordinates."""
 
-    Each is run at so many draws of the prior.
-    """
-    space = study.space
-    x = space.prior_quantiles(sobol(runs, space.dim, scramble=SCRAMBLE))
-    asked = [PLANNED, *(one for one in candidates if one != PLANNED)]
-    settings = list({key_of(one): one for candidate in asked for one in candidate.settings}.values())
-    observer.stage("candidates")
-    made = runs_at(
-        study,
-        [(setting, row) for setting in settings for row in x],
-        PRIOR_STEP * space.prior_sd,
-        usable=lambda record: slopes_by_sensitivities(record, space.names) is not None,
-        executor=executor,
-        observer=observer,
+    label: str
+    signals: tuple[Float[np.ndarray, "_ signal"], ...]
+    problem: str = ""
+
+
+def candidates_of(studies: Sequence[Study]) -> tuple[Candidate, ...]:
+    """Return the candidates of the first study that lists some; refuse studies without any."""
+    found = next((one.candidates for one in studies if one.candidates), ())
+    require(
+        bool(found),
+        "none of the studies lists candidates for the next experiment",
+        ", ".join(one.name for one in studies),
+        "the key `next` in the study.yaml of one of them",
+        "Add it; the results of the study stay as they are.",
+        InvalidStudy,
     )
-    observer.stage("gains")
-    at = {key_of(setting): made.points[k * runs : (k + 1) * runs] for k, setting in enumerate(settings)}
-    failed = [one.failed for one in at[key_of({})] if one.failed is not None]
-    good = [one for one in at[key_of({})] if one.failed is None]
-    if not good:
-        raise TooFewRuns(
-            "the planned experiment failed at every draw of the prior",
-            value=f"0 of {runs}; e.g. {problem_of(failed[0])}",
-            expected="a prior where the simulator runs",
-            remedy="Look at the failures, or move the priors to where it runs.",
-        )
-    errors = _errors(study, good[0].run, asked)
-    now = Weighted(
-        space.prior_quantiles(sobol(PRIOR_DRAWS, space.dim, scramble=SCRAMBLE)), np.full(PRIOR_DRAWS, 1 / PRIOR_DRAWS)
-    )
-    planned = [information for _, information in _experiments(study, errors, good, PLANNED.look)]
-    if not planned:
-        raise InvalidInput(
-            "slopes of the interface in the inputs",
-            value="runs whose interfaces have different nodes, and no sensitivities",
-            expected="interfaces with the same nodes in all runs, or sensitivities",
-            remedy="Let the simulator return the same nodes, or finish the study and plan from its posterior.",
-        )
-    return Answers(
-        source="prior",
-        now=now,
-        errors=errors,
-        answers=tuple(_before(study, errors, candidate, at, now) for candidate in asked),
-        directions=directions_left(scale_of(space), np.array([one.x for one in good]), planned),
-        new=made.new,
-        reused=made.reused,
-    )
-
-
-def _experiments(
-    study: Study, errors: Mapping[str, Errors], points: Sequence[PointRuns], look: Look
-) -> Iterator[_Experiment]:
-    """Yield how the experiment is observed at each point whose runs succeeded, and its Fisher information.
-
-    It is observed at the places of the study's observation if there is one; the errors of the points are by condition.
-    """
-    for one in points:
-        if one.failed is not None:
-            continue
-        slopes = slopes_by_sensitivities(one.run, study.space.names)
-        slopes = slopes or slopes_by_differences(one.run, one.others, one.x, one.beside)
-        if slopes is not None:
-            names = look.conditions or study.observed or one.run.interfaces
-            views = {name: View(_places(study, one.run, name), errors[name]) for name in names}
-            observing = Observing(views, {name: one.run.interfaces[name].points for name in names}).focused(look)
-            yield observing, observing.fisher(slopes)
-
-
-def _errors(study: Study, run: RunRecord, asked: Sequence[Candidate]) -> dict[str, Errors]:
-    """Return the errors of the points in each condition that is, or would be, observed, near a run that succeeded."""
-    measure, found = study.measure, {}
-    wanted = {*(study.observed or run.interfaces), *(name for one in asked for name in one.look.conditions)}
-    for name in sorted(wanted):
-        places, nodes = _places(study, run, name), run.interfaces[name].points
-        seen = study.observation(Interface(places.on(nodes), places.cells), name)
-        found[name] = errors_behind(seen, measure, len(nodes))
     return found
 
 
-def _places(study: Study, run: RunRecord, name: str) -> Footprint:
-    simulated = run.interfaces[name]
-    return footprint(study.observed.get(name, simulated), simulated)
-
-
-def _before(
-    study: Study,
-    errors: Mapping[str, Errors],
-    candidate: Candidate,
-    at: Mapping[str, Sequence[PointRuns]],
-    now: Weighted,
-) -> CandidateAnswer:
-    """Return what one candidate can be expected to teach; experiments made together share the draws of the inputs."""
-    several = [at[key_of(setting)] for setting in candidate.settings]
-    good = [k for k, points in enumerate(zip(*several, strict=True)) if all(one.failed is None for one in points)]
-    failing = 1 - len(good) / len(several[0])
-    if not good:
-        failed = next(one.failed for points in several for one in points if one.failed is not None)
-        return CandidateAnswer(candidate, None, failing, None, problem_of(failed))
-    found = [[*_experiments(study, errors, [points[k] for k in good], candidate.look)] for points in several]
-    if not all(len(one) == len(good) for one in found):
-        return CandidateAnswer(
-            candidate, None, failing, None, "the runs have different nodes, so that they give no slopes"
-        )
-    informations = [np.sum([one[k][1] for one in found], axis=0) for k in range(len(good))]
-    rest = undeformed_interface(study.model)
-    sizes = [
-        seen.displacement(dict.fromkeys(seen.reference, rest.points))
-        for several in found
-        for seen, _ in several
-        if rest is not None and all(nodes.shape == rest.points.shape for nodes in seen.reference.values())
+def shown_by_models(
+    studies: Mapping[str, Study],
+    candidates: Sequence[Candidate],
+    *,
+    seed: int,
+    executor: Executor | None,
+    tell: Observer,
+) -> tuple[CandidateSignals, ...]:
+    """Return what each candidate shows under each model; it costs at most one run with sensitivities of each."""
+    found = [
+        prospects_of(one, candidates, draws=DRAWS, seed=seed, executor=executor or one.executor, observer=tell)
+        for one in studies.values()
     ]
-    outlook = linear_outlook(now.covariance, informations, interest=study.space.calibrated)
-    return CandidateAnswer(candidate, outlook, failing, float(np.median(sizes)) if sizes else None)
+    return tuple(_shown(candidate, found) for candidate in candidates)
+
+
+def require_settable(studies: Mapping[str, Study], candidates: Sequence[Candidate]) -> None:
+    """Refuse candidates that one of the studies could not make: each model must know what they set and observe."""
+    for name, study in studies.items():
+        for candidate in candidates:
+            quantities = [pair for setting in candidate.settings for pair in setting.items()]
+            problems = [_problem(study, quantity, value) for quantity, value in quantities]
+            missing = [one for one in candidate.look.conditions if one not in declared_conditions(study.model)]
+            problems += [f"condition {one}, which its model does not have" for one in missing]
+            require(
+                not any(problems),
+                f"the candidates under next do not fit {name}",
+                next(filter(None, problems), ""),
+                "quantities that are fixed or a nuisance input in all studies, and conditions of all models",
+                "Remove the candidate, or change the study.",
+                InvalidStudy,
+            )
+
+
+def _problem(study: Study, quantity: str, value: float) -> str:
+    """Return why a study cannot set a quantity; empty if it can."""
+    if quantity in study.fixed:
+        return ""
+    if quantity not in study.space.names:
+        return f"{quantity}, which its model does not have"
+    low, high = study.space[quantity].interval
+    if not study.space[quantity].nuisance:
+        return f"{quantity}, which is calibrated there"
+    return "" if low <= value <= high else f"{quantity} {value:g}, which is outside its box there"
+
+
+def _shown(candidate: Candidate, found: Sequence[Prospects]) -> CandidateSignals:
+    made = [one.of(candidate) for one in found]
+    problem = next((one.problem for several in made for one in several if one.problem), "")
+    presents, experiments = [one.present for one in found], list(zip(*made, strict=True))
+    if not problem and any(not _alike(presents, candidate, several) for several in experiments):
+        problem = "the models' interfaces have different points where nothing was observed"
+    if problem:
+        return CandidateSignals(candidate.label(), (), problem)
+    parts = [_signals(candidate, presents, several) for several in experiments]
+    return CandidateSignals(candidate.label(), tuple(np.hstack(one) for one in zip(*parts, strict=True)))
+
+
+def _signals(
+    candidate: Candidate, presents: Sequence[AfterExperiment], several: Sequence[Prospect]
+) -> list[Float[np.ndarray, "_ signal"]]:
+    """Return the signals of one experiment under each model, about the mean interface of the first."""
+    pairs = [(present, one, present.now.weights @ one.fields) for present, one in zip(presents, several, strict=True)]
+    whole = [present.observing(field, candidate.look) for present, _, field in pairs]
+    observing = [one.focused(candidate.look, along=whole[0].seen) for one in whole]
+    first = observing[0]
+    blocks = []
+    for seen, (present, one, _) in zip(observing, pairs, strict=True):
+        nodes, rows = present.surrogate.by_condition(one.fields), []
+        for name, view in first.views.items():
+            reference = view.seen(first.reference[name])
+            moves = seen.views[name].points(nodes[name]) - reference.points
+            rows.append(view.along(reference, moves))
+        blocks.append(np.hstack(rows))
+    signals = signals_of(np.vstack(blocks), first.information)
+    return np.split(signals, np.cumsum([len(one) for one in blocks])[:-1])
+
+
+def _alike(presents: Sequence[AfterExperiment], candidate: Candidate, several: Sequence[Prospect]) -> bool:
+    """Return whether the whole interfaces of all models have corresponding points."""
+    pairs = zip(presents, several, strict=True)
+    seen = [present.observing(present.now.weights @ one.fields, candidate.look).seen for present, one in pairs]
+    return all(len({one[name].points.shape for one in seen}) == 1 for name in seen[0])
