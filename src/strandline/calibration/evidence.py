@@ -20,7 +20,7 @@ from scipy.special import logsumexp
 
 from strandline.calibration.importance_sampler import Pool, effective_size, fitted, prior_and_posterior, prior_pool
 from strandline.design import Knowledge
-from strandline.foundations import InvalidInput, listed, one_thread
+from strandline.foundations import listed, one_thread, require
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted, systematic_indices
 
@@ -168,10 +168,7 @@ class ModelComparison:
     odds: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
-        if len(self.evidences) < 2:
-            raise InvalidInput(
-                "models to compare", value=len(self.evidences), expected="at least 2", remedy="Give another one."
-            )
+        require(len(self.evidences) >= 2, "models to compare", len(self.evidences), "at least 2", "Give another one.")
         if self.odds is not None:
             require_odds([self.odds.get(name, math.nan) for name in self.evidences], len(self.evidences))
 
@@ -241,13 +238,9 @@ def require_odds(odds: Sequence[float], number: int) -> None:
     Raises:
         InvalidInput: They are not.
     """
-    if len(odds) != number or not all(math.isfinite(one) and one > 0 for one in odds):
-        raise InvalidInput(
-            "prior odds of the models",
-            value=":".join(f"{one:g}" for one in odds),
-            expected=f"{number} numbers above 0, one for each model",
-            remedy="Give them in the order of the models, e.g. 2:1.",
-        )
+    right = len(odds) == number and all(math.isfinite(one) and one > 0 for one in odds)
+    value, expected = ":".join(f"{one:g}" for one in odds), f"{number} numbers above 0, one for each model"
+    require(right, "prior odds of the models", value, expected, "Give them in the order of the models, e.g. 2:1.")
 
 
 def averaged(posteriors: Sequence[Weighted], probabilities: Sequence[float]) -> Weighted:

@@ -18,7 +18,7 @@ from scipy.special import log_softmax, logsumexp
 from strandline.calibration.importance_sampler import SCRAMBLE, effective_size
 from strandline.design import Knowledge, sobol
 from strandline.discrepancy import Discrepancy, JointErrors, NormalOffset, TrackedPoints, closest_points, shared_errors
-from strandline.foundations import InvalidInput
+from strandline.foundations import InvalidInput, require
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors, steady_normals
 from strandline.likelihood import FieldLikelihood, compared, noise_length, stated_errors, with_variance
 from strandline.parameters import ParameterSpace
@@ -106,13 +106,9 @@ def posterior_source(knowledge: Knowledge, posterior: Posterior) -> Source:
     draws = posterior.draws[known]
     log_weights = posterior.log_weights[known] + knowledge.plug_in(draws) - posterior.log_likelihood[known]
     effective = effective_size(log_weights)
-    if effective < FEWEST:
-        raise InvalidInput(
-            "the stored posterior and the surrogate of the interface disagree",
-            value=f"{effective:.0f} effective draws of {posterior.number}",
-            expected=f"at least {FEWEST:.0f}",
-            remedy="Make more runs where the posterior lies, or draw the truths from the prior.",
-        )
+    what, found = "the stored posterior and the surrogate of the interface disagree", f"{effective:.0f} effective draws"
+    remedy = "Make more runs where the posterior lies, or draw the truths from the prior."
+    require(not effective < FEWEST, what, f"{found} of {posterior.number}", f"at least {FEWEST:.0f}", remedy)
     weights = np.exp(log_softmax(log_weights))
     drawn = systematic_indices(weights, POINTS, np.random.default_rng(0))
     chosen, counts = np.unique(drawn, return_counts=True)

@@ -16,7 +16,7 @@ from strandline.calibration.misfit import Misfit
 from strandline.calibration.sampler_check import SamplerCheck
 from strandline.design import Active, BatchReport, FieldOutcome, Refinement, Round, SetAside
 from strandline.discrepancy import Discrepancy
-from strandline.foundations import InvalidInput, html_table
+from strandline.foundations import html_table, require
 from strandline.interface import Observation
 from strandline.models import ForwardModel
 from strandline.parameters import ParameterSpace
@@ -58,13 +58,8 @@ class Problem:
             ("observations", seen, all_seen, "a tuple of Observations, one per condition"),
             ("measures", measures, named, "discrepancies by name, the main one first"),
         ):
-            if not right:
-                raise InvalidInput(
-                    f"{what} of the problem",
-                    value=f"{type(value).__name__}: {value!r}",
-                    expected=expected,
-                    remedy=f"Give {expected}.",
-                )
+            found = f"{type(value).__name__}: {value!r}"
+            require(right, f"{what} of the problem", found, expected, f"Give {expected}.")
         object.__setattr__(self, "observations", tuple(seen))
 
     @property

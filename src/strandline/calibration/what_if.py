@@ -19,7 +19,7 @@ from scipy.special import log_softmax, logsumexp
 from strandline.calibration.experiment import POINTS, FieldQuality, quality_at
 from strandline.calibration.importance_sampler import effective_size, importance_or_smc, prior_and_posterior, prior_pool
 from strandline.design import Knowledge
-from strandline.foundations import InvalidInput
+from strandline.foundations import require
 from strandline.likelihood import FieldLikelihood
 from strandline.parameters import ParameterSpace
 from strandline.posterior import (
@@ -64,13 +64,9 @@ class Alternative:
     by_prior_alone: bool = True
 
     def __post_init__(self) -> None:
-        if all(self.space.names[i] in self.fixed for i in self.space.calibrated):
-            raise InvalidInput(
-                "inputs that are fixed",
-                value=", ".join(self.fixed),
-                expected="at least one calibrated input left",
-                remedy="Fix fewer inputs.",
-            )
+        left = any(self.space.names[i] not in self.fixed for i in self.space.calibrated)
+        expected = "at least one calibrated input left"
+        require(left, "inputs that are fixed", ", ".join(self.fixed), expected, "Fix fewer inputs.")
 
     def __repr__(self) -> str:
         return f"<Alternative {self.name}>"

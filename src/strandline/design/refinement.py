@@ -17,7 +17,6 @@ from jaxtyping import Float
 from scipy.special import log_softmax
 from scipy.stats import qmc
 
-from strandline.foundations import InvalidInput
 from strandline.likelihood import predicted
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted
@@ -41,13 +40,9 @@ def sobol(number: int, dim: int, *, scramble: int | None = None) -> Float[np.nda
     Raises:
         InvalidInput: `number` or `dim` below 1, or more than the sequence has.
     """
-    if not 1 <= number <= MOST_POINTS or not 1 <= dim <= MOST_INPUTS:
-        raise InvalidInput(
-            "size of the Sobol design",
-            value=f"{number} points in {dim} dimensions",
-            expected=f"at least 1 of each, at most {MOST_POINTS} points and {MOST_INPUTS} dimensions",
-            remedy="Ask for another number of runs.",
-        )
+    right, value = 1 <= number <= MOST_POINTS and 1 <= dim <= MOST_INPUTS, f"{number} points in {dim} dimensions"
+    expected = f"at least 1 of each, at most {MOST_POINTS} points and {MOST_INPUTS} dimensions"
+    require(right, "size of the Sobol design", value, expected, remedy="Ask for another number of runs.")
     engine = qmc.Sobol(dim, scramble=scramble is not None, rng=scramble)
     return np.asarray(engine.random_base2(max(number - 1, 0).bit_length())[:number])
 

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         ResultsNotWritten,
         StrandlineError,
         TooFewRuns,
+        require,
     )
     from strandline.foundations.files import end_of, how_it_ended, read_json, whole_file, write_json
     from strandline.foundations.registry import imported, lookup, of_extra, suggestion

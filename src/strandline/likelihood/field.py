@@ -21,7 +21,7 @@ from strandline.discrepancy import (
     shared_errors,
     squared_discrepancies,
 )
-from strandline.foundations import InvalidInput
+from strandline.foundations import require
 from strandline.interface import Interface, Noise, Observation, PointErrors
 from strandline.likelihood.inferred_noise import InferredNoise, infer_noise
 from strandline.likelihood.interfaces import compared
@@ -174,13 +174,9 @@ class FieldLikelihood:
     def inferred(self) -> InferredNoise | None:
         """The noise inferred from the residuals; None if it is stated."""
         found = infer_noise(self.surrogate, self.observations)
-        if found is not None and not isinstance(self.discrepancy, NormalOffset):
-            raise InvalidInput(
-                "noise of the observed points",
-                value="unknown",
-                expected="the measure normal_offset, which can infer it",
-                remedy="State the noise, or take that measure.",
-            )
+        right, expected = isinstance(self.discrepancy, NormalOffset), "the measure normal_offset, which can infer it"
+        remedy = "State the noise, or take that measure."
+        require(found is None or right, "noise of the observed points", "unknown", expected, remedy)
         return found
 
     @property

@@ -20,7 +20,7 @@ from scipy.linalg import block_diag
 from scipy.special import logsumexp
 
 from strandline.discrepancy import Discrepancy, JointErrors, NormalOffset
-from strandline.foundations import InvalidInput
+from strandline.foundations import require
 from strandline.interface import (
     ErrorModel,
     Interface,
@@ -231,13 +231,8 @@ def require_inferable_noise(noises: Sequence[object], measure: Discrepancy, *, b
         value, expected = "an observation without", "the same unknown noise, or model error, for every condition"
     elif len({(one.sd, one.length, one.model_error, one.spread) for one in unknown}) > 1:
         value, expected = "different unknown noise", "the same sd, length, model_error and spread for every condition"
-    if unknown and value:
-        raise InvalidInput(
-            "noise: an unknown sd or length, or a model error",
-            value=value,
-            expected=expected,
-            remedy="Change it (`discrepancy: {normal_offset: {}}`, `surrogate: {field: {}}`), or state all noise.",
-        )
+    remedy = "Change it (`discrepancy: {normal_offset: {}}`, `surrogate: {field: {}}`), or state all noise."
+    require(not (unknown and value), "noise: an unknown sd or length, or a model error", value, expected, remedy)
 
 
 def infer_noise(surrogate: FieldSurrogate, observations: Sequence[Observation]) -> InferredNoise | None:

@@ -28,7 +28,7 @@ from strandline.discrepancy import (
     squared_discrepancies,
     unit_of,
 )
-from strandline.foundations import InvalidInput, NumericsError, StrandlineError
+from strandline.foundations import InvalidInput, NumericsError, StrandlineError, require
 from strandline.interface import GaussianNoise, Interface, Noise, Observation, PointErrors, UnknownErrors
 from strandline.likelihood.noise_rule import differences, noise_variance, second_differences
 
@@ -202,21 +202,11 @@ class InterfaceLikelihood:
     discrepancy: Discrepancy
 
     def __post_init__(self) -> None:
-        if not self.observations:
-            raise InvalidInput(
-                "observations of the likelihood",
-                value="none",
-                expected="at least one observed interface",
-                remedy="Supply an observation.",
-            )
+        what, expected = "observations of the likelihood", "at least one observed interface"
+        require(self.observations, what, "none", expected, "Supply an observation.")
         name, number = Counter(self.conditions).most_common(1)[0]
-        if number > 1:
-            raise InvalidInput(
-                "conditions of the observations",
-                value=f"{number} observations of {_spoken(name)}",
-                expected="a different condition for each",
-                remedy="Name the conditions as the model does.",
-            )
+        words = "a different condition for each", "Name the conditions as the model does."
+        require(number == 1, "conditions of the observations", f"{number} observations of {_spoken(name)}", *words)
 
     def __call__(self, interfaces: Interface | Mapping[str, Interface]) -> float:
         """Return log L, without `constant`, of the simulated interfaces by condition."""
@@ -287,13 +277,10 @@ class InterfaceLikelihood:
         if isinstance(interfaces, Interface):
             interfaces = {self.conditions[0] if len(self.conditions) == 1 else "": interfaces}
         missing = [name for name in self.conditions if name not in interfaces]
-        if missing:
-            raise InvalidInput(
-                f"the simulated interfaces lack {', '.join(map(_spoken, missing))}, which was observed",
-                value=", ".join(map(_spoken, interfaces)) or None,
-                expected=f"at least {', '.join(map(_spoken, self.conditions))}",
-                remedy="Give each observation the name that its condition has in the model.",
-            )
+        lacking, found, wanted = (", ".join(map(_spoken, some)) for some in (missing, interfaces, self.conditions))
+        what = f"the simulated interfaces lack {lacking}, which was observed"
+        remedy = "Give each observation the name that its condition has in the model."
+        require(not missing, what, found or None, f"at least {wanted}", remedy)
         return interfaces
 
     def _discrepancy(self, simulated: Interface, observation: Observation) -> float:

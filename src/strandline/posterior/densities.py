@@ -17,7 +17,7 @@ from scipy.spatial.distance import cdist
 from scipy.special import ndtr, ndtri
 from scipy.stats import chi2, qmc
 
-from strandline.foundations import InvalidInput, NumericsError, side_by_side, use_double
+from strandline.foundations import InvalidInput, NumericsError, require, side_by_side, use_double
 from strandline.parameters import ParameterSpace
 from strandline.posterior.posterior import Weighted, systematic_indices
 
@@ -70,8 +70,7 @@ class GaussianApproximation:
 
 def require_fraction(p: float) -> None:
     """Refuse a percentile that is not a fraction between 0 and 1."""
-    if not 0.0 < p < 1.0:
-        raise InvalidInput("percentile", value=p, expected="a fraction between 0 and 1", remedy="Give 10 % as 0.1.")
+    require(0.0 < p < 1.0, "percentile", p, "a fraction between 0 and 1", "Give 10 % as 0.1.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,13 +151,9 @@ def _symmetric(hessian: Float[np.ndarray, "dim dim"]) -> Float[np.ndarray, "dim 
     """Return the symmetric part; refuse a matrix that is far from symmetric or not finite."""
     size = np.sqrt(np.outer(np.abs(np.diag(hessian)), np.abs(np.diag(hessian)))) + np.abs(hessian)
     skew = np.abs(hessian - hessian.T)
-    if not np.isfinite(hessian).all() or (skew > 1e-3 * np.maximum(size, size.T)).any():
-        raise InvalidInput(
-            "Hessian of the log posterior",
-            value=hessian.tolist(),
-            expected="a finite, symmetric matrix",
-            remedy="Check the derivatives; if they are finite differences, change the step.",
-        )
+    right = np.isfinite(hessian).all() and not (skew > 1e-3 * np.maximum(size, size.T)).any()
+    remedy = "Check the derivatives; if they are finite differences, change the step."
+    require(right, "Hessian of the log posterior", hessian.tolist(), "a finite, symmetric matrix", remedy)
     return np.asarray(0.5 * (hessian + hessian.T))
 
 

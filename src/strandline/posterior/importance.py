@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import logsumexp
 
-from strandline.foundations import InvalidInput
+from strandline.foundations import require
 from strandline.posterior.posterior import Weighted
 
 Verdict = Literal["good", "usable", "bad"]
@@ -83,13 +83,10 @@ def pareto_smoothed(log_ratios: Float[np.ndarray, " draw"]) -> SmoothedWeights:
         InvalidInput: fewer than five draws, a ratio that is NaN or +inf, or none that is finite.
     """
     number, undefined = len(log_ratios), np.isnan(log_ratios) | np.isposinf(log_ratios)
-    if number < SMALLEST_TAIL or undefined.any() or np.isneginf(log_ratios).all():
-        raise InvalidInput(
-            "log ratios of importance sampling",
-            value=f"{number} values, {np.isfinite(log_ratios).sum()} of them finite",
-            expected=f"at least {SMALLEST_TAIL}, finite or -inf, and not all -inf",
-            remedy="Check both log densities at the draws.",
-        )
+    right = number >= SMALLEST_TAIL and not undefined.any() and not np.isneginf(log_ratios).all()
+    value = f"{number} values, {np.isfinite(log_ratios).sum()} of them finite"
+    words = f"at least {SMALLEST_TAIL}, finite or -inf, and not all -inf", "Check both log densities at the draws."
+    require(right, "log ratios of importance sampling", value, *words)
     log_weights = log_ratios - log_ratios.max()
     order = np.argsort(log_weights, kind="stable")
     length = max(SMALLEST_TAIL, math.ceil(min(number / 5, 3 * math.sqrt(number))))
@@ -191,13 +188,8 @@ def reweight(draws: Float[np.ndarray, "draw dim"], log_ratios: Float[np.ndarray,
     Raises:
         InvalidInput: Draws that are all the same in one input; or as for `pareto_smoothed`.
     """
-    if not np.ptp(draws, axis=0).all():
-        raise InvalidInput(
-            "draws to be reweighted",
-            value="the same value of an input in every draw",
-            expected="draws that differ",
-            remedy="Take more draws, or look at what the sampler did.",
-        )
+    value, remedy = "the same value of an input in every draw", "Take more draws, or look at what the sampler did."
+    require(np.ptp(draws, axis=0).all(), "draws to be reweighted", value, "draws that differ", remedy)
     smoothed = pareto_smoothed(log_ratios)
     before, after = Weighted(draws, np.full(len(draws), 1 / len(draws))), Weighted(draws, smoothed.weights)
     shift, old, new = shifted(before, after)

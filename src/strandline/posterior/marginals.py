@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from strandline.foundations import InvalidInput
+from strandline.foundations import require
 from strandline.interface import Interface
 
 LEVELS = (0.05, 0.5, 0.95)
@@ -61,13 +61,10 @@ def histogram_mode(
 
 def _limits(values: PerParticle, bounds: tuple[float, float] | None) -> tuple[float, float]:
     low, high = (float(values.min()), float(values.max())) if bounds is None else bounds
-    if values.min() < low or values.max() > high:
-        raise InvalidInput(
-            "range of a histogram",
-            value=[low, high],
-            expected=f"bounds that contain all draws, {values.min():g} to {values.max():g}",
-            remedy="Widen the bounds: draws left out would be probability left out.",
-        )
+    expected = f"bounds that contain all draws, {values.min():g} to {values.max():g}"
+    remedy = "Widen the bounds: draws left out would be probability left out."
+    inside = not (values.min() < low or values.max() > high)
+    require(inside, "range of a histogram", [low, high], expected, remedy)
     return low, high
 
 

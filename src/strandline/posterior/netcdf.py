@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from strandline.foundations import InvalidInput, whole_file
+from strandline.foundations import require, whole_file
 from strandline.interface import Observation
 from strandline.parameters import RESERVED, Parameter, ParameterSpace
 from strandline.posterior.posterior import Posterior
@@ -76,13 +76,9 @@ def cut_from_datatree(tree: xr.DataTree, space: ParameterSpace) -> Cut | None:
 
 def _posterior(data: xr.Dataset, space: ParameterSpace) -> Posterior:
     missing = [name for name in space.names if name not in data]
-    if missing:
-        raise InvalidInput(
-            "inputs of the stored posterior",
-            value=sorted(str(name) for name in data.data_vars if name not in RESERVED),
-            expected=f"all of {list(space.names)}",
-            remedy="Read it with the parameters it was written with.",
-        )
+    stored = sorted(str(name) for name in data.data_vars if name not in RESERVED)
+    words = f"all of {list(space.names)}", "Read it with the parameters it was written with."
+    require(not missing, "inputs of the stored posterior", stored, *words)
     return Posterior(
         space=space,
         draws=np.stack([data[name].to_numpy() for name in space.names], axis=1),
@@ -101,13 +97,8 @@ def write(tree: xr.DataTree, path: Path) -> None:
 
 def read(path: Path) -> xr.DataTree:
     """Return the tree in a netCDF file, loaded into memory; the file is closed."""
-    if not path.is_file():
-        raise InvalidInput(
-            "file of a posterior",
-            value=str(path),
-            expected="a netCDF file that `write` made",
-            remedy="Check the path, or run the calibration first.",
-        )
+    words = "a netCDF file that `write` made", "Check the path, or run the calibration first."
+    require(path.is_file(), "file of a posterior", str(path), *words)
     with xr.open_datatree(path, engine="h5netcdf") as tree:
         return tree.load()
 
@@ -153,13 +144,8 @@ def _attributes(parameter: Parameter) -> dict[str, Any]:
 
 def _observed(observed: Sequence[Observation]) -> xr.Dataset:
     conditions = [o.condition for o in observed]
-    if len(set(conditions)) != len(conditions):
-        raise InvalidInput(
-            "conditions of the observations",
-            value=conditions,
-            expected="a different name for each",
-            remedy="Name the conditions.",
-        )
+    words = "a different name for each", "Name the conditions."
+    require(len(set(conditions)) == len(conditions), "conditions of the observations", conditions, *words)
     variables = {}
     for o in observed:
         suffix = f"_{o.condition}" if o.condition else ""

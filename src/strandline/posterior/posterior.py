@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import logsumexp, ndtr, ndtri
 
-from strandline.foundations import InvalidInput, html_table, html_text, unit_text, with_sd
+from strandline.foundations import html_table, html_text, require, unit_text, with_sd
 from strandline.parameters import LogUniform, ParameterSpace, Uniform
 
 MOST_SHOWN = 8
@@ -84,13 +84,8 @@ class Posterior:
     def __post_init__(self) -> None:
         _require_shapes(self)
         total = float(logsumexp(self.log_weights)) if not np.isnan(self.log_weights).any() else np.nan
-        if not abs(total) < OFF:
-            raise InvalidInput(
-                "log of the sum of the posterior's weights",
-                value=total,
-                expected="0 (normalised log weights)",
-                remedy="Subtract logsumexp(log_weights) first.",
-            )
+        words = "0 (normalised log weights)", "Subtract logsumexp(log_weights) first."
+        require(abs(total) < OFF, "log of the sum of the posterior's weights", total, *words)
         if abs(total) > ROUNDING:
             object.__setattr__(self, "log_weights", self.log_weights - total)
 
@@ -179,13 +174,8 @@ class Posterior:
     def columns(self, names: Sequence[str]) -> Float[np.ndarray, "particle column"]:
         """Return the draws of the inputs `names`, in that order: marginal draws, with the same weights."""
         unknown = [name for name in names if name not in self.space.names]
-        if unknown:
-            raise InvalidInput(
-                "names of inputs of the posterior",
-                value=unknown,
-                expected=f"names out of {list(self.space.names)}",
-                remedy="Correct the names.",
-            )
+        words = f"names out of {list(self.space.names)}", "Correct the names."
+        require(not unknown, "names of inputs of the posterior", unknown, *words)
         return np.asarray(self.draws[:, [self.space.names.index(name) for name in names]])
 
     def equally_weighted(self, seed: Any, number: int | None = None) -> Float[np.ndarray, "draw dim"]:
@@ -196,13 +186,7 @@ class Posterior:
         takes them into account. The seed is an integer, a NumPy generator or a JAX key.
         """
         size = self.number if number is None else number
-        if size < 1:
-            raise InvalidInput(
-                "number of equally weighted draws",
-                value=number,
-                expected="at least 1",
-                remedy="Ask for at least one draw.",
-            )
+        require(size >= 1, "number of equally weighted draws", number, "at least 1", "Ask for at least one draw.")
         return np.asarray(self.draws[systematic_indices(self.weights, size, generator(seed))])
 
 
@@ -228,21 +212,15 @@ def generator(seed: Any) -> np.random.Generator:
 def _require_shapes(posterior: Posterior) -> None:
     number, dim = posterior.draws.shape
     lengths = [len(a) for a in (posterior.log_weights, posterior.log_likelihood, posterior.log_prior)]
-    if number == 0 or dim != posterior.space.dim or set(lengths) != {number}:
-        raise InvalidInput(
-            "sizes of the posterior's arrays",
-            value=f"draws {posterior.draws.shape}, weights, likelihoods and priors {lengths}",
-            expected=f"(particle, {posterior.space.dim}) and three times (particle,)",
-            remedy="Pass one value per particle and one column per input.",
-        )
-    if not np.isfinite(posterior.draws).all():
-        bad = int(np.argmax(~np.isfinite(posterior.draws).all(axis=1)))
-        raise InvalidInput(
-            f"particle {bad} of the posterior",
-            value=posterior.draws[bad].tolist(),
-            expected="finite physical values",
-            remedy="Check the sampler: a particle has left the design box.",
-        )
+    right = number > 0 and dim == posterior.space.dim and set(lengths) == {number}
+    value = f"draws {posterior.draws.shape}, weights, likelihoods and priors {lengths}"
+    expected = f"(particle, {posterior.space.dim}) and three times (particle,)"
+    remedy = "Pass one value per particle and one column per input."
+    require(right, "sizes of the posterior's arrays", value, expected, remedy)
+    finite = np.isfinite(posterior.draws).all(axis=1)
+    bad = int(np.argmax(~finite))
+    words = "finite physical values", "Check the sampler: a particle has left the design box."
+    require(finite.all(), f"particle {bad} of the posterior", posterior.draws[bad].tolist(), *words)
 
 
 def prior_conflicts(posterior: Posterior) -> Iterator[str]:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from strandline.foundations import InvalidInput, NumericsError
+from strandline.foundations import NumericsError, require
 from strandline.posterior.marginals import Histogram
 
 __all__ = ["LogDensity", "QuadratureResult", "integrate", "mixture"]
@@ -280,17 +280,10 @@ def _marginal(rule: _Rule, cells: _Cells, axis: int) -> Histogram:
 
 
 def _require_box(low: Float[np.ndarray, " dim"], high: Float[np.ndarray, " dim"]) -> None:
-    if not 1 <= len(low) <= 3 or len(high) != len(low):
-        raise InvalidInput(
-            "dimension of the quadrature",
-            value=f"{len(low)} and {len(high)}",
-            expected="corners of 1 to 3 numbers each",
-            remedy="Use Sequential Monte Carlo in more dimensions.",
-        )
-    if not (np.isfinite(low).all() and np.isfinite(high).all() and (np.asarray(low) < np.asarray(high)).all()):
-        raise InvalidInput(
-            "box of the quadrature",
-            value=f"{np.asarray(low).tolist()} to {np.asarray(high).tolist()}",
-            expected="finite corners, the lower one below the upper one in every direction",
-            remedy="Give the design box.",
-        )
+    words = "corners of 1 to 3 numbers each", "Use Sequential Monte Carlo in more dimensions."
+    sizes, number = f"{len(low)} and {len(high)}", len(low)
+    require(1 <= number <= 3 and len(high) == number, "dimension of the quadrature", sizes, *words)
+    low, high = np.asarray(low), np.asarray(high)
+    right = np.isfinite(low).all() and np.isfinite(high).all() and (low < high).all()
+    expected = "finite corners, the lower one below the upper one in every direction"
+    require(right, "box of the quadrature", f"{low.tolist()} to {high.tolist()}", expected, "Give the design box.")

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from scipy.special import logsumexp
 from scipy.stats import qmc
 
-from strandline.foundations import InvalidInput
+from strandline.foundations import require
 from strandline.parameters import ParameterSpace
 from strandline.posterior.marginals import histogram_mode
 from strandline.posterior.posterior import Posterior
@@ -120,13 +120,9 @@ def nuisance_values(space: ParameterSpace, number: int) -> Float[np.ndarray, "va
     One input: the quantiles (m + ½)/number. Several: a Sobol sequence, every coordinate in the middle of its stratum,
     mapped by the quantiles; a power of two is best.
     """
-    if number < 1 or not space.nuisance:
-        raise InvalidInput(
-            "values of the nuisance inputs",
-            value=f"{number} for {len(space.nuisance)} nuisance inputs",
-            expected="at least one value and one nuisance input",
-            remedy="Declare an input nuisance, and ask for 32 values.",
-        )
+    found = f"{number} for {len(space.nuisance)} nuisance inputs"
+    words = "at least one value and one nuisance input", "Declare an input nuisance, and ask for 32 values."
+    require(number >= 1 and space.nuisance, "values of the nuisance inputs", found, *words)
     columns = list(space.nuisance)
     levels = np.full((number, space.dim), 0.5)
     levels[:, columns] = _levels(number, len(columns))

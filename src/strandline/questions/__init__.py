@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
+    from strandline.foundations import require
     from strandline.questions.compare import odds_in
-    from strandline.questions.knowledge import baseline_of, field_knowledge, require
+    from strandline.questions.knowledge import baseline_of, field_knowledge
     from strandline.questions.many import RefusedSpecimen
     from strandline.questions.specimens import watch_specimens
 else:

@@ -23,7 +23,7 @@ from strandline.calibration import (
     observer_or_default,
     require_odds,
 )
-from strandline.foundations import InvalidInput, InvalidStudy, one_thread, read_json, use_double
+from strandline.foundations import InvalidInput, InvalidStudy, one_thread, read_json, require, use_double
 from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
 from strandline.likelihood import adapted
 from strandline.parameters import ParameterSpace, Uniform
@@ -31,7 +31,7 @@ from strandline.posterior import Posterior, Weighted
 from strandline.questions.answer import Answer
 from strandline.questions.comparison import ComparedStudy, answer_of, describe_comparison, may_err, not_flat
 from strandline.questions.information import Discrimination, expected_discrimination
-from strandline.questions.knowledge import field_knowledge, require, require_seed
+from strandline.questions.knowledge import field_knowledge, require_seed
 from strandline.questions.prospects import CandidateSignals, candidates_of, require_settable, shown_by_models
 from strandline.runs import Executor
 from strandline.studies import (

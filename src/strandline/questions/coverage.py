@@ -29,7 +29,7 @@ from strandline.calibration import (
     repeatable,
     replicated,
 )
-from strandline.foundations import InvalidStudy, one_thread, use_double
+from strandline.foundations import InvalidStudy, one_thread, require, use_double
 from strandline.interface import Noise, PointErrors, UnknownErrors
 from strandline.posterior import Band, Coverage, Posterior
 from strandline.questions.answer import (
@@ -42,7 +42,7 @@ from strandline.questions.answer import (
     facts_of_surrogate,
     label_and_unit,
 )
-from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require, require_seed
+from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require_seed
 from strandline.report import Captioned, plots
 from strandline.runs import Progress
 

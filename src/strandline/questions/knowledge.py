@@ -3,6 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from typing import Any
@@ -12,21 +13,11 @@ from jaxtyping import Float
 
 from strandline.calibration import Baseline, Observer, baseline, known_field
 from strandline.design import Knowledge, RunFilter, as_by_model
-from strandline.foundations import InvalidInput, InvalidStudy, NoCommonPoints, TooFewRuns, __version__
+from strandline.foundations import InvalidInput, InvalidStudy, NoCommonPoints, TooFewRuns, __version__, require
 from strandline.models import WithCheaper, with_sensitivities
 from strandline.posterior import Posterior
 from strandline.runs import Executor, Ledger, RunRecord, outcome_digest, run_campaign, run_key
 from strandline.studies import NEXT_LEDGER, Study, cheaper_dropped, observations_of, settled
-
-OTHER = "Choose another one."
-
-
-def require(
-    right: bool, what: str, value: object, expected: str, remedy: str = OTHER, error: type[InvalidInput] = InvalidInput
-) -> None:
-    """Refuse what is not right."""
-    if not right:
-        raise error(what, value=value, expected=expected, remedy=remedy)
 
 
 def chosen_measure(study: Study, name: str | None, of: str) -> str:
@@ -58,13 +49,9 @@ def field_knowledge(
         TooFewRuns: Too few runs succeeded.
     """
     measure, observed = measure or next(iter(study.discrepancies)), observations_of(study)
-    if not observed:
-        raise InvalidStudy(
-            "the synthetic observation is not in the ledger",
-            value="no run that ended ok",
-            expected="the run at the inputs of observation.synthetic",
-            remedy=f"Run the study first: strandline run {study.folder}",
-        )
+    what, value = "the synthetic observation is not in the ledger", "no run that ended ok"
+    words = "the run at the inputs of observation.synthetic", f"Run the study first: strandline run {study.folder}"
+    require(observed, what, value, *words, InvalidStudy)
     judge = RunFilter(study.observations(observed), {measure: study.discrepancies[measure]}, study.settings.failures)
     records = (*runs_to_learn_from(study), *more)
     points = np.array([[record.inputs[name] for name in study.space.names] for record in records], float)
@@ -170,7 +157,9 @@ def runs_at(
     if not points:
         return Runs((), 0, 0)
     plain = study.model.model if isinstance(study.model, WithCheaper) else study.model
-    model, identity, counts = _sensitive(plain), study.runs.identity, Counter[str]()
+    model, identity, counts = plain, study.runs.identity, Counter[str]()
+    with suppress(InvalidInput):
+        model = with_sensitivities(plain)
     beside = [np.asarray(x + np.diag(np.where(x + steps > study.space.high, -steps, steps))) for _, x in points]
     at_points = [_inputs(study, setting, x) for setting, x in points]
     around = [[_inputs(study, setting, row) for row in rows] for (setting, _), rows in zip(points, beside, strict=True)]
@@ -198,13 +187,6 @@ def runs_at(
 
 def _inputs(study: Study, setting: Mapping[str, float], x: Float[np.ndarray, " dim"]) -> dict[str, float]:
     return {**study.fixed, **study.space.as_mapping(x), **setting}
-
-
-def _sensitive(model: Any) -> Any:
-    try:
-        return with_sensitivities(model)
-    except InvalidInput:
-        return model
 
 
 def problem_of(record: RunRecord) -> str:

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from strandline import studies
 from strandline.calibration import Errors, Footprint, Observer, errors_behind, footprint, observer_or_default
 from strandline.design import Candidate, Look, key_of, sobol
-from strandline.foundations import InvalidInput, InvalidStudy, TooFewRuns, one_thread, unit_text, use_double
+from strandline.foundations import InvalidInput, InvalidStudy, TooFewRuns, one_thread, require, unit_text, use_double
 from strandline.interface import Interface, UnknownErrors
 from strandline.models import undeformed_interface
 from strandline.posterior import Weighted
@@ -30,7 +30,7 @@ from strandline.questions.information import (
     ranked,
     scale_of,
 )
-from strandline.questions.knowledge import PointRuns, problem_of, require, require_seed, runs_at
+from strandline.questions.knowledge import PointRuns, problem_of, require_seed, runs_at
 from strandline.questions.observing import Observing, View
 from strandline.questions.prospects import answers_from_posterior
 from strandline.report import Captioned, plots

@@ -27,7 +27,7 @@ from scipy.special import expit, log_expit, logit
 from strandline.calibration import CoordinateErrors, Errors, Footprint
 from strandline.design import FEWEST_POINTS, WHOLE, Look
 from strandline.discrepancy import JointErrors, NormalOffset, shared_errors
-from strandline.foundations import InvalidInput, InvalidInterface
+from strandline.foundations import InvalidInterface, require
 from strandline.interface import ErrorModel, Interface, Observation, PointErrors, steady_normals
 from strandline.surrogate import FieldSurrogate, fields_of
 
@@ -76,26 +76,20 @@ def focused(view: View, nodes: Float[np.ndarray, "node xyz"], look: Look, along:
     if part == WHOLE and points is None:
         return view
     seen = view.seen(nodes) if along is None else along
-    if seen.dim == 3:
-        raise InvalidInput(
-            "part, or number of points, of a surface",
-            value=f"part {list(part)}, points {points}",
-            expected="the whole surface, with its points",
-            remedy="Remove `part` and `points`.",
-        )
+    value, words = (
+        f"part {list(part)}, points {points}",
+        ("the whole surface, with its points", "Remove `part` and `points`."),
+    )
+    require(seen.dim == 2, "part, or number of points, of a surface", value, *words)
     return _cut(view, seen, part) if points is None else _resampled(view, seen, part, points)
 
 
 def _cut(view: View, seen: Interface, part: tuple[float, float]) -> View:
     chain, shares = _along(seen)
     chain = chain[(shares >= part[0] - 1e-9) & (shares <= part[1] + 1e-9)]
-    if len(chain) < FEWEST_POINTS:
-        raise InvalidInput(
-            "part of the interface to look at",
-            value=f"{list(part)}, which has {len(chain)} of the {len(seen.points)} observed points",
-            expected=f"at least {FEWEST_POINTS} points",
-            remedy="Make it longer, or add `points`.",
-        )
+    value = f"{list(part)}, which has {len(chain)} of the {len(seen.points)} observed points"
+    words = f"at least {FEWEST_POINTS} points", "Make it longer, or add `points`."
+    require(len(chain) >= FEWEST_POINTS, "part of the interface to look at", value, *words)
     here = view.footprint
     errors = view.errors
     if isinstance(errors, PointErrors) and errors.shares:

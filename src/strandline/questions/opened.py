@@ -20,12 +20,12 @@ import numpy as np
 
 from strandline import studies
 from strandline.discrepancy import Discrepancy
-from strandline.foundations import InvalidInput, InvalidStudy, one_thread, use_double
+from strandline.foundations import InvalidInput, InvalidStudy, one_thread, require, use_double
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
 from strandline.models import declared_conditions
 from strandline.parameters import ParameterSpace
 from strandline.questions.answer import LineFile
-from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require, require_seed
+from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require_seed
 from strandline.questions.many import Task
 from strandline.questions.specimen import Certified, SpecimenPosterior, Start, posterior_of
 from strandline.runs import Ledger, RunRecord

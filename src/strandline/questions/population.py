@@ -27,7 +27,7 @@ from scipy.special import logsumexp, ndtr
 from scipy.stats import chi2
 
 from strandline.calibration import StudentMixture, importance_or_smc, prior_and_posterior, prior_pool
-from strandline.foundations import InvalidInput, with_sd
+from strandline.foundations import require, with_sd
 from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.posterior import Weighted, pareto_smoothed, systematic_indices
 from strandline.questions.specimen import SpecimenPosterior, matched
@@ -211,13 +211,11 @@ def population_of(specimens: Sequence[SpecimenPosterior], *, seed: int = 1) -> P
 
 def _require_alike(specimens: Sequence[SpecimenPosterior]) -> None:
     number, names = len(specimens), {one.space.names for one in specimens}
-    if number < FEWEST_SPECIMENS:
-        expected, remedy = (f"at least {FEWEST_SPECIMENS}", "Add specimens; each posterior is valid alone.")
-        raise InvalidInput("specimens of a population", value=number, expected=expected, remedy=remedy)
-    if len(names) > 1:
-        value, expected = "; ".join(sorted(", ".join(some) for some in names)), "the same ones for all specimens"
-        remedy = "Give an input for all specimens or for none."
-        raise InvalidInput("unknown inputs of the specimens", value=value, expected=expected, remedy=remedy)
+    words = f"at least {FEWEST_SPECIMENS}", "Add specimens; each posterior is valid alone."
+    require(number >= FEWEST_SPECIMENS, "specimens of a population", number, *words)
+    value, expected = "; ".join(sorted(", ".join(some) for some in names)), "the same ones for all specimens"
+    remedy = "Give an input for all specimens or for none."
+    require(len(names) == 1, "unknown inputs of the specimens", value, expected, remedy)
 
 
 def _sampled(mixtures: Mixtures, random: np.random.Generator) -> Weighted:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from strandline.calibration import Experiment, Observer, Source, errors_behind, footprint, posterior_source, repeatable
 from strandline.design import Candidate, Knowledge, Look, Setting, key_of, training_of
-from strandline.foundations import InvalidStudy, NoCommonPoints
+from strandline.foundations import InvalidStudy, NoCommonPoints, require
 from strandline.models import declared_conditions, undeformed_interface
 from strandline.posterior import Weighted, systematic_indices
 from strandline.questions.information import (
@@ -20,7 +20,7 @@ from strandline.questions.information import (
     expected_outlook,
     scale_of,
 )
-from strandline.questions.knowledge import PointRuns, field_knowledge, problem_of, require, runs_at, runs_to_learn_from
+from strandline.questions.knowledge import PointRuns, field_knowledge, problem_of, runs_at, runs_to_learn_from
 from strandline.questions.observing import (
     Fails,
     Fields,

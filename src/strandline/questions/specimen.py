@@ -24,7 +24,7 @@ from scipy.special import gammaincinv, ndtri
 from strandline import calibration
 from strandline.design import Knowledge, sobol
 from strandline.discrepancy import Discrepancy
-from strandline.foundations import InvalidInput, with_sd
+from strandline.foundations import require, with_sd
 from strandline.interface import Observation
 from strandline.likelihood import FieldLikelihood, Nearby, log_gain
 from strandline.parameters import ParameterSpace
@@ -94,16 +94,11 @@ class Start:
             return self
         for name, value in given.items():
             low, high = self.space[name].interval
-            if not low <= value <= high:
-                raise InvalidInput(
-                    f"known value of {name}",
-                    value=value,
-                    expected=f"a number from {low:g} to {high:g}, where the runs were made",
-                    remedy="Correct it, or widen the prior of this input in study.yaml and run the study again.",
-                )
-        if len(given) == self.space.dim:
-            what, expected = "known inputs of a specimen", "at least one input left to infer"
-            raise InvalidInput(what, value=", ".join(given), expected=expected, remedy="Remove a column of the table.")
+            expected = f"a number from {low:g} to {high:g}, where the runs were made"
+            remedy = "Correct it, or widen the prior of this input in study.yaml and run the study again."
+            require(low <= value <= high, f"known value of {name}", value, expected, remedy)
+        words = "at least one input left to infer", "Remove a column of the table."
+        require(len(given) < self.space.dim, "known inputs of a specimen", ", ".join(given), *words)
         return replace(self, given=dict(given))
 
 

@@ -13,9 +13,8 @@ from typing import Any
 
 from strandline import studies
 from strandline.calibration import Observer, observer_or_default
-from strandline.foundations import InvalidInput, InvalidStudy, NumericsError, one_thread
+from strandline.foundations import InvalidInput, InvalidStudy, NumericsError, one_thread, require
 from strandline.questions.answer import Answer
-from strandline.questions.knowledge import require
 from strandline.questions.many import RefusedSpecimen, Task, posteriors_of
 from strandline.questions.opened import Specimens, entry_of, known_posteriors, lines_of, open_specimens, specimen_files
 from strandline.questions.population import FEWEST_SPECIMENS, population_of, shrunk

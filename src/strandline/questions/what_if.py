@@ -24,12 +24,12 @@ from strandline.calibration import (
 from strandline.calibration import Answer as Changed
 from strandline.calibration import facts_of as noise_in_words
 from strandline.calibration.usual_alternatives import prior_in_words, usual_alternatives, with_prior
-from strandline.foundations import InvalidStudy, figure_text, listed, one_thread, use_double
+from strandline.foundations import InvalidStudy, figure_text, listed, one_thread, require, use_double
 from strandline.interface import Observation
 from strandline.likelihood import FieldLikelihood
 from strandline.posterior import Weighted
 from strandline.questions.answer import Answer, Part, Symbol, Table, facts_of_surrogate, moments, remark
-from strandline.questions.knowledge import baseline_of, require, require_seed
+from strandline.questions.knowledge import baseline_of, require_seed
 from strandline.report import Captioned, axis_label, plots
 from strandline.runs import Progress
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key, UInt32
 
-from strandline.foundations import WIDEST, InvalidInput, NumericsError, use_double
+from strandline.foundations import WIDEST, NumericsError, require, use_double
 from strandline.smc.moves import BatchedLogDensity, RandomKey, Scalar
 from strandline.smc.on_host import advance_each_on_host, is_on_host
 from strandline.smc.records import SMCResult, SMCSettings, StepInfo
@@ -142,10 +142,6 @@ def _told_with(theta: Any, function: Callable[..., Any], *arguments: Any) -> Any
 
 
 def _require_one_each(initial: Float[np.ndarray, "case particle dim"], given: Float[np.ndarray, "other given"]) -> None:
-    if len(initial) != len(given) or not len(given):
-        raise InvalidInput(
-            "initial particles of conditional posteriors",
-            value=f"{len(initial)} sets for {len(given)} given values",
-            expected="one set for each given value, and at least one",
-            remedy="Draw a set from the prior for each value.",
-        )
+    found = f"{len(initial)} sets for {len(given)} given values"
+    words = "one set for each given value, and at least one", "Draw a set from the prior for each value."
+    require(len(initial) == len(given) > 0, "initial particles of conditional posteriors", found, *words)

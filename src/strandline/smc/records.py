@@ -1,17 +1,15 @@
 """Settings and results of the sampler."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
 
-from strandline.foundations import InvalidInput
+from strandline import foundations
 
-
-def require(right: bool, what: str, value: object, expected: str) -> None:
-    """Raise InvalidInput unless `right`."""
-    if not right:
-        raise InvalidInput(what, value=value, expected=expected, remedy="Change it and start again.")
+require = partial(foundations.require, remedy="Change it and start again.")
+"""Refuse what is not right."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from strandline.design.active.checking import FEWEST_DRAWS, MOST_FAILED, Tolerances, number_of_probes
 from strandline.design.active.state import Knowledge, State
 from strandline.design.refinement import sobol
-from strandline.foundations import InvalidInput, lookup
+from strandline.foundations import InvalidInput, lookup, require
 from strandline.parameters import ParameterSpace
 from strandline.posterior import subset
 from strandline.runs import RunRecord
@@ -262,13 +262,8 @@ def criterion_named(name: str) -> Criterion:
         InvalidInput: There is no such criterion, or it is not a function.
     """
     found: Criterion = lookup(CRITERIA, name, "criterion")
-    if not callable(found):
-        raise InvalidInput(
-            "criterion",
-            value=name,
-            expected="a function as strandline.design.active.Criterion describes it",
-            remedy="Check it with strandline.testing.criteria.",
-        )
+    expected = "a function as strandline.design.active.Criterion describes it"
+    require(callable(found), "criterion", name, expected, "Check it with strandline.testing.criteria.")
     return found
 
 
@@ -349,8 +344,7 @@ class Active:
             ),
             ("runs", self.runs >= least, f"at least {least}: {first} first ones and a check of {FEWEST_DRAWS}"),
         ):
-            if not right:
-                raise InvalidInput(name, value=getattr(self, name), expected=expected, remedy="Change it.")
+            require(right, name, getattr(self, name), expected, "Change it.")
 
     def kept_for_check(self, dim: int) -> int:
         """Return the number of runs kept for a check: half of those after the first ones if these are few."""
