@@ -179,7 +179,7 @@ class RunFilter:
             if record.failure_kind in KINDS and self.policy.aborts(record):
                 raise CampaignStopped(
                     f"run {record.key[:12]} cannot be used ({record.failure_kind}), and study.yaml says to stop then\n"
-                    f"at {_inputs(record.inputs)}: {record.message}\n"
+                    f"at {', '.join(f'{name} = {x:.6g}' for name, x in record.inputs.items())}: {record.message}\n"
                     "All finished runs are kept. Fix the model and start a new ledger, or leave this run out: "
                     f"strandline runs STUDY --exclude {record.key[:12]} --why REASON"
                 )
@@ -211,7 +211,3 @@ def _require_near(record: RunRecord, observations: Sequence[Observation]) -> Non
 
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
-
-
-def _inputs(inputs: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} = {value:.6g}" for name, value in inputs.items())

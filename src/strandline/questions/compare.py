@@ -27,7 +27,7 @@ from strandline.foundations import InvalidInput, InvalidStudy, one_thread, read_
 from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
 from strandline.likelihood import adapted
 from strandline.parameters import ParameterSpace, Uniform
-from strandline.posterior import Posterior, Weighted
+from strandline.posterior import Weighted
 from strandline.questions.answer import Answer
 from strandline.questions.comparison import ComparedStudy, answer_of, describe_comparison, may_err, not_flat
 from strandline.questions.information import Discrimination, expected_discrimination
@@ -121,7 +121,8 @@ def compare(
     shared = tuple(name for name in loaded[0].space.names if all(name in one.space.names for one in loaded))
     found, widened = _found(compared, odds, seed), not_flat(compared, shared)
     flat = _found(compared, odds, seed, widened) if widened else None
-    together = _together(found, posteriors, shared)
+    parts = [Weighted(one.columns(shared), one.weights) for one in posteriors.values()]
+    together = averaged(parts, [found.probabilities[name] for name in posteriors]) if shared else None
     shown = shown_by_models(named, wanted, seed=seed, executor=executor, tell=tell) if wanted else ()
     tell.stage("report")
     with one_thread():
@@ -199,14 +200,6 @@ def _evidence(one: ComparedStudy, seed: int, flat: Sequence[str]) -> Evidence:
     )
     found = log_evidence(one.knowledge, space, draws, np.random.default_rng(seed))
     return replace(found, log=found.log + one.constant)
-
-
-def _together(found: ModelComparison, posteriors: Mapping[str, Posterior], shared: tuple[str, ...]) -> Weighted | None:
-    """Return the posterior of the shared inputs, averaged over the models; None if they share none."""
-    if not shared:
-        return None
-    parts = [Weighted(one.columns(shared), one.weights) for one in posteriors.values()]
-    return averaged(parts, [found.probabilities[name] for name in posteriors])
 
 
 def _separation(found: ModelComparison, shown: CandidateSignals, seed: int) -> Discrimination | None:

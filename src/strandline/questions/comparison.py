@@ -168,10 +168,7 @@ def _factor(one: BayesFactor, compared: Mapping[str, ComparedStudy], flat: Model
         "flat_ln": None if wide is None else wide.ln if wide.of == one.of else -wide.ln,
         "flat_error": None if wide is None else wide.error,
         "flat_words": None if wide is None else wide.words,
-        "of": one.of,
-        "over": one.over,
-        "ln": one.ln,
-        "error": one.error,
+        **vars(one),
         "words": one.words,
         "decided": one.decided,
     }

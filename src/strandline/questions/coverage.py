@@ -106,7 +106,10 @@ def coverage(
     tell = observer_or_default(observer)
     with one_thread():
         tell.stage("surrogate")
-        origin, quality = _origin(study, name, source, posterior)
+        knowledge = field_knowledge(study, name)
+        origin = prior_source(knowledge, study.space) if posterior is None else posterior_source(knowledge, posterior)
+        quality = field_quality(origin)
+        _require_good(quality, source)
         experiment = repeatable(origin)
         tell.stage("replicates")
         file, key = LineFile(study.folder / studies.REPLICATES), _key(study, name, seed, posterior)
@@ -116,17 +119,6 @@ def coverage(
     tell.stage("report")
     content = _described(study, found, experiment, quality, source=source, seed=seed, measure=name)
     return _answer(content, found, study.folder).written(draft=study.settings.draft)
-
-
-def _origin(
-    study: studies.Study, measure: str, source: str, posterior: Posterior | None
-) -> tuple[Source, FieldQuality]:
-    """Return where the true inputs come from, and how good the surrogate of the interface is there."""
-    knowledge = field_knowledge(study, measure)
-    origin = prior_source(knowledge, study.space) if posterior is None else posterior_source(knowledge, posterior)
-    quality = field_quality(origin)
-    _require_good(quality, source)
-    return origin, quality
 
 
 def _replicates(
@@ -311,14 +303,10 @@ def _of_inputs(content: Mapping[str, Any]) -> Part:
         (
             *label_and_unit(item),
             digits(item["p_value"], 2),
-            *map(_in_percent, item["intervals"]),
+            *(f"{one['found']:.1%} ({one['low']:.1%} to {one['high']:.1%})" for one in item["intervals"]),
             f"{item['z_mean']:+.2f}",
             *(digits(item[part], 3) for part in ("z_sd", "sd", "of_limit")),
         )
         for item in content["inputs"].values()
     ]
     return Part("The inputs", Table((*head, "sd / limit"), rows), notes="covered_inputs")
-
-
-def _in_percent(one: Mapping[str, float]) -> str:
-    return f"{one['found']:.1%} ({one['low']:.1%} to {one['high']:.1%})"

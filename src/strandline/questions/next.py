@@ -132,8 +132,8 @@ UNKNOWN, PARTLY = 0.85, 0.5
 
 def _described(study: studies.Study, found: Answers, *, seed: int, seconds: float) -> dict[str, Any]:
     """Return the content of next.json; candidates come in the order of their worth, single experiments first."""
-    answers = ranked(found.answers)
-    sd = found.now.sd
+    answers, sd = ranked(found.answers), found.now.sd
+    together = groupby(answers, key=lambda one: len(one.candidate.settings))
     return {
         **studies.facts_of(study, seed),
         "source": found.source,
@@ -149,7 +149,7 @@ def _described(study: studies.Study, found: Answers, *, seed: int, seconds: floa
             for k, one in enumerate(study.space)
         },
         "noise": [_noise(study, found, name) for name in found.errors],
-        "advice": _advice(study, found, answers),
+        "advice": " ".join(_best(study, found, list(some), number) for number, some in together),
         "candidates": [_candidate(study, one, AGAIN[found.source], sd) for one in answers],
         "directions": [
             {
@@ -218,12 +218,6 @@ def _identifiability(study: studies.Study, found: Answers) -> list[str]:
         elif not lines:  # the first one is known least
             return [f"{picture} {determines} all combinations of the inputs, {what} least well: {left}."]
     return lines
-
-
-def _advice(study: studies.Study, found: Answers, answers: Sequence[CandidateAnswer]) -> str:
-    """Return what to do next in a few sentences: the best experiment, and the best of several together."""
-    some = groupby(answers, key=lambda one: len(one.candidate.settings))
-    return " ".join(_best(study, found, list(those), number) for number, those in some)
 
 
 def _best(study: studies.Study, found: Answers, answers: Sequence[CandidateAnswer], number: int) -> str:

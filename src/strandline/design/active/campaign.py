@@ -208,13 +208,9 @@ class ActiveRuns:
             log_likelihood=self._true,
             seed=self.seed,
             scramble=self.scramble,
-            doubts=self._doubts,
+            doubts=lambda state: () if self.fidelities is None else self.fidelities.doubts(),
             another_trial=lambda: self.fidelities is not None and self.fidelities.correction is not None,
         )
-
-    def _doubts(self, state: State) -> tuple[str, ...]:
-        """Return why runs of a cheaper model are not to be trusted where the posterior lies."""
-        return () if self.fidelities is None else self.fidelities.doubts()
 
     def _hidden(self, state: State | None) -> float:
         """Return the shift of an interface that the noise hides, mm."""
