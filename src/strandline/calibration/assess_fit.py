@@ -41,8 +41,7 @@ SYMMETRIC = (discrepancy.Currents, discrepancy.TrackedPoints)
 """Measures in which both interfaces can change places: many drawn observations are compared at once."""
 FULL = Effort()
 FAILURES = StrandlineError, ArithmeticError, ValueError
-STREAM = 5
-"""Keeps these random numbers apart from all others of the same seed."""
+STREAM = 5  # keeps these random numbers apart from all others of the same seed
 NOTICED = 0.1
 """Model error, in standard deviations of the noise, below which the verdict does not mention it."""
 _ONE_SIDE = 0.5

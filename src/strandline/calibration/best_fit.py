@@ -32,10 +32,8 @@ from strandline.surrogate import FieldSurrogate
 
 RUNS_PER_INPUT = 8
 """Runs from which a field is learnt for this purpose: so many for each input and for the mean."""
-STEPS = 4
-"""Largest number of Gauss–Newton steps from the MAP."""
-LEVELS = 400
-"""Quantiles of the priors from which their moments are computed."""
+STEPS = 4  # largest number of Gauss–Newton steps from the MAP
+LEVELS = 400  # quantiles of the priors from which their moments are computed
 NEGLIGIBLE = 0.02
 """Standard deviation of a mode of the surrogate, in that of a point, below which it counts as exact."""
 
@@ -240,10 +238,8 @@ def _around(
     )
 
 
-PATCHES, FEWEST_IN_PATCH = 8, 4
-"""Patches of a surface, and the fewest points of a patch on average."""
-ROUNDS = 20
-"""Rounds in which the middles of the patches move."""
+PATCHES, FEWEST_IN_PATCH = 8, 4  # patches of a surface, and the fewest points of a patch on average
+ROUNDS = 20  # rounds in which the middles of the patches move
 WAVES, FEWEST_FOR_WAVE = 6, 4
 """Waves along an arc, the first one constant, and the fewest points for each."""
 TOGETHER = 0.01

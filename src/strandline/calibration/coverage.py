@@ -18,12 +18,9 @@ from strandline.calibration.importance_sampler import By, Points, Pool, Sampled,
 from strandline.likelihood import FieldLikelihood
 from strandline.posterior import Band, Coverage, Weighted, coverage_of, region_coverage_of, uniformity, weighted_ranks
 
-LEVELS = (0.5, 0.9)
-"""Probabilities of the intervals whose coverage is counted."""
-BAND = 0.95
-"""Probability that all ranks stay inside their bands if the posteriors are right."""
-CERTAIN = 3.0
-"""Standard errors from which a mean z-score shows a shift."""
+LEVELS = (0.5, 0.9)  # probabilities of the intervals whose coverage is counted
+BAND = 0.95  # probability that all ranks stay inside their bands if the posteriors are right
+CERTAIN = 3.0  # standard errors from which a mean z-score shows a shift
 ENOUGH = 100
 """Replicates from which intervals that are a fifth too narrow or too wide would probably have shown."""
 WIDTH = 0.15

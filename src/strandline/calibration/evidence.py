@@ -30,8 +30,7 @@ ENOUGH, ROUNDS = 1500.0, 5
 """Effective sample size at which sampling ends, and the most mixtures that are drawn from."""
 KEPT, FIELDS = 100, 32
 """Draws of the posterior at which possible fields are drawn, and number of these fields."""
-TINY = 1e-300
-"""Keeps logarithms of weights finite."""
+TINY = 1e-300  # keeps logarithms of weights finite
 Points = Float[np.ndarray, "point dim"]
 Values = Float[np.ndarray, " point"]
 SCALE = ((1.0, "positive"), (3.0, "strong"), (5.0, "very strong"))

@@ -25,8 +25,7 @@ from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior, Weighted, systematic_indices
 from strandline.surrogate import FieldSurrogate
 
-POINTS = 4096
-"""Draws of the distribution whose predicted interfaces are kept for all replicates."""
+POINTS = 4096  # draws of the distribution whose predicted interfaces are kept for all replicates
 FEWEST = 100.0
 """Smallest effective number of draws of a posterior that the surrogate of the interface agrees with."""
 TOLERATED = 0.5
@@ -183,8 +182,7 @@ Matrix = Float[np.ndarray, "dim dim"]
 Point = Float[np.ndarray, " dim"]
 WHOLE = 0.8
 """Share of a polyline from which an observation of as many points consists of its nodes."""
-STEP = 1e-3
-"""Step of finite differences of the predicted interface, as a share of the box."""
+STEP = 1e-3  # step of finite differences of the predicted interface, as a share of the box
 
 
 @dataclass(frozen=True, eq=False)

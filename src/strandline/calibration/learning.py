@@ -310,8 +310,7 @@ def _require_enough(succeeded: int, records: Sequence[RunRecord], dim: int) -> N
 
 ALIKE = 0.5
 """Share of the values of a run that other runs must meet too. Of smooth outputs, hardly any; 1 where few steps are."""
-ROUNDING = 1e-9
-"""Share of their range by which equal values may differ."""
+ROUNDING = 1e-9  # share of their range by which equal values may differ
 SMOOTH = 0.1
 """Residual of quadratics of the inputs, in steps, below which values are not rounded: rounding leaves 0.29. The inputs
 of a Sobol design are fractions, and so are simple functions of them."""

@@ -13,12 +13,10 @@ from strandline.likelihood import ResidualNoise, StatedErrors
 
 FAMILIES = 4
 """Kinds of p-values: of all residuals, parts of an arc, waves along it, d². The least is corrected for their number."""
-LEVEL = 0.01
-"""A model whose residuals are less likely than this is flagged."""
+LEVEL = 0.01  # a model whose residuals are less likely than this is flagged
 DOUBTFUL, RATIO = 0.05, 4.0
 """So is one whose residuals are less likely than this and have more than this many times the s²ℓ that was stated."""
-SMALL = 0.995
-"""A p-value above this means residuals that are small for the stated noise."""
+SMALL = 0.995  # a p-value above this means residuals that are small for the stated noise
 SMOOTH = 0.08
 """Correlation length, as a share of the observed interface, from which what was taken for noise is an error of the
 model: errors of a picture reach over a few pixels."""
@@ -34,8 +32,7 @@ TOWARDS = {
     "to the left of": " (towards smaller x)",
 }
 """A side in the model's axes: in a picture whose y points down, what lies above is lower in the picture."""
-LEAST = 0.001
-"""Smallest p-value that is given as a number."""
+LEAST = 0.001  # smallest p-value that is given as a number
 
 
 @dataclass(frozen=True)

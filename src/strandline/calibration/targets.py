@@ -38,18 +38,14 @@ from strandline.surrogate import HasHessian, Predictor
 Point = Float[np.ndarray, " dim"]
 Points = Float[np.ndarray, "point dim"]
 Values = Float[np.ndarray, " point"]
-ZETA = 0.5
-"""Share of the effective sample size that a tempering step keeps: enough for moments."""
+ZETA = 0.5  # share of the effective sample size that a tempering step keeps: enough for moments
 FEWEST_PARTICLES = 250
 """Fewest particles for each value of the nuisance inputs: 150 gave errors of 5 % of a standard deviation."""
-STREAM = 2
-"""Keeps these random numbers apart from the two streams of the joint reading."""
+STREAM = 2  # keeps these random numbers apart from the two streams of the joint reading
 LARGEST_DIM = 3
 """Largest number of inputs, including nuisance inputs, for which posteriors are also integrated directly."""
-COMPARED = 2000
-"""Particles of the posterior that is reported for comparison."""
-SCATTERED = 64
-"""Draws of the posterior that show what the simulator's own scatter does there."""
+COMPARED = 2000  # particles of the posterior that is reported for comparison
+SCATTERED = 64  # draws of the posterior that show what the simulator's own scatter does there
 _STEP = 0.1  # step of finite differences, in the given scales
 
 

@@ -36,8 +36,7 @@ Points = Float[np.ndarray, "point dim"]
 Values = Float[np.ndarray, " point"]
 FEWEST = 100.0
 """Smallest effective number of draws after weighting: by the surrogate of the interface, or by an alternative."""
-FIRST = 2048
-"""Draws of the prior that sampling begins with."""
+FIRST = 2048  # draws of the prior that sampling begins with
 ENOUGH = 1000.0
 """Effective draws at which sampling ends."""
 DRAWS = 2000

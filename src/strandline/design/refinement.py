@@ -27,8 +27,7 @@ from strandline.surrogate import LogLikelihoodSurrogate
 __all__ = ["SAMPLING", "Learnt", "Refinement", "Round", "refine", "shifts", "sobol"]
 
 MOST_POINTS = 2**24
-MOST_INPUTS = qmc.Sobol.MAXDIM
-"""Largest number of inputs for which direction numbers are known."""
+MOST_INPUTS = qmc.Sobol.MAXDIM  # largest number of inputs for which direction numbers are known
 
 
 def sobol(number: int, dim: int, *, scramble: int | None = None) -> Float[np.ndarray, "run dim"]:
@@ -49,8 +48,7 @@ def sobol(number: int, dim: int, *, scramble: int | None = None) -> Float[np.nda
 
 SAMPLING = SMCSettings(rejuvenation_steps=10, zeta=0.5)
 """Settings of the samplings between rounds: cheaper than the one for the final posterior."""
-STREAM = 3
-"""Keeps the random numbers of the rounds apart from all others of the same seed."""
+STREAM = 3  # keeps the random numbers of the rounds apart from all others of the same seed
 
 
 @dataclass(frozen=True)

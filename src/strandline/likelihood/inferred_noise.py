@@ -40,19 +40,15 @@ Sds = Float[np.ndarray, " sd"]
 Values = Float[np.ndarray, " value"]
 Shared = Float[np.ndarray, "seen error"]
 Residuals = Float[np.ndarray, " seen"]
-WAVES = 12
-"""Number of waves along the interface."""
+WAVES = 12  # number of waves along the interface
 AMPLITUDES = np.geomspace(0.3, 10.0, 6)
 """Amplitudes a compared, in root mean squares of the residuals."""
-OFFSET_LENGTHS = (0.05, 0.15, 0.5)
-"""Lengths L compared, as shares of the length of the interface."""
+OFFSET_LENGTHS = (0.05, 0.15, 0.5)  # lengths L compared, as shares of the length of the interface
 SPREADS = (0.02, 0.05, 0.1, 0.25, 0.5)
 """Standard deviations τ compared, as shares of that of a uniform prior over the box."""
 SDS, LENGTHS = 33, 15
-WIDER = 1.5
-"""Factor by which the second grid exceeds what was found on the first."""
-LEVELS = 12
-"""Noise levels of the mixture, for each model error."""
+WIDER = 1.5  # factor by which the second grid exceeds what was found on the first
+LEVELS = 12  # noise levels of the mixture, for each model error
 NEGLIGIBLE = 1e-7
 """Probability below which a pair of amplitude and length of the model error is left out."""
 

@@ -32,10 +32,8 @@ from strandline.foundations import InvalidInput, NumericsError, StrandlineError,
 from strandline.interface import GaussianNoise, Interface, Noise, Observation, PointErrors, UnknownErrors
 from strandline.likelihood.noise_rule import differences, noise_variance, second_differences
 
-STEP = 0.5
-"""Step of the finite differences, in standard deviations of the global errors."""
-NEWTON = 2
-"""Newton's steps."""
+STEP = 0.5  # step of the finite differences, in standard deviations of the global errors
+NEWTON = 2  # Newton's steps
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,27 +20,19 @@ from strandline.discrepancy import JointErrors, Sums, closest_points, extended, 
 from strandline.interface import ErrorModel, Interface
 from strandline.surrogate import FieldSurrogate
 
-REGISTRATIONS = 2
-"""Steps of registration, as in `strandline.discrepancy.normal_offset`."""
+REGISTRATIONS = 2  # steps of registration, as in `strandline.discrepancy.normal_offset`
 STEP = 1e-6
 """Step of the finite differences, in extents of the interface; all but the ends that go on straight is linear."""
-NOTHING = 1e-9
-"""Distance, in extents of the observed interface, below which it has no direction."""
+NOTHING = 1e-9  # distance, in extents of the observed interface, below which it has no direction
 TRUSTED = 0.5
 """Second-order part of the change of the residuals, as a share of the first-order one, up to which it is trusted."""
-TINY = 1e-300
-"""Keeps quotients finite where segments or motions are nothing."""
-BENT = 8
-"""Leading modes that count to second order."""
-BLOCK = 1024
-"""Fields whose likelihood is computed together."""
-TRIED = 256
-"""Inputs tried before the first step."""
+TINY = 1e-300  # keeps quotients finite where segments or motions are nothing
+BENT = 8  # leading modes that count to second order
+BLOCK = 1024  # fields whose likelihood is computed together
+TRIED = 256  # inputs tried before the first step
 GAUSS_NEWTON_STEPS = 12
-SHARES = (1.0, 0.5, 0.25, 0.1)
-"""Shares of a Gauss–Newton step that are tried until one fits better."""
-_DIFFERENCE = 1e-3
-"""Step of the finite differences, in widths of the box."""
+SHARES = (1.0, 0.5, 0.25, 0.1)  # shares of a Gauss–Newton step that are tried until one fits better
+_DIFFERENCE = 1e-3  # step of the finite differences, in widths of the box
 Residuals = Float[np.ndarray, " seen"]
 Modes = Float[np.ndarray, "draw mode"]
 Tail = Float[np.ndarray, "draw rest"]

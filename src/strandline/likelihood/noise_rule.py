@@ -55,10 +55,8 @@ SMOOTHED, PIECES = 4, 32
 """Points on either side over which the observed outline is smoothed, in correlation lengths; fewest such pieces."""
 LARGE = 300
 """Triangles of an observed surface above which the closed form is not compared with the rule, which takes minutes."""
-AGREED = 2.0
-"""Ratio of closed form and general rule from which the rule is used."""
-FEW_DRAWS = 20
-"""Drawn observations for an assumed standard deviation: it is known to 8 %."""
+AGREED = 2.0  # ratio of closed form and general rule from which the rule is used
+FEW_DRAWS = 20  # drawn observations for an assumed standard deviation: it is known to 8 %
 MOST = 1500
 """Most points of a surface between which distances are taken."""
 _SMALL = 0.1

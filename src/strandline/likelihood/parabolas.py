@@ -28,10 +28,8 @@ Modes = Float[np.ndarray, "point mode"]
 Matrix = Float[np.ndarray, "term term"]
 Numbers = tuple[Float[np.ndarray, "draw mode"], Float[np.ndarray, "draw rest"]]
 """Standard normal numbers that fields are drawn with: of the modes, and of what they leave over."""
-BLOCK = 1024
-"""Points whose matrices are computed together."""
-TINY = 1e-300
-"""Keeps quotients finite."""
+BLOCK = 1024  # points whose matrices are computed together
+TINY = 1e-300  # keeps quotients finite
 LEAST = 1e-6
 """Least second derivative of a fitted parabola, as a share of the largest: none bends upwards."""
 

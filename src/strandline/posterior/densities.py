@@ -165,8 +165,7 @@ Weights = Float[np.ndarray, " particle"]
 Values = Float[np.ndarray, " point"]
 Points = Float[np.ndarray, "point dim"]
 Centres = Float[np.ndarray, "centre dim"]
-_BLOCK = 256
-"""Points processed at once."""
+_BLOCK = 256  # points processed at once
 _INTEGRAL_POINTS = 1025
 _REACH = 6.0
 """Distance, in kernel standard deviations, beyond which a kernel counts as zero: it is 1e-8 of its peak there."""

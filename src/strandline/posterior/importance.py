@@ -26,8 +26,7 @@ PRIOR_SHAPE, PRIOR_WEIGHT = 0.5, 10
 """The shape is shrunk towards 1/2 with the weight of ten observations: Appendix C of Vehtari et al."""
 USUAL, USUAL_SETS, INTERQUARTILE_RANGE = 0.99, 400, 1.349
 """Share of sets of normal log ratios whose k̂ is usual; number of sets tried; range of the standard normal."""
-LOG_NOTHING = -460.0
-"""A weight below e^-460 = 1e-200 of the largest counts as zero."""
+LOG_NOTHING = -460.0  # a weight below e^-460 = 1e-200 of the largest counts as zero
 LOG_EQUAL = 1e-10
 """If the largest log weights differ by less than this, they are equal except for rounding and have no tail."""
 

@@ -15,8 +15,7 @@ from scipy.special import logsumexp, ndtr, ndtri
 from strandline.foundations import html_table, html_text, require, unit_text, with_sd
 from strandline.parameters import LogUniform, ParameterSpace, Uniform
 
-MOST_SHOWN = 8
-"""Inputs named in one line."""
+MOST_SHOWN = 8  # inputs named in one line
 OFF, ROUNDING = 0.1, 1e-7
 """Logarithms of the weights' sum: normalised weights are below the first; rounding leaves more than the second if
 log-likelihoods are of the order of -1e9."""
@@ -26,8 +25,7 @@ LEVEL = 0.01
 """Probability, if prior and model are right, below which there is a warning: one false alarm in 100 inputs."""
 LEAST_REMOVED = 0.05
 """Least share of the prior's variance that is taken to be removed: less is within the error of the draws."""
-EDGE = 1e-12
-"""Keeps normal quantiles finite."""
+EDGE = 1e-12  # keeps normal quantiles finite
 
 
 @dataclass(frozen=True, eq=False)

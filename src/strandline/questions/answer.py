@@ -22,8 +22,7 @@ from strandline.studies import told_if_unwritable
 __all__ = ["Answer", "Part", "Symbol", "Table"]
 
 TO_MICROMETRES = 1e3
-MOST_ROWS = 20
-"""Rows of a table that a terminal shows."""
+MOST_ROWS = 20  # rows of a table that a terminal shows
 
 Found = TypeVar("Found")
 

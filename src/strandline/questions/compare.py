@@ -46,8 +46,7 @@ from strandline.studies import (
 )
 
 __all__ = ["Comparison", "compare"]
-FOLDER = "comparison"
-"""Folder that holds the result, in the current one."""
+FOLDER = "comparison"  # folder that holds the result, in the current one
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,12 +21,10 @@ from strandline.report import Captioned, plots
 from strandline.studies import Study, in_words, offset_band, posterior_digest, versions
 
 QUANTILES = {"median": 0.5, "q05": 0.05, "q95": 0.95}
-PREDICTED = 200
-"""Draws of each posterior whose interfaces are predicted."""
+PREDICTED = 200  # draws of each posterior whose interfaces are predicted
 BINS = 25
 OF_MISFIT = ("verdict", "flagged", "p", "region_p", "smooth_p")
-OUTSIDE = 0.001
-"""Share of the draws left out at either end of a histogram."""
+OUTSIDE = 0.001  # share of the draws left out at either end of a histogram
 NARROWED = math.log(2.0)
 """Logarithm of the factor by which the data narrow inputs of one model alone, from which a remark is made."""
 OFF = 3.0

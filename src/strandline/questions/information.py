@@ -44,8 +44,7 @@ FEWEST = 30.0
 """Median number of draws that a possible observation must leave with weight; else nested Monte Carlo is not offered."""
 LEAST_LOG_DET = -1e3
 """Logarithm of the smallest determinant of a covariance; that of equal draws is 0."""
-BLOCK = 256
-"""Observations that are weighed at the same time."""
+BLOCK = 256  # observations that are weighed at the same time
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,8 +204,7 @@ def linear_outlook(
     return Outlook(gain, 0.0, np.asarray(np.mean([np.sqrt(np.diag(one)) for one in left], axis=0)), "linearised")
 
 
-CLEAR = 3.0
-"""ln of the posterior odds from which a model is clearly better, strong evidence."""
+CLEAR = 3.0  # ln of the posterior odds from which a model is clearly better, strong evidence
 FEWEST_OF_MODEL = 10.0
 """Median number of draws of the right model that an observation must leave with weight."""
 

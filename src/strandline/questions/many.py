@@ -21,8 +21,7 @@ from strandline.runs import usable_cores
 
 __all__ = ["RefusedSpecimen", "Task", "posteriors_of"]
 
-WORTH_HELP = 60
-"""Specimens per process from which it is worth the seconds that its start takes."""
+WORTH_HELP = 60  # specimens per process from which it is worth the seconds that its start takes
 MOST_PROCESSES = 8
 
 

@@ -120,12 +120,9 @@ def _require_arguments(source: str | None, draws: int, runs: int, seed: int) -> 
 
 AGAIN = {"prior": "as planned", "posterior": "the same again"}
 """Words for an experiment with the study's own settings."""
-NOTHING = 0.1
-"""Gain, nats, below which the advice says that an experiment teaches little."""
-AS_GOOD = 0.05
-"""Difference, nats, within which the advice calls two candidates equally good."""
-RISKY = 0.2
-"""Probability of failure from which the advice mentions it."""
+NOTHING = 0.1  # gain, nats, below which the advice says that an experiment teaches little
+AS_GOOD = 0.05  # difference, nats, within which the advice calls two candidates equally good
+RISKY = 0.2  # probability of failure from which the advice mentions it
 UNKNOWN, PARTLY = 0.85, 0.5
 """Shares of the prior's standard deviation above which a direction is not determined, or only roughly."""
 
@@ -277,8 +274,7 @@ def _answer(content: dict[str, Any], found: Answers, folder: Path) -> Answer[Ans
     )
 
 
-MOST_CANDIDATES = 20
-"""Candidates that are drawn."""
+MOST_CANDIDATES = 20  # candidates that are drawn
 
 
 def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
@@ -319,11 +315,9 @@ def _row(one: Mapping[str, Any], names: Sequence[str]) -> tuple[str, ...]:
 
 
 SCRAMBLE = 0
-PRIOR_STEP = 0.05
-"""Step of runs beside a draw, in standard deviations of the prior."""
+PRIOR_STEP = 0.05  # step of runs beside a draw, in standard deviations of the prior
 PRIOR_DRAWS = 4096
-PLANNED = Candidate(({},), Look())
-"""The experiment of the study."""
+PLANNED = Candidate(({},), Look())  # the experiment of the study
 _Experiment = tuple[Observing, Float[np.ndarray, "dim dim"]]
 
 

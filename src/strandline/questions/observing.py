@@ -125,8 +125,7 @@ def _chained(number: int, *, closed: bool = False) -> np.ndarray:
     return np.stack([first, (first + 1) % number], axis=1)
 
 
-KEPT = 1e-3
-"""Directions in which no displacement exceeds this share of the errors are left out."""
+KEPT = 1e-3  # directions in which no displacement exceeds this share of the errors are left out
 
 
 def signals_of(
@@ -222,8 +221,7 @@ class Observing:
         return float(np.sqrt(np.concatenate(squares).mean()))
 
 
-STEP = 1e-3
-"""Step of the differences of the present field, in widths of the box."""
+STEP = 1e-3  # step of the differences of the present field, in widths of the box
 WEAK = 1e-3
 """Directions of the inputs that move the present field by less than this share of the strongest are carried over by
 their slopes alone."""
@@ -312,8 +310,7 @@ SLOPE_SD, OFFSET_SD = 50.0, 50.0
 """Standard deviations of the prior of the logistic function's slope and offset."""
 PRIOR_RUNS, RARE = 2.0, 0.05
 """Runs that the base rate of failures begins with, and the share of these that fail."""
-MOST_CHECKED = 200
-"""Interfaces that are checked for crossing themselves."""
+MOST_CHECKED = 200  # interfaces that are checked for crossing themselves
 
 
 def learn_failure_by_size(

@@ -32,8 +32,7 @@ from strandline.runs import Ledger, RunRecord
 
 __all__ = ["Specimens", "open_specimens"]
 
-FILE = "file"
-"""Column of the table that names the specimen."""
+FILE = "file"  # column of the table that names the specimen
 
 
 @dataclass(frozen=True, eq=False)

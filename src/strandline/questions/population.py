@@ -34,12 +34,10 @@ from strandline.questions.specimen import SpecimenPosterior, matched
 
 __all__ = ["FEWEST_SPECIMENS", "Population", "Shrunk", "population_of", "shrunk"]
 
-WIDTH = 0.4
-"""Standard deviation of a part, in posterior standard deviations."""
+WIDTH = 0.4  # standard deviation of a part, in posterior standard deviations
 PARTS, MOST_PARTS, FEWEST_PARTS = 6000, 64, 4
 """MixtureParts of all specimens together; most of one of them; fewest of one, per input."""
-STEP = 1e-5
-"""Step of differences of the log prior, as a share of the box."""
+STEP = 1e-5  # step of differences of the log prior, as a share of the box
 ROUNDING, TINY = 1e-12, 1e-300
 
 Populations = Float[np.ndarray, "population dim"]
@@ -139,16 +137,13 @@ def _thinned(draws: Float[np.ndarray, "draw dim"], number: int) -> Float[np.ndar
 
 
 FEWEST_SPECIMENS = 3
-LARGEST_SPREAD = 0.5
-"""Largest spread of an input, as a share of its box."""
+LARGEST_SPREAD = 0.5  # largest spread of an input, as a share of its box
 ENOUGH = 2000.0
 """Effective sample size at which sampling ends."""
-FIRST, AROUND = 512, 1024
-"""Draws of the prior of mean and spread, and around a first guess."""
+FIRST, AROUND = 512, 1024  # draws of the prior of mean and spread, and around a first guess
 DRAWS = 500
 """Equally weighted draws that are kept."""
-STRETCH = 1.5
-"""Factor of the width of the first guess."""
+STRETCH = 1.5  # factor of the width of the first guess
 
 Rows = Float[np.ndarray, "draw dim"]
 Values = Float[np.ndarray, " draw"]
@@ -259,8 +254,7 @@ def _cut_moments(m: Rows, s: Rows) -> tuple[Rows, Rows]:
     return np.asarray(m + s * first), np.asarray(s * np.sqrt(np.maximum(second, TINY)))
 
 
-CHANCE = 0.05
-"""Probability that any specimen is called an outlier if there is none."""
+CHANCE = 0.05  # probability that any specimen is called an outlier if there is none
 LEVELS = (0.05, 0.5, 0.95)
 
 

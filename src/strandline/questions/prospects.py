@@ -39,8 +39,7 @@ from strandline.runs import Executor
 from strandline.studies import Study, finished_posterior
 from strandline.surrogate import FieldSurrogate, fit_field
 
-STEP = 0.5
-"""Step of runs beside a point, in standard deviations of the posterior."""
+STEP = 0.5  # step of runs beside a point, in standard deviations of the posterior
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,8 +214,7 @@ def _drawn(source: Source, number: int, seed: int) -> Weighted:
     return Weighted(source.points[places], counts / counts.sum())
 
 
-INFORMATIONS = 16
-"""Draws at which the Fisher information is taken where a gain is linearised."""
+INFORMATIONS = 16  # draws at which the Fisher information is taken where a gain is linearised
 
 
 def answers_from_posterior(

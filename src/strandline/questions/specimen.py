@@ -36,8 +36,7 @@ __all__ = ["SpecimenPosterior", "posterior_of"]
 DRAWS, MANY_INPUTS_DRAWS = 1024, 4096
 """Draws of the prior for up to three unknown inputs and for more."""
 FEW_INPUTS = 3
-SCRAMBLE = 0
-"""Seed that scrambles their Sobol sequence."""
+SCRAMBLE = 0  # seed that scrambles their Sobol sequence
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +105,7 @@ TOLERATED_SHIFT = 0.1
 """Shift of a posterior mean that is tolerated, in posterior standard deviations."""
 NEAREST = 3
 """Number of left-out runs near the posterior that are considered, per number of inputs + 1."""
-PRIOR_RUNS = 2.0
-"""Runs with errors as expected that count beside them."""
+PRIOR_RUNS = 2.0  # runs with errors as expected that count beside them
 
 
 @dataclass(frozen=True)
@@ -173,12 +171,10 @@ def matched(of: Float[np.ndarray, "dim dim"], wanted: Float[np.ndarray, "dim dim
     return np.asarray(np.linalg.solve(first.T, second.T) * scale / scale[:, None])
 
 
-LAST = 2048
-"""Draws of the last round, whose mean is the most accurate."""
+LAST = 2048  # draws of the last round, whose mean is the most accurate
 LED = 150.0
 """Effective sample size to reach with the likelihood nearby: enough to fit a mixture for the last round."""
-SPECIMEN_DRAWS = 64
-"""Equally weighted draws that are kept of each posterior."""
+SPECIMEN_DRAWS = 64  # equally weighted draws that are kept of each posterior
 
 By = Literal["importance", "smc"]
 Points = Float[np.ndarray, "point dim"]
@@ -375,8 +371,7 @@ def _few_draws(found: Weighted, random: np.random.Generator, space: ParameterSpa
 
 OF_EACH, MOST = 8, 400
 """Largest number of draws of each posterior, and of all together, that are considered."""
-LEAST_FEASIBLE = 0.5
-"""Least probability that a run succeeds, relative to the safest one."""
+LEAST_FEASIBLE = 0.5  # least probability that a run succeeds, relative to the safest one
 
 
 def runs_for(begin: Start, specimens: Sequence[SpecimenPosterior], number: int) -> Float[np.ndarray, "run dim"]:

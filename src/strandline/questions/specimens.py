@@ -24,8 +24,7 @@ from strandline.runs import Executor, Ledger, Progress, run_campaign
 
 __all__ = ["Arrived", "specimens", "watch_specimens"]
 
-BATCH = 4
-"""Fewest further runs that are made before the posteriors are looked at again."""
+BATCH = 4  # fewest further runs that are made before the posteriors are looked at again
 
 
 def specimens(
@@ -184,8 +183,7 @@ def _with_population(found: SpecimensFound, seed: int) -> SpecimensFound:
 
 PAUSE = 0.1
 """Seconds between two looks at the folder; a file that did not change from one to the next is complete."""
-PATIENCE = 2.0
-"""Seconds without a change after which a file that cannot be read is set aside."""
+PATIENCE = 2.0  # seconds without a change after which a file that cannot be read is set aside
 
 
 @dataclass(frozen=True, eq=False)

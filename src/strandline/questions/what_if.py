@@ -35,8 +35,7 @@ from strandline.runs import Progress
 
 __all__ = ["what_if"]
 
-PLACE = "what_if"
-"""The key of study.yaml."""
+PLACE = "what_if"  # the key of study.yaml
 
 
 def what_if(
@@ -185,10 +184,8 @@ def _require(right: bool, key: str, value: Any, expected: str, remedy: str = "Ch
     require(right, f"{PLACE}.{key}", value, expected, remedy, InvalidStudy)
 
 
-LEVELS = {"low": 0.05, "high": 0.95}
-"""Probabilities below the ends of the 90 % intervals."""
-CUT = 1e-3
-"""Prior probability outside the box from which it is reported."""
+LEVELS = {"low": 0.05, "high": 0.95}  # probabilities below the ends of the 90 % intervals
+CUT = 1e-3  # prior probability outside the box from which it is reported
 PRIOR = "the prior of "
 LARGE = 0.05
 """Distance between the stored posterior and that of the surrogate of the interface, in sd, from which it is said."""

@@ -17,8 +17,7 @@ from strandline.interface import Interface
 from strandline.runs import RunRecord, RunRequest, attempt
 from strandline.testing import checks_of
 
-STEP = 1e-4
-"""Step of finite differences, relative to an input."""
+STEP = 1e-4  # step of finite differences, relative to an input
 
 
 def made(model: models.ForwardModel, inputs: Mapping[str, float]) -> RunRecord:

@@ -37,8 +37,7 @@ FEW_INPUTS, HARDLY = 3, 0.3
 many standard deviations, no logarithm of a standard deviation by as much."""
 BATCH_SHARE = 0.05
 """Runs of a batch as a share of the runs so far, if no number is stated and this is more than that of workers."""
-TRIAL = 3
-"""Further draws of a posterior at which the model runs if there are doubts about it."""
+TRIAL = 3  # further draws of a posterior at which the model runs if there are doubts about it
 STILL = 0.5
 """Share of `Active.change` by which a posterior may move and still be the one that a check has passed."""
 DIFFERENT = 0.4

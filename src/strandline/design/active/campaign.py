@@ -31,8 +31,7 @@ NEXT = {
 }
 FAR = 0.5
 """Share of draws still effective below which a posterior has moved too far to say by how much."""
-SHOWN = 3
-"""Inputs whose mean and standard deviation a line has room for."""
+SHOWN = 3  # inputs whose mean and standard deviation a line has room for
 Points = Float[np.ndarray, "run dim"]
 AFRESH = 1
 """Keeps the random numbers of a posterior that is sampled afresh apart from those of the one before."""

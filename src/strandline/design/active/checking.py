@@ -25,8 +25,7 @@ from scipy.stats import chi2, t
 
 from strandline.posterior import NEARLY_EQUAL, Reweighting, largest_usual_k_hat, reweight
 
-SAMPLES = 400
-"""Sets of coefficients drawn."""
+SAMPLES = 400  # sets of coefficients drawn
 FREEDOM = 3
 """Degrees of freedom that must be left."""
 WHOLE = 3
@@ -196,22 +195,17 @@ def _moved(
     return means, 0.5 * np.log(variances), -np.log(np.minimum(effective, 1.0))
 
 
-FEWEST_DRAWS = 8
-"""Fewest draws that can settle anything without earlier runs."""
-FEWEST_BESIDES = 2
-"""Fewest probes besides two for each input, whatever the number of earlier runs."""
-POOL = 200
-"""Draws from which the probes are picked."""
+FEWEST_DRAWS = 8  # fewest draws that can settle anything without earlier runs
+FEWEST_BESIDES = 2  # fewest probes besides two for each input, whatever the number of earlier runs
+POOL = 200  # draws from which the probes are picked
 ERROR_PROBABILITY, FIRST = 0.05, 0.5
 """Probability that an early verdict is wrong, over all looks together; share of it that the first look has."""
 LIKELY = 0.05
 """Probability that each objection of the parabola to all draws is wrong: it has seen tails that the others may miss."""
 LEVEL = 0.995
 """Typical probability with which a bound holds: it tells how bounds shrink with more draws."""
-GROWTH = 0.25
-"""Share by which the draws of a check grow from one look to the next."""
-FEWEST_WHOLE = 18
-"""Fewest draws besides the probes whose importance weights count."""
+GROWTH = 0.25  # share by which the draws of a check grow from one look to the next
+FEWEST_WHOLE = 18  # fewest draws besides the probes whose importance weights count
 MOST_FAILED, MOST_EARLY = 0.1, 3
 """Share of draws whose run may fail; number from which a check ends early because of them."""
 

@@ -24,14 +24,11 @@ MOST = 0.1
 """Largest share of the runs allowed that may be lost where runs are known to fail."""
 UNLIKELY, SAFE = 0.5, 0.95
 """Probability of success, relative to the safest run, below which a region is known to fail; from which it is safe."""
-POOL = 2048
-"""Points of the Sobol sequence from which runs are taken if hardly a particle is safe."""
-FEWEST = 30
-"""Fewest safe particles to choose from."""
+POOL = 2048  # points of the Sobol sequence from which runs are taken if hardly a particle is safe
+FEWEST = 30  # fewest safe particles to choose from
 CANDIDATES, TARGETS = 300, 200
 """Particles of π_γ to choose runs from; particles at which runs are to help, half of them from the posterior."""
-EXPLORATION = 64
-"""Points of the Sobol sequence considered for an exploring run."""
+EXPLORATION = 64  # points of the Sobol sequence considered for an exploring run
 _LEADING = 6  # modes whose variances count
 Candidates = Float[np.ndarray, "candidate dim"]
 Others = Float[np.ndarray, "other dim"]
@@ -267,8 +264,7 @@ def criterion_named(name: str) -> Criterion:
     return found
 
 
-FEWEST_CHECKED = 20
-"""Smallest number of draws of a whole check."""
+FEWEST_CHECKED = 20  # smallest number of draws of a whole check
 LARGEST_BATCH = 16
 """Largest number of runs that are chosen together if none is stated."""
 

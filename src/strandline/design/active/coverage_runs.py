@@ -24,20 +24,16 @@ from strandline.interface import Interface
 from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord
 
-SURE = 0.95
-"""Probability with which a region is found."""
+SURE = 0.95  # probability with which a region is found
 MIDDLES, POOL = 512, 2048
 """Balls tried; points of the Sobol sequence that measure their mass, and are the places to look at."""
 SHARES = (0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5)
 """Shares of the prior's mass that the certificate distinguishes."""
 LEFT_OUT_SDS, LEFT_OUT_NOISE = 2.0, 1.0
 """The same, at least, for a run that is predicted from the others, which have learnt to expect errors like its own."""
-FEW = 4
-"""Largest number of inputs for which balls, not cubes, are filled."""
-WEIGHTY = 0.01
-"""Share of the evidence from which a region matters that the surrogate had ruled out."""
-UNLIKELY = 2.0
-"""Log-likelihood by which a run exceeds what was expected there."""
+FEW = 4  # largest number of inputs for which balls, not cubes, are filled
+WEIGHTY = 0.01  # share of the evidence from which a region matters that the surrogate had ruled out
+UNLIKELY = 2.0  # log-likelihood by which a run exceeds what was expected there
 STANDARD_DEVIATIONS, NOISE_LENGTHS = 5.0, 5.0
 """A run is odd whose interface is farther from the predicted one than so many predicted sds and noise lengths."""
 

@@ -28,12 +28,10 @@ PLACES, REPEATS = 64, 32
 """Most draws of the posterior, and runs imagined at each, that show what the scatter does to the log-likelihood."""
 NEGLIGIBLE = 0.01
 """Share of the shift hidden by the noise below which the scatter changes no log-likelihood worth mentioning."""
-SURE = 2.0
-"""Standard errors by which a shift must stay within its tolerance."""
+SURE = 2.0  # standard errors by which a shift must stay within its tolerance
 MOST = 0.3
 """Share of the variance of the log ratios that the scatter must explain to be the reason why they vary."""
-MAD = 1.4826
-"""Standard deviation of normal numbers over their median absolute deviation."""
+MAD = 1.4826  # standard deviation of normal numbers over their median absolute deviation
 _SEED = 11
 MASS, NEAR = 0.95, 0.995
 """Runs lie inside the posterior, or near it, if they are in its densest part that has this mass."""
@@ -41,8 +39,7 @@ FEWEST_LEFT_OUT = 20
 """Fewest earlier runs inside the posterior that can check it, each predicted from the others."""
 MOST_GIVEN_UP = 2
 """Number of checks that are given up, at most, because more draws would hardly settle them."""
-SHOWING = 500
-"""Draws that show how far the posterior would move."""
+SHOWING = 500  # draws that show how far the posterior would move
 Points = Float[np.ndarray, "run dim"]
 New = Float[np.ndarray, "new dim"]
 
@@ -98,8 +95,7 @@ class SimulatorNoise:
         return self.variance > 0 and self.variance >= MOST * observed
 
 
-NONE = SimulatorNoise(0.0, 1.0, 0.0)
-"""A simulator that does not scatter."""
+NONE = SimulatorNoise(0.0, 1.0, 0.0)  # a simulator that does not scatter
 
 
 def simulator_noise(knowledge: Knowledge, draws: Float[np.ndarray, "draw dim"]) -> SimulatorNoise:

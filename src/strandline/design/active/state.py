@@ -238,8 +238,7 @@ DRAFT_PARTICLES = 600
 """Particles of a draft, whatever the number of inputs."""
 TEMPERATURE = 0.5
 """γ of the sampled π_γ ∝ L^γ p; its particles are reweighted to the posterior, and runs are chosen from them."""
-STREAM = 4
-"""Keeps the random numbers of the active design apart from all others of the same seed."""
+STREAM = 4  # keeps the random numbers of the active design apart from all others of the same seed
 
 
 def posterior_state(
