@@ -16,7 +16,7 @@ import yaml
 from verification.validation.tables import DOCS, Table, arguments, show, table, write_study
 
 import strandline as sl
-from strandline.calibration.what_if import Answer
+from strandline.calibration.what_if import AlternativePosterior
 
 PAGE = DOCS / "results" / "accuracy.md"
 QUESTIONS: Mapping[str, Mapping[str, Any]] = {
@@ -39,7 +39,7 @@ def _changed(folder: Path, number: int, question: Mapping[str, Any]) -> Path:
     return write_study(folder.with_name(f"{folder.name}-what-if-{number}"), content)
 
 
-def _row(name: str, answer: Answer, full: sl.Posterior, runs: int, names: tuple[str, ...]) -> tuple:
+def _row(name: str, answer: AlternativePosterior, full: sl.Posterior, runs: int, names: tuple[str, ...]) -> tuple:
     draws = answer.draws
     cells = [name, "weights" if answer.by == "reweighting" else "new draws"]
     for i in range(len(names)):

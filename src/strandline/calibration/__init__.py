@@ -70,7 +70,7 @@ if TYPE_CHECKING:
         LEAST_RATIO,
         LEAST_SHIFT,
         Alternative,
-        Answer,
+        AlternativePosterior,
         Baseline,
         Kind,
         baseline,

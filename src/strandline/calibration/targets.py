@@ -23,9 +23,9 @@ from strandline.likelihood import Mixture, differences, evaluated, predicted, se
 from strandline.parameters import ParameterSpace
 from strandline.posterior import (
     Cut,
+    MarginalPosterior,
     Posterior,
     QuadratureResult,
-    Reading,
     UnderUncertainty,
     Weighted,
     integrate,
@@ -64,7 +64,7 @@ def under_uncertainty(posterior: Posterior, log_likelihood: BatchedLogDensity, s
     longer = replace(settings.smc, zeta=min(ZETA, settings.smc.zeta))
     given = _given(space, log_likelihood)
     found = sample_each(chain, given, calibrated.log_prior, initial, theta, settings=longer)
-    return UnderUncertainty(Reading(posterior), pooled(space, theta, found))
+    return UnderUncertainty(MarginalPosterior(posterior), pooled(space, theta, found))
 
 
 def cut_by_quadrature(log_likelihood: BatchedLogDensity, cut: Cut) -> tuple[QuadratureResult, ...] | None:

@@ -210,7 +210,7 @@ By = Literal["reweighting", "importance", "smc"]
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class AlternativePosterior:
     """The posterior under an alternative, beside the present one.
 
     `by` and `draws` are None if that takes new runs; `why_not` then says why. `k_hat` is the shape k̂ of the tail of
@@ -229,7 +229,8 @@ class Answer:
     why_not: str = ""
 
     def __repr__(self) -> str:
-        return f"<Answer to {self.alternative.name}: {self.by or 'needs new runs'}{', moves' if self.moves else ''}>"
+        moves = ", moves" if self.moves else ""
+        return f"<AlternativePosterior {self.alternative.name}: {self.by or 'needs new runs'}{moves}>"
 
     @property
     def shift(self) -> Float[np.ndarray, " dim"]:
@@ -275,11 +276,11 @@ class Answer:
         return np.where([name in fixed for name in names], np.nan, found)
 
 
-def reweight_or_resample(now: Baseline, alternative: Alternative, *, seed: int) -> Answer:
+def reweight_or_resample(now: Baseline, alternative: Alternative, *, seed: int) -> AlternativePosterior:
     """Return the posterior under an alternative; the seed is for draws, if it is sampled again."""
     k_hat, effective = math.nan, 0.0
     if now.knowledge is None and not alternative.by_prior_alone:
-        return Answer(alternative, now, None, None, k_hat, effective, why_not=now.why_not)
+        return AlternativePosterior(alternative, now, None, None, k_hat, effective, why_not=now.why_not)
     if not alternative.fixed and _covered(now, alternative):
         found = reweighted(now, alternative)
         enough = found.k_hat < reliability_threshold(len(now.draws)) and found.effective >= FEWEST
@@ -287,11 +288,11 @@ def reweight_or_resample(now: Baseline, alternative: Alternative, *, seed: int) 
             return _judged(found)
         k_hat, effective = found.k_hat, found.effective
     if now.knowledge is None:
-        return Answer(alternative, now, None, None, k_hat, effective, why_not=now.why_not)
+        return AlternativePosterior(alternative, now, None, None, k_hat, effective, why_not=now.why_not)
     return _judged(_sampled(now, now.knowledge, alternative, k_hat, np.random.default_rng(seed)))
 
 
-def _judged(answer: Answer) -> Answer:
+def _judged(answer: AlternativePosterior) -> AlternativePosterior:
     """Return the answer, or why there is none: the surrogate is too coarse where its draws are."""
     now, alternative, draws = answer.present, answer.alternative, answer.draws
     if draws is None or now.knowledge is None or (answer.by == "reweighting" and alternative.likelihood is None):
@@ -314,7 +315,7 @@ def _covered(now: Baseline, alternative: Alternative) -> bool:
     return True
 
 
-def reweighted(now: Baseline, alternative: Alternative) -> Answer:
+def reweighted(now: Baseline, alternative: Alternative) -> AlternativePosterior:
     """Return the present draws with other weights, whether or not enough of them count."""
     log_ratios = np.asarray(alternative.space.log_prior(now.draws)) - now.log_prior
     if alternative.likelihood is not None and now.knowledge is not None:
@@ -322,9 +323,9 @@ def reweighted(now: Baseline, alternative: Alternative) -> Answer:
         log_ratios = log_ratios + known.expected(now.draws, plug_in=known.plug_in(now.draws)) - now.log_likelihood
     log_weights = now.log_weights + log_ratios
     if not np.isfinite(log_weights).any():
-        return Answer(alternative, now, None, None, math.inf, 0.0)
+        return AlternativePosterior(alternative, now, None, None, math.inf, 0.0)
     smoothed = pareto_smoothed(log_weights)
-    return Answer(
+    return AlternativePosterior(
         alternative,
         now,
         "reweighting",
@@ -341,7 +342,7 @@ def _with(knowledge: Knowledge, alternative: Alternative) -> Knowledge:
 
 def _sampled(
     now: Baseline, knowledge: Knowledge, alternative: Alternative, k_hat: float, random: np.random.Generator
-) -> Answer:
+) -> AlternativePosterior:
     """Sample an alternative's posterior by importance, beginning with its prior; by tempering if that fails."""
     known, space = _with(knowledge, alternative), alternative.free_space
 
@@ -355,7 +356,7 @@ def _sampled(
     total = found.log_weights + _gained(known, whole, found.log_weights, found.log_likelihood)
     change = found.log_evidence + float(logsumexp(total)) - now.log_evidence
     final = np.asarray(log_softmax(total))
-    return Answer(
+    return AlternativePosterior(
         alternative,
         now,
         found.by,

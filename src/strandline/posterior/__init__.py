@@ -38,7 +38,14 @@ from strandline.posterior.posterior import FLAT, Posterior, Weighted, prior_conf
 from strandline.posterior.quadrature import QuadratureResult, integrate, mixture
 from strandline.posterior.rank_tests import Band, Coverage, coverage_of, region_coverage_of, uniformity, weighted_ranks
 from strandline.posterior.sensitivity import SobolIndices, sobol_indices
-from strandline.posterior.under_uncertainty import Cut, Reading, UnderUncertainty, mode_bins, nuisance_values, pooled
+from strandline.posterior.under_uncertainty import (
+    Cut,
+    MarginalPosterior,
+    UnderUncertainty,
+    mode_bins,
+    nuisance_values,
+    pooled,
+)
 
 __all__ = [
     "FLAT",
@@ -49,9 +56,9 @@ __all__ = [
     "InterfaceBand",
     "KernelDensity",
     "LaplaceApproximation",
+    "MarginalPosterior",
     "Offsets",
     "Posterior",
-    "Reading",
     "Reweighting",
     "SmoothedWeights",
     "SobolIndices",

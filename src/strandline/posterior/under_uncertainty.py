@@ -35,7 +35,7 @@ class Conditional(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class MarginalPosterior:
     """One reading of the posterior under uncertainty: weighted draws of x and θ; leaving out the columns of θ
     integrates over it.
     """
@@ -84,7 +84,7 @@ class Reading:
 
 
 @dataclass(frozen=True, eq=False)
-class Cut(Reading):
+class Cut(MarginalPosterior):
     """The cut reading, with the values of θ that represent p(θ), each with the same probability.
 
     The likelihood of its pooled draws is L(x, θ)/Z(θ), so that their evidence is 1. `log_evidence` is that of each
@@ -105,7 +105,7 @@ class Cut(Reading):
 class UnderUncertainty:
     """Both readings of the posterior under uncertainty."""
 
-    joint: Reading
+    joint: MarginalPosterior
     cut: Cut
 
 

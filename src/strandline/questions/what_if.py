@@ -14,6 +14,7 @@ from strandline.calibration import (
     LEAST_RATIO,
     LEAST_SHIFT,
     Alternative,
+    AlternativePosterior,
     Baseline,
     Kind,
     Observer,
@@ -21,7 +22,6 @@ from strandline.calibration import (
     observer_or_default,
     reweight_or_resample,
 )
-from strandline.calibration import Answer as Changed
 from strandline.calibration import facts_of as noise_in_words
 from strandline.calibration.usual_alternatives import prior_in_words, usual_alternatives, with_prior
 from strandline.foundations import InvalidStudy, figure_text, listed, one_thread, require, use_double
@@ -44,7 +44,7 @@ def what_if(
     *,
     seed: int = 1,
     observer: Observer | None = None,
-) -> Answer[tuple[Changed, ...]]:
+) -> Answer[tuple[AlternativePosterior, ...]]:
     """Return how the posterior of a finished study changes with its assumptions, without a forward run.
 
     Writes what-if.json, what-if.html and a figure.
@@ -84,7 +84,7 @@ def what_if(
     return _answer(_described(study, now, answers, seed), answers, study.folder).written(draft=study.settings.draft)
 
 
-def _answers(now: Baseline, tried: Sequence[Alternative], seed: int, tell: Observer) -> Iterator[Changed]:
+def _answers(now: Baseline, tried: Sequence[Alternative], seed: int, tell: Observer) -> Iterator[AlternativePosterior]:
     begun = time.monotonic()
     for number, one in enumerate(tried, start=1):
         yield reweight_or_resample(now, one, seed=seed)
@@ -159,7 +159,7 @@ def _changed(asked: studies.WhatIf, study: studies.Study) -> studies.Study:
     content = studies.StudyFile.model_validate(studies.load_yaml(study.text))
     changes: dict[str, Any] = {}
     if asked.noise is not None:
-        changes["noise"] = studies.checked(studies.Noise, asked.noise, f"{PLACE}.noise")
+        changes["noise"] = studies.checked(studies.StudyNoise, asked.noise, f"{PLACE}.noise")
     if asked.measure is not None:
         stated = content.discrepancy if isinstance(content.discrepancy, list) else [content.discrepancy]
         named = {name: one for one in stated for name in one}
@@ -191,12 +191,14 @@ LARGE = 0.05
 """Distance between the stored posterior and that of the surrogate of the interface, in sd, from which it is said."""
 
 
-def in_order(answers: Sequence[Changed]) -> tuple[Changed, ...]:
+def in_order(answers: Sequence[AlternativePosterior]) -> tuple[AlternativePosterior, ...]:
     """Return the answers that move, the largest first, then the questions without an answer, then the others."""
     return tuple(sorted(answers, key=lambda one: (0 if one.moves else 1 if one.by is None else 2, -one.size)))
 
 
-def _described(study: studies.Study, now: Baseline, answers: Sequence[Changed], seed: int) -> dict[str, Any]:
+def _described(
+    study: studies.Study, now: Baseline, answers: Sequence[AlternativePosterior], seed: int
+) -> dict[str, Any]:
     """Return the content of what-if.json."""
     return {
         **studies.facts_of(study, seed),
@@ -216,7 +218,7 @@ def _described(study: studies.Study, now: Baseline, answers: Sequence[Changed], 
     }
 
 
-def _conclusion(answers: Sequence[Changed]) -> str:
+def _conclusion(answers: Sequence[AlternativePosterior]) -> str:
     if all(one.by is None for one in answers):
         return "None of the alternatives can be computed without new runs."
     subjects = list(dict.fromkeys(one.alternative.about for one in answers if one.moves))
@@ -239,7 +241,7 @@ def _with_priors_together(subjects: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(together if one.removeprefix(PRIOR) in names else one for one in subjects))
 
 
-def _remarks(study: studies.Study, now: Baseline, answers: Sequence[Changed]) -> Iterator[str]:
+def _remarks(study: studies.Study, now: Baseline, answers: Sequence[AlternativePosterior]) -> Iterator[str]:
     number = sum(one.by is None for one in answers)
     if number:
         yield remark("new_runs", number=number, of=len(answers), folder=study.folder.resolve().name)
@@ -258,7 +260,7 @@ def _surrogate(now: Baseline) -> dict[str, Any] | None:
     return {**facts_of_surrogate(now.knowledge.surrogate.runs, now.quality), "shift": now.shift}
 
 
-def _alternative(one: Changed) -> dict[str, Any]:
+def _alternative(one: AlternativePosterior) -> dict[str, Any]:
     asked = one.alternative
     cut = {parameter.name: parameter.mass_cut for parameter in asked.space if parameter.mass_cut > CUT}
     return {
@@ -278,7 +280,7 @@ def _alternative(one: Changed) -> dict[str, Any]:
     }
 
 
-def _inputs(one: Changed, draws: Weighted) -> dict[str, Any]:
+def _inputs(one: AlternativePosterior, draws: Weighted) -> dict[str, Any]:
     return {
         name: {
             **moments(draws, i, LEVELS),
@@ -292,7 +294,9 @@ def _inputs(one: Changed, draws: Weighted) -> dict[str, Any]:
     }
 
 
-def _answer(content: dict[str, Any], found: tuple[Changed, ...], folder: Path) -> Answer[tuple[Changed, ...]]:
+def _answer(
+    content: dict[str, Any], found: tuple[AlternativePosterior, ...], folder: Path
+) -> Answer[tuple[AlternativePosterior, ...]]:
     some, inputs = content["alternatives"], content["present"]["inputs"]
     symbols = [Symbol(item["label"]) for item in inputs.values()]
     table = Table(

@@ -20,8 +20,8 @@ from strandline.models import DrawsFields, undeformed_interface
 from strandline.parameters import ParameterSpace
 from strandline.posterior import (
     Histogram,
+    MarginalPosterior,
     QuadratureResult,
-    Reading,
     interface_band,
     mixture,
     normal_offsets,
@@ -208,7 +208,7 @@ def _under_uncertainty(calibration: Calibration, truth: Mapping[str, float] | No
     yield Captioned.of("nuisance", "uncertainty", figure, names=names)
 
 
-def _reading(name: str, reading: Reading, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
+def _reading(name: str, reading: MarginalPosterior, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
     """Yield the calibrated inputs in one reading; one input alone is among the marginals."""
     names = reading.names
     if len(names) == 2:

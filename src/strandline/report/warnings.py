@@ -12,7 +12,7 @@ from strandline.design import FieldOutcome, SetAside, says_whether_runs_succeed
 from strandline.interface import Interface, UnknownErrors
 from strandline.likelihood import noise_length, sd_of_distances
 from strandline.parameters import Parameter
-from strandline.posterior import Posterior, QuadratureResult, Reading, mixture, prior_conflicts
+from strandline.posterior import MarginalPosterior, Posterior, QuadratureResult, mixture, prior_conflicts
 from strandline.report.html import number, said
 from strandline.runs import EXCLUDED, RunRecord
 from strandline.surrogate import learn_feasibility, stopped_early
@@ -240,7 +240,7 @@ def _sampler(calibration: Calibration) -> Iterator[str]:
         yield _said("quadrature_differs", mean=mean_error, sd=sd_error, cut=False, converged=True)
 
 
-def _apart(found: Posterior | Reading, exact: QuadratureResult) -> tuple[float, float]:
+def _apart(found: Posterior | MarginalPosterior, exact: QuadratureResult) -> tuple[float, float]:
     """Return the largest error of a mean, in standard deviations, and the largest relative one of these."""
     mean_error = float(np.max(np.abs(found.mean - exact.mean) / exact.sd))
     return mean_error, float(np.max(np.abs(found.sd / exact.sd - 1.0)))

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
         told_if_unwritable,
         write_example,
     )
-    from strandline.studies.keys.observation import Noise, ObservationFile
+    from strandline.studies.keys.observation import ObservationFile, StudyNoise
     from strandline.studies.keys.parse import checked, entry, in_words, parse_study, refused_at
     from strandline.studies.keys.schema import Number, Section, listed
     from strandline.studies.keys.study_file import SpecimensFile, StudyFile, WhatIf

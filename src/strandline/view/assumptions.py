@@ -11,7 +11,7 @@ from pydantic import Field
 
 from strandline.calibration import (
     Alternative,
-    Answer,
+    AlternativePosterior,
     Baseline,
     reweight_or_resample,
     reweighted,
@@ -95,7 +95,7 @@ def asked_by(given: Mapping[str, Any], study: Study) -> Asked:
     return asked
 
 
-def answer_to(asked: Asked, study: Study, now: Baseline, *, again: bool) -> Answer:
+def answer_to(asked: Asked, study: Study, now: Baseline, *, again: bool) -> AlternativePosterior:
     """Return the posterior under other assumptions without a run, by other weights or, if `again`, by new draws."""
     alternative = _alternative(asked, study, now)
     if again or alternative.fixed:

@@ -181,7 +181,7 @@ class _Ask(_Guarded):
         return int(text)
 
 
-class _Picture(_Guarded):
+class _PictureHandler(_Guarded):
     async def get(self) -> None:
         condition = self.get_query_argument("condition", "")
         found = await self.session.answer(lambda: picture_png(self.session.viewed.study, condition))
@@ -225,7 +225,7 @@ def application(session: Session, token: str) -> Application:
     return Application(
         [
             (r"/[^/]+/?", _Page, shared),
-            (r"/[^/]+/api/picture", _Picture, shared),
+            (r"/[^/]+/api/picture", _PictureHandler, shared),
             (r"/[^/]+/api/([a-z]+)", _Ask, shared),
             (r"/[^/]+/events", _Events, shared),
             (r"/[^/]+/page/(.*)", _Static, {**shared, "path": str(PAGE)}),

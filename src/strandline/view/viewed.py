@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib.tri import LinearTriInterpolator, Triangulation
 
-from strandline.calibration import Answer, Baseline, by_field, interim_posterior
+from strandline.calibration import AlternativePosterior, Baseline, by_field, interim_posterior
 from strandline.design import Knowledge
 from strandline.foundations import (
     InvalidInput,
@@ -352,7 +352,7 @@ class ViewedStudy:
         with one_thread():
             return self._answered(answer_to(asked, self.study, now, again=again), now, again=again)
 
-    def _answered(self, answer: Answer, now: Baseline, *, again: bool) -> dict[str, Any]:
+    def _answered(self, answer: AlternativePosterior, now: Baseline, *, again: bool) -> dict[str, Any]:
         space, threshold = self.study.space, reliability_threshold(len(now.draws))
         out: dict[str, Any] = {
             "by": answer.by,

@@ -20,7 +20,7 @@ from strandline.models.biofilm.model import Biofilm
 from strandline.runs import LocalProcesses
 from strandline.studies import load_study
 from strandline.studies.keys.folder import EXAMPLES, FOLDERS, is_result
-from strandline.studies.keys.observation import Noise
+from strandline.studies.keys.observation import StudyNoise
 from strandline.studies.load.noise import build_noise
 from strandline.testing.studies import beam, undeclared_beam, write_study
 
@@ -114,7 +114,7 @@ def contours(folder, number, errors=TRUE):
 def stated(shown):
     """Return the errors that the last line, put into a study, states."""
     (key,) = yaml.safe_load(shown.splitlines()[-1]).values()
-    return build_noise(Noise.model_validate(key), ())
+    return build_noise(StudyNoise.model_validate(key), ())
 
 
 def test_the_noise_of_repeats(tmp_path, capsys):

@@ -13,7 +13,7 @@ from strandline.runs import Progress as Runs
 from strandline.runs.ledger.overview import Driver
 from strandline.smc import StepInfo
 from strandline.studies import load_study
-from strandline.studies.load.progress import Failures, RunReported, StudyProgress
+from strandline.studies.load.progress import FailedRuns, RunReported, StudyProgress
 from strandline.testing.studies import write_study
 
 RECORD = RunRecord("key", {"E": 1.0}, "ok")
@@ -96,7 +96,7 @@ AT_WORK, GONE, UNSEEN = (Driver(3, 4711, "desk", 1e9, at_work) for at_work in (T
 
 def test_the_status_of_a_study_under_way():
     run = RunReported("k" * 64, {"E": 397.5, "tilt": 0.015}, 9.0, "no convergence", ("step 7", 300 * "c"))
-    counts = {"ok": 30, "failed": 2, "open": 4, "failures": {"stalled": Failures(2, run)}, "slowest": run}
+    counts = {"ok": 30, "failed": 2, "open": 4, "failures": {"stalled": FailedRuns(2, run)}, "slowest": run}
     pace = {"rate": 4.8, "seconds_left": 600.0, "median_seconds": 2.0, "driver": AT_WORK}
     assert list(lines_of(StudyProgress("bent", 80, **counts, **pace))) == [
         "bent: 32 of 80 runs of the design done",

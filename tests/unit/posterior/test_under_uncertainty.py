@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal, qmc
 from strandline.foundations import InvalidInput
 from strandline.interface import Interface, Observation
 from strandline.parameters import Normal, Parameter, ParameterSpace, ScaledBeta, Uniform
-from strandline.posterior import Posterior, Reading, histogram_mode, mode_bins, nuisance_values, pooled
+from strandline.posterior import MarginalPosterior, Posterior, histogram_mode, mode_bins, nuisance_values, pooled
 from strandline.posterior.netcdf import cut_from_datatree, from_datatree, read, to_datatree, write
 
 BOX, NORMAL = (-8.0, 8.0), Normal(0.0, 1.0)
@@ -69,7 +69,9 @@ def cut():
 def joint():
     one = weighted(SPACE, log_likelihood, CENTRE, WHOLE, 4096, 0)
     log_prior = SPACE.log_prior(one.positions)
-    return Reading(Posterior(SPACE, one.positions, one.log_weights, one.log_likelihood, log_prior, one.log_evidence))
+    return MarginalPosterior(
+        Posterior(SPACE, one.positions, one.log_weights, one.log_likelihood, log_prior, one.log_evidence)
+    )
 
 
 def test_each_reading_is_its_closed_form_and_none_is_taken_for_the_other(joint, cut):
@@ -79,7 +81,7 @@ def test_each_reading_is_its_closed_form_and_none_is_taken_for_the_other(joint, 
     old = cut.extended
     log_weights = old.log_weights + cut.log_evidence[cut.value_index]
     log_weights -= np.logaddexp.reduce(log_weights)
-    wrong = Reading(Posterior(SPACE, old.draws, log_weights, old.log_likelihood, old.log_prior, 0.0))
+    wrong = MarginalPosterior(Posterior(SPACE, old.draws, log_weights, old.log_likelihood, old.log_prior, 0.0))
     assert min(errors(wrong, CUT)) > 0.3
     assert max(errors(wrong, JOINT)) < 0.25
 

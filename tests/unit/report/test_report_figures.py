@@ -14,7 +14,7 @@ from tests.unit.report.plots.drawn import entries, posterior_of
 from strandline.foundations import with_sd
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.parameters import Parameter, ParameterSpace, Uniform
-from strandline.posterior import Offsets, Reading
+from strandline.posterior import MarginalPosterior, Offsets
 from strandline.report.figures import _in_legend, _reading, unknown_errors
 from strandline.report.html import fixed, number, said
 from strandline.report.page import _without_bad_comparison
@@ -87,7 +87,7 @@ def test_the_largest_pictures_become_smaller_until_all_fit() -> None:
 
 def test_a_reading_under_uncertainty_leaves_out_the_nuisance_input_and_laplace() -> None:
     inputs = [Parameter(name, Uniform(0.0, 1.0), nuisance=name == "V") for name in "Vab"]
-    reading = Reading(posterior_of(np.random.default_rng(0).random((300, 3)), *inputs))
+    reading = MarginalPosterior(posterior_of(np.random.default_rng(0).random((300, 3)), *inputs))
     (shown,) = _reading("cut", reading, {"a": 0.5, "b": 0.5, "V": 0.5})
     labels = {text for ax in shown.figure.axes for text in (ax.get_xlabel(), ax.get_ylabel())}
     assert (set("ab") <= labels, "V" in labels) == (True, False)

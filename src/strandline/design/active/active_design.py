@@ -15,7 +15,7 @@ from jaxtyping import Float
 from strandline.design.active.checking import BatchCheck, number_of_probes
 from strandline.design.active.choice import LARGEST_BATCH, Active, Losses, choose, price_of_a_hang
 from strandline.design.active.coverage_runs import Surprise, points_around, points_elsewhere
-from strandline.design.active.posterior_check import PosteriorCheck
+from strandline.design.active.posterior_check import PosteriorChecker
 from strandline.design.active.state import PosteriorMove, State
 from strandline.design.refinement import sobol
 from strandline.parameters import ParameterSpace
@@ -122,7 +122,7 @@ class ActiveDesign:
     ) -> None:
         self.active, self.space, self.batch, self.seed, self.scramble = active, space, batch, seed, scramble
         self.learn, self.afresh, self.doubts, self.another_trial = learn, afresh, doubts, another_trial
-        self.check = PosteriorCheck(active, space, batch=batch, log_likelihood=log_likelihood, seed=seed)
+        self.check = PosteriorChecker(active, space, batch=batch, log_likelihood=log_likelihood, seed=seed)
         self.batches: list[Batch] = []
         self.steps: list[Step] = []
         self.state: State | None = None

@@ -174,7 +174,7 @@ class Checked:
     patient: bool
 
 
-class PosteriorCheck:
+class PosteriorChecker:
     """Asks for runs that check a posterior, `batch` at a time, and judges it by them.
 
     `log_likelihood` returns that of a successful record, by the true model; `whole` is the largest number of inputs

@@ -272,7 +272,7 @@ class ConditionNoise(Section):
         return self.sd**2 if isinstance(self.sd, float) and self.sd < 1e150 else float("inf")
 
 
-class Noise(ConditionNoise):
+class StudyNoise(ConditionNoise):
     """Noise of every condition without its own."""
 
     conditions: dict[str, ConditionNoise] = {}

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, field_v
 from strandline.design import FEWEST_POINTS, Active, Refinement
 from strandline.runs import DaskCluster, InProcess, LocalProcesses, SlurmArray
 from strandline.smc import SMCSettings
-from strandline.studies.keys.observation import Noise, Observed
+from strandline.studies.keys.observation import Observed, StudyNoise
 from strandline.studies.keys.schema import (
     MOST,
     MOST_RETRIES,
@@ -327,7 +327,7 @@ class StudyFile(Section):
     observation: Observed
     discrepancy: Choice | Annotated[list[Choice], Field(min_length=1)]
     """a [measure](#measures) with its options, or a list of them"""
-    noise: Noise
+    noise: StudyNoise
     design: Design
     surrogate: Surrogate = Surrogate()
     sampler: Sampler = Sampler()

@@ -39,7 +39,7 @@ class RunReported:
 
 
 @dataclass(frozen=True)
-class Failures:
+class FailedRuns:
     """The failures of one kind: their number, and the first one started."""
 
     count: int
@@ -65,7 +65,7 @@ class StudyProgress:
     lost: int = 0
     reused: int = 0
     detached: bool = False
-    failures: Mapping[str, Failures] = field(default_factory=dict)
+    failures: Mapping[str, FailedRuns] = field(default_factory=dict)
     rate: float | None = None
     seconds_left: float | None = None
     median_seconds: float | None = None
@@ -176,7 +176,7 @@ def _counted(plan: Plan, ledger: Overview, *, detached: bool) -> StudyProgress:
     rate, left = _pace(runs, driver, plan.planned - len(ended))
     kinds = [attempt.kind or attempt.state for _, attempt in failed]
     failures = {
-        kind: Failures(count, _shown(failed[kinds.index(kind)], plan, ledger))
+        kind: FailedRuns(count, _shown(failed[kinds.index(kind)], plan, ledger))
         for kind, count in Counter(kinds).most_common()
     }
     return StudyProgress(

@@ -15,7 +15,7 @@ from strandline.design import BatchCheck, FidelityReport, FieldOutcome, Step, sh
 from strandline.discrepancy import Discrepancy
 from strandline.interface import Observation, UnknownErrors, steady_lengths
 from strandline.likelihood import InterfaceLikelihood, NoisePosterior, adapted, compared
-from strandline.posterior import Posterior, QuadratureResult, Reading, mixture
+from strandline.posterior import MarginalPosterior, Posterior, QuadratureResult, mixture
 from strandline.report import as_json, find_warnings, fit_as_json, nearest_runs
 from strandline.runs import EXCLUDED, outcome_digest
 from strandline.studies.foresight.check import outcomes
@@ -106,7 +106,7 @@ def sampler_check(calibration: Calibration) -> dict[str, Any] | None:
     }
 
 
-def _compared(names: Sequence[str], sampled: Posterior | Reading, exact: QuadratureResult) -> dict[str, Any]:
+def _compared(names: Sequence[str], sampled: Posterior | MarginalPosterior, exact: QuadratureResult) -> dict[str, Any]:
     per_input = {n: {"mean": float(m), "sd": float(s)} for n, m, s in zip(names, exact.mean, exact.sd, strict=True)}
     return per_input | {
         "max_mean_error_sd": float(np.max(np.abs(sampled.mean - exact.mean) / exact.sd)),
@@ -137,7 +137,7 @@ def _under_uncertainty(calibration: Calibration) -> dict[str, Any] | None:
     }
 
 
-def _reading(reading: Reading) -> dict[str, Any]:
+def _reading(reading: MarginalPosterior) -> dict[str, Any]:
     return {
         "inputs": dict(zip(reading.names, _moments(reading), strict=True)),
         "map_bins": reading.map_bins,
@@ -145,7 +145,7 @@ def _reading(reading: Reading) -> dict[str, Any]:
     }
 
 
-def _moments(found: Posterior | Reading) -> list[dict[str, float]]:
+def _moments(found: Posterior | MarginalPosterior) -> list[dict[str, float]]:
     """Return mean, standard deviation, quantiles and mode of each input."""
     q05, median, q95 = found.quantiles(QUANTILES)
     columns = {"mean": found.mean, "sd": found.sd, "median": median, "q05": q05, "q95": q95, "map": found.map_estimate}

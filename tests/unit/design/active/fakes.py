@@ -7,7 +7,7 @@ import numpy as np
 
 import strandline as sl
 from strandline.design.active.checking import LogRatios
-from strandline.design.active.posterior_check import PosteriorCheck
+from strandline.design.active.posterior_check import PosteriorChecker
 from strandline.design.active.state import Knowledge, State
 from strandline.foundations import TooFewRuns
 from strandline.likelihood import FieldLikelihood
@@ -115,7 +115,7 @@ class FakeLearner:
         return state_of(replace(self.first, x=x, ok=good), mean=(mean, 0.1))
 
 
-class Trusting(PosteriorCheck):
+class Trusting(PosteriorChecker):
     """`FakeLearner` has a surrogate of its first runs only, which cannot be left out one by one."""
 
     odd = ()

@@ -14,7 +14,7 @@ from strandline.design.active import Active, ActiveDesign
 from strandline.design.active.campaign import Certificate
 from strandline.design.active.checking import Tolerances, number_of_probes, objections
 from strandline.design.active.coverage_runs import Surprise
-from strandline.design.active.posterior_check import PosteriorCheck
+from strandline.design.active.posterior_check import PosteriorChecker
 from strandline.design.active.state import State
 from strandline.posterior import reweight
 
@@ -233,7 +233,7 @@ def test_given_runs_are_checked_by_leaving_them_out_and_gone_on_from_if_they_obj
         return State(knowledge, z, weights, weights, weights, log_expected, knowledge.plug_in(z))
 
     truth = sl.InterfaceLikelihood((sl.Observation(fakes.interface(MEAN), 0.1**2),), sl.TrackedPoints())
-    options = {"batch": 8, "check": PosteriorCheck, "log_likelihood": lambda r: factor * truth(r.interfaces)}
+    options = {"batch": 8, "check": PosteriorChecker, "log_likelihood": lambda r: factor * truth(r.interfaces)}
     one = design(Active(48, batch=8), learn, **options)
     batches = sizes(played(one, first=even(60, 5), given=True))
     assert batches[0] == ("given", 60)

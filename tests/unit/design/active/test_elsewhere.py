@@ -124,7 +124,7 @@ def test_a_run_that_the_others_contradict_is_found_once(state):
     assert left_out_surprise(spoiled, 100 * NOISE, set(), set()) is None  # hidden by the noise
     assert left_out_surprise(state, 0.2 * NOISE, set(), set()) is None
     for on_posterior, unseen, number in [([], 0.1, 1), (X, 0.1, 0), ([], 1.0, 0)]:
-        check = check_module.PosteriorCheck(Active(60, unseen=unseen), SPACE, batch=4, log_likelihood=float, seed=1)
+        check = check_module.PosteriorChecker(Active(60, unseen=unseen), SPACE, batch=4, log_likelihood=float, seed=1)
         odd = check.left_out(spoiled, set(), {row.tobytes() for row in on_posterior})
         assert [one.x.tolist() for one in odd] == [X[5].tolist()] * number
 
@@ -133,7 +133,7 @@ def test_a_posterior_of_three_particles_is_checked_by_these(state):
     log_weights = np.full(len(state.positions), -np.inf)
     log_weights[:3] = -np.log(3)
     few, records = replace(state, log_weights=log_weights), [record(row) for row in X]
-    check = check_module.PosteriorCheck(Active(60), SPACE, batch=4, log_likelihood=lambda run: -50.0, seed=1)
+    check = check_module.PosteriorChecker(Active(60), SPACE, batch=4, log_likelihood=lambda run: -50.0, seed=1)
     begun = check.begin(few, X, records, 30, Losses(few.knowledge, 60, ()))
     assert len(begun) >= 3
     found, _ = check.verdict(np.concatenate([X, begun]), [*records, *map(record, begun)])

@@ -240,8 +240,8 @@ class MovingSystem(system.CoupledSystem):
         values = self.values
         values[self._follows] = self.rates.first(values)[self._leads]
 
-    def _inertia(self, solid_density: float) -> list[system.Part]:
-        parts: list[system.Part] = []
+    def _inertia(self, solid_density: float) -> list[system.Term]:
+        parts: list[system.Term] = []
         if "fluid" in self.mesh.GetMaterials():
             known = {"viscosity": self.viscosity, "density": self.density, "rates": self.rates}
             parts.append(FluidInertia(self.space, *system.fluid_cells(self.mesh), **known))

@@ -29,7 +29,7 @@ Numbers = Int[np.ndarray, " entry"]
 
 
 @runtime_checkable
-class Part(Protocol):
+class Term(Protocol):
     """What some elements add, as a function of an NGSolve function with the coefficients of all unknowns."""
 
     def places(self) -> tuple[Numbers, Numbers]:
@@ -254,7 +254,7 @@ class CoupledSystem:
         result[self.is_motion] = self._motion @ direction
         return np.asarray(result[self.free])
 
-    def _elements(self) -> tuple[Part, ...]:
+    def _elements(self) -> tuple[Term, ...]:
         """Return what adds up to the residual: elements of their own as far as there are any, all else by NGSolve."""
         solid = _solid_elements(self)
         form = ng.BilinearForm(self.space) if solid else forms.solid_form(self)
