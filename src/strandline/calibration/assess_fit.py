@@ -14,21 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline import discrepancy
-from strandline.calibration.best_fit import (
-    ArcParts,
-    BestFit,
-    Prediction,
-    Residuals,
-    Statistics,
-    best_fit,
-    beyond,
-    corrected,
-    drawn_statistics,
-    observed_statistics,
-    parts_of,
-    tail,
-    waves_p,
-)
+from strandline.calibration import best_fit as fits
+from strandline.calibration.best_fit import ArcParts, BestFit, Prediction, Residuals, Statistics
 from strandline.calibration.misfit import ConditionMisfit, Effort, Misfit, Region, verdict_on, with_fitted_noise
 from strandline.foundations import StrandlineError, listed
 from strandline.interface import GLOBAL, GaussianNoise, Interface, Observation, arc_lengths, steady_normals
@@ -44,6 +31,7 @@ FAILURES = StrandlineError, ArithmeticError, ValueError
 STREAM = 5  # keeps these random numbers apart from all others of the same seed
 NOTICED = 0.1
 """Model error, in standard deviations of the noise, below which the verdict does not mention it."""
+Drawn = Float[np.ndarray, "draw point"]
 _ONE_SIDE = 0.5
 """Least length of the mean unit normal of a part of an arc that lies on one side of the prediction."""
 
@@ -91,8 +79,8 @@ def predictive_shares(
     shared = discrepancy.shared_errors(observations, measure)
     if shared is not None:
         both = shared.many(points, templates), shared.model.square(noise + fields)
-    each = (float(tail(others, true)) for true, others in zip(observed, drawn, strict=True))
-    return PredictiveShares(float(tail(both[1], both[0])), tuple(each))
+    each = (float(fits.tail(others, true)) for true, others in zip(observed, drawn, strict=True))
+    return PredictiveShares(float(fits.tail(both[1], both[0])), tuple(each))
 
 
 def _plain(how: Compared) -> Compared:
@@ -102,12 +90,7 @@ def _plain(how: Compared) -> Compared:
 
 
 def _drawn(
-    how: Compared,
-    stated: StatedErrors,
-    predicted: Interface,
-    noise: Float[np.ndarray, "draw point"],
-    fields: Float[np.ndarray, "draw point"],
-    random: np.random.Generator,
+    how: Compared, stated: StatedErrors, predicted: Interface, noise: Drawn, fields: Drawn, random: np.random.Generator
 ) -> Float[np.ndarray, " draw"]:
     """Return d² of drawn observations, from their residuals alone if the measure depends on nothing else.
 
@@ -162,17 +145,17 @@ def misfit_of(
     random = np.random.default_rng([seed, STREAM])
     try:
         residuals = Residuals.of(observations, measure, prediction.templates, explained)
-        fit, parts = best_fit(residuals, prediction, posterior), parts_of(observations)
-        parts = replace(parts, waves=beyond(parts.waves, fit.by_inputs, fit.with_modes(residuals.model)))
-        seen = observed_statistics(residuals, fit, parts)
-        drawn = drawn_statistics(residuals, fit, parts, random, effort)
+        fit, parts = fits.best_fit(residuals, prediction, posterior), fits.parts_of(observations)
+        parts = replace(parts, waves=fits.beyond(parts.waves, fit.by_inputs, fit.with_modes(residuals.model)))
+        seen = fits.observed_statistics(residuals, fit, parts)
+        drawn = fits.drawn_statistics(residuals, fit, parts, random, effort)
         predictive, failed = PredictiveShares(1.0, (1.0,) * len(observations)), []
         try:
             predictive = predictive_shares(residuals, fit, prediction, posterior, random, effort.predictive)
         except FAILURES as error:
             failed = [f"d² of drawn observations could not be computed: {' '.join(str(error).split())}"]
         conditions = _conditions(residuals, fit, parts, seen, drawn, None if failed else predictive)
-        p_value, smooth_p = float(tail(drawn.whole, seen.whole)), waves_p(drawn.waves, seen.waves)
+        p_value, smooth_p = float(fits.tail(drawn.whole, seen.whole)), fits.waves_p(drawn.waves, seen.waves)
         shares = p_value, predictive.whole, 1.0 if smooth_p is None else smooth_p
         verdict = verdict_on(*shares, conditions, run_alone=prediction.run_alone)
         if fitted:
@@ -196,7 +179,7 @@ def _conditions(
 ) -> tuple[ConditionMisfit, ...]:
     """Return the residuals of each observation, global errors and errors of the surrogate removed: D (C + FFᵀ)⁻¹ r."""
     weighted = fit.with_modes(residuals.model).solved(fit.residuals)
-    local, shares = residuals.model.local * weighted, tail(drawn.conditions, seen.conditions)
+    local, shares = residuals.model.local * weighted, fits.tail(drawn.conditions, seen.conditions)
     regions = _regions(residuals, local, parts, seen, drawn)
     removed = residuals.joint.sizes(residuals.model.shared.T @ weighted)
     found = []
@@ -225,8 +208,8 @@ def _regions(
     residuals: Residuals, local: Float[np.ndarray, " seen"], parts: ArcParts, seen: Statistics, drawn: Statistics
 ) -> list[Region]:
     """Return the parts of the arcs and the patches, with corrected p-values of their mean and their sum of squares."""
-    by_squares, by_mean = (tail(drawn.squares, seen.squares), tail(np.abs(drawn.means), np.abs(seen.means)))
-    p_values = corrected(np.concatenate([by_squares, by_mean])).reshape(2, -1).min(axis=0)
+    by_squares, by_mean = (fits.tail(drawn.squares, seen.squares), fits.tail(np.abs(drawn.means), np.abs(seen.means)))
+    p_values = fits.corrected(np.concatenate([by_squares, by_mean])).reshape(2, -1).min(axis=0)
     chosen = sorted({span.observation for span in parts.spans if span.centre is None})
     normals = {k: steady_normals(residuals.observations[k].interface) for k in chosen}
     found = []

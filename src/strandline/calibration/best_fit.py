@@ -196,7 +196,9 @@ def best_fit(residuals: Residuals, prediction: Prediction, posterior: Posterior)
 
     If a single run stands for all inputs, this is the MAP, and no input changes the residuals.
     """
-    space, prior = posterior.space, _prior(posterior.space)
+    space, p = posterior.space, (np.arange(LEVELS) + 0.5) / LEVELS
+    quantiles = space.prior_quantiles(np.tile(p[:, None], (1, space.dim)))
+    prior = Weighted(quantiles, np.full(LEVELS, 1 / LEVELS))  # for means and standard deviations
     best = _around(posterior.map_estimate, residuals, prediction, posterior, prior)
     if prediction.run_alone:
         return replace(best, by_inputs=best.by_inputs[:, :0])
@@ -207,12 +209,6 @@ def best_fit(residuals: Residuals, prediction: Prediction, posterior: Posterior)
             break
         best = moved
     return best
-
-
-def _prior(space: ParameterSpace) -> Weighted:
-    """Return quantiles of the priors, for their means and standard deviations."""
-    p = (np.arange(LEVELS) + 0.5) / LEVELS
-    return Weighted(space.prior_quantiles(np.tile(p[:, None], (1, space.dim))), np.full(LEVELS, 1 / LEVELS))
 
 
 def _around(

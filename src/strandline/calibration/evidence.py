@@ -84,12 +84,7 @@ def evidence_of(knowledge: Knowledge, pool: Pool, random: np.random.Generator) -
     )
 
 
-def surrogate_error(
-    knowledge: Knowledge,
-    x: Float[np.ndarray, "draw dim"],
-    shares: Float[np.ndarray, " draw"],
-    random: np.random.Generator,
-) -> float:
+def surrogate_error(knowledge: Knowledge, x: Points, shares: Values, random: np.random.Generator) -> float:
     """Return the standard deviation of the log-evidence over the interfaces that the surrogate considers possible.
 
     Z of a possible field f is that of the expected likelihood times the posterior mean of L_f / E[L], over different

@@ -78,7 +78,7 @@ class SamplerCheck:
     @property
     def p(self) -> float:
         """Probability that halves of a sampler that works differ as much somewhere, by Bonferroni's inequality."""
-        every = np.concatenate([self._means, self._sds, self._shares, [self._evidence]])
+        every = np.concatenate(self._p_values)
         return float(min(1.0, len(every) * every.min()))
 
     @property
@@ -109,39 +109,32 @@ class SamplerCheck:
         )
 
     def _differences(self) -> Iterator[str]:
-        level = LEVEL / (3 * len(self.names) + 2)
-        moved = np.where(self._means < level, np.abs(self.mean_difference), 0.0)
+        level, (means, sds, shares, evidence) = LEVEL / (3 * len(self.names) + 2), self._p_values
+        moved = np.where(means < level, np.abs(self.mean_difference), 0.0)
         if moved.max() > MEAN:
             yield f"means by up to {moved.max():.2f} standard deviations ({self.names[int(np.argmax(moved))]})"
-        wider = np.where(self._sds < level, np.abs(self.log_sd_ratio), 0.0)
+        wider = np.where(sds < level, np.abs(self.log_sd_ratio), 0.0)
         if wider.max() > LOG_SD:
             most = self.names[int(np.argmax(wider))]
             yield f"standard deviations by a factor of up to {np.exp(wider.max()):.2f} ({most})"
-        split = self.splits[int(np.argmin(self._shares))]
-        if self._shares.min() < level and split.difference > SHARE:
+        split = self.splits[int(np.argmin(shares))]
+        if shares.min() < level and split.difference > SHARE:
             one, other = split.shares
             yield f"{one:.0%} against {other:.0%} of the mass has {split.of} up to {split.at:.4g}"
-        if self._evidence < level and abs(self.log_evidence_difference) > EVIDENCE:
+        if evidence[0] < level and abs(self.log_evidence_difference) > EVIDENCE:
             yield f"log-evidences by {abs(self.log_evidence_difference):.2f}"
 
     @property
-    def _means(self) -> Float[np.ndarray, " dim"]:
-        return _two_sided(self.mean_difference / self.mean_error)
-
-    @property
-    def _sds(self) -> Float[np.ndarray, " dim"]:
-        return _two_sided(self.log_sd_ratio / self.log_sd_error)
-
-    @property
-    def _evidence(self) -> float:
-        return float(_two_sided(np.asarray(self.log_evidence_difference / self.log_evidence_error)))
-
-    @property
-    def _shares(self) -> Float[np.ndarray, " quantity"]:
-        """P-values of Kolmogorov's and Smirnov's two-sample test."""
+    def _p_values(self) -> tuple[Float[np.ndarray, " _"], ...]:
+        """P-values of the means, of the sds, of the shares (Kolmogorov's and Smirnov's test), and of the evidence."""
         one, other = (size / RELATED for size in self.effective)
         distances = np.array([split.difference for split in self.splits])
-        return np.asarray(kolmogorov(distances * np.sqrt(one * other / (one + other))))
+        return (
+            _two_sided(self.mean_difference / self.mean_error),
+            _two_sided(self.log_sd_ratio / self.log_sd_error),
+            np.asarray(kolmogorov(distances * np.sqrt(one * other / (one + other)))),
+            _two_sided(np.array([self.log_evidence_difference / self.log_evidence_error])),
+        )
 
 
 def compare_halves(sampling: SMCResult, posterior: Posterior) -> SamplerCheck | None:

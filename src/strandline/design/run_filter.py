@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from strandline.discrepancy import Discrepancy, oriented_like_runs
-from strandline.foundations import CampaignStopped, InvalidInput, NoCommonPoints, NumericsError
+from strandline.foundations import CampaignStopped, InvalidInput, NoCommonPoints, NumericsError, require
 from strandline.interface import Observation
 from strandline.likelihood import InterfaceLikelihood, noise_length
 from strandline.runs import EXCLUDED, FailurePolicy, RunRecord
@@ -200,13 +200,10 @@ def _require_near(record: RunRecord, observations: Sequence[Observation]) -> Non
         low, high = seen.interface.points.min(axis=0), seen.interface.points.max(axis=0)
         extent = float((high - low).max())
         largest = float(np.abs(simulated.points).max())
-        if largest > FARTHEST * max(extent, float(np.abs([low, high]).max())):
-            raise InvalidInput(
-                "coordinates of the simulated interface",
-                value=f"{largest:.3g} mm",
-                expected=f"at most {FARTHEST:.0e} times the observed interface's extent of {extent:.3g} mm",
-                remedy="Look at the model's units and at whether this run has converged.",
-            )
+        near = not largest > FARTHEST * max(extent, float(np.abs([low, high]).max()))
+        expected = f"at most {FARTHEST:.0e} times the observed interface's extent of {extent:.3g} mm"
+        remedy = "Look at the model's units and at whether this run has converged."
+        require(near, "coordinates of the simulated interface", f"{largest:.3g} mm", expected, remedy)
 
 
 def _one_line(error: Exception) -> str:

@@ -4,7 +4,7 @@ In: interfaces, a measure, the noise (stated or unknown). Out: log-likelihoods, 
 posterior of the noise. It knows no solver.
 """
 
-from strandline.likelihood.field import DRAWS, FieldLikelihood, evaluated, noise_length, predicted, sd_of_distances
+from strandline.likelihood.field import FieldLikelihood, evaluated, noise_length, predicted, sd_of_distances
 from strandline.likelihood.inferred_noise import (
     InferredNoise,
     NoisePosterior,
@@ -13,7 +13,7 @@ from strandline.likelihood.inferred_noise import (
     require_inferable_noise,
 )
 from strandline.likelihood.interfaces import Compared, InterfaceLikelihood, Registered, adapted, compared, with_variance
-from strandline.likelihood.local_likelihood import Mixture, Nearby, follows_offsets
+from strandline.likelihood.local_likelihood import Mixture, Nearby
 from strandline.likelihood.noise_rule import (
     ResidualNoise,
     StatedErrors,

@@ -139,13 +139,15 @@ class FieldLikelihood:
         squares = np.einsum("pmn,pm,pn->p", around.information**2, V, V)
         return np.asarray((around.slopes**2 * V).sum(axis=1) + 0.5 * squares)
 
-    def left_out(self, runs: Int[np.ndarray, " run"]) -> "LeftOutLikelihood":
-        """Return the likelihood of the training runs with these indices, each predicted from all others."""
+    def left_out(self, runs: Int[np.ndarray, " run"]) -> tuple[Values, Values]:
+        """Return log E[L] of the training runs with these indices, each predicted from all others, and the variance of
+        log L over the fields possible there.
+        """
         left_out = [process.left_out() for process in self.surrogate.processes]
         values = np.stack([p.observed.values for p in self.surrogate.processes], axis=1)
         mean = values - np.stack([one.errors for one in left_out], axis=1)
         found = FieldPrediction(mean[runs], np.stack([one.variances for one in left_out], axis=1)[runs])
-        return LeftOutLikelihood(self._drawn(found), self._varied(found))
+        return self._drawn(found), self._varied(found)
 
     def _drawn(self, found: FieldPrediction) -> Values:
         parabolas = self.parabola.parabolas(found.mean)
@@ -191,14 +193,6 @@ class FieldLikelihood:
     @property
     def _sizes(self) -> tuple[int, int]:
         return len(self.surrogate.modes.basis), len(self.surrogate.modes.tail)
-
-
-@dataclass(frozen=True, eq=False)
-class LeftOutLikelihood:
-    """log E[L] of runs, each predicted from all others, and the variance of log L over the fields possible there."""
-
-    log_expected: Float[np.ndarray, " run"]
-    variances: Float[np.ndarray, " run"]
 
 
 def noise_length(observation: Observation, discrepancy: Discrepancy) -> float:

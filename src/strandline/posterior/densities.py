@@ -17,7 +17,7 @@ from scipy.spatial.distance import cdist
 from scipy.special import ndtr, ndtri
 from scipy.stats import chi2, qmc
 
-from strandline.foundations import InvalidInput, NumericsError, require, side_by_side, use_double
+from strandline.foundations import NumericsError, require, side_by_side, use_double
 from strandline.parameters import ParameterSpace
 from strandline.posterior.posterior import Weighted, systematic_indices
 
@@ -137,13 +137,9 @@ def log_prior_hessian(space: ParameterSpace, x: Float[np.ndarray, " dim"]) -> Fl
         InvalidInput: JAX runs in single precision, or the prior density at x is zero.
     """
     use_double()
-    if not np.isfinite(space.log_prior(np.asarray(x))):
-        raise InvalidInput(
-            "log prior at the point of its Hessian",
-            value=dict(space.as_mapping(np.asarray(x))),
-            expected="a point of positive and finite prior density",
-            remedy="Choose a point inside the support of every prior.",
-        )
+    finite, at = np.isfinite(space.log_prior(np.asarray(x))), dict(space.as_mapping(np.asarray(x)))
+    words = "a point of positive and finite prior density", "Choose a point inside the support of every prior."
+    require(finite, "log prior at the point of its Hessian", at, *words)
     return np.asarray(jax.jit(jax.hessian(space.log_prior))(jnp.asarray(x)))
 
 

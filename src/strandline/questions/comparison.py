@@ -45,12 +45,6 @@ class ComparedStudy:
     summary: Mapping[str, Any]
     constant: float
 
-    @property
-    def misfit_noticed(self) -> bool:
-        """Whether the study says that the model does not explain the data; false if its fit was not judged."""
-        misfit = self.summary["misfit"]
-        return misfit is not None and bool(misfit["flagged"])
-
     def narrowing(self, name: str) -> float:
         """Return the standard deviation of an input's prior over that of its posterior."""
         space = self.study.space
@@ -216,7 +210,7 @@ def _band(one: ComparedStudy, condition: str) -> dict[str, Any] | None:
 
 def _remarks(found: ModelComparison, compared: Mapping[str, ComparedStudy], shared: Sequence[str]) -> Iterator[str]:
     """Yield sentences on what the verdict depends on."""
-    if compared[found.order[0]].misfit_noticed:
+    if (misfit := compared[found.order[0]].summary["misfit"]) is not None and misfit["flagged"]:
         yield remark("none_explains", best=found.order[0])
     for name, one in compared.items():
         yield from (f"{name}: {conflict}" for conflict in prior_conflicts(one.posterior))

@@ -146,17 +146,15 @@ def _require_arguments(replicates: int, source: str, seed: int) -> None:
 
 
 def _require_good(quality: FieldQuality, source: str) -> None:
-    if quality.good:
-        return
     hidden, median, left_out = (TO_MICROMETRES * mm for mm in (quality.hidden, quality.median, quality.left_out))
-    everywhere = "Make more runs over the whole prior, design: {sobol: {runs: …}}, or take --from posterior."
-    raise InvalidStudy(
-        f"the surrogate of the interface is not accurate enough over the {source}",
-        value=f"errors above {TOLERATED * hidden:.3g} µm at {100 * quality.beyond:.0f} % of the draws "
-        f"(median {median:.3g} µm; at left-out runs {left_out:.3g} µm)",
-        expected=f"at most {100 * TOLERATED_SHARE:.0f} %, since the local noise hides shifts of {hidden:.3g} µm only",
-        remedy=everywhere if source == "prior" else "Make more runs where the posterior lies: an active design does.",
-    )
+    what = f"the surrogate of the interface is not accurate enough over the {source}"
+    value = f"errors above {TOLERATED * hidden:.3g} µm at {100 * quality.beyond:.0f} % of the draws"
+    value = f"{value} (median {median:.3g} µm; at left-out runs {left_out:.3g} µm)"
+    expected = f"at most {100 * TOLERATED_SHARE:.0f} %, since the local noise hides shifts of {hidden:.3g} µm only"
+    remedy = "Make more runs where the posterior lies: an active design does."
+    if source == "prior":
+        remedy = "Make more runs over the whole prior, design: {sobol: {runs: …}}, or take --from posterior."
+    require(quality.good, what, value, expected, remedy, InvalidStudy)
 
 
 def _key(study: studies.Study, measure: str, seed: int, posterior: Posterior | None) -> str:

@@ -44,6 +44,7 @@ FEWEST = 30.0
 """Median number of draws that a possible observation must leave with weight; else nested Monte Carlo is not offered."""
 LEAST_LOG_DET = -1e3
 """Logarithm of the smallest determinant of a covariance; that of equal draws is 0."""
+Signals = Float[np.ndarray, "draw signal"]
 BLOCK = 256  # observations that are weighed at the same time
 
 
@@ -69,11 +70,7 @@ class Gain:
 
 
 def expected_gain(
-    now: Weighted,
-    signals: Float[np.ndarray, "draw signal"],
-    random: np.random.Generator,
-    *,
-    interest: Sequence[int] | None = None,
+    now: Weighted, signals: Signals, random: np.random.Generator, *, interest: Sequence[int] | None = None
 ) -> Gain:
     """Return the expected information gain of an experiment, by nested Monte Carlo.
 
@@ -117,10 +114,7 @@ _Weighed = tuple[Float[np.ndarray, " _"], Float[np.ndarray, " _"], Float[np.ndar
 
 
 def _weighed(
-    now: Weighted,
-    signals: Float[np.ndarray, "draw signal"],
-    noise: Float[np.ndarray, "draw signal"],
-    columns: Int[np.ndarray, " interest"],
+    now: Weighted, signals: Signals, noise: Signals, columns: Int[np.ndarray, " interest"]
 ) -> Iterator[_Weighed]:
     """Yield what follows from the observation of each draw, a block of them at a time.
 
@@ -171,12 +165,7 @@ class Outlook:
 
 
 def expected_outlook(
-    now: Weighted,
-    signals: Float[np.ndarray, "draw signal"],
-    informations: Callable[[], _Informations],
-    *,
-    interest: Sequence[int],
-    seed: int,
+    now: Weighted, signals: Signals, informations: Callable[[], _Informations], *, interest: Sequence[int], seed: int
 ) -> Outlook:
     """Return the outlook by nested Monte Carlo; linearised if too few draws are left for that.
 
@@ -270,7 +259,7 @@ def _lead(odds: Float[np.ndarray, "truth model"], right: int) -> Float[np.ndarra
 
 
 def _log_densities(
-    seen: Float[np.ndarray, "truth signal"], draws: Float[np.ndarray, "draw signal"], *, own: bool
+    seen: Float[np.ndarray, "truth signal"], draws: Signals, *, own: bool
 ) -> tuple[Float[np.ndarray, " truth"], Float[np.ndarray, " truth"]]:
     """Return log p(s | model), without the constant of the errors, and the effective number of draws behind it.
 

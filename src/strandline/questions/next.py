@@ -16,7 +16,7 @@ from jaxtyping import Float
 from strandline import studies
 from strandline.calibration import Errors, Footprint, Observer, errors_behind, footprint, observer_or_default
 from strandline.design import Candidate, Look, key_of, sobol
-from strandline.foundations import InvalidInput, InvalidStudy, TooFewRuns, one_thread, require, unit_text, use_double
+from strandline.foundations import InvalidStudy, TooFewRuns, one_thread, require, unit_text, use_double
 from strandline.interface import Interface, UnknownErrors
 from strandline.models import undeformed_interface
 from strandline.posterior import Weighted
@@ -343,27 +343,20 @@ def answers_from_prior(
     )
     observer.stage("gains")
     at = {key_of(setting): made.points[k * runs : (k + 1) * runs] for k, setting in enumerate(settings)}
-    failed = [one.failed for one in at[key_of({})] if one.failed is not None]
+    failed = [problem_of(one.failed) for one in at[key_of({})] if one.failed is not None]
     good = [one for one in at[key_of({})] if one.failed is None]
-    if not good:
-        raise TooFewRuns(
-            "the planned experiment failed at every draw of the prior",
-            value=f"0 of {runs}; e.g. {problem_of(failed[0])}",
-            expected="a prior where the simulator runs",
-            remedy="Look at the failures, or move the priors to where it runs.",
-        )
+    what, value = "the planned experiment failed at every draw of the prior", f"0 of {runs}; e.g. {''.join(failed[:1])}"
+    words = "a prior where the simulator runs", "Look at the failures, or move the priors to where it runs."
+    require(good, what, value, *words, TooFewRuns)
     errors = _errors(study, good[0].run, asked)
     now = Weighted(
         space.prior_quantiles(sobol(PRIOR_DRAWS, space.dim, scramble=SCRAMBLE)), np.full(PRIOR_DRAWS, 1 / PRIOR_DRAWS)
     )
     planned = [information for _, information in _experiments(study, errors, good, PLANNED.look)]
-    if not planned:
-        raise InvalidInput(
-            "slopes of the interface in the inputs",
-            value="runs whose interfaces have different nodes, and no sensitivities",
-            expected="interfaces with the same nodes in all runs, or sensitivities",
-            remedy="Let the simulator return the same nodes, or finish the study and plan from its posterior.",
-        )
+    value = "runs whose interfaces have different nodes, and no sensitivities"
+    expected = "interfaces with the same nodes in all runs, or sensitivities"
+    remedy = "Let the simulator return the same nodes, or finish the study and plan from its posterior."
+    require(planned, "slopes of the interface in the inputs", value, expected, remedy)
     return Answers(
         source="prior",
         now=now,

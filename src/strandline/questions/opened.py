@@ -36,15 +36,6 @@ FILE = "file"  # column of the table that names the specimen
 
 
 @dataclass(frozen=True, eq=False)
-class SpecimenOutline:
-    """The outline of a specimen, mm, its noise, and the SHA-256 of its file."""
-
-    interface: Interface
-    noise: Noise | PointErrors | UnknownErrors
-    digest: str
-
-
-@dataclass(frozen=True, eq=False)
 class SpecimenFiles:
     """The files of all specimens of a study: `pattern` is relative to its folder, `source` says how each is read,
     `known` inputs have their values in `given`, by specimen.
@@ -89,8 +80,8 @@ class SpecimenFiles:
                 names.setdefault(_digest(path), []).append(self.name(path))
         return [tuple(some) for some in names.values() if len(some) > 1]
 
-    def read(self, path: Path) -> SpecimenOutline:
-        """Return the outline in a file, with its noise; refuse a file that holds no simple outline."""
+    def read(self, path: Path) -> tuple[Observation, str]:
+        """Return the outline in a file, with its noise, and its SHA-256; refuse a file that holds no simple outline."""
         try:
             digest = _digest(path)
         except OSError as error:
@@ -106,7 +97,7 @@ class SpecimenFiles:
         if self.study.undeformed is not None:
             noise = studies.with_errors_of(self.study.undeformed, noise, found.interface, conditions=1)
         studies.require_fits(noise, found.interface)
-        return SpecimenOutline(found.interface, noise, digest)
+        return Observation(found.interface, noise), digest
 
     def given_of(self, name: str) -> dict[str, float]:
         """Return the known inputs of a specimen; refuse one without a row in the table, or a cell that is no number."""
@@ -150,14 +141,11 @@ def require_one_condition(study: studies.Study) -> None:
 def _source(content: studies.StudyFile, said: studies.SpecimensFile) -> studies.ObservationFile:
     if said.read is None:
         own = content.observation
-        if isinstance(own, list) or own.synthetic is not None:
-            raise InvalidStudy(
-                "specimens: how to read the files",
-                value="observation.synthetic, which reads none",
-                expected="the unit of the coordinates, `specimens: {files: …, read: {unit: mm}}`",
-                remedy="Add read.",
-            )
-        return own
+        if not isinstance(own, list) and own.synthetic is None:
+            return own
+        what, value = "specimens: how to read the files", "observation.synthetic, which reads none"
+        expected = "the unit of the coordinates, `specimens: {files: …, read: {unit: mm}}`"
+        raise InvalidStudy(what, value=value, expected=expected, remedy="Add read.")
     image = said.read.get("image")
     into = {"image": {**image, FILE: said.files}} if isinstance(image, Mapping) else {FILE: said.files}
     return studies.checked(studies.ObservationFile, {**said.read, **into}, "specimens.read")
@@ -287,10 +275,10 @@ class Specimens:
     def task(self, path: Path) -> tuple[Task, str]:
         """Return the specimen in a file, and the digest of all that its posterior depends on."""
         name = self.files.name(path)
-        outline, given = self.files.read(path), self.files.given_of(name)
+        (outline, digest), given = self.files.read(path), self.files.given_of(name)
         seen = self._observation(outline.interface, outline.noise, name)
         read = self.files.source.model_dump_json()
-        facts = [self._key, name, outline.digest, sorted(given.items()), repr(outline.noise), read]
+        facts = [self._key, name, digest, sorted(given.items()), repr(outline.noise), read]
         return Task(name, (seen,), given), sha256(json.dumps(facts).encode()).hexdigest()
 
     def _observation(self, interface: Interface, noise: Noise | PointErrors | UnknownErrors, name: str) -> Observation:

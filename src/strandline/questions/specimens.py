@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from strandline import studies
 from strandline.calibration import Observer, observer_or_default
@@ -147,29 +146,23 @@ def _refined(
 ) -> tuple[Specimens, int]:
     """Make further runs for the specimens that need them; return the study opened again, and the number of runs."""
     made, open_ones = 0, [one for one in found.posteriors if not one.certified.good]
-    by_name = {opened.files.name(path): path for path in paths}
+    by_name, study = {opened.files.name(path): path for path in paths}, opened.study
+    path, text = study.folder / studies.SPECIMENS_LEDGER, f"{study.name}, further runs for specimens"
     while open_ones and made < most:
         left = most - made
         x = runs_for(opened.begin, open_ones, min(left, max(BATCH, -(-left // 2))))
         if not len(x):
             break
         tell.stage("forward")
-        made += _run(opened, x, executor, tell)
+        inputs = [{**study.fixed, **study.space.as_mapping(row)} for row in x]
+        with Ledger.open(path, model=study.runs.identity, description=text) as ledger:
+            run_campaign(studies.plain_model(study), inputs, ledger=ledger, executor=executor, on_record=tell.run)
+        made += len(inputs)
         opened = open_specimens(opened.study, seed=opened.seed, measure=opened.measure)
         tell.stage("specimens")
         again = posteriors_of_files(opened, [by_name[one.name] for one in open_ones], processes=processes, tell=tell)
         open_ones = [one for one in again.posteriors if not one.certified.good]
     return opened, made
-
-
-def _run(opened: Specimens, x: Any, executor: Executor, tell: Observer) -> int:
-    """Run the model at these inputs; return the number of runs."""
-    study = opened.study
-    inputs = [{**study.fixed, **study.space.as_mapping(row)} for row in x]
-    identity, text = study.runs.identity, f"{study.name}, further runs for specimens"
-    with Ledger.open(study.folder / studies.SPECIMENS_LEDGER, model=identity, description=text) as ledger:
-        run_campaign(studies.plain_model(study), inputs, ledger=ledger, executor=executor, on_record=tell.run)
-    return len(inputs)
 
 
 def _with_population(found: SpecimensFound, seed: int) -> SpecimensFound:

@@ -44,7 +44,9 @@ def sample_each(
             than two particles, or one lies outside the prior.
         NumericsError: as for `sample`; the message names θ.
     """
-    _require_one_each(initial, given)
+    found = f"{len(initial)} sets for {len(given)} given values"
+    words = "one set for each given value, and at least one", "Draw a set from the prior for each value."
+    require(len(initial) == len(given) > 0, "initial particles of conditional posteriors", found, *words)
     target = hashable(log_likelihood), hashable(log_prior)
     values = jnp.asarray(given, float)
     keys = jax.vmap(partial(jax.random.fold_in, key))(jnp.arange(len(values)))
@@ -139,9 +141,3 @@ def _told_with(theta: Any, function: Callable[..., Any], *arguments: Any) -> Any
         return function(*arguments)
     except NumericsError as error:
         raise NumericsError(f"given {np.asarray(theta).tolist()}: {error}") from error
-
-
-def _require_one_each(initial: Float[np.ndarray, "case particle dim"], given: Float[np.ndarray, "other given"]) -> None:
-    found = f"{len(initial)} sets for {len(given)} given values"
-    words = "one set for each given value, and at least one", "Draw a set from the prior for each value."
-    require(len(initial) == len(given) > 0, "initial particles of conditional posteriors", found, *words)

@@ -1,7 +1,6 @@
 """Right models are seldom flagged, whatever the inputs; planted wrong ones are."""
 
 import re
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +9,7 @@ from scipy import stats
 from tests.unit.discrepancy.surfaces import sheet
 
 from strandline.calibration import assess_fit
+from strandline.calibration import best_fit as fits
 from strandline.calibration.assess_fit import misfit_of
 from strandline.calibration.best_fit import Prediction, by_runs, corrected, drawn_statistics
 from strandline.calibration.misfit import Effort, verdict_on
@@ -137,7 +137,7 @@ def test_inputs_that_act_only_together_raise_no_false_alarm(monkeypatch):
         return found.smooth_p
 
     assert stats.kstest([smooth_p(seed) for seed in range(20)], "uniform").pvalue > 0.005
-    monkeypatch.setattr(assess_fit, "beyond", separately)
+    monkeypatch.setattr(fits, "beyond", separately)
     assert stats.kstest([smooth_p(seed) for seed in range(20)], "uniform").pvalue < 0.005
 
 
@@ -152,7 +152,7 @@ def test_p_values_of_right_models_are_uniform(monkeypatch):
     for given, function, planted in rows:
         assert stats.kstest(p_values(*given), "uniform").pvalue > 0.005
         with monkeypatch.context() as patch:
-            patch.setattr(assess_fit, function, planted)
+            patch.setattr(fits, function, planted)
             assert stats.kstest(p_values(*given), "uniform").pvalue < 0.005
 
 
@@ -189,12 +189,11 @@ def test_what_could_not_be_computed_is_none_and_no_p_value_of_a_good_fit(monkeyp
     def failing(*_, **__):
         raise ArithmeticError("singular")
 
-    module = sys.modules["strandline.calibration.assess_fit"]
-    monkeypatch.setattr(module, "predictive_shares", failing)
+    monkeypatch.setattr(assess_fit, "predictive_shares", failing)
     found = judged(outline())
     assert (found.flagged, found.predictive_p, found.conditions[0].predictive_p) == (False, None, None)
     assert "could not be computed: singular" in " ".join(found.notes)
-    monkeypatch.setattr(module, "best_fit", failing)
+    monkeypatch.setattr(fits, "best_fit", failing)
     assert (judged(outline()).flagged, judged(outline()).p_value) == (None, None)
 
 

@@ -4,28 +4,7 @@ from strandline.design.active.active_design import KINDS, ActiveDesign, Batch, S
 from strandline.design.active.campaign import ActiveRuns, BatchReport, Certificate, FieldOutcome, VarianceEffect
 from strandline.design.active.checking import BatchCheck
 from strandline.design.active.choice import CRITERIA, Active, Criterion
-from strandline.design.active.posterior_check import SimulatorNoise, simulator_noise
+from strandline.design.active.posterior_check import simulator_noise
 from strandline.design.active.state import Knowledge, State, learn, posterior_state, training_of
 
-__all__ = [
-    "CRITERIA",
-    "KINDS",
-    "Active",
-    "ActiveDesign",
-    "ActiveRuns",
-    "Batch",
-    "BatchCheck",
-    "BatchReport",
-    "Certificate",
-    "Criterion",
-    "FieldOutcome",
-    "Knowledge",
-    "SimulatorNoise",
-    "State",
-    "Step",
-    "VarianceEffect",
-    "learn",
-    "posterior_state",
-    "simulator_noise",
-    "training_of",
-]
+__all__ = ["CRITERIA", "Active", "Criterion"]

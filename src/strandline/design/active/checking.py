@@ -296,7 +296,7 @@ def error_probability(look: int, looks: int) -> float:
 
 def verdict(
     draws: LogRatios,
-    posterior: Float[np.ndarray, "particle dim"],
+    posterior: Particles,
     tolerances: Tolerances,
     *,
     probing: int,

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from strandline.design.active.checking import FEWEST_DRAWS, MOST_FAILED, Tolerances, number_of_probes
 from strandline.design.active.state import Knowledge, State
 from strandline.design.refinement import sobol
-from strandline.foundations import InvalidInput, lookup, require
+from strandline.foundations import lookup, require
 from strandline.parameters import ParameterSpace
 from strandline.posterior import subset
 from strandline.runs import RunRecord
@@ -165,14 +165,10 @@ def _accepted(found: object, pools: Mapping[bool, Points], before: Sequence[Poin
     point = np.asarray(found)
     given = any(point.shape == pool.shape[1:] and (pool == point).all(axis=1).any() for pool in pools.values())
     used_up = len(before) >= min(len(pool) for pool in pools.values())
-    if given and (used_up or not any(np.array_equal(point, one) for one in before)):
-        return point
-    raise InvalidInput(
-        f"what the criterion {criterion} picks",
-        value=point.tolist(),
-        expected="one of the points that it was given, each once",
-        remedy="Check it with strandline.testing.criteria.",
-    )
+    right = given and (used_up or not any(np.array_equal(point, one) for one in before))
+    words = "one of the points that it was given, each once", "Check it with strandline.testing.criteria."
+    require(right, f"what the criterion {criterion} picks", point.tolist(), *words)
+    return point
 
 
 def _new(points: Points, state: State) -> Float[np.ndarray, "new dim"]:

@@ -148,9 +148,8 @@ def left_out_ratios(
         return LogRatios(x[inside], np.empty(0), np.empty(0))
     good = [record for record in records if record.ok]
     true = np.array([log_likelihood(good[i]) for i in np.flatnonzero(inside)])
-    predicted = likelihood.left_out(np.flatnonzero(inside))
-    log_expected = predicted.log_expected + knowledge.log_feasibility(x[inside])
-    return LogRatios(x[inside], true - log_expected, predicted.variances)
+    log_expected, variances = likelihood.left_out(np.flatnonzero(inside))
+    return LogRatios(x[inside], true - (log_expected + knowledge.log_feasibility(x[inside])), variances)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +167,7 @@ class Checked:
     log_expected: Float[np.ndarray, " draw"]
     probing: int
     ends: tuple[int, ...]
-    elsewhere: Float[np.ndarray, "new dim"]
+    elsewhere: New
     left_out: LogRatios
     looks: int
     patient: bool

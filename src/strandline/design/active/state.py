@@ -19,7 +19,7 @@ from scipy.special import log_softmax, logsumexp
 from strandline.design.refinement import SAMPLING
 from strandline.design.run_filter import says_whether_runs_succeed
 from strandline.discrepancy import Discrepancy
-from strandline.foundations import NoCommonPoints, one_thread
+from strandline.foundations import NoCommonPoints, one_thread, require
 from strandline.interface import Observation
 from strandline.likelihood import FieldLikelihood, noise_length
 from strandline.parameters import ParameterSpace
@@ -57,16 +57,16 @@ class Knowledge:
         """Shift of an observed interface that the noise hides, mm: the smallest of all conditions."""
         return hidden_shift(self.likelihood.known_observations, self.likelihood.discrepancy)
 
-    def log_feasibility(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+    def log_feasibility(self, x: Float[np.ndarray, "point dim"]) -> Values:
         """Return the log probability of success relative to the safest run, so random failures change nothing."""
         z = self.surrogate.warping.standardise(x)
         return np.asarray(np.minimum(self.feasibility.log_probability(z) - self.highest, 0.0))
 
-    def plug_in(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+    def plug_in(self, x: Float[np.ndarray, "point dim"]) -> Values:
         """Return log L of the predicted interface plus the log probability that there is one."""
         return np.asarray(self.likelihood.plug_in(x) + self.log_feasibility(x))
 
-    def roughly(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"] | None:
+    def roughly(self, x: Float[np.ndarray, "point dim"]) -> Values | None:
         """Return what `plug_in` returns, by `FieldLikelihood.nearby`, in a fraction of the time.
 
         None if there is no such way.
@@ -76,7 +76,7 @@ class Knowledge:
         near = self.likelihood.nearby.log_likelihood(self.surrogate.mean(x))
         return np.asarray(near + self.log_feasibility(x))
 
-    def gain(self, x: Float[np.ndarray, "point dim"], plug_in: Float[np.ndarray, " point"]) -> Values:
+    def gain(self, x: Float[np.ndarray, "point dim"], plug_in: Values) -> Values:
         """Return log E[L] - log L in closed form: what the surrogate's uncertainty adds to `plug_in` or `roughly`.
 
         `plug_in` is what one of these returns.
@@ -93,9 +93,7 @@ class Knowledge:
         values = self.roughly(x)
         return None if values is None else np.asarray(values + self.gain(x, values))
 
-    def expected(
-        self, x: Float[np.ndarray, "point dim"], *, plug_in: Float[np.ndarray, " point"] | None = None
-    ) -> Float[np.ndarray, " point"]:
+    def expected(self, x: Float[np.ndarray, "point dim"], *, plug_in: Values | None = None) -> Values:
         """Return log E[L] over the fields possible for the surrogate plus the log probability of an interface.
 
         `plug_in` is that of the points, if they are draws of the posterior, or of a tempered one.
@@ -134,13 +132,11 @@ def learn(
         if hidden < guess:
             surrogate = fit_field(training, tolerance=TOLERATED_REMAINDER * hidden)
             likelihood = FieldLikelihood(surrogate, observations, discrepancy)
-    if surrogate.registration_error > hidden:
-        raise NoCommonPoints(
-            "interfaces of the runs for a surrogate of the field",
-            value=f"common points {surrogate.registration_error:.3g} mm away from them, root mean square",
-            expected=f"at most {hidden:.3g} mm, the shift of the interface that the local noise hides",
-            remedy="Let the simulator return more nodes, or nodes that are the same in all runs.",
-        )
+    what, error = "interfaces of the runs for a surrogate of the field", surrogate.registration_error
+    value = f"common points {error:.3g} mm away from them, root mean square"
+    expected = f"at most {hidden:.3g} mm, the shift of the interface that the local noise hides"
+    remedy = "Let the simulator return more nodes, or nodes that are the same in all runs."
+    require(not error > hidden, what, value, expected, remedy, NoCommonPoints)
     z = surrogate.warping.standardise(x)
     told = np.array([says_whether_runs_succeed(record) for record in records], bool)
     feasibility = learn_feasibility(z[told], ok[told])
