@@ -3,8 +3,7 @@
 In: a prior to draw from, a log-likelihood in batches, a random key. Out: weighted particles and a record of each step.
 """
 
-from strandline.smc.combined import carried_over, in_halves
-from strandline.smc.conditionals import ConditionalLogDensity, sample_each
+from strandline.smc.combined import ConditionalLogDensity, carried_over, in_halves, sample_each
 from strandline.smc.moves import BatchedLogDensity, Moved, RandomKey, metropolis
 from strandline.smc.on_host import OnHost, is_on_host
 from strandline.smc.records import STUDY, SMCResult, SMCSettings, StepInfo, require
