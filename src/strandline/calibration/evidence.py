@@ -24,8 +24,7 @@ from strandline.foundations import listed, one_thread, require
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted, systematic_indices
 
-FIRST, DRAWS = 512, 1000
-"""Draws of the prior, and of each mixture."""
+FIRST, DRAWS = 512, 1000  # draws of the prior, and of each mixture
 ENOUGH, ROUNDS = 1500.0, 5
 """Effective sample size at which sampling ends, and the most mixtures that are drawn from."""
 KEPT, FIELDS = 100, 32

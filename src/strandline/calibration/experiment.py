@@ -180,8 +180,7 @@ def _surprise(surrogate: FieldSurrogate) -> float:
 
 Matrix = Float[np.ndarray, "dim dim"]
 Point = Float[np.ndarray, " dim"]
-WHOLE = 0.8
-"""Share of a polyline from which an observation of as many points consists of its nodes."""
+WHOLE = 0.8  # share of a polyline from which an observation of as many points consists of its nodes
 STEP = 1e-3  # step of finite differences of the predicted interface, as a share of the box
 
 

@@ -25,8 +25,7 @@ from strandline.smc import OnHost, SMCResult, sample
 ENOUGH = 400.0
 """Effective sample size at which sampling ends."""
 ROUNDS = 8  # largest number of rounds
-DRAWS, MANY_INPUTS_DRAWS = 1000, 2000
-"""Points of a round, for up to three inputs and for more."""
+DRAWS, MANY_INPUTS_DRAWS = 1000, 2000  # points of a round, for up to three inputs and for more
 FREEDOM = 5.0
 """Degrees of freedom of the Student distributions: tails heavier than those of most posteriors."""
 MOST_PARTS = 4  # largest number of distributions in the mixture

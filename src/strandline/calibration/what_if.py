@@ -39,8 +39,7 @@ FEWEST = 100.0
 FIRST = 2048  # draws of the prior that sampling begins with
 ENOUGH = 1000.0
 """Effective draws at which sampling ends."""
-DRAWS = 2000
-"""Equally weighted draws that are kept."""
+DRAWS = 2000  # equally weighted draws that are kept
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,8 +39,7 @@ TRIED, LIKELY, TOLERATED = 8, 10.0, 0.2
 largest difference of log E[L]."""
 ROUNDS, SHIFTS = 6, 16
 """Rounds of the search for the shift that the noise hides, and shifts tried in each."""
-LEAST_SHIFT = 1e-12
-"""Least shift of an interface that is tried, as a share of its extent."""
+LEAST_SHIFT = 1e-12  # least shift of an interface that is tried, as a share of its extent
 _BLOCK = 8192  # interfaces predicted together
 
 

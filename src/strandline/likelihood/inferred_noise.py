@@ -41,16 +41,14 @@ Values = Float[np.ndarray, " value"]
 Shared = Float[np.ndarray, "seen error"]
 Residuals = Float[np.ndarray, " seen"]
 WAVES = 12  # number of waves along the interface
-AMPLITUDES = np.geomspace(0.3, 10.0, 6)
-"""Amplitudes a compared, in root mean squares of the residuals."""
+AMPLITUDES = np.geomspace(0.3, 10.0, 6)  # amplitudes a compared, in root mean squares of the residuals
 OFFSET_LENGTHS = (0.05, 0.15, 0.5)  # lengths L compared, as shares of the length of the interface
 SPREADS = (0.02, 0.05, 0.1, 0.25, 0.5)
 """Standard deviations τ compared, as shares of that of a uniform prior over the box."""
 SDS, LENGTHS = 33, 15
 WIDER = 1.5  # factor by which the second grid exceeds what was found on the first
 LEVELS = 12  # noise levels of the mixture, for each model error
-NEGLIGIBLE = 1e-7
-"""Probability below which a pair of amplitude and length of the model error is left out."""
+NEGLIGIBLE = 1e-7  # probability below which a pair of amplitude and length of the model error is left out
 
 
 @dataclass(frozen=True)

@@ -57,8 +57,7 @@ LARGE = 300
 """Triangles of an observed surface above which the closed form is not compared with the rule, which takes minutes."""
 AGREED = 2.0  # ratio of closed form and general rule from which the rule is used
 FEW_DRAWS = 20  # drawn observations for an assumed standard deviation: it is known to 8 %
-MOST = 1500
-"""Most points of a surface between which distances are taken."""
+MOST = 1500  # most points of a surface between which distances are taken
 _SMALL = 0.1
 """Standard deviation for which the noise variance of a measure is computed, in spacings of the observed points."""
 

@@ -209,8 +209,7 @@ def _separation(found: ModelComparison, shown: CandidateSignals, seed: int) -> D
     return expected_discrimination(shown.signals, (shares / shares.sum()).tolist(), np.random.default_rng(seed))
 
 
-SAME = 1e-6
-"""Largest distance of points that count as the same, mm."""
+SAME = 1e-6  # largest distance of points that count as the same, mm
 OF_POINTS = ("sd", "length", "shift", "rotation", "scale", "offset", "shared", "shares")
 DEFAULTS = {"shared": False, "shares": ()}
 

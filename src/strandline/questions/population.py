@@ -138,11 +138,9 @@ def _thinned(draws: Float[np.ndarray, "draw dim"], number: int) -> Float[np.ndar
 
 FEWEST_SPECIMENS = 3
 LARGEST_SPREAD = 0.5  # largest spread of an input, as a share of its box
-ENOUGH = 2000.0
-"""Effective sample size at which sampling ends."""
+ENOUGH = 2000.0  # effective sample size at which sampling ends
 FIRST, AROUND = 512, 1024  # draws of the prior of mean and spread, and around a first guess
-DRAWS = 500
-"""Equally weighted draws that are kept."""
+DRAWS = 500  # equally weighted draws that are kept
 STRETCH = 1.5  # factor of the width of the first guess
 
 Rows = Float[np.ndarray, "draw dim"]

@@ -263,8 +263,7 @@ def _after(present: AfterExperiment, candidate: Candidate, made: Sequence[Prospe
     return CandidateAnswer(candidate, outlook, failing, max(sizes, default=None))
 
 
-DRAWS = 500
-"""Draws of each posterior, few enough to be all different."""
+DRAWS = 500  # draws of each posterior, few enough to be all different
 
 
 @dataclass(frozen=True, eq=False)

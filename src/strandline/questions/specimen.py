@@ -33,8 +33,7 @@ from strandline.surrogate import FieldPrediction, FieldSurrogate
 
 __all__ = ["SpecimenPosterior", "posterior_of"]
 
-DRAWS, MANY_INPUTS_DRAWS = 1024, 4096
-"""Draws of the prior for up to three unknown inputs and for more."""
+DRAWS, MANY_INPUTS_DRAWS = 1024, 4096  # draws of the prior for up to three unknown inputs and for more
 FEW_INPUTS = 3
 SCRAMBLE = 0  # seed that scrambles their Sobol sequence
 
@@ -101,10 +100,8 @@ class Start:
         return replace(self, given=dict(given))
 
 
-TOLERATED_SHIFT = 0.1
-"""Shift of a posterior mean that is tolerated, in posterior standard deviations."""
-NEAREST = 3
-"""Number of left-out runs near the posterior that are considered, per number of inputs + 1."""
+TOLERATED_SHIFT = 0.1  # shift of a posterior mean that is tolerated, in posterior standard deviations
+NEAREST = 3  # number of left-out runs near the posterior that are considered, per number of inputs + 1
 PRIOR_RUNS = 2.0  # runs with errors as expected that count beside them
 
 

@@ -23,14 +23,12 @@ from strandline.smc.steps import Info, Particles, advance
 FEWEST = 4  # number of particles from which there are two halves that the sampler accepts
 FIRST = 2  # keeps the keys of the halves apart from those derived from the same key elsewhere
 KEPT = 0.3  # least effective share of the particles from which sampling goes on
-ENOUGH = 0.9
-"""Effective share from which the weights alone are good enough."""
+ENOUGH = 0.9  # effective share from which the weights alone are good enough
 ROUNDS = 2  # rounds of moves that follow otherwise
 SCOUTS = 1000  # draws of the prior that are tried
 OUTSIDE = 5.0
 """Distance from the mean, in standard deviations of the particles, from which a draw is outside."""
-ELSEWHERE = 0.01
-"""Largest share of the evidence that draws of the prior may find outside the particles."""
+ELSEWHERE = 0.01  # largest share of the evidence that draws of the prior may find outside the particles
 FIRST_ACCEPTANCE = 0.3  # share of accepted moves that the size of the first proposals assumes
 
 

@@ -11,8 +11,7 @@ from strandline.testing import checks_of, require_parts
 Points = Float[np.ndarray, "run dim"]
 Values = Float[np.ndarray, " run"]
 
-LOW, HIGH = np.array([100.0, -0.5]), np.array([800.0, 0.5])
-"""A box of inputs of different magnitude."""
+LOW, HIGH = np.array([100.0, -0.5]), np.array([800.0, 0.5])  # a box of inputs of different magnitude
 
 
 def training(number: int = 80) -> tuple[Points, Values]:

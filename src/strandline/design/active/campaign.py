@@ -29,8 +29,7 @@ NEXT = {
     "done": "done, converged",
     "stop": "stop, not converged",
 }
-FAR = 0.5
-"""Share of draws still effective below which a posterior has moved too far to say by how much."""
+FAR = 0.5  # share of draws still effective below which a posterior has moved too far to say by how much
 SHOWN = 3  # inputs whose mean and standard deviation a line has room for
 Points = Float[np.ndarray, "run dim"]
 AFRESH = 1

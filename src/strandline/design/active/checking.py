@@ -26,8 +26,7 @@ from scipy.stats import chi2, t
 from strandline.posterior import NEARLY_EQUAL, Reweighting, largest_usual_k_hat, reweight
 
 SAMPLES = 400  # sets of coefficients drawn
-FREEDOM = 3
-"""Degrees of freedom that must be left."""
+FREEDOM = 3  # degrees of freedom that must be left
 WHOLE = 3
 """Largest dimension with products of the axes."""
 ROUGH = 0.1
@@ -202,8 +201,7 @@ ERROR_PROBABILITY, FIRST = 0.05, 0.5
 """Probability that an early verdict is wrong, over all looks together; share of it that the first look has."""
 LIKELY = 0.05
 """Probability that each objection of the parabola to all draws is wrong: it has seen tails that the others may miss."""
-LEVEL = 0.995
-"""Typical probability with which a bound holds: it tells how bounds shrink with more draws."""
+LEVEL = 0.995  # typical probability with which a bound holds: it tells how bounds shrink with more draws
 GROWTH = 0.25  # share by which the draws of a check grow from one look to the next
 FEWEST_WHOLE = 18  # fewest draws besides the probes whose importance weights count
 MOST_FAILED, MOST_EARLY = 0.1, 3

@@ -20,8 +20,7 @@ from strandline.parameters import ParameterSpace
 from strandline.posterior import subset
 from strandline.runs import RunRecord
 
-MOST = 0.1
-"""Largest share of the runs allowed that may be lost where runs are known to fail."""
+MOST = 0.1  # largest share of the runs allowed that may be lost where runs are known to fail
 UNLIKELY, SAFE = 0.5, 0.95
 """Probability of success, relative to the safest run, below which a region is known to fail; from which it is safe."""
 POOL = 2048  # points of the Sobol sequence from which runs are taken if hardly a particle is safe
