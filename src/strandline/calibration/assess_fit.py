@@ -69,7 +69,9 @@ def predictive_shares(
     observed, drawn = [], []
     for seen, stated, part in zip(observations, residuals.stated, residuals.parts, strict=True):
         template = templates[seen.condition]
-        how = _plain(compared(seen, measure, len(template.points)))
+        how = compared(seen, measure, len(template.points))
+        if isinstance(one := how.measure, Registered):  # drawn observations contain global errors too
+            how = Compared(seen, one.measure, GaussianNoise(one.variance))
         predicted = Interface(at_fit[seen.condition][0], template.cells)
         true = discrepancy.squared_discrepancies(how.measure, points[seen.condition], template, seen.interface)
         others = _drawn(how, stated, predicted, noise[:, part], fields[:, part], random)
@@ -81,12 +83,6 @@ def predictive_shares(
         both = shared.many(points, templates), shared.model.square(noise + fields)
     each = (float(fits.tail(others, true)) for true, others in zip(observed, drawn, strict=True))
     return PredictiveShares(float(fits.tail(both[1], both[0])), tuple(each))
-
-
-def _plain(how: Compared) -> Compared:
-    """Return the comparison by the measure itself, in which global errors show: drawn observations contain them too."""
-    one = how.measure
-    return Compared(how.observation, one.measure, GaussianNoise(one.variance)) if isinstance(one, Registered) else how
 
 
 def _drawn(

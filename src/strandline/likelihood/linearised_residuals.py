@@ -266,6 +266,7 @@ def linearise(surrogate: FieldSurrogate, joint: JointErrors) -> Linearised:
     """Return the residuals around the inputs that fit best, by Gauss–Newton steps inside the box of the inputs."""
     low, high = surrogate.warping.low, surrogate.warping.high
     widths, model = high - low, joint.model
+    weak = np.diag(1e-6 * 12 / widths**2)  # a prior that keeps inputs in place that the data do not tell
 
     def around(x: Point) -> tuple[NearField, Slopes]:
         step = _DIFFERENCE * widths * np.where(x + _DIFFERENCE * widths > high, -1.0, 1.0)
@@ -279,7 +280,7 @@ def linearise(surrogate: FieldSurrogate, joint: JointErrors) -> Linearised:
     field, J = around(x)
     for _ in range(GAUSS_NEWTON_STEPS):
         r = field.residuals
-        moved = _step(x, r, J, model, low, high)
+        moved = np.clip(x - np.linalg.solve(model.information(J) + weak, J.T @ model.solved(r)), low, high)
         if (np.abs(moved - x) <= 1e-6 * widths).all():
             break
         for share in SHARES:
@@ -290,9 +291,3 @@ def linearise(surrogate: FieldSurrogate, joint: JointErrors) -> Linearised:
             break
         x, field, J = x + share * (moved - x), field_moved, J_moved
     return Linearised(x, J, widths, near_field(surrogate, joint, field.at))
-
-
-def _step(x: Point, r: Residuals, J: Slopes, model: ErrorModel, low: Point, high: Point) -> Point:
-    """Return the next inputs; a weak prior over the box keeps inputs in place that the data do not tell."""
-    weak = np.diag(1e-6 * 12 / (high - low) ** 2)
-    return np.asarray(np.clip(x - np.linalg.solve(model.information(J) + weak, J.T @ model.solved(r)), low, high))

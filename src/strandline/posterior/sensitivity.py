@@ -51,7 +51,9 @@ def sobol_indices(
 
     rng = np.random.default_rng(seed)
     both = stats.qmc.Sobol(2 * space.dim, rng=rng).random(number)
-    values = _evaluated(function, space, np.stack(np.split(both, 2, axis=1)))
+    one, other = (space.prior_quantiles(sample) for sample in np.stack(np.split(both, 2, axis=1)))
+    mixed = [np.where(np.arange(space.dim) == i, other, one) for i in range(space.dim)]  # a column from the other
+    values = np.array([np.asarray(function(points), float) for points in (one, other, *mixed)])
     if not np.isfinite(values).all() or np.ptp(values[:2]) == 0.0:
         raise NumericsError(
             "the sensitivity indices of a function that is constant or not finite under the prior are undefined. "
@@ -61,17 +63,6 @@ def sobol_indices(
     drawn = np.array([_estimated(values[:, rng.integers(number, size=number)]) for _ in range(resamples)])
     low, high = np.quantile(drawn, [0.5 * (1 - level), 0.5 * (1 + level)], axis=0)
     return SobolIndices(first, low[0], high[0], total, low[1], high[1], evaluations=values.size)
-
-
-def _evaluated(
-    function: Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, " point"]],
-    space: ParameterSpace,
-    samples: Float[np.ndarray, "sample point dim"],
-) -> Float[np.ndarray, "evaluation point"]:
-    """Return the function at the first sample, at the second, and at the first with each column from the second."""
-    one, other = (space.prior_quantiles(sample) for sample in samples)
-    mixed = [np.where(np.arange(space.dim) == i, other, one) for i in range(space.dim)]
-    return np.array([np.asarray(function(points), float) for points in (one, other, *mixed)])
 
 
 def _estimated(

@@ -51,11 +51,6 @@ __all__ = ["coverage"]
 ARRAYS = ("truth", "ranks", "mean", "sd", "limit")
 
 
-def _entry(one: Replicate, key: str) -> dict[str, Any]:
-    """Return a replicate as coverage.jsonl has it, with the digest of what it depends on, apart from its number."""
-    return {"of": key, **{name: value.tolist() if name in ARRAYS else value for name, value in vars(one).items()}}
-
-
 def _replicate(entry: Mapping[str, Any]) -> Replicate:
     names = [field.name for field in fields(Replicate)]
     values: dict[str, Any] = {name: np.array(entry[name], float) if name in ARRAYS else entry[name] for name in names}
@@ -132,7 +127,8 @@ def _replicates(
         one = known.get(k)
         if one is None:
             one = replicated(experiment, source, seed=seed, number=k)
-            file.append(_entry(one, key))
+            values = {name: value.tolist() if name in ARRAYS else value for name, value in vars(one).items()}
+            file.append({"of": key, **values})
             done += 1
             tell.part(Progress(number, done, done, 0, reused, time.monotonic() - begun))
         yield one

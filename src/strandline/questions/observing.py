@@ -76,11 +76,8 @@ def focused(view: View, nodes: Float[np.ndarray, "node xyz"], look: Look, along:
     if part == WHOLE and points is None:
         return view
     seen = view.seen(nodes) if along is None else along
-    value, words = (
-        f"part {list(part)}, points {points}",
-        ("the whole surface, with its points", "Remove `part` and `points`."),
-    )
-    require(seen.dim == 2, "part, or number of points, of a surface", value, *words)
+    words = "the whole surface, with its points", "Remove `part` and `points`."
+    require(seen.dim == 2, "part, or number of points, of a surface", f"part {list(part)}, points {points}", *words)
     return _cut(view, seen, part) if points is None else _resampled(view, seen, part, points)
 
 

@@ -314,9 +314,6 @@ def _list(content: Any, what: str) -> list[Any]:
 
 def _numbers(content: Any, what: str) -> list[float]:
     values = _list(content, what)
-    assert all(_is_number(value) for value in values), f"{what} holds something other than numbers"
+    numbers = (isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+    assert all(numbers), f"{what} holds something other than numbers"
     return values
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
