@@ -14,7 +14,7 @@ import numpy as np
 
 from strandline.foundations import of_extra
 from strandline.readers.cells import dimension
-from strandline.readers.contents import Block, Contents
+from strandline.readers.contents import Block, Contents, refused
 from strandline.readers.options import Reading
 from strandline.readers.vtk_xml import POLYGON, POLYLINE, STRIP, Allowance, beside, blocks_of, chosen_time
 
@@ -112,6 +112,13 @@ def read_legacy(path: Path, how: Reading, name: str) -> Contents:
         version, _, form, dataset = (file.readline().upper().split() for _ in range(4))
         if dataset == [b"DATASET", b"POLYDATA"]:
             return _polygons(file, form == [b"ASCII"], by_offsets=float(version[-1]) >= 5)
+    if form == [b"BINARY"] and re.search(rb"\nLOOKUP_TABLE +\S+ +\d+ *\n", path.read_bytes()):
+        raise refused(
+            f"{name} is a legacy VTK file, BINARY, with a table of colours, as FreeFEM writes it",
+            "LOOKUP_TABLE",
+            "a .vtu file, or legacy VTK as text",
+            "In FreeFEM, give savevtk a name that ends with .vtu, or `bin=false`.",
+        )
     return read_by_meshio(path, how, name)
 
 

@@ -192,6 +192,17 @@ def test_legacy_polygonal_data(tmp_path, version, form):
     assert read(path, cells={"part": 7}, field="shift", start=[0, 0]).points.tolist() == [[0, 0], [1, 1], [0, 1]]
 
 
+def test_a_table_of_colours_in_a_binary_legacy_file_is_named_with_the_way_out(tmp_path):
+    """FreeFEM writes one, which meshio takes for text."""
+    begin = b"# vtk DataFile Version 2.0\na\nBINARY\nDATASET UNSTRUCTURED_GRID\nPOINTS 2 double\n"
+    places, nodes, kind = np.array([0, 0, 0, 1, 0, 0], ">f8"), np.array([2, 0, 1], ">i4"), np.array([3], ">i4")
+    parts = [begin, places.tobytes(), b"\nCELLS 1 3\n", nodes.tobytes(), b"\nCELL_TYPES 1\n", kind.tobytes(), b"\n"]
+    (tmp_path / "a.vtk").write_bytes(b"".join(parts))
+    assert read(tmp_path / "a.vtk", start=[0, 0]).points.tolist() == [[0, 0], [1, 0]]
+    (tmp_path / "a.vtk").write_bytes(b"".join([*parts, b"LOOKUP_TABLE FreeFempp_table 1\n", bytes([255, 0, 0, 255])]))
+    refused(r"legacy VTK file, BINARY, with a table of colours.*\.vtu, or `bin=false`", tmp_path / "a.vtk")
+
+
 XDMF = """<Xdmf Version="3.0"><Domain><Grid Name="m" GridType="Uniform">
 <Topology TopologyType="Polyline" NumberOfElements="1" NodesPerElement="2">
 <DataItem Dimensions="1 2" NumberType="Int" Format="XML">0 1</DataItem></Topology>
