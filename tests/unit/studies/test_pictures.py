@@ -76,12 +76,12 @@ def test_the_first_run_of_a_campaign_shows_a_picture_that_lies_wrong(tmp_path, c
         with _doubting(study, InProcess(), Observer(note=notes.append)) as observer:
             for shift in shifts:
                 line = replace(seen, points=seen.points + np.array([0.0, shift * seen.lengths.sum()]))
-                observer.run(RunRecord("key", {}, "ok", {"": line}), None)
+                observer.run(RunRecord("key", {"E": 400.0}, "ok", {"": line}), None)
         return notes
 
     assert told(study, 0.0) == told(study, 0.15) == []
     (line,) = told(study, 0.4, 0.4)
-    assert line.startswith("warning: the ends of the observed interface and of this run lie 0.")
+    assert line.startswith("warning: the ends of the observed interface and of the run at E = 400 lie 0.")
     other = "warning: in hump.png the body lies on the other side of the interface"
     assert told(loaded(tmp_path, solid="bright"), 0.0)[0].startswith(other)
     for solid in ("dark", "bright"):  # the beam runs from left to right, with the body on its right, below

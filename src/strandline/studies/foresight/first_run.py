@@ -149,12 +149,13 @@ def shape_lines(study: Study, record: RunRecord) -> Iterator[str]:
 
 def early_doubts(study: Study, record: RunRecord) -> Iterator[str]:
     """Yield what one run, whatever its inputs, shows to be wrong: a body on the other side, ends that are far apart."""
-    faced = facing(study, record)
+    faced, at = facing(study, record), ", ".join(f"{name} = {value:.6g}" for name, value in record.inputs.items())
     yield from (line for line in turned_lines(faced) if line.startswith("warning"))
     for condition, observed in faced.observed.items():
         run, of = record.interfaces[condition], f" ({condition})" if condition else ""
         if observed.dim == run.dim == 2:
-            yield from _doubts(observed, run, of, share=WAY_OFF)
+            doubts = _doubts(observed, run, of, share=WAY_OFF)
+            yield from (line.replace("of this run", f"of the run at {at}") for line in doubts)
 
 
 def _place(interface: Interface) -> str:
