@@ -59,7 +59,7 @@ class Parameter:
     box; `mass_cut` is the probability cut off.
 
     Raises:
-        InvalidInput: the name or the unit cannot be stored in results, or the box is invalid.
+        InvalidInput: the name or the unit cannot be stored in results, or the prior or the box is invalid.
     """
 
     name: str
@@ -72,9 +72,14 @@ class Parameter:
     def __post_init__(self) -> None:
         require_name("name of an input", self.name, reserved=RESERVED)
         require_label(f"unit of {self.name}", self.unit)
+        given: object = self.prior
+        if not isinstance(given, Prior):
+            expected, remedy = "a distribution, such as Uniform", "A known value goes into `fixed` of the Problem."
+            raise unfit(f"prior of {self.name}", given, expected, remedy)
         low, high = self.interval
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            remedy = f"Give {self.name} a box: [low, high]; its prior has no bounds of its own."
+            correct = "Exchange the bounds." if low > high else "Correct the box."
+            remedy = correct if self.box else f"Give {self.name} a box: [low, high]; its prior has no bounds of its own."
             raise unfit(f"design box of {self.name}", [low, high], "two finite numbers, the lower one first", remedy)
         require_span(f"design box of {self.name}", low, high)
         _ = self.truncated_prior
