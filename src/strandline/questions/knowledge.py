@@ -17,11 +17,12 @@ from strandline.foundations import InvalidInput, InvalidStudy, NoCommonPoints, T
 from strandline.models import WithCheaper, with_sensitivities
 from strandline.posterior import Posterior
 from strandline.runs import Executor, Ledger, RunRecord, outcome_digest, run_campaign, run_key
-from strandline.studies import NEXT_LEDGER, Study, cheaper_dropped, observations_of, settled
+from strandline.studies import NEXT_LEDGER, Study, cheaper_dropped, observations_of, require_study, settled
 
 
 def chosen_measure(study: Study, name: str | None, of: str) -> str:
     """Return the name of a measure of the study, by default its first; `of` is what it is for."""
+    require_study(study)
     known = f"one of the study's: {', '.join(study.discrepancies)}"
     remedy = "Name one of them, or add it to study.yaml under discrepancy."
     require(name is None or name in study.discrepancies, f"measure of {of}", name, known, remedy)

@@ -75,6 +75,7 @@ def next_experiment(
         LedgerError: A ledger is locked, damaged, or belongs to another model.
         TooFewRuns: The planned experiment failed at every draw of the prior.
     """
+    studies.require_study(study)
     _require_arguments(source, draws, runs, seed)
     begun, tell = time.perf_counter(), observer_or_default(observer)
     executor = executor or study.executor

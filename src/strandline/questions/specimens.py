@@ -58,6 +58,7 @@ def specimens(
         LedgerError: A ledger is damaged, or belongs to another model.
         TooFewRuns: Too few runs succeeded to learn the interface.
     """
+    studies.require_study(study)
     require(refine >= 0, "further runs", refine, "0 or more")
     require(processes is None or processes >= 1, "processes", processes, "1 or more", "Leave it out to use all cores.")
     tell = observer_or_default(observer)
@@ -228,6 +229,7 @@ def watch_specimens(
         InvalidInput: As `open_specimens`.
         InvalidStudy: As `open_specimens`, or the folder cannot be written to.
     """
+    studies.require_study(study)
     studies.require_writable(study.folder)
     opened = open_specimens(study, seed=seed, measure=measure)
     template = opened.begin.knowledge.surrogate.layouts[""].template

@@ -61,6 +61,7 @@ def what_if(
         InvalidStudy: The study is not finished, its folder cannot be written to, or an alternative does not fit it.
         LedgerError: The ledger is damaged, or belongs to another model.
     """
+    studies.require_study(study)
     require_seed(seed, "what-if")
     words = "at least one", "Leave them out to ask the usual questions."
     require(alternatives is None or len(alternatives) > 0, "alternatives", "none", *words)

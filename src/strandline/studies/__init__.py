@@ -75,7 +75,7 @@ if TYPE_CHECKING:
         results_of,
     )
     from strandline.studies.load.provenance import facts_of, points_digest, results_at_hand, versions
-    from strandline.studies.load.study import Study, settled
+    from strandline.studies.load.study import Study, require_study, settled
     from strandline.studies.run import Outcome, Result, load_result, run_study, submit_study
     from strandline.studies.write.changed_copy import changed_study, reuse_from, write_copy
     from strandline.studies.write.export import write_csv, write_netcdf

@@ -47,7 +47,7 @@ from strandline.studies.load.load import load_study
 from strandline.studies.load.models import cheaper_dropped
 from strandline.studies.load.observed import noisy
 from strandline.studies.load.provenance import require_its_own_text
-from strandline.studies.load.study import Study
+from strandline.studies.load.study import Study, require_study
 from strandline.studies.write.shown import pictures_in_page
 from strandline.studies.write.summary import summarise
 
@@ -85,6 +85,7 @@ def run_study(study: Study, *, executor: Executor | None = None, observer: Obser
         TooFewRuns: Too few forward runs succeeded.
         ResultsNotWritten: Some result files could not be written; the others were.
     """
+    require_study(study)
     require_its_own_text(study)
     require_writers()
     require_writable(study.folder)

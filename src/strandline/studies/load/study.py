@@ -11,7 +11,7 @@ from typing import Any
 from strandline.calibration import Settings
 from strandline.design import Candidate, sobol
 from strandline.discrepancy import Discrepancy
-from strandline.foundations import InvalidStudy, html_table, html_text, read_json, write_json
+from strandline.foundations import InvalidInput, InvalidStudy, html_table, html_text, read_json, write_json
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
 from strandline.models import (
     CHEAPER,
@@ -110,6 +110,13 @@ class Study:
     @property
     def sensitivities(self) -> bool:
         return asks_sensitivities(self.model)
+
+
+def require_study(given: object) -> None:
+    """Refuse the folder of a study, or its result, in place of the study itself."""
+    if not isinstance(given, Study):
+        remedy = "Load it with load_study(FOLDER); the result of load_result has it as `.study`."
+        raise InvalidInput("study", value=given, expected="a Study", remedy=remedy)
 
 
 @dataclass(frozen=True)
