@@ -137,11 +137,11 @@ class Posterior:
         """Posterior standard deviation (dim,)."""
         return np.sqrt(np.diag(self.covariance))
 
-    def quantiles(self, p: Sequence[float] | Float[np.ndarray, " level"]) -> Float[np.ndarray, "level dim"]:
-        """Return the smallest draw with weighted cumulative probability ≥ p, input by input (level, dim)."""
+    def quantiles(self, p: float | Sequence[float] | Float[np.ndarray, " level"]) -> Float[np.ndarray, "*level dim"]:
+        """Return the smallest draw with weighted cumulative probability ≥ p, input by input, (level, dim) or (dim,)."""
         levels = np.asarray(p, float)
         how: dict[str, Any] = {"weights": self.weights, "method": "inverted_cdf"}
-        return np.stack([np.quantile(column, levels, **how) for column in self.draws.T], axis=1)
+        return np.stack([np.quantile(column, levels, **how) for column in self.draws.T], axis=-1)
 
     @property
     def log_density(self) -> Float[np.ndarray, " particle"]:

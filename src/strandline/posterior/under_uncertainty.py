@@ -62,9 +62,9 @@ class MarginalPosterior:
         """Standard deviations."""
         return np.sqrt(np.diag(self.covariance))
 
-    def quantiles(self, p: Sequence[float]) -> Float[np.ndarray, "level x"]:
+    def quantiles(self, p: float | Sequence[float]) -> Float[np.ndarray, "*level x"]:
         """Return the weighted quantiles, input by input."""
-        return np.asarray(self.extended.quantiles(p)[:, self._columns])
+        return np.asarray(self.extended.quantiles(p)[..., self._columns])
 
     @property
     def map_bins(self) -> int:

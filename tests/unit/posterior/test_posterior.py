@@ -73,6 +73,7 @@ def test_the_density_is_that_of_the_normal_posterior_and_integer_weights_equal_r
     levels = [0.0, 0.05, 0.5, 0.95, 1.0]
     expected = np.quantile(repeated, levels, axis=0, method="inverted_cdf")
     np.testing.assert_allclose(posterior.quantiles(levels), expected)
+    np.testing.assert_array_equal(posterior.quantiles(0.5), posterior.quantiles([0.5])[0])
     assert not np.allclose(np.quantile(draws, levels, axis=0, method="inverted_cdf"), expected)
 
 

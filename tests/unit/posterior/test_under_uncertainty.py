@@ -100,6 +100,7 @@ def test_the_parts_of_the_cut_and_summaries_of_the_calibrated_columns(cut, joint
     extended = joint.extended
     np.testing.assert_allclose(joint.mean, extended.weights @ extended.draws[:, [0, 2]])
     np.testing.assert_array_equal(joint.quantiles([0.1, 0.9]), extended.quantiles([0.1, 0.9])[:, [0, 2]])
+    np.testing.assert_array_equal(joint.quantiles(0.9), joint.quantiles([0.1, 0.9])[1])
     mode = histogram_mode(extended.draws[:, [0, 2]], extended.weights, bounds=[BOX, BOX], bins=30)
     np.testing.assert_array_equal(joint.map_estimate, mode)
     assert [mode_bins(dim) for dim in (1, 2, 3, 4, 6)] == [30, 30, 20, 10, 10]
