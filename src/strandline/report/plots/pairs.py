@@ -99,7 +99,7 @@ class PosteriorPlots:
 
     def corner(self, **options: Any) -> Any:
         """Draw all marginals and the regions with 68 and 95 % of each pair of inputs; options of `plot_corner`."""
-        return plot_corner(self.posterior, **options)
+        return plot_corner(self.posterior, **self._known(options))
 
     def joint(self, x: str | None = None, y: str | None = None, *, ax: Any = None, **options: Any) -> Any:
         """Draw the joint density of two inputs, by default the first two; options of `plot_hexagons`."""
@@ -115,7 +115,13 @@ class PosteriorPlots:
 
     def marginals(self, **options: Any) -> Any:
         """Draw the marginals of all inputs; options of `plot_marginals`."""
-        return plot_marginals(self.posterior, **options)
+        return plot_marginals(self.posterior, **self._known(options))
+
+    def _known(self, options: dict[str, Any]) -> dict[str, Any]:
+        """Return the options; refuse a truth of inputs that the posterior does not have."""
+        for name in options.get("truth") or ():
+            _ = self.posterior.space[name]
+        return options
 
     def _two(self, x: str | None, y: str | None) -> tuple[str, str]:
         names = self.posterior.space.names

@@ -142,6 +142,12 @@ def test_regions_of_a_corner_plot_hold_their_probabilities_and_all_is_in_the_leg
     assert entries(plots.plot_corner(posterior_of(DRAWS[:, :1], E))) == ["particles", "KDE", "prior"]
 
 
+def test_a_truth_of_another_input_is_refused():
+    for draw in (PosteriorPlots(CLOUD).corner, PosteriorPlots(CLOUD).marginals):
+        with pytest.raises(InvalidInput, match="got young; expected one of E, nu"):
+            draw(truth={"E": 400.0, "young": 400.0})
+
+
 def test_a_notebook_shows_figures_and_axes():
     own = PosteriorPlots(CLOUD)
     for drawing in (own.joint(), own.marginal()):
