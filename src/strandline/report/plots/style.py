@@ -205,7 +205,7 @@ def root_ticks(low: float, top: float, *, number: int = 4) -> tuple[list[float],
     decades = 10.0 ** np.floor(np.log10(drops))
     steps = np.where(drops < 2.5 * decades, 0.2, 1.0) * decades
     places = [top, *(np.ceil((top - drops) / steps) * steps).tolist()]
-    return places, [f"{round(top, 2) + 0.0:g}", *(f"{place:g}" for place in places[1:])]
+    return places, [f"{place:g}".replace("-", "−") for place in (round(top, 2) + 0.0, *places[1:])]
 
 
 def percent(fractions: Sequence[float]) -> str:
