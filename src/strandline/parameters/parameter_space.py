@@ -79,9 +79,7 @@ class Parameter:
         low, high = self.interval
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             correct = "Exchange the bounds." if low > high else "Correct the box."
-            remedy = (
-                correct if self.box else f"Give {self.name} a box: [low, high]; its prior has no bounds of its own."
-            )
+            remedy = correct if self.box else f"Give {self.name} a box: [low, high]; its prior has no bounds."
             raise unfit(f"design box of {self.name}", [low, high], "two finite numbers, the lower one first", remedy)
         require_span(f"design box of {self.name}", low, high)
         _ = self.truncated_prior

@@ -1,7 +1,7 @@
 """Fields over two inputs (Figs. 5–8), how good a surrogate is, what inputs explain, and how a posterior took shape."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -12,6 +12,7 @@ from matplotlib.colors import FuncNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
+from scipy.interpolate import RectBivariateSpline
 
 from strandline.parameters import Parameter
 from strandline.posterior import SobolIndices
@@ -26,6 +27,8 @@ _LABELS = {
 _COLOURS = {"likelihood": "viridis", "log_likelihood": "viridis", "sd": "cividis"}
 STEPS = 8
 """Number of steps of the contour lines."""
+FINER = 4
+"""Points of a likelihood for each one of its grid, along each input: 481 of them are as fine as a figure's dots."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +65,13 @@ def plot_field(
     explains the crosses and points under the axes.
     """
     detail = grid.detail if kind == "likelihood" else None
+    if kind == "likelihood":
+        grid, detail = _finer(grid), detail and _finer(detail)
     top = max(float(g.values.max()) for g in (grid, detail) if g is not None)
     values = np.exp(grid.values - top) if kind == "likelihood" else grid.values
     norm = _norm(values, kind)
-    colours: Any = {"cmap": _COLOURS[kind], "norm": norm, "shading": "gouraud", "rasterized": True}
+    shading = "nearest" if kind == "likelihood" else "gouraud"  # which takes seconds for as many points
+    colours: Any = {"cmap": _COLOURS[kind], "norm": norm, "shading": shading, "rasterized": True}
     drawn = ax.pcolormesh(grid.x_values, grid.y_values, values.T, **colours)
     steps = np.unique(norm.inverse(np.linspace(0.0, 1.0, STEPS + 1)[1:-1]))
     lines: Any = {"levels": steps, "colors": "white", "linewidths": 0.5, "linestyles": "solid", "alpha": 0.8}
@@ -109,6 +115,15 @@ def three_measures(fields: Mapping[str, FieldGrid], *, kind: Kind = "likelihood"
     return figure
 
 
+def _finer(grid: FieldGrid) -> FieldGrid:
+    """Return a log-likelihood also between its points: it is smooth where its exponential is narrower than a cell."""
+    if not np.isfinite(grid.values).all():
+        return grid
+    given = grid.x_values, grid.y_values
+    x, y = (np.linspace(one[0], one[-1], FINER * (len(one) - 1) + 1) for one in given)
+    return replace(grid, x_values=x, y_values=y, values=RectBivariateSpline(*given, grid.values)(x, y))
+
+
 def _norm(values: Float[np.ndarray, "x y"], kind: Kind) -> Normalize:
     top = float(values.max())
     if kind == "likelihood":
@@ -121,7 +136,7 @@ def _norm(values: Float[np.ndarray, "x y"], kind: Kind) -> Normalize:
 def _draw_detail(ax: Axes, detail: FieldGrid, values: Float[np.ndarray, "x y"], lines: Mapping[str, Any]) -> None:
     """Draw a small part of the field enlarged in the corner farthest from it, with a frame around that part."""
     inset = ax.inset_axes(_corner(ax, detail))
-    colours: Any = {"cmap": _COLOURS["likelihood"], "norm": Normalize(0.0, 1.0), "shading": "gouraud"}
+    colours: Any = {"cmap": _COLOURS["likelihood"], "norm": Normalize(0.0, 1.0), "shading": "nearest"}
     inset.pcolormesh(detail.x_values, detail.y_values, values.T, rasterized=True, **colours)
     inset.contour(detail.x_values, detail.y_values, values.T, **lines)
     if detail.truth is not None:

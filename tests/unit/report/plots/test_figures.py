@@ -21,9 +21,9 @@ LINE = Interface.polyline(np.array([[0.0, 0.0], [0.3, 0.4], [0.9, 0.4], [1.0, 0.
 LABELS = ["undeformed", "observed", "E = 200 Pa", "E = 800 Pa"]
 
 
-def ridge_field(**more: Any) -> FieldGrid:
+def ridge_field(width: float = 20.0, **more: Any) -> FieldGrid:
     x, y = np.linspace(100, 800, 41), np.linspace(-0.8, 0.5, 31)
-    values = -0.5 * ((x[:, None] - 400 + 150 * (y[None] - 0.3)) / 20.0) ** 2 - 7.0
+    values = -0.5 * ((x[:, None] - 400 + 150 * (y[None] - 0.3)) / width) ** 2 - 7.0
     return FieldGrid(E, NU, x, y, values, **more)
 
 
@@ -104,6 +104,8 @@ def test_the_likelihood_is_normalised_and_marks_every_failed_run():
     assert 0.0 <= colours.min() < colours.max() == 1.0
     assert [points(ax, label) for label in ("failed run", "ground truth")] == [17, 1]
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("E [Pa]", "ν")
+    narrow = np.asarray(mesh_of(plots.plot_field(ridge_field(6.0), kind="likelihood")).get_array())
+    assert narrow.max(axis=1).min() > 0.9, "a ridge narrower than a cell has no gaps"
 
 
 def test_a_log_likelihood_is_linear_in_standard_deviations_and_not_transposed():
@@ -135,7 +137,7 @@ def test_a_narrow_likelihood_is_shown_enlarged_on_one_scale_away_from_the_peak()
     rendered(ax.figure)
     (inset,) = ax.child_axes
     main, enlarged = (np.asarray(mesh_of(one).get_array()) for one in (ax, inset))
-    assert (main.max(), enlarged.max()) == pytest.approx((np.exp(whole.values.max()), 1.0))
+    assert (main.max(), enlarged.max()) == pytest.approx((np.exp(-3.0), 1.0)), "peaks, also between points"
     frame = inset.get_window_extent().transformed(ax.transData.inverted())
     assert not (frame.x0 < 0.85 < frame.x1 and frame.y0 < 0.15 < frame.y1)
     assert not plots.plot_field(whole, kind="log_likelihood").child_axes
