@@ -92,7 +92,7 @@ def _asked(observed: Path, stated: dict[str, Any]) -> Observed:
     ask, found = sys.stdin.isatty(), dict(stated)
     missing = [f"--{name}" for name in ("unit", "sd") if found[name] is None]
     if missing and not ask:
-        raise click.UsageError(f"Nobody is there to ask: add {' and '.join(missing)}, such as --unit mm --sd 3.")
+        raise click.UsageError(f"Nobody is there to ask: add {' and '.join(missing)}, such as --unit mm --sd 3 (µm).")
     if found["unit"] is None:
         found["unit"] = click.prompt(f"Unit of the coordinates in {observed.name}", type=UNIT)
     if found["sd"] is None:

@@ -43,7 +43,7 @@ REFUSALS = {
     "init new --example pendent-drop": "Did you mean pendant-drop?",
     "init new --sd 3": "--sd: only for an observed interface; add --observed FILE",
     "init new --observed none.csv": "File 'none.csv' does not exist",
-    "init new --observed study/study.yaml": "add --unit and --sd, such as --unit mm --sd 3",
+    "init new --observed study/study.yaml": "add --unit and --sd, such as --unit mm --sd 3 (µm)",
     "init new --observed study/study.yaml --unit mm --sd 0": "0.0 is not in the range x>0",
     "init new --observed study/study.yaml --unit mm --sd 1 --shift unknown": "'unknown' is not a valid float",
     "noise study/study.yaml --unit inch": "'inch' is not one of 'mm', 'um', 'µm', 'm'",
