@@ -182,6 +182,7 @@ def _tile_sums() -> Callable[..., Any]:
     import jax.numpy as jnp
 
     def one_tile(total: jax.Array, row: tuple[jax.Array, ...], others: jax.Array, whole: jax.Array, close: bool) -> Any:
+        """Add a tile's sum over its elements and their partners, times its weight, to the total."""
         x, n, first, last, weight = row
         dim = len(x)
         squares, twice = (x**2).sum(axis=0), -2 * x

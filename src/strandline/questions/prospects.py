@@ -150,6 +150,7 @@ class AfterExperiment:
         return learn_failure_by_size(self.surrogate, known.x, known.ok, self.undeformed, others)
 
     def prospect(self, setting: Setting, runs: PointRuns | None) -> Prospect:
+        """Return the fields to expect of an experiment, by its runs or the surrogate, and how likely it fails."""
         surrogate, known = self.surrogate, self.known(setting)
         if runs is not None and runs.failed is not None:
             return Prospect(None, np.zeros((0, 0)), None, problem_of(runs.failed))

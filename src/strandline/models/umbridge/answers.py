@@ -33,6 +33,7 @@ class ServedModel:
 
     @property
     def support(self) -> dict[str, bool]:
+        """Whether clients may ask for each of UM-Bridge's operations."""
         return {
             "Evaluate": True,
             "Gradient": self.gradient is not None,

@@ -253,6 +253,7 @@ class _Handler(BaseHTTPRequestHandler):
         return "strandline"
 
     def do_POST(self) -> None:
+        """Answer a request; one that the door refuses also ends the connection."""
         try:
             body = self._body(self._length())
         except Rejected as refused:

@@ -86,6 +86,8 @@ def drawn(*size: float) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return a decorator: the function draws in this style, and without `ax` in new axes of this size, inches."""
 
     def decorated(draw: Callable[P, R]) -> Callable[P, R]:
+        """Return `draw` in this style, and on new axes if it is given none."""
+
         @wraps(draw)
         def in_style(*args: P.args, **kwargs: P.kwargs) -> R:
             with styled():

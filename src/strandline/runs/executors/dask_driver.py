@@ -202,6 +202,7 @@ class DaskDispatcher(Dispatcher[str]):
         self.looked = self.reached = time.monotonic()
 
     def close(self) -> None:
+        """Cancel the runs under way and end this session's processes, unless the scheduler is gone."""
         if self.looked > self.reached:
             return  # the scheduler is gone, or was a moment ago
         client: Any = self.cluster.client
@@ -234,6 +235,7 @@ class DaskDispatcher(Dispatcher[str]):
         future.add_done_callback(lambda done: self.news.put(done.key))
 
     def hear(self, *, wait: bool) -> None:
+        """Put the runs that have ended into `done`, and look for workers as long as there are none."""
         longest = SECONDS_BETWEEN_QUESTIONS if self.told_to_wait else SECONDS_BETWEEN_LOOKS
         with contextlib.suppress(Empty):
             self._take(self.news.get(timeout=longest if self.threads else 0.1) if wait else self.news.get_nowait())

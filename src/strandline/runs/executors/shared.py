@@ -93,6 +93,7 @@ class Dispatcher(ABC, Generic[Place]):
         """Note that there are no more requests."""
 
     def records(self) -> Iterator[RunRecord]:
+        """Yield each record as its run ends, and keep all places busy until no request is left."""
         while True:
             while self.done:
                 _, record = self.done.popleft()
