@@ -185,12 +185,15 @@ def test_each_doubt_about_a_surrogate_of_the_field_is_told_alone(field: Finished
         return list(field_warnings(calibration, replace(calibration.field, **changes)))
 
     calibration, reasons = field.outcome.calibration, ("all 30 runs that were allowed are made",)
+    known = calibration.field.knowledge
+    late = replace(known, ok=known.ok & (np.arange(len(known.ok)) != known.ok.argmax()))
     step = Step(30, 27, "check", np.zeros(2), np.ones(2), 1e-4, None, None, BatchCheck(25, 3, None, True, ()))
     for changes, words in (
         ({"certificate": Certificate(False, reasons, (), (), None)}, f"NOT CONVERGED: {reasons[0]}."),
         ({"certificate": Certificate(True, (), (), (), None, 0.3, overlooks=True)}, "as design.active.unseen asks"),
         ({"effect": VarianceEffect(np.array([0.0, -0.3]), np.ones(2), 0.5)}, "by up to 0.3 standard deviations"),
         ({"effect": VarianceEffect(np.zeros(2), np.array([1.0, 1.5]), 0.5)}, "standard deviations by up to 50%"),
+        ({"knowledge": late}, "1 run ended after the last batch was chosen"),
         ({"feasible": 0.9}, "10% of the posterior lies where runs are likely to fail"),
         ({"certificate": Certificate(True, (), (step,), (), step)}, "3 of 25 runs at draws of the posterior failed"),
     ):
