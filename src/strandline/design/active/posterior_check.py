@@ -194,7 +194,7 @@ class PosteriorChecker:
         self.log_likelihood = log_likelihood
         self.scatter: SimulatorNoise = NONE
         self._checked: Checked | None = None
-        self._given_up = 0
+        self._given_up = set[int]()  # numbers of runs: the same ones may be judged again
         self._observed: tuple[int, float | None] = (active.check, None)
 
     def begin(self, state: State, x: Points, records: Sequence[RunRecord], left: int, losses: Losses) -> New:
@@ -214,7 +214,7 @@ class PosteriorChecker:
         ends = checking.looks(probing, len(chosen), self.batch)
         draws, log_expected = state.positions[chosen], state.log_expected[chosen]
         few = self.space.dim <= self.whole  # above, products are lacking: all draws may settle what it does not
-        patient = not few or self._given_up >= MOST_GIVEN_UP or left < 2 * len(chosen)
+        patient = not few or len(self._given_up) >= MOST_GIVEN_UP or left < 2 * len(chosen)
         self._checked = Checked(state, draws, log_expected, probing, ends, elsewhere, earlier, len(ends), patient)
         return np.concatenate([draws[: ends[0]], elsewhere])
 
@@ -254,7 +254,8 @@ class PosteriorChecker:
             scatter=self.scatter.variance,
             most=None if checked.patient or self.scatter.explains(observed) else len(checked.draws),
         )
-        self._given_up += isinstance(found, BatchCheck) and found.given_up
+        if isinstance(found, BatchCheck) and found.given_up:
+            self._given_up.add(len(x))
         if not isinstance(found, BatchCheck) or not found.passed:
             return found, ()
         odd = self.surprises(checked.elsewhere, x, records, checked.state)

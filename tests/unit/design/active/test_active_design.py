@@ -1,5 +1,6 @@
 """When an active design goes on, checks and stops."""
 
+from contextlib import suppress
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -16,6 +17,7 @@ from strandline.design.active.checking import Tolerances, number_of_probes, obje
 from strandline.design.active.coverage_runs import Surprise
 from strandline.design.active.posterior_check import PosteriorChecker
 from strandline.design.active.state import State
+from strandline.foundations import NoCommonPoints
 from strandline.posterior import reweight
 
 FIRST = even(12)
@@ -268,6 +270,26 @@ def test_a_check_that_could_not_settle_it_is_given_up_twice_at_most():
     for other in (few, more):
         played(other)
         assert not any(check.given_up for check in checks_of(other))
+
+
+def test_a_check_that_is_given_up_counts_once_if_learning_is_tried_again():
+    one, failed = design(Active(120), log_likelihood=noisy), set()
+    learn, following = one.learn, one.next
+
+    def stumbling(x, records):
+        if len(x) in failed:
+            return learn(x, records)
+        failed.add(len(x))
+        raise NoCommonPoints("points", value=0, expected="some", remedy="none")
+
+    def retried(*given):
+        with suppress(NoCommonPoints):
+            return following(*given)
+        return following(*given)
+
+    one.learn, one.next = stumbling, retried
+    played(one)
+    assert [check.given_up for check in checks_of(one)[:3]] == [True, True, False]
 
 
 def test_runs_that_a_check_has_left_look_where_none_has_been():
