@@ -17,7 +17,7 @@ import numpy as np
 from verification.benchmarks.figures import Figure, compared, peak_memory, timed
 
 from strandline import Currents, Interface, PointErrors
-from strandline.discrepancy import squared_discrepancies
+from strandline.discrepancy import WhitenedOffset, squared_discrepancies
 from strandline.discrepancy.nearest import squared_distances
 
 WIDE, NARROW = 0.3, 0.01
