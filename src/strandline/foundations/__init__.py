@@ -32,28 +32,30 @@ if TYPE_CHECKING:
         ResultsNotWritten,
         StrandlineError,
         TooFewRuns,
-        require,
     )
     from strandline.foundations.files import end_of, how_it_ended, read_json, whole_file, write_json
+    from strandline.foundations.refusals import (
+        content_of,
+        is_finite,
+        keys_of,
+        named,
+        number,
+        numbers,
+        require,
+        require_label,
+        require_name,
+        unfit,
+    )
     from strandline.foundations.registry import imported, lookup, of_extra, suggestion
     from strandline.foundations.text import (
         RAISED,
-        content_of,
         decimal,
         figure_text,
         html_table,
         html_text,
-        is_finite,
         is_label,
         is_name,
-        keys_of,
         listed,
-        named,
-        number,
-        numbers,
-        require_label,
-        require_name,
-        unfit,
         unit_text,
         with_sd,
     )

@@ -128,19 +128,6 @@ class NumericsError(StrandlineError):
     """A numerical method cannot deliver what it promises; the message says what to do."""
 
 
-def require(
-    right: object,
-    what: str,
-    value: object,
-    expected: str,
-    remedy: str = "Choose another one.",
-    error: type[InvalidInput] = InvalidInput,
-) -> None:
-    """Refuse what is not right."""
-    if not right:
-        raise error(what, value=value, expected=expected, remedy=remedy)
-
-
 def _shown(value: object) -> str:
     """Return `value` on one line of reasonable length."""
     if value is None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from strandline.foundations import InvalidInput
-from strandline.foundations.text import LARGEST
+from strandline.foundations.refusals import LARGEST
 from strandline.imaging.clicks import Clicks, ScaleBar, as_json, read_clicks
 from strandline.imaging.paths import read_path, typed_path
 

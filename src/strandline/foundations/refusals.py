@@ -1,0 +1,106 @@
+"""What is wrong with a value, a name, options or a file, refused in one way: what, found, expected, what to do."""
+
+import math
+import sys
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeGuard
+
+from strandline.foundations.errors import InvalidInput
+from strandline.foundations.registry import suggestion
+from strandline.foundations.text import LONGEST, is_label, is_name
+
+LARGEST = 1 << 23
+"""Bytes of a file with a path or with clicks that is read."""
+
+
+def require(
+    right: object,
+    what: str,
+    value: object,
+    expected: str,
+    remedy: str = "Choose another one.",
+    error: type[InvalidInput] = InvalidInput,
+) -> None:
+    """Refuse what is not right."""
+    if not right:
+        raise error(what, value=value, expected=expected, remedy=remedy)
+
+
+def unfit(what: str, value: object, expected: str, remedy: str = "") -> InvalidInput:
+    """Return the error for something that cannot be used."""
+    return InvalidInput(what, value=value, expected=expected, remedy=remedy or f"Correct {what.partition(':')[0]}.")
+
+
+@contextmanager
+def named(name: str, remedy: str = "") -> Iterator[None]:
+    """Begin the message of an `InvalidInput` with a name; give it another remedy if there is one."""
+    try:
+        yield
+    except InvalidInput as error:
+        raise unfit(f"{name}: {error.what}", error.value, error.expected, remedy or error.remedy) from None
+
+
+def content_of(path: Path, expected: str) -> bytes:
+    """Return the contents of a small file, or refuse it; `expected` says what would be correct."""
+    remedy = "Correct the file, or its name."
+    try:
+        with path.open("rb") as file:
+            content = file.read(LARGEST + 1)
+    except OSError as error:
+        raise unfit("cannot be read", error.strerror or str(error), expected, remedy) from None
+    if len(content) > LARGEST:
+        raise unfit("size of the file", f"more than {LARGEST} bytes", expected, remedy)
+    return content
+
+
+def keys_of(options: object, known: Collection[str], place: str, example: str) -> Mapping[str, Any]:
+    """Return `options` if they are keys with values and all keys are known.
+
+    `options`: options as a study file gives them; `known`: names of the options that exist; `place`: place of the
+    options in the study file; `example`: example of correct options, for the message.
+    """
+    if not isinstance(options, Mapping):
+        raise unfit(place, options, f"keys with values, e.g. {example}")
+    for name in options:
+        if name not in known:
+            remedy = suggestion(str(name), known, f"Remove {name}.")
+            raise unfit(f"{place}: unknown option", name, f"one of {', '.join(known)}", remedy)
+    return options
+
+
+def is_finite(value: object) -> TypeGuard[int | float]:
+    """Return whether a value is a finite number; integers of hundreds of digits count as infinite."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+
+
+def number(value: object, place: str, expected: str, low: float = -math.inf, high: float = math.inf) -> float:
+    """Return a finite number from `low` to `high`; of another value `expected` says what would be correct."""
+    if is_finite(value) and low <= value <= high:
+        return float(value)
+    raise unfit(place, value, expected)
+
+
+def numbers(value: object, count: int, place: str, expected: str, limit: float = math.inf) -> tuple[float, ...]:
+    """Return `count` finite numbers, at most `limit` in size."""
+    if not (isinstance(value, list | tuple) and len(value) == count):
+        raise unfit(place, value, expected)
+    return tuple(number(one, place, expected, -limit, limit) for one in value)
+
+
+def require_label(what: str, text: object) -> None:
+    """Refuse a text that cannot be used in figures, tables and files; the message begins with `what`."""
+    if not is_label(text):
+        remedy = "Write it as plain text, e.g. mm²/s."
+        raise unfit(what, text, f"at most {LONGEST} characters on one line, without $", remedy)
+
+
+def require_name(what: str, text: object, *, reserved: Collection[str] = ()) -> None:
+    """Refuse a text that cannot name an input, and the `reserved` names; the message begins with `what`."""
+    if text in reserved:
+        remedy = "Rename the input."
+        raise unfit(what, text, f"none of the names that the results use themselves: {', '.join(reserved)}", remedy)
+    if not is_name(text):
+        expected = f"at most {LONGEST} characters on one line, without blanks at the ends and without / \\ = $"
+        raise unfit(what, text or "an empty name", expected, "Rename the input.")
