@@ -12,8 +12,8 @@ from strandline.discrepancy import DISCREPANCIES
 from strandline.foundations import lookup
 from strandline.models import MODELS
 from strandline.studies import StudyFile
-from strandline.studies.keys.folder import EXAMPLES
 from strandline.studies.keys.schema import PLAIN, Options, listed
+from strandline.studies.keys.template import EXAMPLES
 
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
 

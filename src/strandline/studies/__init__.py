@@ -30,10 +30,8 @@ if TYPE_CHECKING:
     from strandline.studies.foresight.serve import Solver, served_models
     from strandline.studies.foresight.widths import slopes_by_differences, slopes_by_sensitivities
     from strandline.studies.keys.folder import (
-        EXAMPLES,
         LEDGER,
         NEXT_LEDGER,
-        OWN,
         POSTERIOR,
         REFINEMENT,
         REPLICATES,
@@ -43,17 +41,16 @@ if TYPE_CHECKING:
         SPECIMENS_TABLE,
         STUDY,
         SUMMARY,
-        Observed,
         digest_of,
         require_temporary,
         require_writable,
         told_if_unwritable,
-        write_example,
     )
     from strandline.studies.keys.observation import ObservationFile, StudyNoise
     from strandline.studies.keys.parse import checked, entry, in_words, parse_study, refused_at
     from strandline.studies.keys.schema import Number, Section, listed
     from strandline.studies.keys.study_file import SpecimensFile, StudyFile, WhatIf
+    from strandline.studies.keys.template import EXAMPLES, OWN, Observed, write_example
     from strandline.studies.keys.text import REMOVED, changed_text, load_yaml
     from strandline.studies.load.inputs import build_prior, check_complete
     from strandline.studies.load.load import load_study, study_of

@@ -11,7 +11,7 @@ import pytest
 from tests.unit.cli.command_line import printed
 
 import strandline
-from strandline.studies.keys.folder import EXAMPLES, write_example
+from strandline.studies.keys.template import EXAMPLES, write_example
 
 TRUTH = {
     "biofilm": {"E": 400.0, "nu": 0.3},

@@ -24,7 +24,7 @@ import yaml
 from strandline.cli.main import COMMANDS, command_named
 from strandline.models.protocol import declared_conditions, undeformed_interface
 from strandline.studies import load_study
-from strandline.studies.keys.folder import write_example
+from strandline.studies.keys.template import write_example
 
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"

@@ -19,8 +19,9 @@ from strandline.interface import Interface, PointErrors, UnknownErrors
 from strandline.models.biofilm.model import Biofilm
 from strandline.runs import LocalProcesses
 from strandline.studies import load_study
-from strandline.studies.keys.folder import EXAMPLES, FOLDERS, is_result
+from strandline.studies.keys.folder import is_result
 from strandline.studies.keys.observation import StudyNoise
+from strandline.studies.keys.template import EXAMPLES, FOLDERS
 from strandline.studies.load.noise import build_noise
 from strandline.testing.studies import beam, undeclared_beam, write_study
 
