@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from strandline.foundations import InvalidStudy
-from strandline.studies.keys.folder import STUDY, is_result
+from strandline.studies.keys.folder import STUDY, is_result, study_name
 
 MEASURED = """\
 # The observed interface: a file with a point x, y per line, in the coordinates of the model.
