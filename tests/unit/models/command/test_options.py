@@ -133,7 +133,7 @@ def test_a_study_names_the_key_that_is_wrong_and_checks_declared_inputs(tmp_path
 def test_lack_of_memory_says_so_and_is_tried_again(folder, tmp_path):
     answer = {"exit_code": -9, "timeout": False, "tail": "", "left": 0, "out_of_memory": True}
     ended = command_model._ended(json.dumps(answer).encode(), 0, tmp_path / "log")
-    with pytest.raises(ForwardModelError, match="solver ended with .* while the machine was out of memory") as caught:
+    with pytest.raises(ForwardModelError, match=r"solver ended with .* while the machine was out of memory") as caught:
         model(folder)._require_success(ended, "solver")
     assert (caught.value.kind, caught.value.state) == ("out_of_memory", "killed")
     answer = {"error": "Cannot allocate memory", "errno": errno.ENOMEM}
