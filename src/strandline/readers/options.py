@@ -34,7 +34,9 @@ READERS: dict[str, str] = ONE_TIME | {".txt": TEXT, ".dat": TEXT} | MESHES
 cells, those of them in `SERIES` at several times.
 """
 COMMON = {"file", "unit", "field", "select", "count", "reader"}
-OF_TABLES = COMMON | {"closed", "columns", "delimiter", "decimal", "hide", "keep", "near", "sd", "sort"}
+OF_COLUMNS = {"columns", "delimiter", "decimal", "sd", "field"}
+"""Options of tables that say nothing about points in a format of their own."""
+OF_TABLES = COMMON | OF_COLUMNS | {"closed", "hide", "keep", "near", "sort"}
 OF_MESHES = COMMON | {"block", "cells", "points", "near", "keep", "start", "plane"}
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
@@ -158,6 +160,8 @@ class Reading:
         allowed = OF_TABLES if self.is_table else OF_MESHES
         if self.is_table and self.suffix not in ONE_TIME:
             allowed = allowed | {"plane", "time"}
+        if self.suffix in (".json", ".geojson"):
+            allowed = allowed - OF_COLUMNS
         if self.suffix in SERIES:
             allowed = allowed | {"time"}
         if self.reader is not None:

@@ -11,15 +11,23 @@ from jaxtyping import Float
 from strandline.foundations import InvalidInput, imported, unfit
 from strandline.interface import Interface
 from strandline.readers.contents import Contents, Unreadable, refused, undamaged
-from strandline.readers.options import READERS, TEXT, Reading
+from strandline.readers.options import OF_COLUMNS, READERS, TEXT, Reading
 from strandline.readers.shape import interface_of, point_sds
 from strandline.readers.tables import require_end
 
+FEBIO, DAT = "strandline.readers.calculix:read_febio", "strandline.readers.calculix:read_dat"
 TEXTS: dict[str, str] = {
-    r"\*Step *=.*\n\*Time *=.*\n\*Data *=": "strandline.readers.calculix:read_febio",
-    r"(?s).*displacements \(vx,vy,vz\) for set": "strandline.readers.calculix:read_dat",
+    r"\*Step *=.*\n\*Time *=.*\n\*Data *=": FEBIO,
+    r"(?s).*displacements \(vx,vy,vz\) for set": DAT,
 }
 """Patterns of the first lines of a text file → the same, whatever its suffix."""
+PLANE = "Remove it. `plane: xz` takes x and z instead of x and y, `plane: yz` y and z"
+UNFIT: dict[str, tuple[str, set[str], str, str]] = {
+    TEXT: ("a table of one time", {"time", "plane"}, "`columns` alone", "Remove it."),
+    FEBIO: ("a logfile of FEBio", OF_COLUMNS, "the places x;y;z of nodes, as they are", f"{PLANE}."),
+    DAT: ("displacements that CalculiX prints", OF_COLUMNS, "U of a node set", f"{PLANE}; U is added to the places."),
+}
+"""Reader of a text → what the text is, the options that say nothing about it, what it holds, and the way out."""
 OF_PICTURE = "Its pixels, y down, belong to a picture: give it as `path` in `observation: {image: {path: …}}`."
 PICTURE = "To find the interface in it, write `observation: {image: {file: …}}`; see the guide on pictures."
 STACK = "To find the surface in it, save it as .tif or .h5 and write `observation: {stack: {file: …}}`."
@@ -112,8 +120,9 @@ def _contents(path: Path, how: Reading, name: str) -> Contents:
     """Return the contents of the file; any error of its reader on a damaged file becomes `Unreadable`."""
     target = _reader(path, how)
     reader: Reader = imported(target, f"reader of {name}")
-    if target == TEXT and (how.time is not None or how.plane != "xy"):
-        raise refused(f"{name} is a table of one time", "`time` or `plane`", "`columns` alone", "Remove it.")
+    what, options, expected, remedy = UNFIT.get(target, ("", set(), "", ""))
+    if unfitting := [option for option in how.given if option in options]:
+        raise refused(f"{name}, {what}, takes no `{unfitting[0]}`", how.given[unfitting[0]], expected, remedy)
     with undamaged(name, f"a whole {how.suffix} file"):
         contents = reader(path, how, name)
         _require_sound(contents, target)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from tests.unit.readers.reads import read, refused
 
+from strandline.foundations import InvalidInput
 from strandline.readers import Reading
 from strandline.testing.readers import CHECKS
 
@@ -134,6 +135,20 @@ def test_known_formats_are_refused_by_name(tmp_path):
         refused(words, tmp_path / name)
     (tmp_path / "plain.txt").write_text("0,0\n1,1\n2,0\n")
     refused("of one time", tmp_path / "plain.txt", time="last")
+
+
+OF_COLUMNS = {"columns": [3, 4], "delimiter": ",", "decimal": ",", "sd": 4, "field": [2, 3]}
+
+
+def test_formats_with_columns_of_their_own_refuse_the_options_of_tables(tmp_path):
+    (tmp_path / "job.inp").write_text(DECK)
+    (tmp_path / "job.dat").write_text(DAT)
+    (tmp_path / "febio.txt").write_text(FEBIO)
+    for option, value in OF_COLUMNS.items():
+        refused(f"a logfile of FEBio, takes no `{option}`.*`plane: xz`", tmp_path / "febio.txt", **{option: value})
+        refused(f"CalculiX prints, takes no `{option}`.*U is added", tmp_path / "job.dat", **{option: value})
+        with pytest.raises(InvalidInput, match=f"{option}: .*no such option for a .geojson file"):
+            read(tmp_path / "a.geojson", **{option: value})
 
 
 VTU = """<VTKFile type="UnstructuredGrid" version="0.1"><UnstructuredGrid>
