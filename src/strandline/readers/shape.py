@@ -77,7 +77,7 @@ def point_sds(contents: Contents, how: Reading, name: str) -> Float[np.ndarray, 
     order = _order(contents, places, how, name)
     if _repeats_first(moved[order], how):
         order = order[:-1]
-    sds = how.factor * np.asarray(contents.data[SD], float)[order]
+    sds = how.factor * np.asarray(_data(contents.data, SD, f"{name} has no point data"), float)[order]
     if not (np.isfinite(sds) & (sds > 0)).all():
         worst = int(np.argmin(np.where(np.isfinite(sds), sds, -np.inf)))
         what = f"{name}: standard deviation {_place(int(order[worst]), contents.lines)}"

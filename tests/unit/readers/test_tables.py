@@ -267,3 +267,13 @@ def test_a_reader_of_ones_own_that_returns_something_else_is_refused(tmp_path, m
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(InvalidInput, match=r"got a dict; expected strandline\.readers\.Contents"):
         read(tmp_path / "a.odd", reader="odd_reader:load")
+
+
+def test_a_reader_of_ones_own_without_the_standard_deviations_of_points_is_refused(tmp_path, monkeypatch):
+    text = "import numpy as np\nfrom strandline.readers import Contents\n"
+    (tmp_path / "bare_reader.py").write_text(f"{text}def load(*given):\n    return Contents(np.eye(3, 2))\n")
+    (tmp_path / "a.odd").write_text("")
+    monkeypatch.syspath_prepend(tmp_path)
+    how = Reading("a.odd", "mm", reader="bare_reader:load", sd=4)
+    with pytest.raises(Unreadable, match=r"a\.odd has no point data sd of each point: got none"):
+        read_point_sds(tmp_path / "a.odd", how)
