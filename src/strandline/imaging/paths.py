@@ -244,7 +244,7 @@ def _integer(content: bytes, offset: int, size: int) -> int:
 def _of_xy(content: bytes) -> FirstPath:
     """Return the path in a text file with x and y in each line, with or without a line of column names."""
     points = _points_of_text(content)
-    require_in_order(points, "the path", "Of OpenDrop take fit.csv, which runs along the profile.")
+    require_in_order(points, "the path")
     found = _without_repeats(points)
     if len(points) and (extent := float(np.ptp(points, axis=0).max())) < SMALLEST:
         expected = f"at least {SMALLEST:g} px, as coordinates in pixels have"

@@ -207,7 +207,7 @@ def _place(point: Float[np.ndarray, " xyz"]) -> str:
     return "(" + ", ".join(f"{v:.4g}" for v in point) + ")"
 
 
-def require_in_order(points: Float[np.ndarray, "point 2"], name: str, remedy: str) -> None:
+def require_in_order(points: Float[np.ndarray, "point 2"], name: str, remedy: str = "") -> None:
     """Refuse points that jump to and fro between two sides, as a list of edge pixels row by row does."""
     steps = np.diff(points, axis=0)
     one_way = (steps > 0).all(axis=0) | (steps < 0).all(axis=0)
@@ -221,6 +221,7 @@ def require_in_order(points: Float[np.ndarray, "point 2"], name: str, remedy: st
     if len(returns) > ZIGZAG * len(points) + 1:
         start, end = points[returns[0] : returns[0] + 2].tolist()
         value = f"e.g. from {start} to {end} and back"
+        remedy = f"{remedy} Of OpenDrop take fit.csv, which runs along the profile.".strip()
         raise refused(f"{name} jumps to and fro between two sides", value, "points in order along the line", remedy)
 
 

@@ -89,7 +89,7 @@ def _of_table(contents: Contents, places: Points, moved: Points, how: Reading, n
     order = _order(contents, places, how, name)
     _require_finite(moved, order, name, contents.lines)
     chain = moved[order]
-    require_in_order(chain, name, IN_ORDER)
+    require_in_order(chain, name, IN_ORDER if how.sort is None else "Sorting does not order these.")
     repeated = _repeats_first(chain, how)
     polyline = Interface.polyline(chain[:-1] if repeated else chain, closed=repeated or how.closed is True)
     polyline.require_simple(f"{IN_ORDER} Else remove the loop." if how.sort is None else "Remove the loop.")

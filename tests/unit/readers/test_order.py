@@ -28,7 +28,10 @@ def drop(rows=60):
 
 def test_edge_pixels_row_by_row_are_refused(tmp_path):
     for turn in (np.eye(2), TURN):
-        refused("jumps to and fro between two sides", written(tmp_path, drop() @ turn))
+        told = refused("jumps to and fro between two sides", written(tmp_path, drop() @ turn))
+        assert "`sort: x` does it if x grows along it, `sort: y` if y does. Of OpenDrop take fit.csv" in told
+    told = refused("jumps to and fro between two sides", written(tmp_path, drop()), sort="y")
+    assert "line. Sorting does not order these. Of OpenDrop take fit.csv" in told
     assert len(read(written(tmp_path, np.concatenate([drop()[::2], drop()[-1::-2]]))).points) == 120
 
 
