@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, depth_first_order
 from scipy.spatial import cKDTree
@@ -16,6 +17,8 @@ COINCIDENT = 1e-9
 """Distance of points that count as one, as a share of the mesh's extent: a repeated point may be rounded otherwise."""
 ROUNDED, NEARLY = 1e-3, 0.1
 """The same as a share of the shortest side of a cell, and the distance up to which they may be meant as one."""
+ALIKE = 1e-4
+"""Difference of two sizes, as a share of them, that may be rounding: files print about six digits of each point."""
 LINES = {"line": (0, 1), "line3": (0, 2, 1)}
 """Nodes in their order along the cell."""
 RINGS = {
@@ -183,13 +186,23 @@ def chosen_chain(
         place = np.asarray(near)[:2]
         return min(found, key=lambda chain: float(np.linalg.norm(points[chain.nodes] - place, axis=1).min()))
     if longest:
-        return max(found, key=lambda chain: _length(chain, points))
+        return found[largest([_length(chain, points) for chain in found], name)]
     if len(found) > 1:
         shown = [f"{_place(points[c.nodes[0]])} to {_place(points[c.nodes[-1]])}" for c in found[:3]]
         value = ", ".join(shown) + (", …" if len(found) > 3 else "") + " mm"
         remedy = "Choose a piece with `near: [x, y]` or `keep: longest`, or a part of the mesh with `select`."
         raise refused(f"{name}: the interface is in {len(found)} pieces", value, "one line without gaps", remedy)
     return found[0]
+
+
+def largest(sizes: ArrayLike, name: str) -> int:
+    """Return the index of the largest size, or of one that is not finite; refuse several alike but for rounding."""
+    found = np.nan_to_num(sizes, nan=np.inf)
+    alike = np.flatnonzero(found >= (1 - ALIKE) * found.max())
+    if len(alike) > 1:
+        what, value = f"{name}: `keep: longest` fits several pieces", f"{len(alike)} of the same size"
+        raise refused(what, value, "one that is larger than the others", "Say `near: [x, y]` in mm instead.")
+    return int(alike[0])
 
 
 def _directed(chain: Chain, forward: set[tuple[Any, ...]]) -> Chain:

@@ -146,7 +146,7 @@ def _one_piece(
         near = np.asarray(how.near)[:2]
         return min(found, key=lambda one: float(np.linalg.norm(places[one] - near, axis=1).min()))
     if how.keep is not None:
-        return max(found, key=lambda one: float(np.linalg.norm(np.diff(places[one], axis=0), axis=1).sum()))
+        return found[cells.largest([np.linalg.norm(np.diff(places[one], axis=0), axis=1).sum() for one in found], name)]
     raise refused(
         f"{name} holds several pieces or times",
         f"{len(found)}, of {', '.join(str(len(one)) for one in found[:5])} points",
@@ -292,7 +292,7 @@ def _chosen_part(
         used = np.unique(triangles)
         chosen = part[used[np.argmin(np.linalg.norm(places[used] - np.array([*how.near, 0.0][:3]), axis=1))]]
     elif how.keep is not None:
-        chosen = found[np.argmax(areas)]
+        chosen = found[cells.largest(areas, name)]
     else:
         value = f"areas of {', '.join(f'{area:.4g}' for area in areas[:5])} mm²"
         remedy = "Choose by `keep: longest`, the one of the largest area, or `near: [x, y, z]` in mm."

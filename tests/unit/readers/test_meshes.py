@@ -132,6 +132,8 @@ def test_pieces_and_branches_are_refused_with_their_places_or_one_piece_is_chose
     refused(r"in 2 pieces: got \(0, 0\) to \(2, 0\), \(5, 1\) to \(5\.5, 1\) mm", path)
     assert read(path, keep="longest").points[-1].tolist() == [2.0, 0.0]
     assert read(path, near=[5, 0.9]).points.tolist() == [[5.0, 1.0], [5.5, 1.0]]
+    same = cells_of(tmp_path, [*points[:3], [5, 1, 0], [6, 1 + 1e-9, 0]], "line", [[3, 4], [1, 2]])
+    refused("2 of the same size.*instead", same, keep="longest")
     points = [[0.0, 0, 0], [1, 0, 0], [2, 0.5, 0], [2, -0.5, 0]]
     path = cells_of(tmp_path, points, "line", [[0, 1], [1, 2], [1, 3]])
     refused(r"branches at \(1, 0\) mm: got 3 segments", path)

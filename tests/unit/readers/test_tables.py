@@ -208,6 +208,13 @@ def test_several_pieces_or_times_are_refused_or_chosen_from(tmp_path, text, opti
     assert read(path, near=[1, 1], **options).points[-1].tolist() == [2.0, 1.0]
 
 
+def test_of_pieces_of_one_length_none_is_the_longest(tmp_path):
+    path = written(tmp_path, "0 0\n0.2 0.15\n1 0\n\n\n2 1\n2.2 1.15\n3 1\n", "blocks.dat")
+    refused("`keep: longest` fits several pieces: got 2 of the same size", path, keep="longest")
+    assert read(path, near=[2, 1]).points[0].tolist() == [2.0, 1.0]
+    refused("not finite", written(tmp_path, f"nan 0\n1 0\n2 1\n\n{TWO}", "a.txt"), "non_finite", keep="longest")
+
+
 def test_a_column_of_values_or_of_the_numbers_of_points_tells_no_pieces_apart(tmp_path):
     text = "n,p,x,y\n1,0,0,0\n2,0,1,0\n3,0,2,0\n4,7,3,0\n5,7,4,0\n6,7,5,0\n"
     assert len(read(written(tmp_path, text), columns=["x", "y"]).points) == 6

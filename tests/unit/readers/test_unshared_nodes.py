@@ -40,3 +40,7 @@ def test_near_and_keep_choose_a_part_of_a_surface(tmp_path):
     refused(r"2 surfaces apart.*`keep: longest`.*`near: \[x, y, z\]`", path)
     assert read(path, keep="longest").points.min() == 5.0
     assert read(path, near=[0, 0, 0]).points.max() == 1.0
+    points[4:] = points[:4] + 7.1
+    path = written(tmp_path / "a.stl", points, "triangle", np.concatenate([faces, faces + 4]))
+    refused(r"`keep: longest` fits several pieces: got 2 of the same size.*`near: \[x, y\]`", path, keep="longest")
+    assert read(path, near=[0, 0, 0]).points.max() == 1.0
