@@ -159,15 +159,18 @@ def _of_cells(contents: Contents, places: Points, moved: Points, how: Reading, n
     blocks = _chosen(contents, how, name)
     used = np.unique(np.concatenate([block.nodes.ravel() for block in blocks]))
     _require_finite(places, used, name)
-    _require_finite(moved, used, name)
+    wanted = _wanted(contents, places, how, name)
+    remedy = f"Write {how.field or 'the displacement'} for all nodes, or choose those that have it by `select`."
+    _require_finite(moved, _kept(used[:, None], wanted, name).ravel(), name, remedy=remedy)
     blocks = cells.joined(blocks, places, name)
     lowest = min(cells.dimension(block.kind) or 0 for block in blocks)
-    flat = _is_flat(places[used], how.axes) and _is_flat(moved[used], how.axes)
+    known = used[np.isfinite(moved[used]).all(axis=1)]
+    flat = _is_flat(places[used], how.axes) and _is_flat(moved[known], how.axes)
     if lowest == 3 or (lowest == 2 and (not flat or how.suffix in SURFACES)):
         parts = cells.surface_triangles(blocks) if lowest == 2 else cells.boundary_triangles(blocks)
         if lowest == 3 and signed_volume(places, parts) < 0:
             parts = parts[:, ::-1]  # solids that are numbered inside out
-        triangles = _chosen_part(_kept(parts, contents, places, how, name), places, how, name)
+        triangles = _chosen_part(_kept(parts, wanted, name), places, how, name)
         own, corners = np.unique(triangles, return_inverse=True)
         return Interface(np.ascontiguousarray(moved[own]), corners.reshape(-1, 3).astype(np.int64))
     parts = cells.line_edges(blocks) if lowest == 1 else cells.boundary_edges(blocks)
@@ -175,7 +178,7 @@ def _of_cells(contents: Contents, places: Points, moved: Points, how: Reading, n
         faces = next((block.kind for block in contents.blocks if cells.dimension(block.kind) == 2), None)
         remedy = f"For the surface give `block: {faces}`; for a line choose `plane`." if faces else "Choose `plane`."
         raise refused(f"{name}: the line leaves its plane", how.plane, "a line in a plane", remedy)
-    edges = _merged(_kept(parts, contents, places, how, name), places)
+    edges = _merged(_kept(parts, wanted, name), places)
     plane = places[:, how.axes]
     found = chains(edges, plane, name)
     chain = chosen_chain(found, plane, name, near=how.near, longest=how.keep is not None)
@@ -225,16 +228,19 @@ def _is_one_of(values: Shaped[np.ndarray, "..."], wanted: Any) -> Bool[np.ndarra
     return found
 
 
-def _kept(
-    parts: Int[np.ndarray, "part node"], contents: Contents, places: Points, how: Reading, name: str
-) -> Int[np.ndarray, "kept node"]:
-    """Return the edges or triangles all of whose nodes are in the box and have the requested point data."""
+def _wanted(contents: Contents, places: Points, how: Reading, name: str) -> Bool[np.ndarray, " point"]:
+    """Return which nodes are in the box and have the requested point data."""
     good = np.ones(len(places), dtype=bool)
     for key, wanted in (how.points or {}).items():
         good &= _is_one_of(_data(contents.data, key, f"{name} has no point data"), wanted)
-    if how.select is not None:
-        good &= _inside(places, how.select)
-    kept = np.asarray(parts[good[parts].all(axis=1)])
+    return good if how.select is None else good & _inside(places, how.select)
+
+
+def _kept(
+    parts: Int[np.ndarray, "part node"], wanted: Bool[np.ndarray, " point"], name: str
+) -> Int[np.ndarray, "kept node"]:
+    """Return the nodes, edges or triangles that are wanted as a whole."""
+    kept = np.asarray(parts[wanted[parts].all(axis=1)])
     if not len(kept):
         raise refused(f"{name} holds no interface", "nothing in the selection", "a part of the mesh", "Widen it.")
     return kept
@@ -311,9 +317,15 @@ def _place(point: int, lines: Sequence[int]) -> str:
     return f"in line {lines[point]}" if lines else f"with the number {point + 1}, counted from 1,"
 
 
-def _require_finite(points: Points, chosen: Int[np.ndarray, " n"], name: str, lines: Sequence[int] = ()) -> None:
+def _require_finite(
+    points: Points,
+    chosen: Int[np.ndarray, " n"],
+    name: str,
+    lines: Sequence[int] = (),
+    remedy: str = "Remove or correct the point.",
+) -> None:
     finite = np.isfinite(points[chosen]).all(axis=1)
     if not finite.all():
         first = int(chosen[np.argmin(finite)])
-        what, remedy = f"{name}: the point {_place(first, lines)} is not finite", "Remove or correct the point."
+        what = f"{name}: the point {_place(first, lines)} is not finite"
         raise refused(what, points[first].tolist(), "finite coordinates in mm", remedy, kind="non_finite")

@@ -79,6 +79,19 @@ def test_each_new_reader_passes_the_conformance_suite(tmp_path):
             check(tmp_path / name, how)
 
 
+def test_results_written_for_a_set_of_nodes_are_enough_if_these_are_selected(tmp_path):
+    """As by `*NODE FILE, NSET=TOP`: nodes 1 and 2, at y = 0, have DISP."""
+    rows = [f" -1{node:10d}{-1.5 - node:12.5E}{-2.0:12.5E}{0:12.5E}\n" for node in (3, 4)]
+    (tmp_path / "job.frd").write_text(FRD.replace("".join(rows), ""))
+    asked = {"field": "DISP", "start": [0, 0]}
+    for box in (None, {"y": [-0.2, 0]}):
+        told = refused("the point with the number 3", tmp_path / "job.frd", "non_finite", **asked, select=box)
+        assert "Write DISP for all nodes, or choose those that have it by `select`." in told
+    found = read(tmp_path / "job.frd", **asked, select={"y": [0, 0]})
+    np.testing.assert_allclose(found.points, MOVED[:1:-1])
+    refused("nothing in the selection", tmp_path / "job.frd", **asked, select={"y": [7, 8]})
+
+
 def test_meshes_that_gmsh_and_medit_write(tmp_path):
     points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     mesh = meshio.Mesh(points, [("triangle", [[0, 1, 2], [0, 2, 3]]), ("line", [[3, 2], [2, 1]])])
