@@ -94,8 +94,20 @@ def test_failed_runs_are_left_out_of_the_training_and_too_few_are_refused(tmp_pa
     with pytest.raises(TooFewRuns, match="too few successful forward runs: got 2 of 2"):
         learnt(tmp_path, problem(space=ONE), replace(SETTINGS, runs=2))
     asked = replace(problem(space=ONE), fixed={"tilt": 0.02, "load": 1.0})
-    with pytest.raises(TooFewRuns, match=r"every forward run failed: got 0 of 4 \(4 × large_deflection; e\.g\. the"):
+    with pytest.raises(
+        TooFewRuns, match=r"every forward run failed: got 0 of 4 \(4 × large_deflection\).*; e\.g\. the"
+    ):
         learnt(tmp_path, asked, replace(SETTINGS, runs=4))
+
+
+def test_the_example_of_a_failure_keeps_its_remedy(tmp_path):
+    told = f"nodes.txt has too few fields: {'1.0 ' * 40}; expected 4. Write blanks between the numbers."
+
+    def fails(inputs, workdir):
+        raise ForwardModelError("unreadable", told)
+
+    with pytest.raises(TooFewRuns, match=re.escape(told)):
+        learnt(tmp_path, problem(space=ONE, model=fails), replace(SETTINGS, runs=4))
 
 
 VARIANCES = {"light": 0.01**2, "heavy": 0.02**2}
