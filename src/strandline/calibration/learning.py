@@ -300,13 +300,12 @@ def _require_enough(succeeded: int, records: Sequence[RunRecord], dim: int) -> N
     kinds = Counter(record.failure_kind or record.state for record in records if not record.ok)
     shown = counted(dict(kinds.most_common(3))) or "none failed"
     last = next((record.message for record in records if record.message), "")
-    example = f"; e.g. {last.splitlines()[0]}" if last else "."
+    look = f", or look at the failures with `strandline status`{'; e.g. ' + last.splitlines()[0] if last else '.'}"
     raise TooFewRuns(
         "every forward run failed" if succeeded == 0 else "too few successful forward runs",
         value=f"{succeeded} of {len(records)} ({shown})",
         expected=f"at least {dim + 2} for {dim} input{'s' * (dim > 1)}",
-        remedy="Enlarge the design"
-        + (f", or look at the failures with `strandline status`{example}" if kinds else "."),
+        remedy=f"Enlarge the design{look if kinds else '.'}",
     )
 
 

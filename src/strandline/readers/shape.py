@@ -237,10 +237,10 @@ def _wanted(contents: Contents, places: Points, how: Reading, name: str) -> Bool
 
 
 def _kept(
-    parts: Int[np.ndarray, "part node"], wanted: Bool[np.ndarray, " point"], name: str
+    parts: Int[np.ndarray, "part node"], good: Bool[np.ndarray, " point"], name: str
 ) -> Int[np.ndarray, "kept node"]:
-    """Return the nodes, edges or triangles that are wanted as a whole."""
-    kept = np.asarray(parts[wanted[parts].all(axis=1)])
+    """Return the nodes, edges or triangles all of whose nodes are good."""
+    kept = np.asarray(parts[good[parts].all(axis=1)])
     if not len(kept):
         raise refused(f"{name} holds no interface", "nothing in the selection", "a part of the mesh", "Widen it.")
     return kept
@@ -318,14 +318,13 @@ def _place(point: int, lines: Sequence[int]) -> str:
 
 
 def _require_finite(
-    points: Points,
-    chosen: Int[np.ndarray, " n"],
-    name: str,
-    lines: Sequence[int] = (),
-    remedy: str = "Remove or correct the point.",
+    points: Points, chosen: Int[np.ndarray, " n"], name: str, lines: Sequence[int] = (), remedy: str = ""
 ) -> None:
     finite = np.isfinite(points[chosen]).all(axis=1)
     if not finite.all():
         first = int(chosen[np.argmin(finite)])
-        what = f"{name}: the point {_place(first, lines)} is not finite"
+        what, remedy = (
+            f"{name}: the point {_place(first, lines)} is not finite",
+            remedy or "Remove or correct the point.",
+        )
         raise refused(what, points[first].tolist(), "finite coordinates in mm", remedy, kind="non_finite")
