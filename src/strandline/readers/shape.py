@@ -146,7 +146,8 @@ def _one_piece(
         near = np.asarray(how.near)[:2]
         return min(found, key=lambda one: float(np.linalg.norm(places[one] - near, axis=1).min()))
     if how.keep is not None:
-        return found[cells.largest([np.linalg.norm(np.diff(places[one], axis=0), axis=1).sum() for one in found], name)]
+        lengths = [np.linalg.norm(np.diff(places[one], axis=0), axis=1).sum() for one in found]
+        return np.asarray(found[cells.largest(lengths, name)])
     raise refused(
         f"{name} holds several pieces or times",
         f"{len(found)}, of {', '.join(str(len(one)) for one in found[:5])} points",
@@ -323,8 +324,6 @@ def _require_finite(
     finite = np.isfinite(points[chosen]).all(axis=1)
     if not finite.all():
         first = int(chosen[np.argmin(finite)])
-        what, remedy = (
-            f"{name}: the point {_place(first, lines)} is not finite",
-            remedy or "Remove or correct the point.",
-        )
+        what = f"{name}: the point {_place(first, lines)} is not finite"
+        remedy = remedy or "Remove or correct the point."
         raise refused(what, points[first].tolist(), "finite coordinates in mm", remedy, kind="non_finite")
