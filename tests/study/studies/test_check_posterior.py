@@ -102,7 +102,9 @@ def test_draws_that_fail_have_no_weight_and_are_told(folder):
     assert content["ess"] == pytest.approx(1 / np.sum(weights**2))
     assert f"{above.sum()} of 60 draws failed in the true model" in content["remarks"][-1]
     (folder / "check.sqlite").unlink()
-    with pytest.raises(TooFewRuns, match=r"failed at every draw of the posterior: got 0 of 20; e.g. snapped: E = "):
+    with pytest.raises(
+        TooFewRuns, match=r"failed at every draw of the posterior: got 0 of 20;.*lies\. E\.g\. snapped: E = "
+    ):
         checked(folder, draws=20, model=Changed(fails_above=0.0))
 
 

@@ -255,9 +255,10 @@ def check_posterior(
         reason = (first.message or "no message").splitlines()[0]
         raise TooFewRuns(
             "the true model failed at every draw of the posterior",
-            value=f"0 of {len(records)}; e.g. {first.failure_kind or first.state}: {reason}",
+            value=f"0 of {len(records)}",
             expected="a posterior where the simulator runs",
-            remedy="Look at the failures; the surrogate knows nothing of where the posterior lies.",
+            remedy="Look at the failures; the surrogate knows nothing of where the posterior lies. "
+            f"E.g. {first.failure_kind or first.state}: {reason}",
         )
     found = CheckedDraws(posterior, chosen, records, true, surrogate, reweight(positions, true - surrogate))
     content = describe(study, found, observations, new_runs=new_runs)
