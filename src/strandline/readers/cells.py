@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from strandline.readers.contents import Block, refused
 
+Points = Float[np.ndarray, "point xyz"]
 COINCIDENT = 1e-9
 """Distance of points that count as one, as a share of the mesh's extent: a repeated point may be rounded otherwise."""
 ROUNDED, NEARLY = 1e-3, 0.1
@@ -69,21 +70,27 @@ def dimension(kind: str) -> int | None:
     return next((k for k, known in enumerate((set(LINES), set(RINGS), set(FACES)), 1) if kind in known), None)
 
 
-def joined(blocks: Sequence[Block], points: Float[np.ndarray, "point xyz"], name: str) -> list[Block]:
-    """Return cells that share nodes where they touch, if each has nodes of its own, as NGSolve writes them."""
+def joined(blocks: Sequence[Block], points: Points, moved: Points, name: str) -> list[Block]:
+    """Return cells that share nodes where they touch, also if all have nodes of their own, as NGSolve writes them.
+
+    `moved`: the points with their displacements; parts that come apart keep their nodes.
+    """
     nodes = np.concatenate([block.nodes.ravel() for block in blocks])
     used = np.unique(nodes)
-    if len(used) < len(nodes) or sum(len(block.nodes) for block in blocks) == 1:
+    alone, plane = len(used) == len(nodes), all((dimension(block.kind) or 0) > 1 for block in blocks)
+    if sum(len(block.nodes) for block in blocks) == 1 or not (alone or plane):
         return list(blocks)
     sides = [points[block.nodes] - points[np.roll(block.nodes, 1, axis=1)] for block in blocks]
     shortest = min(float(np.linalg.norm(side, axis=2).min()) for side in sides)
     reach = max(COINCIDENT * float(np.ptp(points[used], axis=0).max()), ROUNDED * shortest)
     tree = cKDTree(points[used])
     i, j = tree.query_pairs(reach, output_type="ndarray").T
-    if len(tree.query_pairs(NEARLY * shortest)) > len(i):
+    if alone and len(tree.query_pairs(NEARLY * shortest)) > len(i):
         what = f"{name}: cells have nodes of their own that nearly coincide"
         found = f"some between {reach:.3g} and {NEARLY * shortest:.3g} mm apart"
         raise refused(what, found, "cells that share nodes, or repeat them", "Merge the nodes, or write more digits.")
+    if not alone:
+        i, j = np.stack([i, j])[:, np.linalg.norm(moved[used[i]] - moved[used[j]], axis=1) <= reach]
     graph = coo_array((np.ones(len(i)), (i, j)), shape=(len(used),) * 2)
     number, together = connected_components(graph, directed=False)
     first = np.full(number, len(points))

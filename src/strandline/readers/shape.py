@@ -163,7 +163,7 @@ def _of_cells(contents: Contents, places: Points, moved: Points, how: Reading, n
     wanted = _wanted(contents, places, how, name)
     remedy = f"Write {how.field or 'the displacement'} for all nodes, or choose those that have it by `select`."
     _require_finite(moved, _kept(used[:, None], wanted, name).ravel(), name, remedy=remedy)
-    blocks = cells.joined(blocks, places, name)
+    blocks = cells.joined(blocks, places, moved, name)
     lowest = min(cells.dimension(block.kind) or 0 for block in blocks)
     known = used[np.isfinite(moved[used]).all(axis=1)]
     flat = _is_flat(places[used], how.axes) and _is_flat(moved[known], how.axes)
@@ -287,7 +287,6 @@ def _chosen_part(
     triangles: Int[np.ndarray, "cell 3"], places: Points, how: Reading, name: str
 ) -> Int[np.ndarray, "chosen 3"]:
     """Return the connected part of a surface that `near` or `keep` chooses, if there are several."""
-    triangles = _merged(triangles, places)
     sides = np.concatenate([triangles[:, :2], triangles[:, 1:]])
     number = len(places)
     part = connected_components(coo_array((np.ones(len(sides)), sides.T), shape=(number, number)), directed=False)[1]

@@ -19,22 +19,24 @@ SD = "sd of each point"
 """Name of the point data that hold standard deviations, in the file's unit."""
 AXES = (
     ("y", "x"),
-    ("rows?", "col(umn)?s?"),
-    ("axis[-_: ]?0", "axis[-_: ]?1"),
+    ("rows?|zeile|ligne|northing|ordinate", "col(umn)?s?|spalte|colonne|easting|abscissa"),
+    ("(axis|dim|centroid)[-_: ]?0", "(axis|dim|centroid)[-_: ]?1"),
     ("points?[-_: ]1", "points?[-_: ]0"),
     ("vertical|lat(itude)?", "horizontal|lon(gitude)?"),
 )
 """Names of the vertical coordinate and of the horizontal one."""
 ENDING = r"(\d+|pos\w*|coord\w*|index|mm|um|px)?"
 """What may follow such a name without a blank."""
-COMMENT = re.compile(r"\s*(#(?!N/A|DIV/|VALUE!|REF!|NUM!|NAME\?)|%|\*\s*$|\*+\s*([^\W\d]|\())")
-"""Beginning of a comment; not errors of a spreadsheet, nor several stars, which may be a number that overflowed."""
+COMMENT = re.compile(r"\s*(#(?!N/A|DIV/|VALUE!|REF!|NUM!|NAME\?|##+[\s,;]+([-+.\d]|##))|%|\*\s*$|\*+\s*([^\W\d]|\())")
+"""Beginning of a comment; not errors of a spreadsheet, nor several # or *, which may be a number that overflowed."""
+HEADING = re.compile(r"[ #%*]*(columns?\s*:)?\s*", re.IGNORECASE)
+"""What may stand before the names of columns in a comment."""
 MISSING = ("na", "n/a", "none", "null", "missing")
 """Words for a number that is missing."""
 LABEL = re.compile(
     r"(contour|outline|curve|path|line|segment|polygon|ring|shape|piece|part|group|set|object|particle|cell|roi|region"
-    r"|layer|slice|image|sample|specimen|track|label|frame|step|time|t|id|no|nr|index)s?(step|id|no|nr)?([\W_]|$)"
-    r"|.*[\W_](id|no|nr|index)$|$"
+    r"|layer|slice|image|sample|specimen|track|label|frame|step|time|t|id|no|nr|index)s?(step|id|no|nr|number)?([\W_]|$)"
+    r"|.*[\W_](id|no|nr|index|t|frame)$|$"
 )
 """Name of a column that tells pieces or times apart."""
 PAIRS = (("x", "y"), ("points:0", "points:1"), ("points_0", "points_1"), ("axis-1", "axis-0"))
@@ -145,7 +147,7 @@ def _rows(lines: Sequence[str], separator: str) -> tuple[list[TableRow], list[st
     for number, line in enumerate(lines, 1):
         if not line.strip(" \t,;") or COMMENT.match(line):
             gap = bool(rows)
-            comments += [line.lstrip(" #%*")] if line.strip(" #%*") and not rows else []
+            comments += [HEADING.sub("", line, 1)] if line.strip(" #%*") and not rows else []
             continue
         rows.append(TableRow(number, _fields(line, separator), gap))
         gap = False
@@ -217,7 +219,10 @@ def _require_one_width(name: str, rows: Sequence[TableRow], titles: Sequence[str
 def _require_x_before_y(name: str, titles: Sequence[str], comments: Sequence[str]) -> None:
     """Refuse columns whose names, or else the last comment that names both, say that y comes first."""
     first, second = [_axes(re.split(r"[\[({/]", title)[0] or title) for title in titles] or ("", "")
-    if first[:1] == "y" or (second[:1] == "x" != first[:1]) or [title.lower() for title in titles] == ["r", "c"]:
+    pairs = {*zip(*(title.lower() for title in titles), strict=False)}
+    turned = {(one, other) for one, other in pairs if one != other}
+    swapped = turned in ({("y", "x")}, {("1", "0")}, {("2", "1")}, {("r", "c")})
+    if first[-1:] == "y" or (second[-1:] == "x" != first[-1:]) or (swapped and not first):
         remedy = f"Give `columns: [{_quoted(titles[1])}, {_quoted(titles[0])}]`."
         what, expected = f"{name} names its columns {titles[0]}, {titles[1]}", "x before y, or `columns`"
         raise refused(what, " ".join(titles), expected, remedy)
@@ -230,8 +235,13 @@ def _require_x_before_y(name: str, titles: Sequence[str], comments: Sequence[str
 
 def _axes(text: str) -> str:
     """Return the coordinates that a text names, ``x``, ``y``, ``xy`` or ``yx``, in their order."""
+    given = text.lower()
+    return max((_named(re.sub(r"\bcolumns?\b(?=\s+\w)", "", given)), _named(given)), key=len)
+
+
+def _named(text: str) -> str:
     for names in AXES:
-        matches = [re.search(rf"(?<![^\W_])({name}){ENDING}(?![^\W_])", text.lower()) for name in names]
+        matches = [re.search(rf"(?<![^\W_])({name}){ENDING}(?![^\W_])", text) for name in names]
         found = sorted((match.start(), axis) for match, axis in zip(matches, "yx", strict=True) if match)
         if found:
             return "".join(axis for _, axis in found)

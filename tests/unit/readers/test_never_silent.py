@@ -11,9 +11,28 @@ SEEDS = pytest.mark.parametrize("seed", range(20))
 UNITS = {"mm": 1.0, "um": 1e-3, "m": 1e3}
 ENDS = ["", "[mm]", "_mm", "(px)", "/um", ".mm", "pos", "-coordinate", "1"]
 Y_FIRST = ["y{0},x{0}", '"y{0}","x{0}"', "Row{0},Col{0}", "axis-0,axis-1", "pos_y,pos_x", "r,c", "Points:1,Points:0"]
+Y_FIRST += [
+    "PositionY,PositionX",
+    "cy,cx",
+    "YM,XM",
+    "dim_0,dim_1",
+    "centroid-0,centroid-1",
+    "p[1],p[0]",
+    "Zeile,Spalte",
+]
 COMMENTS = ["# y{0},x{0}", "% y{0} x{0}", "#y,x\n# in mm", "# columns: y, x", "# row{0};col{0}", "# 1: y\n# 2: x"]
-LABELS = ["id", "t", "time_[s]", "frame_id", "ContourID", "polygon", "segment_no"]
-LOST = [["***", "***"], ["*" * 12], ["***", "1.5"], ["NA", "NA"], ["#N/A", "#N/A"], ["nan", "1"]]
+COMMENTS += ["# columns: row, col", "# Column: axis-0, axis-1", "# first column row, second column col"]
+LABELS = ["id", "t", "time_[s]", "frame_id", "ContourID", "polygon", "segment_no", "POSITION_T", "ObjectNumber"]
+LOST = [
+    ["***", "***"],
+    ["*" * 12],
+    ["***", "1.5"],
+    ["NA", "NA"],
+    ["#N/A", "#N/A"],
+    ["nan", "1"],
+    ["########", "########"],
+    ["########", "1.5"],
+]
 DISPLACEMENTS = ["u", "U", "uh", "displacement", "Total_Displacement", "DEPL", "deformation", "disp (mm)"]
 COMPONENTS = ["ux", "u_y", "U1", "disp_x", "displacement magnitude"]
 CELLS = {"quad": ["0231"], "triangle": ["023", "031"], "tetra": ["0467", "0627", "0237", "0317", "0157", "0547"]}

@@ -26,6 +26,26 @@ def test_inner_faces_are_no_surface_if_each_cell_repeats_its_nodes(tmp_path, ins
     assert (np.sum(middle * found.normals, axis=1) > 0).all()
 
 
+@pytest.mark.parametrize(("apart", "area"), [(0.0, 10.0), (0.2, 12.0)])
+def test_parts_that_repeat_the_nodes_between_them_are_one_unless_they_come_apart(tmp_path, apart, area):
+    beside = CUBE + np.array([1, 0, 0])
+    mesh = meshio.Mesh(np.concatenate([CUBE, beside]), [("tetra", np.concatenate([TETRA, TETRA + 8]))])
+    mesh.point_data["u"] = np.repeat([[0.0, 0, 0], [apart, 0, 0]], 8, axis=0)
+    meshio.write(tmp_path / "a.vtu", mesh)
+    found = read(tmp_path / "a.vtu", field="u", **({"near": [0, 0, 0]} if apart else {}))
+    assert (found.closed, found.areas.sum()) == (True, pytest.approx(area / (1 + (apart > 0))))
+
+
+def test_a_repeated_node_rounded_otherwise_is_no_crack(tmp_path):
+    triangles = CUBE.astype(np.float32)[[[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4]]]
+    triangles = np.concatenate([triangles, np.float32(1) - triangles])[[0, 1, 2, 3, 4, 5, 10, 11]]
+    more = CUBE.astype(np.float32)[[[0, 4, 2], [4, 6, 2], [1, 3, 5], [3, 7, 5]]]
+    points = np.concatenate([triangles, more]).reshape(-1, 3) + np.float32(1)
+    points[4] = np.nextafter(points[4], np.float32(9))
+    found = read(written(tmp_path / "a.stl", points, "triangle", np.arange(36).reshape(-1, 3)))
+    assert len(found.points) == 8
+
+
 def test_a_repeated_node_that_is_not_finite_is_named(tmp_path):
     points = CUBE[TETRA.ravel()]
     points[5] = np.nan
