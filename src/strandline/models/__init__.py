@@ -6,7 +6,6 @@ the run failed. What a model can do beyond this (sensitivities, fields), it says
 
 from typing import TYPE_CHECKING
 
-from strandline.foundations import InvalidInput
 from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
@@ -45,7 +44,7 @@ if TYPE_CHECKING:
 else:
     __getattr__ = door(__name__, __file__)
 
-__all__ = ["MODELS", "refused"]
+__all__ = ["MODELS"]
 
 MODELS = {
     "biofilm": "strandline.models.biofilm.model:Biofilm",
@@ -54,8 +53,3 @@ MODELS = {
     "umbridge": "strandline.models.umbridge.model:UMBridgeModel",
 }
 """Names in study files → ``module:class``, imported only when used."""
-
-
-def refused(what: str, value: object, expected: str, remedy: str = "Correct it.") -> InvalidInput:
-    """Return the error for an option of a model that cannot be used."""
-    return InvalidInput(what, value=value, expected=expected, remedy=remedy)

@@ -10,8 +10,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from strandline.foundations import unfit
 from strandline.interface import Interface
-from strandline.models import protocol, refused
+from strandline.models import protocol
 from strandline.models.identity import fingerprint
 
 CHEAPER = "cheaper_model"
@@ -38,18 +39,18 @@ class WithCheaper:
         if not 0 < self.cost < 1:
             expected = "a share of the cost of a run of the model, above 0 and below 1"
             remedy = "Divide the seconds of a run of the cheaper model by those of a run of the model."
-            raise refused("cost of a run of the cheaper model", self.cost, expected, remedy)
+            raise unfit("cost of a run of the cheaper model", self.cost, expected, remedy)
         if fingerprint(self.model) == fingerprint(self.cheaper):
             expected = "a model whose runs are cheaper, such as one with a coarser mesh"
             remedy = "Change an option, or remove the cheaper model."
-            raise refused("the cheaper model", "the model itself", expected, remedy)
+            raise unfit("the cheaper model", "the model itself", expected, remedy)
         names = [sorted(one.name for one in protocol.declared_inputs(model)) for model in (self.model, self.cheaper)]
         conditions = [sorted(protocol.declared_conditions(model)) for model in (self.model, self.cheaper)]
         for what, (own, other) in (("inputs", names), ("conditions", conditions)):
             if own != other:
                 expected = f"those of the model: {', '.join(own) or 'none'}"
                 remedy = "Let both models take the same inputs and return the same conditions."
-                raise refused(f"{what} of the cheaper model", ", ".join(other) or "none", expected, remedy)
+                raise unfit(f"{what} of the cheaper model", ", ".join(other) or "none", expected, remedy)
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> protocol.Simulation | Interface:
         if is_cheaper(inputs):

@@ -13,8 +13,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
+from strandline.foundations import unfit
 from strandline.interface import Interface
-from strandline.models import refused
 
 __all__ = [
     "DrawsFields",
@@ -215,7 +215,7 @@ def require_conditions(observed: Iterable[str], model: ForwardModel) -> None:
         if name not in known:
             expected = f"one of {', '.join(known)}" if any(known) else "no name: the model has one condition"
             remedy = "Name the conditions of the observations as the model does."
-            raise refused("condition of an observation", name or "no name", expected, remedy)
+            raise unfit("condition of an observation", name or "no name", expected, remedy)
 
 
 def asks_sensitivities(model: ForwardModel) -> bool:
@@ -233,7 +233,7 @@ def with_sensitivities(model: Any) -> Any:
         return dataclasses.replace(model, sensitivities=True)
     expected = "a dataclass with a field `sensitivities: bool`"
     remedy = "Leave sensitivities out, or give the model that field."
-    raise refused("sensitivities of the model", "this model offers none", expected, remedy)
+    raise unfit("sensitivities of the model", "this model offers none", expected, remedy)
 
 
 def without_failure_budget(model: Any) -> Any:
@@ -249,7 +249,7 @@ def the_only_interface(interfaces: Mapping[str, Interface]) -> Interface:
     """
     if len(interfaces) != 1:
         found = f"the conditions {', '.join(interfaces)}" if interfaces else "no condition"
-        raise refused("the interface of a run", found, "one condition", "Choose one of `interfaces` by its name.")
+        raise unfit("the interface of a run", found, "one condition", "Choose one of `interfaces` by its name.")
     return next(iter(interfaces.values()))
 
 
@@ -279,5 +279,5 @@ def undeformed_interface(model: ForwardModel) -> Interface | None:
         what, shown = f"undeformed interface of {type(model).__name__}", f"a {type(found).__name__}"
         expected = "a method undeformed() that returns an Interface"
         remedy = "Correct the model; strandline.testing.simulators checks it."
-        raise refused(what, shown if callable(model.undeformed) else "an attribute", expected, remedy)
+        raise unfit(what, shown if callable(model.undeformed) else "an attribute", expected, remedy)
     return found

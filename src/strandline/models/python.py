@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from strandline.foundations import imported
+from strandline.foundations import imported, unfit
 from strandline.interface import Interface
-from strandline.models import protocol, refused
+from strandline.models import protocol
 from strandline.models.identity import OWN, fingerprint
 
 __all__ = ["PythonModel", "lies_in", "modules_of"]
@@ -160,7 +160,7 @@ class PythonModel:
             what = f"the source of {self.function} cannot be read"
             expected = "a function written in Python, or one with an attribute `fingerprint`"
             remedy = "Give it an attribute `fingerprint`, a text that changes whenever its results do."
-            raise refused(what, self.function, expected, remedy) from None
+            raise unfit(what, self.function, expected, remedy) from None
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
         """Return the function's result, with points as an `Interface`; any other result makes the run invalid."""
@@ -173,7 +173,7 @@ class PythonModel:
         with modules_of(self.folder):
             found = imported(self.function, WHAT, missing)
         if not callable(found):
-            raise refused(WHAT, self.function, "a function or another callable", "Correct the name.")
+            raise unfit(WHAT, self.function, "a function or another callable", "Correct the name.")
         return found
 
     def _target(self) -> Any:

@@ -20,8 +20,7 @@ import numpy as np
 from jaxtyping import Float
 from ngsolve import la
 
-from strandline.foundations import ForwardModelError
-from strandline.models import refused
+from strandline.foundations import ForwardModelError, unfit
 
 STANDARD_OUTPUT = 1
 SOLVERS = ("umfpack", "pardiso")
@@ -66,10 +65,10 @@ def linear_solver() -> str:
         return "pardiso" if _pardiso_works() else "umfpack"
     if chosen not in SOLVERS:
         remedy = "Correct it, or unset it to use the fastest solver installed."
-        raise refused(what, chosen or "an empty text", f"one of {', '.join(SOLVERS)}", remedy)
+        raise unfit(what, chosen or "an empty text", f"one of {', '.join(SOLVERS)}", remedy)
     if chosen == "pardiso" and not _pardiso_works():
         remedy = 'Install it by `pip install "strandline[mkl]"`, or unset the variable.'
-        raise refused(what, chosen, "umfpack, because NGSolve finds no PARDISO", remedy)
+        raise unfit(what, chosen, "umfpack, because NGSolve finds no PARDISO", remedy)
     return chosen
 
 

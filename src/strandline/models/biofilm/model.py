@@ -11,9 +11,8 @@ from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from strandline.foundations import ForwardModelError, imported
+from strandline.foundations import ForwardModelError, imported, unfit
 from strandline.interface import Interface
-from strandline.models import refused
 from strandline.models.biofilm import options
 from strandline.models.biofilm.cells.anchors import (
     AnchoredCell,
@@ -114,7 +113,7 @@ class Biofilm:
 
     def __post_init__(self) -> None:
         if self.mesh not in MESHES:
-            raise refused("mesh of the biofilm model", self.mesh, f"one of {', '.join(MESHES)}")
+            raise unfit("mesh of the biofilm model", self.mesh, f"one of {', '.join(MESHES)}")
         law_named(self.material)
         options.check_budget(self.failure_budget)
         options.check_loads(self.inflow_rates, self.pressure_drops, self.inflow)

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from strandline.foundations import InvalidInput, is_finite
+from strandline.foundations import InvalidInput, is_finite, unfit
 from strandline.interface import is_condition
-from strandline.models import refused
 from strandline.models.biofilm.equations.flow import DROP, PRESSURE, PROFILES, RATE, as_pairs
 from strandline.models.biofilm.equations.memory import MOST_BRANCHES
 from strandline.models.biofilm.materials import Law, further_parameters
@@ -140,4 +139,4 @@ def check_course(course: Course | None, *, several: bool, branches: object, sens
 
 
 def _refused(option: str, value: object, expected: str, remedy: str = "Correct it.") -> InvalidInput:
-    return refused(f"{option} of the biofilm model", value, expected, remedy)
+    return unfit(f"{option} of the biofilm model", value, expected, remedy)

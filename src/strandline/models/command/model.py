@@ -15,8 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, ClassVar, Literal
 
-from strandline.foundations import ForwardModelError, end_of, how_it_ended
-from strandline.models import refused
+from strandline.foundations import ForwardModelError, end_of, how_it_ended, unfit
 from strandline.models.command import options
 from strandline.models.protocol import ModelInput, Simulation
 from strandline.readers import Reading
@@ -147,7 +146,7 @@ class CommandModel:
                     f"the input {name} is used in no template and no command",
                     f"{{{{ {name} }}}} somewhere",
                 )
-                raise refused(what, "an input without effect", expected, f"Put it there, or remove {name} from inputs.")
+                raise unfit(what, "an input without effect", expected, f"Put it there, or remove {name} from inputs.")
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
         """Run the command in `workdir`; return its interfaces; a failure has kind, state and the last lines printed."""
@@ -233,12 +232,12 @@ class _Parts:
     def __init__(self, model: CommandModel) -> None:
         for name, value in (("timeout", model.timeout), ("grace", model.grace)):
             if value is not None and not 0 < value <= LONGEST_SECONDS:
-                raise refused(name, value, f"seconds above 0, at most {LONGEST_SECONDS} (a year)")
+                raise unfit(name, value, f"seconds above 0, at most {LONGEST_SECONDS} (a year)")
         if not all(text and kind.isidentifier() and kind not in KINDS for kind, text in model.errors.items()):
             expected = "a new word for each kind and a text, e.g. {diverged: no convergence}"
-            raise refused("errors", dict(model.errors), expected)
+            raise unfit("errors", dict(model.errors), expected)
         if not isinstance(model.files, list | tuple):
-            raise refused("files", model.files, "a list of names", "Write `files: [mesh.msh]`.")
+            raise unfit("files", model.files, "a list of names", "Write `files: [mesh.msh]`.")
         targets = [options.relative_name(target, "templates") for target in model.templates.values()]
         files = [options.SourceFile.of(model.folder, name, "files") for name in model.files]
         _require_distinct([*targets, *(options.relative_name(file.name, "files") for file in files)])
@@ -261,7 +260,7 @@ def _read(folder: Path, name: str) -> options.InputTemplate:
     try:
         return options.InputTemplate(name, path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
-        raise refused(f"the template {name} cannot be read", str(error), "a text file in UTF-8") from None
+        raise unfit(f"the template {name} cannot be read", str(error), "a text file in UTF-8") from None
 
 
 def _require_distinct(targets: list[str]) -> None:
@@ -270,7 +269,7 @@ def _require_distinct(targets: list[str]) -> None:
         if target in targets[:k] or target in reserved:
             found = f"{target} {'for the second time' if target in targets[:k] else 'is written by strandline'}"
             expected = "each name in the folder of the run once"
-            raise refused("templates and files", found, expected, "Choose another name.")
+            raise unfit("templates and files", found, expected, "Choose another name.")
 
 
 def _now(workdir: Path) -> int:

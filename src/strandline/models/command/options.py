@@ -14,9 +14,8 @@ import jinja2
 from jinja2 import meta, nodes
 from jinja2.sandbox import ImmutableSandboxedEnvironment
 
-from strandline.foundations import ForwardModelError, InvalidInput, decimal
+from strandline.foundations import ForwardModelError, InvalidInput, decimal, unfit
 from strandline.interface import Interface
-from strandline.models import refused
 from strandline.models.protocol import ModelInput
 from strandline.readers import Reading, Unreadable, read_interface
 
@@ -39,11 +38,11 @@ class InputTemplate:
             _compiled(self.text)
         except jinja2.TemplateSyntaxError as error:
             remedy = "Correct the line; {% raw %}…{% endraw %} keeps braces as they are."
-            raise refused(f"{self.place}, line {error.lineno}", error.message, "a Jinja2 template", remedy) from None
+            raise unfit(f"{self.place}, line {error.lineno}", error.message, "a Jinja2 template", remedy) from None
         except (RecursionError, SyntaxError, MemoryError, OverflowError, ValueError) as error:
             what, found = f"the template {self.place} cannot be compiled", f"{type(error).__name__}: {error}"
             remedy = "Simplify the expressions between braces."
-            raise refused(what, found, "expressions of ordinary depth and size", remedy) from None
+            raise unfit(what, found, "expressions of ordinary depth and size", remedy) from None
 
     @property
     def names(self) -> frozenset[str]:
@@ -58,7 +57,7 @@ class InputTemplate:
             line = min((node.lineno for node in found if node.name == name), default=1)
             expected = f"one of {', '.join(sorted(known))}"
             remedy = f"Correct the name, or add {name} to inputs or fixed."
-            raise refused(f"{self.place}, line {line}: unknown variable", name, expected, remedy)
+            raise unfit(f"{self.place}, line {line}: unknown variable", name, expected, remedy)
 
     def rendered(self, values: Mapping[str, Any]) -> str:
         """Return the text with `values` filled in; a run in which that fails ends with the kind ``template``."""
@@ -153,7 +152,7 @@ def _is_word(value: object) -> bool:
 
 
 def _unfit(what: str, value: object, expected: str) -> InvalidInput:
-    return refused(what, value, expected, f"Correct `{what.partition('.')[0]}`.")
+    return unfit(what, value, expected, f"Correct `{what.partition('.')[0]}`.")
 
 
 @dataclass(frozen=True)
@@ -185,7 +184,7 @@ def relative_name(name: object, place: str) -> str:
     parts = PurePosixPath(name).parts if fits and isinstance(name, str) else ()
     if not parts or parts[0] == "/" or ".." in parts or str(name).endswith("/"):
         expected = "the name of a file in the folder or below it: not absolute, without `..`"
-        raise refused(place, name, expected, "Put the file there and give its name relative to the folder.")
+        raise unfit(place, name, expected, "Put the file there and give its name relative to the folder.")
     return str(PurePosixPath(*parts))
 
 
@@ -193,10 +192,10 @@ def file_in(folder: Path, name: object, place: str) -> Path:
     """Return the path of a file in the study folder."""
     path = folder / relative_name(name, place)
     if not path.is_file():
-        raise refused(f"{place}: no such file", str(path), "a file in the study folder", "Correct the name.")
+        raise unfit(f"{place}: no such file", str(path), "a file in the study folder", "Correct the name.")
     if not path.resolve().is_relative_to(folder.resolve()):
         what, expected = f"{place}: a link that leads out of the study folder", "a file of the study folder itself"
-        raise refused(what, f"{name} -> {path.resolve()}", expected, "Copy the file into the folder.")
+        raise unfit(what, f"{name} -> {path.resolve()}", expected, "Copy the file into the folder.")
     return path
 
 
@@ -232,7 +231,7 @@ class LogText:
 
     def __post_init__(self) -> None:
         if not self.log:
-            raise refused("log", self.log, "a text that every good run prints")
+            raise unfit("log", self.log, "a text that every good run prints")
         if self.file is not None:
             object.__setattr__(self, "file", relative_name(self.file, "file"))
 
@@ -268,9 +267,9 @@ def readings_of(result: Reading | None, results: Mapping[str, Reading] | None) -
     if (result is None) == (results is None):
         found = "`result` and `results`" if result is not None else None
         expected = "either result: {file: …, unit: …}, or results: {CONDITION: {file: …, unit: …}, …}"
-        raise refused("result", found, expected, "Name the file that holds the interface.")
+        raise unfit("result", found, expected, "Name the file that holds the interface.")
     if results is not None and (not results or "" in results):
-        raise refused("results", results, "{CONDITION: {file: …, unit: …}, …}")
+        raise unfit("results", results, "{CONDITION: {file: …, unit: …}, …}")
     readings = dict(results or {}) if result is None else {"": result}
     for condition, reading in readings.items():
         relative_name(reading.file, f"results.{condition}.file" if condition else "result.file")

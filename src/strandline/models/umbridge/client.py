@@ -21,8 +21,7 @@ from urllib.parse import urlsplit
 import numpy as np
 from jaxtyping import Float
 
-from strandline.foundations import ForwardModelError
-from strandline.models import refused
+from strandline.foundations import ForwardModelError, unfit
 
 if TYPE_CHECKING:
     import httpx
@@ -75,9 +74,9 @@ class Client:
     def __post_init__(self) -> None:
         parts = urlsplit(self.url)
         if parts.scheme not in ("http", "https") or not parts.hostname or parts.query or parts.fragment:
-            raise refused("url", self.url, "e.g. http://127.0.0.1:4242", "Give the server's own address.")
+            raise unfit("url", self.url, "e.g. http://127.0.0.1:4242", "Give the server's own address.")
         if not 0 < self.timeout < threading.TIMEOUT_MAX / PATIENCE:
-            raise refused("timeout", self.timeout, "seconds above 0", "Leave it out for 10 minutes.")
+            raise unfit("timeout", self.timeout, "seconds above 0", "Leave it out for 10 minutes.")
 
     def describe(self) -> Description:
         """Return the server's description of the model; fails without a server, our version, the model, or Evaluate."""

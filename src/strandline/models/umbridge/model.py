@@ -11,9 +11,8 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from jaxtyping import Float
 
-from strandline.foundations import ForwardModelError, of_extra
+from strandline.foundations import ForwardModelError, of_extra, unfit
 from strandline.interface import Interface
-from strandline.models import refused
 from strandline.models.protocol import ModelInput, Simulation
 from strandline.models.umbridge.client import PROTOCOL_VERSION, Client, Description
 from strandline.readers import TO_MM
@@ -36,7 +35,7 @@ class BlockLayout:
 
     def __post_init__(self) -> None:
         if self.closed and self.dim == 3:
-            raise refused("closed", self.closed, "false for a surface; polylines only return to their first point")
+            raise unfit("closed", self.closed, "false for a surface; polylines only return to their first point")
 
     @property
     def coordinate_blocks(self) -> int:
@@ -98,7 +97,7 @@ class InputBlocks:
         named = all(isinstance(name, str) and name and type(unit) in (str, int, type(None)) for name, unit in flat)
         if not (all(lists) and named) or len({name for name, _ in flat}) < len(flat):
             expected = "names in the model's order, [E, nu], or by block, [[E, nu], [V_in]]; with units [E: Pa]"
-            raise refused("", given, expected, "Name each input once.")
+            raise unfit("", given, expected, "Name each input once.")
         units = {name: str(unit) for name, unit in flat if unit is not None}
         names = tuple(tuple(name for name, _ in block) for block in pairs)
         return cls(names, units if len(units) == len(flat) else {})
@@ -150,12 +149,12 @@ class UMBridgeModel:
     def __post_init__(self) -> None:
         of_extra("httpx", "umbridge", "the package httpx, which calls the server")
         if self.at_once < 1:
-            raise refused("at_once", self.at_once, "at least 1")
+            raise unfit("at_once", self.at_once, "at least 1")
         config = self.client.config
         try:
             json.dumps(config, allow_nan=False)
         except (TypeError, ValueError) as error:
-            raise refused("config", f"{config!r} ({error})", "keys with values that JSON can hold") from None
+            raise unfit("config", f"{config!r} ({error})", "keys with values that JSON can hold") from None
 
     @functools.cached_property
     def client(self) -> Client:

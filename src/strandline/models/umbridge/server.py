@@ -25,7 +25,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
-from strandline.models import refused as invalid
+from strandline.foundations import unfit
 from strandline.models.umbridge.answers import Rejected, Reply, ServedModel, answer
 from strandline.models.umbridge.client import shortened
 
@@ -61,7 +61,7 @@ class Access:
         if len(token) < SHORTEST_TOKEN or not (token.isascii() and token.isprintable()) or " " in token:
             expected = f"at least {SHORTEST_TOKEN} printable ASCII characters without blanks"
             remedy = "Make one: python -c 'import secrets; print(secrets.token_urlsafe())'"
-            raise invalid("token", f"{len(token)} characters", expected, remedy)
+            raise unfit("token", f"{len(token)} characters", expected, remedy)
 
     @classmethod
     def of(
@@ -159,7 +159,7 @@ class UMBridgeServer(ThreadingHTTPServer):
         except (OSError, OverflowError) as error:
             expected = "an address of this machine and a port that is free"
             remedy = "Choose another --port (0 takes any free one), or end what uses it."
-            raise invalid("address to serve on", f"{host}, port {port}: {error}", expected, remedy) from None
+            raise unfit("address to serve on", f"{host}, port {port}: {error}", expected, remedy) from None
 
     @property
     def url(self) -> str:

@@ -34,8 +34,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.interpolate import RBFInterpolator
 
-from strandline.foundations import ForwardModelError, whole_file
-from strandline.models import refused
+from strandline.foundations import ForwardModelError, unfit, whole_file
 from strandline.models.biofilm import newton
 from strandline.models.biofilm.cells.cell import FlowCell, Setting, Solution
 from strandline.models.biofilm.cells.steady import DIRECT_STRAIN, SAFE_STRAIN, AtLoad, first_order
@@ -153,12 +152,12 @@ class Box:
 def as_ranges(given: Any) -> Ranges:
     """Return a mapping of inputs to numbers or pairs [lowest, highest] as ranges."""
     if not isinstance(given, Mapping) or not given:
-        raise refused(OPTION, given, f"lowest and highest value of each input of the model, {EXAMPLE}")
+        raise unfit(OPTION, given, f"lowest and highest value of each input of the model, {EXAMPLE}")
     ranges = {}
     for name, entry in given.items():
         ends = finite(entry if isinstance(entry, list | tuple) else [entry, entry])
         if ends.shape != (2,):
-            raise refused(f"{name} in the {OPTION}", entry, "a number, or lowest and highest value as [100, 800]")
+            raise unfit(f"{name} in the {OPTION}", entry, "a number, or lowest and highest value as [100, 800]")
         ranges[str(name)] = ends.tolist()
     return tuple((name, low, high) for name, (low, high) in ranges.items())
 
@@ -172,19 +171,19 @@ def check_ranges(ranges: Ranges, inputs: Sequence[ModelInput], *, steady: bool) 
         return
     if not steady:
         expected = "no course: a run through time does not start from anchors"
-        raise refused(OPTION, "anchors with a course", expected, "Remove one of the two.")
+        raise unfit(OPTION, "anchors with a course", expected, "Remove one of the two.")
     known = {item.name: item for item in inputs}
     for name in sorted(known.keys() ^ {name for name, _, _ in ranges}):
         found, remedy = (f"no {name}", "Add it.") if name in known else (f"{name}, which is no input", "Remove it.")
         expected = f"lowest and highest value of {', '.join(known)}; one number where an input is the same in all runs"
-        raise refused(OPTION, found, expected, remedy)
+        raise unfit(OPTION, found, expected, remedy)
     for name, low, high in ranges:
         item = replace(known[name], low_included=known[name].low_included and name not in DRIVES)
         if not (low <= high and item.admits(low) and item.admits(high)):
             expected = f"the lowest value, then the highest, both in {item.range_text()}"
-            raise refused(f"{name} in the {OPTION}", low if low == high else [low, high], expected)
+            raise unfit(f"{name} in the {OPTION}", low if low == high else [low, high], expected)
     if all(low == high for _, low, high in ranges):
-        raise refused(OPTION, "no range", f"at least one input that varies, {EXAMPLE}", "Give one a range.")
+        raise unfit(OPTION, "no range", f"at least one input that varies, {EXAMPLE}", "Give one a range.")
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,7 @@ import ngsolve as ng
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from strandline.foundations import of_extra
-from strandline.models import refused
+from strandline.foundations import of_extra, unfit
 from strandline.models.biofilm.equations.flow import STRESS_SCALE, VELOCITY_SCALE
 from strandline.models.biofilm.equations.system import CoupledSystem, Vector
 from strandline.models.biofilm.materials import deformation_gradient
@@ -223,5 +222,5 @@ def write_vtu(fields: FlowFields, folder: Path) -> Path:
         (folder / "flow.pvd").write_text(COLLECTION, encoding="utf-8")
     except OSError as error:
         what, expected = "folder for the files for ParaView", "a folder that can be written to"
-        raise refused(what, str(error), expected, "Choose another folder.") from None
+        raise unfit(what, str(error), expected, "Choose another folder.") from None
     return folder / "flow.pvd"

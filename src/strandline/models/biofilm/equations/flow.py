@@ -13,9 +13,8 @@ import ngsolve as ng
 import numpy as np
 from jaxtyping import Float
 
-from strandline.foundations import InvalidInput, is_finite, lookup
+from strandline.foundations import InvalidInput, is_finite, lookup, unfit
 from strandline.interface import Interface
-from strandline.models import refused
 from strandline.models.biofilm.equations.forms import FluidLoad
 from strandline.models.biofilm.equations.system import CoupledSystem
 from strandline.models.biofilm.mesh.outline import Channel, Pairs, pairs_in
@@ -75,7 +74,7 @@ class Fluid:
             if value != UNKNOWN and not (is_finite(value) and item.admits(value)):
                 expected = f"a number in {item.range_text()}, in {item.unit}, or {UNKNOWN}"
                 remedy = f"Correct it. Write `{UNKNOWN}` to make it an input of the model."
-                raise refused(f"{item.name} of the fluid", value, expected, remedy)
+                raise unfit(f"{item.name} of the fluid", value, expected, remedy)
 
     @property
     def inputs(self) -> tuple[ModelInput, ...]:
@@ -156,7 +155,7 @@ def as_pairs(table: Any) -> Pairs:
 
 
 def _refused(value: object, expected: str) -> InvalidInput:
-    return refused(PLACE, value, expected, "Correct the inflow.")
+    return unfit(PLACE, value, expected, "Correct the inflow.")
 
 
 class Flow:

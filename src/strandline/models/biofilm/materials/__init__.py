@@ -10,8 +10,7 @@ from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from strandline.foundations import InvalidInput, lookup
-from strandline.models import refused
+from strandline.foundations import InvalidInput, lookup, unfit
 from strandline.models.biofilm.materials.isotropic import Coefficients, IsotropicLaw, Number, exp, flaw
 from strandline.models.biofilm.materials.law import (
     Law,
@@ -159,7 +158,7 @@ def _made(name: str, kind: type) -> Any:
 
 def _refused(name: str, value: Any, expected: str) -> InvalidInput:
     remedy = "Correct the law; strandline.models.biofilm.materials.Fung is an example."
-    return refused(f"material {name} of the biofilm model", value, expected, remedy)
+    return unfit(f"material {name} of the biofilm model", value, expected, remedy)
 
 
 def _is_parameter(item: object) -> bool:

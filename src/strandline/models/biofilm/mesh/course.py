@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from strandline.foundations import InvalidInput
+from strandline.foundations import InvalidInput, unfit
 from strandline.interface import is_condition
-from strandline.models import refused
 from strandline.models.biofilm.mesh.outline import Pairs, finite
 
 QUASI_STATIC, TRANSIENT = "quasi_static", "transient"
@@ -31,7 +30,7 @@ def _named(value: Any) -> Times:
 
 
 def _refused(what: str, value: object, expected: str) -> InvalidInput:
-    return refused(f"{what} {PLACE}", value, expected, "Correct the course.")
+    return unfit(f"{what} {PLACE}", value, expected, "Correct the course.")
 
 
 @dataclass(frozen=True)

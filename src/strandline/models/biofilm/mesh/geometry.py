@@ -14,8 +14,8 @@ from netgen.geom2d import SplineGeometry
 from netgen.meshing import MeshingParameters
 from ngsolve import Mesh
 
+from strandline.foundations import unfit
 from strandline.interface import Interface, inside_polygon
-from strandline.models import refused
 from strandline.models.biofilm.mesh.outline import ON_WALL, Channel, Pairs, bodies
 
 FLUID = "fluid"
@@ -184,7 +184,7 @@ class Subdivision:
     def rename(self, names: list[str], markers: tuple[Point, ...], prefix: str) -> list[str]:
         """Name the polygons prefix1, prefix2, … by the marker that lies in each."""
         if len(markers) != len(names):
-            raise refused(
+            raise unfit(
                 "markers of the partition",
                 f"{len(markers)} markers",
                 f"{len(names)}, one in each part that the lines make of this outline",
@@ -195,7 +195,7 @@ class Subdivision:
             if len(inside) != 1 or found.count(inside) > 1:
                 place = f"({marker[0]:g}, {marker[1]:g}) mm"
                 expected = "a point inside the solid, each in a part of its own"
-                raise refused("marker of the partition", place, expected, "Move the marker.")
+                raise unfit("marker of the partition", place, expected, "Move the marker.")
         chosen = {f"{prefix}{k}": self.rings[inside[0]] for k, inside in enumerate(found, 1)}
         for name in names:
             del self.rings[name]

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.interpolate import CubicSpline
 
+from strandline.foundations import unfit
 from strandline.interface import Interface
-from strandline.models import refused
 
 SIDES = ("left", "right")
 OUTLETS = ("horizontal", "traction_free")
@@ -75,10 +75,10 @@ class Channel:
         for name in ("length", "height"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
-                raise refused(f"{name} of the channel", value, "a length in mm above 0")
+                raise unfit(f"{name} of the channel", value, "a length in mm above 0")
         for name, choices in (("inlet", SIDES), ("outlet", OUTLETS), ("top", TOPS)):
             if getattr(self, name) not in choices:
-                raise refused(f"{name} of the channel", getattr(self, name), f"one of {', '.join(choices)}")
+                raise unfit(f"{name} of the channel", getattr(self, name), f"one of {', '.join(choices)}")
 
 
 def check_outline(outline: Interface, channel: Channel) -> None:
@@ -91,13 +91,13 @@ def check_outline(outline: Interface, channel: Channel) -> None:
     outline.require_simple()
     first, last = outline.points[0], outline.points[-1]
     if first[0] > last[0]:
-        raise refused("direction of the outline", _place(first), "points from left to right", "Reverse their order.")
+        raise unfit("direction of the outline", _place(first), "points from left to right", "Reverse their order.")
     for point, wall in ((first, 0.0), (last, channel.length)):
         on_floor = abs(point[1]) < ON_WALL and 0 < point[0] < channel.length
         on_end = abs(point[0] - wall) < ON_WALL and 0 < point[1] < channel.height
         if not (on_floor or on_end):
             place = f"a point on the floor y = 0 or on the channel's end x = {wall:g}"
-            raise refused("end of the outline", _place(point), place, "Move or add the end point.")
+            raise unfit("end of the outline", _place(point), place, "Move or add the end point.")
     check_inside(outline.points, channel)
 
 
@@ -107,7 +107,7 @@ def check_inside(points: Sequence[tuple[float, float]] | Float[np.ndarray, "poin
     inner = inner[~_between_bodies(inner, channel)]
     inside = (inner[:, 0] > 0) & (inner[:, 0] < channel.length) & (inner[:, 1] > 0) & (inner[:, 1] < channel.height)
     if not inside.all():
-        raise refused(
+        raise unfit(
             "outline outside the channel",
             _place(inner[np.argmin(inside)]),
             f"points inside [0, {channel.length:g}] × [0, {channel.height:g}] mm",
@@ -150,17 +150,17 @@ class Outline:
     def __post_init__(self) -> None:
         shape = np.shape(np.array(self.points, dtype=object))
         if len(shape) != 2 or shape[1] != 2 or shape[0] < 3:
-            raise refused("points of the outline", self.points, "at least three pairs (x, y) in mm")
+            raise unfit("points of the outline", self.points, "at least three pairs (x, y) in mm")
         for body in bodies(np.array(self.points, float)):
             if body.stop - body.start < 3:
                 x, y = self.points[body.start]
                 found = f"{body.stop - body.start} point(s) from ({x:g}, {y:g}) mm on"
                 wanted = "at least three points, with two neighbouring points on the floor between bodies"
-                raise refused("body of the outline", found, wanted)
+                raise unfit("body of the outline", found, wanted)
         if self.nodes is None and self.spline:
-            raise refused("nodes of the outline", None, "a number of nodes for a spline", "Give nodes, e.g. 66.")
+            raise unfit("nodes of the outline", None, "a number of nodes for a spline", "Give nodes, e.g. 66.")
         if self.nodes is not None and self.nodes < LEAST:
-            raise refused("nodes of the outline", self.nodes, f"at least {LEAST}")
+            raise unfit("nodes of the outline", self.nodes, f"at least {LEAST}")
 
     def interface(self) -> Interface:
         """Return the undeformed interface, mm."""
@@ -213,10 +213,10 @@ def check_clamped(clamped: Pairs, outline: Interface) -> None:
     """Refuse stretches of the floor that do not hold each body."""
     if clamped and not (np.diff(np.ravel(clamped)) > 0).all():
         expected = "stretches [from, to] of the floor in mm, from left to right, e.g. [[0.5, 0.9]]"
-        raise refused(CLAMPED, clamped, expected)
+        raise unfit(CLAMPED, clamped, expected)
     for body in bodies(outline.points) if clamped else ():
         left, right = outline.points[body][[0, -1], 0].tolist()
         if not any(min(b, right) - max(a, left) > 0 for a, b in clamped):
             shown = ", ".join(f"{a:g} to {b:g}" for a, b in clamped)
             held = f"a stretch that holds the body that stands from {left:.4g} to {right:.4g} mm"
-            raise refused(CLAMPED, f"{shown} mm", held)
+            raise unfit(CLAMPED, f"{shown} mm", held)
