@@ -109,6 +109,7 @@ REFUSED = [
 ]
 
 
+@pytest.mark.stand_in
 def test_what_is_no_parameter_or_space_is_refused():
     for words, make, *wrong in REFUSED:
         with pytest.raises(InvalidInput, match=words):

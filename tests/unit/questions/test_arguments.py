@@ -54,6 +54,7 @@ def test_arguments_out_of_range(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["study.yaml"]
 
 
+@pytest.mark.stand_in
 def test_the_folder_of_a_study_in_its_place(tmp_path):
     for ask in (sl.run_study, sl.what_if, sl.next_experiment, sl.coverage, sl.specimens):
         with pytest.raises(InvalidInput, match=r"study: got beam; expected a Study. Load it with load_study\(FOLDER\)"):
