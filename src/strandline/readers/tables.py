@@ -222,7 +222,7 @@ def _require_x_before_y(name: str, titles: Sequence[str], comments: Sequence[str
     pairs = {*zip(*(title.lower() for title in titles), strict=False)}
     turned = {(one, other) for one, other in pairs if one != other}
     swapped = turned in ({("y", "x")}, {("1", "0")}, {("2", "1")}, {("r", "c")})
-    if first[-1:] == "y" or (second[-1:] == "x" != first[-1:]) or (swapped and not first):
+    if first[-1:] == "y" or (second[-1:] == "x" != first[-1:]) or (swapped and first == second):
         remedy = f"Give `columns: [{_quoted(titles[1])}, {_quoted(titles[0])}]`."
         what, expected = f"{name} names its columns {titles[0]}, {titles[1]}", "x before y, or `columns`"
         raise refused(what, " ".join(titles), expected, remedy)
