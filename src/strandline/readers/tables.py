@@ -22,9 +22,11 @@ AXES = (
     ("rows?|zeile|ligne|northing|ordinate", "col(umn)?s?|spalte|colonne|easting|abscissa"),
     ("(axis|dim|centroid)[-_: ]?0", "(axis|dim|centroid)[-_: ]?1"),
     ("points?[-_: ]1", "points?[-_: ]0"),
-    ("vertical|lat(itude)?", "horizontal|lon(gitude)?"),
+    ("vertical|lat(itude)?|top|elevation|height", "horizontal|lon(gitude)?|left|distance|width"),
 )
 """Names of the vertical coordinate and of the horizontal one."""
+UPRIGHT = ({("x", "y")}, {("x", "z")}, {("r", "z")}, {("c", "r")}, {("0", "1")}, {("1", "2")})
+"""Letters or digits in which the names of x and y differ, if they differ in nothing else."""
 ENDING = r"(\d+|pos\w*|coord\w*|index|mm|um|px)?"
 """What may follow such a name without a blank."""
 COMMENT = re.compile(r"\s*(#(?!N/A|DIV/|VALUE!|REF!|NUM!|NAME\?|##+[\s,;]+([-+.\d]|##))|%|\*\s*$|\*+\s*([^\W\d]|\())")
@@ -35,7 +37,7 @@ MISSING = ("na", "n/a", "none", "null", "missing")
 """Words for a number that is missing."""
 LABEL = re.compile(
     r"(contour|outline|curve|path|line|segment|polygon|ring|shape|piece|part|group|set|object|particle|cell|roi|region"
-    r"|layer|slice|image|sample|specimen|track|label|frame|step|time|t|id|no|nr|index)s?(step|id|no|nr|number)?([\W_]|$)"
+    r"|layer|slice|image|sample|specimen|track|label|frame|step|time|t|id|no|nr|n|node|index)s?(step|id|no|nr|number)?([\W_]|$)"
     r"|.*[\W_](id|no|nr|index|t|frame)$|$"
 )
 """Name of a column that tells pieces or times apart."""
@@ -90,7 +92,8 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
     _require_one_width(name, rows, titles)
     if how.columns is None:
         if len(rows[0].fields) == 2:
-            _require_x_before_y(name, titles, comments)
+            words = titles is comment and not _are_names(comment, separator)
+            _require_x_before_y(name, () if words else titles, comments)
         if len(rows[0].fields) != 2 and how.field is None and how.sd is None:
             raise _no_point(name, rows[0], titles)
     if not titles:
@@ -163,10 +166,8 @@ def _fields(line: str, separator: str) -> tuple[str, ...]:
 
 def _is_header(row: TableRow) -> bool:
     """Return whether a first row holds names: letters first, and none of what programs write for numbers."""
-    return all(
-        re.match(r"[^\W\d]|[\[(]|$", field) and not _is_number(field) and field.lower() not in MISSING
-        for field in row.fields
-    )
+    bare = [field.strip("()[]%") for field in row.fields]
+    return all(re.match(r"[^\W\d]|$", one) and not _is_number(one) and one.lower() not in MISSING for one in bare)
 
 
 def _columns(
@@ -201,6 +202,11 @@ def _with_points(name: str, rows: Sequence[TableRow]) -> list[TableRow]:
     return [TableRow(row.number, tuple(field.replace(",", ".") for field in row.fields), row.after_gap) for row in rows]
 
 
+def _are_names(comment: Sequence[str], separator: str) -> bool:
+    """Return whether a comment of two fields holds names of columns: of coordinates, or separated as numbers are."""
+    return "".join(map(_axes, comment)) in ("xy", "yx") or separator != " " or all(len(word) == 1 for word in comment)
+
+
 def _require_one_width(name: str, rows: Sequence[TableRow], titles: Sequence[str]) -> None:
     """Refuse rows with more or fewer fields than there are column names, or than most rows have."""
     counts = [len(row.fields) for row in rows]
@@ -217,20 +223,25 @@ def _require_one_width(name: str, rows: Sequence[TableRow], titles: Sequence[str
 
 
 def _require_x_before_y(name: str, titles: Sequence[str], comments: Sequence[str]) -> None:
-    """Refuse columns whose names, or else the last comment that names both, say that y comes first."""
-    first, second = [_axes(re.split(r"[\[({/]", title)[0] or title) for title in titles] or ("", "")
-    pairs = {*zip(*(title.lower() for title in titles), strict=False)}
-    turned = {(one, other) for one, other in pairs if one != other}
-    swapped = turned in ({("y", "x")}, {("1", "0")}, {("2", "1")}, {("r", "c")})
-    if first[-1:] == "y" or (second[-1:] == "x" != first[-1:]) or (swapped and first == second):
-        remedy = f"Give `columns: [{_quoted(titles[1])}, {_quoted(titles[0])}]`."
+    """Refuse columns whose names, or else the last comment that names both, do not say that x comes first."""
+    if titles and not _in_order(*titles):
+        turned, pair = _in_order(*titles[::-1]), [*map(_quoted, titles)] if len({*titles}) > 1 else ["1", "2"]
+        first = ", ".join(pair[::-1] if turned else pair)
+        remedy = f"Give `columns: [{first}]`{'' if turned else ', or the other way round, with x first'}."
         what, expected = f"{name} names its columns {titles[0]}, {titles[1]}", "x before y, or `columns`"
         raise refused(what, " ".join(titles), expected, remedy)
     orders = [(_axes(comment), comment) for comment in (*comments[::-1], " ".join(comments))]
     order, comment = next((found for found in orders if len(found[0]) > 1), ("", ""))
-    if order == "yx" and not first:
+    if order == "yx" and not titles:
         remedy = "Give `columns: [2, 1]`, or `columns: [1, 2]` if x is the first column."
         raise refused(f"{name} has a comment that names y before x", comment, "x before y, or `columns`", remedy)
+
+
+def _in_order(one: str, other: str) -> bool:
+    """Return whether the names of two columns say that the first is x and the second y."""
+    axes = [_axes(re.split(r"[\[({/]", title)[0] or title)[-1:] for title in (one, other)]
+    pairs = {pair for pair in zip(one.lower(), other.lower(), strict=False) if pair[0] != pair[1]}
+    return axes == ["x", "y"] or (pairs in UPRIGHT and axes[0] != "y")
 
 
 def _axes(text: str) -> str:

@@ -20,9 +20,10 @@ Y_FIRST += [
     "p[1],p[0]",
     "Zeile,Spalte",
 ]
+OPEN = ["i,j", "j,i", "top,left", "elevation,distance", "u,v", "z,r", "theta,r", "# i,j", "# top,left"]
 COMMENTS = ["# y{0},x{0}", "% y{0} x{0}", "#y,x\n# in mm", "# columns: y, x", "# row{0};col{0}", "# 1: y\n# 2: x"]
 COMMENTS += ["# columns: row, col", "# Column: axis-0, axis-1", "# first column row, second column col"]
-LABELS = ["id", "t", "time_[s]", "frame_id", "ContourID", "polygon", "segment_no", "POSITION_T", "ObjectNumber"]
+LABELS = ["id", "n", "t", "time_[s]", "frame_id", "ContourID", "polygon", "segment_no", "POSITION_T", "ObjectNumber"]
 LOST = [
     ["***", "***"],
     ["*" * 12],
@@ -32,6 +33,8 @@ LOST = [
     ["nan", "1"],
     ["########", "########"],
     ["########", "1.5"],
+    ["nan%", "nan%"],
+    ["(0.5)", "(0.5)"],
 ]
 DISPLACEMENTS = ["u", "U", "uh", "displacement", "Total_Displacement", "DEPL", "deformation", "disp (mm)"]
 COMPONENTS = ["ux", "u_y", "U1", "disp_x", "displacement magnitude"]
@@ -103,6 +106,10 @@ def test_y_before_x(case, tmp_path):
         check([[y, x], *swapped], points)
         assert check([[x, y], *points], points)
     assert check(["# x,y\n# in mm", *points], points)
+    for names in OPEN:
+        assert not check([names.split(","), *points], None)
+        assert check([names.split(","), *swapped], points, columns=[2, 1])
+    assert check(["# my drop", *points], points)
     for names in rng.choice(COMMENTS, 3, replace=False):
         check([names.format(end), *swapped], points)
     for array, columns in ((swapped, None), (swapped, [2, 1]), (np.transpose(points), [1, 2])):
