@@ -110,12 +110,27 @@ def test_points_around_a_run_lie_around_it_and_apart():
     assert ((corner > -1) & (corner < 1)).all()
 
 
-def test_a_run_that_the_others_contradict_is_found_once(state):
-    """One interface is higher than it should be. Draws of the posterior are checked otherwise."""
+def spoiled_by(state, height):
+    """Return the state whose sixth interface is higher than it should be."""
     interfaces = [{"": interface(row)} for row in X]
-    interfaces[5] = {"": sl.Interface.polyline(interfaces[5][""].points + np.array([0.0, 0.05]))}
+    interfaces[5] = {"": sl.Interface.polyline(interfaces[5][""].points + np.array([0.0, height]))}
     surrogate = fit_field(fakes.training(X, interfaces))
-    spoiled = with_likelihood(state, replace(state.knowledge.likelihood, surrogate=surrogate))
+    return with_likelihood(state, replace(state.knowledge.likelihood, surrogate=surrogate))
+
+
+def test_an_error_counts_beside_the_distance_from_the_posterior(state):
+    mean = state.knowledge.surrogate.mean
+    away = np.linalg.norm(mean(X[5:6]) - mean(state.mean[None]))
+    small, large = (spoiled_by(state, share * away) for share in (0.1, 0.3))  # left-out errors of 9 and 25 % of it
+    np.testing.assert_array_equal(left_out_surprise(large, 1e-3 * NOISE, set(), set()).x, X[5])
+    found = [process.left_out() for process in small.knowledge.surrogate.processes]
+    assert np.hypot.reduce([one.errors[5] for one in found]) > 2.5 * np.sqrt(sum(one.variances[5] for one in found))
+    assert left_out_surprise(small, 1e-3 * NOISE, set(), set()) is None
+
+
+def test_a_run_that_the_others_contradict_is_found_once(state):
+    """Draws of the posterior are checked otherwise."""
+    spoiled = spoiled_by(state, 0.05)
     found = left_out_surprise(spoiled, 0.2 * NOISE, set(), set())
     np.testing.assert_array_equal(found.x, X[5])
     assert not found.fits
