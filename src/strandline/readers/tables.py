@@ -37,8 +37,8 @@ MISSING = ("na", "n/a", "none", "null", "missing")
 """Words for a number that is missing."""
 LABEL = re.compile(
     r"(contour|outline|curve|path|line|segment|polygon|ring|shape|piece|part|group|set|object|particle|cell|roi|region"
-    r"|layer|slice|image|sample|specimen|track|label|frame|step|time|t|id|no|nr|n|node|index)s?(step|id|no|nr|number)?([\W_]|$)"
-    r"|.*[\W_](id|no|nr|index|t|frame)$|$"
+    r"|layer|slice|image|sample|specimen|track|label|frame|step|time|t|id|no|nr|n|node|index|load)s?(step|id|no|nr|number)?([\W_]|$)"
+    r"|.*[\W_](id|no|nr|index|t|frame|step|time|number)$|$"
 )
 """Name of a column that tells pieces or times apart."""
 PAIRS = (("x", "y"), ("points:0", "points:1"), ("points_0", "points_1"), ("axis-1", "axis-0"))
@@ -166,7 +166,7 @@ def _fields(line: str, separator: str) -> tuple[str, ...]:
 
 def _is_header(row: TableRow) -> bool:
     """Return whether a first row holds names: letters first, and none of what programs write for numbers."""
-    bare = [field.strip("()[]%") for field in row.fields]
+    bare = [field.strip("()[]<>%'") for field in row.fields]
     return all(re.match(r"[^\W\d]|$", one) and not _is_number(one) and one.lower() not in MISSING for one in bare)
 
 
@@ -204,7 +204,11 @@ def _with_points(name: str, rows: Sequence[TableRow]) -> list[TableRow]:
 
 def _are_names(comment: Sequence[str], separator: str) -> bool:
     """Return whether a comment of two fields holds names of columns: of coordinates, or separated as numbers are."""
-    return "".join(map(_axes, comment)) in ("xy", "yx") or separator != " " or all(len(word) == 1 for word in comment)
+    return (
+        [*map(_axes, comment)] in (["x", "y"], ["y", "x"])
+        or separator != " "
+        or all(len(word) == 1 for word in comment)
+    )
 
 
 def _require_one_width(name: str, rows: Sequence[TableRow], titles: Sequence[str]) -> None:

@@ -23,7 +23,19 @@ Y_FIRST += [
 OPEN = ["i,j", "j,i", "top,left", "elevation,distance", "u,v", "z,r", "theta,r", "# i,j", "# top,left"]
 COMMENTS = ["# y{0},x{0}", "% y{0} x{0}", "#y,x\n# in mm", "# columns: y, x", "# row{0};col{0}", "# 1: y\n# 2: x"]
 COMMENTS += ["# columns: row, col", "# Column: axis-0, axis-1", "# first column row, second column col"]
-LABELS = ["id", "n", "t", "time_[s]", "frame_id", "ContourID", "polygon", "segment_no", "POSITION_T", "ObjectNumber"]
+LABELS = [
+    "id",
+    "n",
+    "load step",
+    "t",
+    "time_[s]",
+    "frame_id",
+    "ContourID",
+    "polygon",
+    "segment_no",
+    "POSITION_T",
+    "ObjectNumber",
+]
 LOST = [
     ["***", "***"],
     ["*" * 12],
@@ -109,7 +121,8 @@ def test_y_before_x(case, tmp_path):
     for names in OPEN:
         assert not check([names.split(","), *points], None)
         assert check([names.split(","), *swapped], points, columns=[2, 1])
-    assert check(["# my drop", *points], points)
+    for names in (["# my drop"], ["# format x-y"], ["'x'", "'y'"], ["<x>", "<y>"]):
+        assert check([names, *points], points)
     for names in rng.choice(COMMENTS, 3, replace=False):
         check([names.format(end), *swapped], points)
     for array, columns in ((swapped, None), (swapped, [2, 1]), (np.transpose(points), [1, 2])):
@@ -143,6 +156,8 @@ def test_first_rows_with_digits_or_stars_and_a_closing_point(case):
         for least in (0.0, 1e-9, digit):
             last = [f"{float(value) + least:.12f}" for value in points[0]]
             assert check([*header, *points, last], points, closed=True) or least == digit
+    angles = 2 * np.pi / 24 * np.setdiff1d(range(23), [8, 9])  # its end is nearer to its beginning than some neighbours
+    check([[f"{x:.4f}", f"{y:.4f}"] for x, y in zip(np.cos(angles), np.sin(angles), strict=True)], None)
     for names in (["0", "1"], ["1", "2"], ["* 1", "2"]):
         check([names, *points, points[0]], points, closed=True)
     for lost in LOST:
