@@ -31,14 +31,13 @@ SHARES = (0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5)
 """Shares of the prior's mass that the certificate distinguishes."""
 LEFT_OUT_SDS, LEFT_OUT_NOISE = 2.0, 1.0
 """The same, at least, for a run that is predicted from the others, which have learnt to expect errors like its own."""
+LEFT_OUT_SHARE, AROUND_SHARE = 0.05, 0.1
+"""Least error of such a run, and of runs around it, as a share of the distance between its interface and that of the
+posterior: below, truth and prediction agree that nothing fits there. Errors at the corners of a smooth drop's box were
+2 to 3 sds, but .002 to .098 of it; those that led to pockets and kinks of hard models .076 to 1."""
 FEW = 4  # largest number of inputs for which balls, not cubes, are filled
 WEIGHTY = 0.01  # share of the evidence from which a region matters that the surrogate had ruled out
 UNLIKELY = 2.0  # log-likelihood by which a run exceeds what was expected there
-NEARBY = 0.1
-"""Least error that matters, as a share of the distance between the interface and that of the posterior: below, a run
-and its prediction agree that nothing fits there. Predictions 2 to 3 sds off at the corners of a smooth drop's box had
-errors of up to .098 of it, and cost 9 to 31 runs; those that led to pockets and kinks of hard models .126 to 1; .2
-left 3 of 10 pockets unseen."""
 STANDARD_DEVIATIONS, NOISE_LENGTHS = 5.0, 5.0
 """A run is odd whose interface is farther from the predicted one than so many predicted sds and noise lengths."""
 
@@ -143,13 +142,13 @@ def surprises(
     share: float,
     noise: float,
     *,
-    limits: tuple[float, float] = (STANDARD_DEVIATIONS, NOISE_LENGTHS),
+    limits: tuple[float, float, float] = (STANDARD_DEVIATIONS, NOISE_LENGTHS, 0.0),
 ) -> tuple[Surprise, ...]:
     """Return which runs the surrogate did not expect, given the posterior before them.
 
     All of them succeeded; each has a log-likelihood by the true model, and may stand for this `share` of the prior's
-    mass. An interface is not expected beyond the `limits`, in predicted standard deviations and in `noise`, the shift
-    of the interface that the noise hides, mm.
+    mass. An interface is not expected beyond the `limits`, in predicted standard deviations, in `noise`, the shift of
+    the interface that the noise hides, mm, and as a share of the distance from the posterior's.
     """
     if not len(x):
         return ()
@@ -162,7 +161,8 @@ def surprises(
     fits = (log_likelihoods - expected > UNLIKELY) & ~(weight < math.log(WEIGHTY))
     errors = np.array([_distance(surrogate.interfaces(x[i]), record.interfaces) for i, record in enumerate(records)])
     beyond = errors / np.maximum(surrogate.predicted_error(x), np.finfo(float).tiny)
-    odd = fits | ((beyond > limits[0]) & (errors > limits[1] * noise))
+    least = np.maximum(limits[1] * noise, limits[2] * _distances(state, x) / math.sqrt(len(surrogate.layouts)))
+    odd = fits | ((beyond > limits[0]) & (errors > least))
     return tuple(Surprise(x[i], bool(fits[i]), float(beyond[i])) for i in np.flatnonzero(odd))
 
 
@@ -180,7 +180,7 @@ def left_out_surprise(
     sds = np.sqrt(sum(one.variances for one in found) + surrogate.modes.remainder**2)
     beyond = errors / np.maximum(sds, np.finfo(float).tiny)
     beyond[errors / math.sqrt(len(surrogate.layouts)) < LEFT_OUT_NOISE * noise] = 0.0
-    beyond[errors < NEARBY * _distances(state, x)] = 0.0
+    beyond[errors < LEFT_OUT_SHARE * _distances(state, x)] = 0.0
     beyond[[row.tobytes() in before or row.tobytes() in known for row in x]] = 0.0
     worst = int(np.argmax(beyond))
     usual = max(LEFT_OUT_SDS, float(norm.isf(1.0 / len(x))))  # one of so many normal errors is larger on average

@@ -274,7 +274,8 @@ class PosteriorChecker:
             return ()
         made = [records[k] for k in good]
         true = np.array([self.log_likelihood(record) for record in made])
-        limits = {"limits": (coverage_runs.LEFT_OUT_SDS, coverage_runs.LEFT_OUT_NOISE)} if strictly else {}
+        strict = coverage_runs.LEFT_OUT_SDS, coverage_runs.LEFT_OUT_NOISE, coverage_runs.AROUND_SHARE
+        limits = {"limits": strict} if strictly else {}
         return coverage_runs.surprises(state, x[good], made, true, self.active.unseen, state.knowledge.hidden, **limits)
 
     def left_out(self, state: State, looked_around: set[bytes], chosen: set[bytes]) -> tuple[Surprise, ...]:

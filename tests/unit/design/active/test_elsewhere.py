@@ -121,10 +121,10 @@ def spoiled_by(state, height):
 def test_an_error_counts_beside_the_distance_from_the_posterior(state):
     mean = state.knowledge.surrogate.mean
     away = np.linalg.norm(mean(X[5:6]) - mean(state.mean[None]))
-    small, large = (spoiled_by(state, share * away) for share in (0.1, 0.3))  # left-out errors of 9 and 25 % of it
+    small, large = (spoiled_by(state, share * away) for share in (0.06, 0.3))  # left-out errors of 4.5 and 25 % of it
     np.testing.assert_array_equal(left_out_surprise(large, 1e-3 * NOISE, set(), set()).x, X[5])
     found = [process.left_out() for process in small.knowledge.surrogate.processes]
-    assert np.hypot.reduce([one.errors[5] for one in found]) > 2.5 * np.sqrt(sum(one.variances[5] for one in found))
+    assert np.hypot.reduce([one.errors[5] for one in found]) > 2.05 * np.sqrt(sum(one.variances[5] for one in found))
     assert left_out_surprise(small, 1e-3 * NOISE, set(), set()) is None
 
 
