@@ -46,6 +46,10 @@ PAIRS = (("x", "y"), ("points:0", "points:1"), ("points_0", "points_1"), ("axis-
 TOUCHING = re.compile(r"[+-]?(\d+|\d*\.\d*([eEdD][+-]?\d+)?)[+-]\d")
 """Two numbers without a blank between them."""
 OTHER_MARKS = 'With decimal commas give `decimal: ","`; else correct the line, or give `delimiter`.'
+UNIT = re.compile(r"(?:[\W_]|^)(nm|[uµμ]m|mm|cm|m|px|pixels?|inch|(?<=\[)in|(?<=\()in)(?=[\W_]|$)", re.IGNORECASE)
+"""Unit in the name of a column."""
+DISPLACED = re.compile(r"(u|d|delta|disp\w*?)[-_: ]?[xy12]([\W_].*)?", re.IGNORECASE)
+"""Name of a column of displacements."""
 MOST_COORDINATES = 3
 """Most rows that may be coordinates instead of points."""
 SHORTEST_PIECE = 3
@@ -99,9 +103,12 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
     if not titles:
         _require_upright(name, len(rows), len(rows[0].fields))
     columns = how.columns or (1, 2)
+    _require_whole_numbers_apart(name, rows, separator)
     points = _columns(name, rows, titles, columns)
     chosen = [_place(name, column, titles, rows[0], pair=True) for column in columns]
     _require_no_count(name, rows, chosen)
+    if titles:
+        _require_places(name, [titles[k] for k in chosen], how)
     moved = None if how.field is None else _columns(name, rows, titles, tuple(how.field))
     data = {} if how.sd is None else {SD: _columns(name, rows, titles, (how.sd,))[:, 0]}
     pieces, numbers = _pieces(rows, titles, chosen, how), [row.number for row in rows]
@@ -239,6 +246,41 @@ def _require_x_before_y(name: str, titles: Sequence[str], comments: Sequence[str
     if order == "yx" and not titles:
         remedy = "Give `columns: [2, 1]`, or `columns: [1, 2]` if x is the first column."
         raise refused(f"{name} has a comment that names y before x", comment, "x before y, or `columns`", remedy)
+
+
+def _require_places(name: str, titles: Sequence[str], how: Reading) -> None:
+    """Refuse columns whose names say that they are displacements, or in another unit than the study's."""
+    moved = next((title for title in titles if DISPLACED.fullmatch(title)), None)
+    if moved is not None and how.columns is None:
+        remedy = f"Give `columns` with the places, or `columns: [{', '.join(map(_quoted, titles))}]` if these are."
+        raise refused(f"{name} seems to hold displacements", moved, "columns x, y of the places of points", remedy)
+    for title in titles:
+        found = UNIT.search(title)
+        unit = "" if found is None else found[1].lower().replace("µ", "u").replace("μ", "u")
+        if unit and unit != how.unit.replace("µ", "u"):
+            known = unit in ("um", "mm", "m")
+            remedy = f"Give `unit: {unit}`, or correct the name." if known else "Convert the numbers, and the name."
+            raise refused(f"{name} names its column {title}", f"`unit: {how.unit}`", "the same unit in both", remedy)
+
+
+def _require_whole_numbers_apart(name: str, rows: Sequence[TableRow], separator: str) -> None:
+    """Refuse a table whose numbers seem to have decimal commas between commas: 1,50,2,05 for 1.5 and 2.05."""
+    fields = [row.fields for row in rows]
+    if (
+        separator != ","
+        or len(fields[0]) % 2
+        or not all(re.fullmatch(r"\d+", one) for row in fields for one in row[1::2])
+    ):
+        return
+    columns = [*zip(*fields, strict=False)][1::2]
+    widths = [{*map(len, column)} for column in columns]
+    if (
+        len(columns) > 1
+        and all(len(w) == 1 and w != {1} for w in widths)
+        and any(c[0] == "0" for k in columns for c in k)
+    ):
+        remedy = 'Write points, or semicolons between the numbers and `decimal: ","`.'
+        raise refused(f"{name} seems to have decimal commas between commas", str(rows[0]), "one number a field", remedy)
 
 
 def _in_order(one: str, other: str) -> bool:

@@ -9,7 +9,7 @@ from strandline.foundations import InvalidInput
 
 SEEDS = pytest.mark.parametrize("seed", range(20))
 UNITS = {"mm": 1.0, "um": 1e-3, "m": 1e3}
-ENDS = ["", "[mm]", "_mm", "(px)", "/um", ".mm", "pos", "-coordinate", "1"]
+ENDS = ["", "[{0}]", "_{0}", "({0})", "/{0}", ".{0}", "pos", "-coordinate", "1"]  # {0}: the file's unit
 Y_FIRST = ["y{0},x{0}", '"y{0}","x{0}"', "Row{0},Col{0}", "axis-0,axis-1", "pos_y,pos_x", "r,c", "Points:1,Points:0"]
 Y_FIRST += [
     "PositionY,PositionX",
@@ -89,7 +89,23 @@ def case(seed, tmp_path):
         path.write_text("\n".join(row if isinstance(row, str) else separator.join(row) for row in lines) + "\n")
         return is_right(path, points, unit=unit, **options)
 
+    check.unit = unit
     return rng, draw, check
+
+
+@SEEDS
+def test_another_unit_displacements_and_decimal_commas(case):
+    rng, draw, check = case
+    points, other = draw(), rng.choice(["mm", "um", "µm", "m", "cm", "px", "nm"])
+    for names in ("x_{0},y_{0}", "X[{0}],Y[{0}]", '"x({0})","y({0})"'):
+        header = names.format(other).split(",")
+        assert check([header, *points], points) is (other.replace("µ", "u") == check.unit)
+        assert check([names.format(check.unit).split(","), *points], points)
+    for names in ("ux,uy", "u_x,u_y", "dx,dy", "disp_x,disp_y"):
+        assert not check([names.split(","), *points], None)
+        assert check([names.split(","), *points], points, columns=[1, 2])
+    short = [",".join(f"{abs(float(value)):.2f}".replace(".", ",") for value in point) for point in points]
+    assert not check([*short, "1,05,2,05"], None, columns=[1, 3])
 
 
 @SEEDS
@@ -111,13 +127,13 @@ def test_a_row_with_another_number_of_fields(case, header):
 @SEEDS
 def test_y_before_x(case, tmp_path):
     rng, draw, check = case
-    points, end = draw(), rng.choice(ENDS)
+    points, end = draw(), rng.choice(ENDS).format(check.unit)
     swapped = [row[::-1] for row in points]
     for names in rng.choice(Y_FIRST, 3, replace=False):
         y, x = names.format(end).split(",")
         check([[y, x], *swapped], points)
         assert check([[x, y], *points], points)
-    assert check(["# x,y\n# in mm", *points], points)
+    assert check([f"# x,y\n# in {check.unit}", *points], points)
     for names in OPEN:
         assert not check([names.split(","), *points], None)
         assert check([names.split(","), *swapped], points, columns=[2, 1])

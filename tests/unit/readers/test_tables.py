@@ -172,7 +172,7 @@ def test_the_remedy_of_missing_columns_is_what_to_write(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "names", ["y,x", '"y","x"', "Y [mm],X [mm]", "row,col", "axis-0,axis-1", "# y,x", "y(px),x(px)"]
+    "names", ["y,x", '"y","x"', "Y [mm],X [mm]", "row,col", "axis-0,axis-1", "# y,x", "y(mm),x(mm)"]
 )
 def test_y_before_x_is_told_by_the_names(tmp_path, names):
     path = written(tmp_path, f"{names}\n0,1\n2,3\n")
