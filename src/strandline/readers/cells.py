@@ -62,7 +62,7 @@ SIDE = 20
 ZIGZAG = 0.1
 """Share of points that jump and come back, from which a table lists two sides at once."""
 CLOSE, GAP = 1.5, 0.1
-"""Distance of ends that nearly meet, at most: in median distances of neighbours, and a share of the length."""
+"""Distance of ends that nearly meet, at most, in median distances of neighbours and as a share of the length."""
 
 
 def dimension(kind: str) -> int | None:
@@ -251,7 +251,7 @@ def require_clear_ends(chain: Float[np.ndarray, "point 2"], name: str) -> None:
         return
     lengths = np.linalg.norm(np.diff(chain, axis=0), axis=1)
     gap, usual = float(np.linalg.norm(chain[0] - chain[-1])), float(np.median(lengths))
-    if gap <= min(GAP * lengths.sum(), max(CLOSE * usual, float(lengths.max()))):
+    if gap <= min(GAP * lengths.sum(), CLOSE * usual):
         value, expected = f"{gap:.3g} mm apart, neighbours {usual:.3g} mm", "an outline that is clearly open or closed"
         remedy = "Say `closed: true`, as for outlines of OpenCV, or `closed: false`."
         raise refused(f"{name} ends near its first point and does not repeat it", value, expected, remedy)

@@ -172,8 +172,6 @@ def test_first_rows_with_digits_or_stars_and_a_closing_point(case):
         for least in (0.0, 1e-9, digit):
             last = [f"{float(value) + least:.12f}" for value in points[0]]
             assert check([*header, *points, last], points, closed=True) or least == digit
-    angles = 2 * np.pi / 24 * np.setdiff1d(range(23), [8, 9])  # its end is nearer to its beginning than some neighbours
-    check([[f"{x:.4f}", f"{y:.4f}"] for x, y in zip(np.cos(angles), np.sin(angles), strict=True)], None)
     for names in (["0", "1"], ["1", "2"], ["* 1", "2"]):
         check([names, *points, points[0]], points, closed=True)
     for lost in LOST:

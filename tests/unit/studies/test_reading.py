@@ -164,8 +164,7 @@ class TestNoise:
         for name, interface in TwoLoads()(INPUTS, tmp_path).interfaces.items():
             table = np.column_stack([interface.points * 1000, np.full(len(interface.points), 3.0)])
             np.savetxt(tmp_path / f"{name}.csv", table, delimiter=",")
-        how = {"columns": [1, 2], "closed": False}
-        heavy, light = ({**BOTH[0], **how, "sd": 3}, {**BOTH[1], **how})
+        heavy, light = ({**BOTH[0], "columns": [1, 2], "sd": 3}, {**BOTH[1], "columns": [1, 2]})
         noise = {**TABLE["noise"], "conditions": {"light": {"sd": 3, "length": 15, **UM}}}
         for files in ([light, heavy], [heavy, light]):
             study = loaded(tmp_path, **TWO_LOADS_STUDY | {"observation": files, "noise": noise})
