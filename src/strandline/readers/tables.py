@@ -94,9 +94,9 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
     titles = titles or (comment if len(comment) == len(rows[0].fields) or by_name else ())
     _require_no_empty_end(name, lines, rows)
     _require_one_width(name, rows, titles)
+    words = titles is comment and not by_name and not (len(titles) == 2 and _are_names(comment, separator))
     if how.columns is None:
         if len(rows[0].fields) == 2:
-            words = titles is comment and not _are_names(comment, separator)
             _require_x_before_y(name, () if words else titles, comments)
         if len(rows[0].fields) != 2 and how.field is None and how.sd is None:
             raise _no_point(name, rows[0], titles)
@@ -107,7 +107,7 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
     points = _columns(name, rows, titles, columns)
     chosen = [_place(name, column, titles, rows[0], pair=True) for column in columns]
     _require_no_count(name, rows, chosen)
-    if titles:
+    if titles and not words:
         _require_places(name, [titles[k] for k in chosen], how)
     moved = None if how.field is None else _columns(name, rows, titles, tuple(how.field))
     data = {} if how.sd is None else {SD: _columns(name, rows, titles, (how.sd,))[:, 0]}

@@ -137,7 +137,7 @@ def test_y_before_x(case, tmp_path):
     for names in OPEN:
         assert not check([names.split(","), *points], None)
         assert check([names.split(","), *swapped], points, columns=[2, 1])
-    for names in (["# my drop"], ["# format x-y"], ["'x'", "'y'"], ["<x>", "<y>"]):
+    for names in (["# my drop"], ["# pixel 3.2nm"], ["# format x-y"], ["'x'", "'y'"], ["<x>", "<y>"]):
         assert check([names, *points], points)
     for names in rng.choice(COMMENTS, 3, replace=False):
         check([names.format(end), *swapped], points)
