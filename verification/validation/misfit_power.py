@@ -84,7 +84,8 @@ def often(number: int, first: int, wrong: float = 0.0, untold: str = "") -> None
     results = []
     for seed in range(number):
         results.append(of_curve(first + seed, wrong, untold=untold))
-        jax.clear_caches()  # the programs of some hundred studies are more than a process may map into its memory
+        if seed % 50 == 49:
+            jax.clear_caches()  # the programs of some 400 studies are more than a process may map into its memory
     flagged = sum(bool(found.flagged) for found, _ in results)
     unlikely = sum(found.p_value < 0.05 for found, _ in results if found.p_value is not None)
     off = np.mean([(posterior.mean[:2] - CURVE) / posterior.sd[:2] for _, posterior in results], axis=0).round(1)
