@@ -118,6 +118,7 @@ class Baseline:
 
     @cached_property
     def mean(self) -> Float[np.ndarray, " dim"]:
+        """Mean of the inputs, physical."""
         return self.weighted.mean
 
     @cached_property

@@ -1,6 +1,7 @@
 """A picture file → the picture, linear in intensity, with the size of its pixels."""
 
 import hashlib
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -39,8 +40,9 @@ _VOXEL = "e.g. `{x: 6, y: 6, z: 10, unit: um}`"
 def opened(path: Path, how: PictureReading) -> Iterator[PictureFile]:
     """Open a picture file, and close it at the end; one that is missing, damaged or too large is refused."""
     name = path.name
-    if not path.is_file():
-        there = sorted(one.name for one in path.parent.glob("*") if one.suffix.lower() in FORMATS)
+    if not os.path.isfile(path):  # noqa: PTH113 - Path.is_file raises for a name that is too long
+        near = path.parent.glob("*") if os.path.isdir(path.parent) else ()  # noqa: PTH112
+        there = sorted(one.name for one in near if one.suffix.lower() in FORMATS)
         remedy = suggestion(name, there, "Correct the name of the file in study.yaml, or the file.")
         raise refused(f"{name} is missing", str(path), "a picture file", remedy, kind="result_missing")
     reader: Callable[[Path, PictureReading, str], object] | None = FORMATS.get(path.suffix.lower())
@@ -82,7 +84,7 @@ def listed(paths: Path | Sequence[Path]) -> list[Path]:
 
 
 def _pictures(path: Path) -> list[Path]:
-    if not path.is_dir():
+    if not os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises for a name that is too long
         return [path]
     found = sorted(one for one in path.iterdir() if one.suffix.lower() in FORMATS and not one.name.startswith("."))
     if not found:

@@ -17,6 +17,7 @@ from strandline.foundations import imported, unfit
 from strandline.interface import Interface
 from strandline.models import protocol
 from strandline.models.identity import OWN, fingerprint
+from strandline.readers import repeats_first, require_clear_ends
 
 __all__ = ["PythonModel", "lies_in", "modules_of"]
 
@@ -182,9 +183,17 @@ class PythonModel:
 
 
 def _polyline(points: Any) -> Any:
-    """Return the polyline through points (point, 2); return anything else unchanged."""
+    """Return the polyline through points (point, 2), closed if it repeats its first; return anything else unchanged."""
     try:
         array = np.asarray(points, float)
     except (TypeError, ValueError):
         array = np.empty(0)
-    return Interface.polyline(array) if array.ndim == 2 and array.shape[1] == 2 else points
+    if array.ndim != 2 or array.shape[1] != 2:
+        return points
+    if closed := repeats_first(array):
+        array = array[:-1]
+    elif np.isfinite(array).all():
+        require_clear_ends(
+            array, "the array of points", "Return strandline.Interface.polyline(points, closed=True), or False."
+        )
+    return Interface.polyline(array, closed=closed)

@@ -61,8 +61,6 @@ SIDE = 20
 """Most points between a jump and the jump back."""
 ZIGZAG = 0.1
 """Share of points that jump and come back, from which a table lists two sides at once."""
-CLOSE, GAP = 1.5, 0.1
-"""Distance of ends that nearly meet, at most, in median distances of neighbours and as a share of the length."""
 
 
 def dimension(kind: str) -> int | None:
@@ -243,15 +241,3 @@ def require_in_order(points: Float[np.ndarray, "point 2"], name: str, remedy: st
         value = f"e.g. from {start} to {end} and back"
         remedy = f"{remedy} Of OpenDrop take fit.csv, which runs along the profile.".strip()
         raise refused(f"{name} jumps to and fro between two sides", value, "points in order along the line", remedy)
-
-
-def require_clear_ends(chain: Float[np.ndarray, "point 2"], name: str) -> None:
-    """Refuse an outline whose ends are as near to each other as neighbours are: it may be closed."""
-    if len(chain) < 3:
-        return
-    lengths = np.linalg.norm(np.diff(chain, axis=0), axis=1)
-    gap, usual = float(np.linalg.norm(chain[0] - chain[-1])), float(np.median(lengths))
-    if gap <= min(GAP * lengths.sum(), CLOSE * usual):
-        value, expected = f"{gap:.3g} mm apart, neighbours {usual:.3g} mm", "an outline that is clearly open or closed"
-        remedy = "Say `closed: true`, as for outlines of OpenCV, or `closed: false`."
-        raise refused(f"{name} ends near its first point and does not repeat it", value, expected, remedy)

@@ -51,6 +51,8 @@ def undamaged(name: str, expected: str) -> Iterator[None]:
     except (Exception, SystemExit) as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         remedy = "Look at the file, or at what writes it."
+        if "UnicodeDecodeError" in reason:
+            remedy = "Save it as UTF-8."
         if "imagecodecs" in reason:
             remedy = "Save it without this compression, or install what unpacks it: pip install imagecodecs"
         raise refused(f"{name} cannot be read", reason, expected, remedy) from None

@@ -11,8 +11,9 @@ from scipy.sparse.csgraph import connected_components
 
 from strandline.interface import Interface, signed_volume, vector_areas
 from strandline.readers import cells
-from strandline.readers.cells import Chain, chains, chosen_chain, require_clear_ends, require_in_order
+from strandline.readers.cells import Chain, chains, chosen_chain, require_in_order
 from strandline.readers.contents import Block, Contents, refused
+from strandline.readers.ends import repeats_first, require_clear_ends
 from strandline.readers.options import Reading
 from strandline.readers.tables import SD
 
@@ -20,8 +21,6 @@ Points = Float[np.ndarray, "point xyz"]
 Plane = Float[np.ndarray, "point 2"]
 FLATNESS = 1e-6
 """Share of the extent by which points may leave a plane: files in single precision are rounded by 1e-7."""
-CLOSING = 1e-3
-"""Distance of a last point from the first, in median distances of neighbours, up to which an outline is closed."""
 ROUNDED = 1e-6
 """Slack of the sides of a box, as a share of the size of what is read: files print about six digits."""
 LEAST_SEEN = 10
@@ -75,7 +74,7 @@ def point_sds(contents: Contents, how: Reading, name: str) -> Float[np.ndarray, 
     """Return the standard deviations of the points of the interface that `interface_of` returns, in mm."""
     places, moved = _places(contents, how, name)
     order = _order(contents, places, how, name)
-    if _repeats_first(moved[order], how):
+    if how.closed is not False and repeats_first(moved[order]):
         order = order[:-1]
     sds = how.factor * np.asarray(_data(contents.data, SD, f"{name} has no point data"), float)[order]
     if not (np.isfinite(sds) & (sds > 0)).all():
@@ -90,20 +89,12 @@ def _of_table(contents: Contents, places: Points, moved: Points, how: Reading, n
     _require_finite(moved, order, name, contents.lines)
     chain = moved[order]
     require_in_order(chain, name, IN_ORDER if how.sort is None else "Sorting does not order these.")
-    repeated = _repeats_first(chain, how)
+    repeated = how.closed is not False and repeats_first(chain)
     polyline = Interface.polyline(chain[:-1] if repeated else chain, closed=repeated or how.closed is True)
     polyline.require_simple(f"{IN_ORDER} Else remove the loop." if how.sort is None else "Remove the loop.")
     if not repeated and how.closed is None:
         require_clear_ends(chain, name)
     return polyline
-
-
-def _repeats_first(chain: Plane, how: Reading) -> bool:
-    """Return whether a chain repeats its first point at its end, but for rounding."""
-    if len(chain) <= 3 or how.closed is False:
-        return False
-    lengths = np.linalg.norm(np.diff(chain, axis=0), axis=1)
-    return bool(np.linalg.norm(chain[0] - chain[-1]) <= CLOSING * np.median(lengths))
 
 
 def _order(contents: Contents, places: Points, how: Reading, name: str) -> Int[np.ndarray, " chosen"]:

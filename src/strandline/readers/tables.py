@@ -1,13 +1,11 @@
 """Points in their order: text with two or more columns, and NumPy arrays."""
 
 import csv
-import json
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -27,6 +25,8 @@ AXES = (
 """Names of the vertical coordinate and of the horizontal one."""
 UPRIGHT = ({("x", "y")}, {("x", "z")}, {("r", "z")}, {("c", "r")}, {("0", "1")}, {("1", "2")})
 """Letters or digits in which the names of x and y differ, if they differ in nothing else."""
+DOWN = r"(?<![^\W_])(rows?|zeile|ligne|top)(?![^\W_])"
+"""Names of the vertical coordinate of a picture, which counts downwards."""
 ENDING = r"(\d+|pos\w*|coord\w*|index|mm|um|px)?"
 """What may follow such a name without a blank."""
 COMMENT = re.compile(r"\s*(#(?!N/A|DIV/|VALUE!|REF!|NUM!|NAME\?|##+[\s,;]+([-+.\d]|##))|%|\*\s*$|\*+\s*([^\W\d]|\())")
@@ -45,7 +45,8 @@ PAIRS = (("x", "y"), ("points:0", "points:1"), ("points_0", "points_1"), ("axis-
 """Names of two columns x and y; of ParaView's and napari's as well."""
 TOUCHING = re.compile(r"[+-]?(\d+|\d*\.\d*([eEdD][+-]?\d+)?)[+-]\d")
 """Two numbers without a blank between them."""
-OTHER_MARKS = 'With decimal commas give `decimal: ","`; else correct the line, or give `delimiter`.'
+OTHER_MARKS = 'With decimal commas write semicolons between the numbers and give `decimal: ","`; else correct the line.'
+NO_POINT = "If it holds no point, begin the line with #."
 UNIT = re.compile(r"(?:[\W_]|^)(nm|[uµμ]m|mm|cm|m|px|pixels?|inch|(?<=\[)in|(?<=\()in)(?=[\W_]|$)", re.IGNORECASE)
 """Unit in the name of a column."""
 DISPLACED = re.compile(r"(u|d|delta|disp\w*?)[-_: ]?[xy12]([\W_].*)?", re.IGNORECASE)
@@ -54,9 +55,6 @@ MOST_COORDINATES = 3
 """Most rows that may be coordinates instead of points."""
 SHORTEST_PIECE = 3
 """Fewest points of each piece that a column of whole numbers tells apart."""
-CLOSED = {"polygon": True, "linestrip": False, "line": False}
-CLOSED |= {"Polygon": True, "MultiPolygon": True, "LineString": False, "MultiLineString": False}
-"""Shapes of labelme and geometries of GeoJSON → whether they are closed."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +116,8 @@ def read_text(path: Path, how: Reading, name: str) -> Contents:
 def read_npy(path: Path, how: Reading, name: str) -> Contents:
     """Return the points of an array of numbers (point, column); pickled objects are not read."""
     array = np.load(path, allow_pickle=False)
+    if isinstance(array, np.ndarray) and array.ndim == 3 and array.shape[1] == 1:
+        array = array[:, 0]  # as OpenCV finds contours
     if not (isinstance(array, np.ndarray) and array.ndim == 2 and array.dtype.kind in "fiu" and len(array)):
         found = f"{array.dtype} of the shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
         raise refused(f"{name} holds no points", found, "an array of numbers (point, 2)")
@@ -229,16 +229,19 @@ def _require_one_width(name: str, rows: Sequence[TableRow], titles: Sequence[str
                 f"{name} has too {'many' if count > usual else 'few'} fields in line {row.number}",
                 f"{count}: {row}",
                 f"{usual}, as there are {'column names' if titles else 'in most lines'}",
-                _touching(row) or (OTHER_MARKS if count > usual else "Correct the line, or what writes it."),
+                (NO_POINT if row is rows[0] else _way_out(row))
+                or (OTHER_MARKS if count > usual else "Correct the line, or what writes it."),
             )
 
 
 def _require_x_before_y(name: str, titles: Sequence[str], comments: Sequence[str]) -> None:
     """Refuse columns whose names, or else the last comment that names both, do not say that x comes first."""
-    if titles and not _in_order(*titles):
+    down = re.search(DOWN, " ".join(titles), re.IGNORECASE)
+    if titles and (down or not _in_order(*titles)):
         turned, pair = _in_order(*titles[::-1]), [*map(_quoted, titles)] if len({*titles}) > 1 else ["1", "2"]
         first = ", ".join(pair[::-1] if turned else pair)
-        remedy = f"Give `columns: [{first}]`{'' if turned else ', or the other way round, with x first'}."
+        remedy = f"Give `columns: [{first}]`{'' if turned or down else ', or the other way round, with x first'}."
+        remedy += " Write y upwards, where rows of a picture count down." if down else ""
         what, expected = f"{name} names its columns {titles[0]}, {titles[1]}", "x before y, or `columns`"
         raise refused(what, " ".join(titles), expected, remedy)
     orders = [(_axes(comment), comment) for comment in (*comments[::-1], " ".join(comments))]
@@ -265,20 +268,11 @@ def _require_places(name: str, titles: Sequence[str], how: Reading) -> None:
 
 def _require_whole_numbers_apart(name: str, rows: Sequence[TableRow], separator: str) -> None:
     """Refuse a table whose numbers seem to have decimal commas between commas: 1,50,2,05 for 1.5 and 2.05."""
-    fields = [row.fields for row in rows]
-    if (
-        separator != ","
-        or len(fields[0]) % 2
-        or not all(re.fullmatch(r"\d+", one) for row in fields for one in row[1::2])
-    ):
+    after = [*zip(*(row.fields[1::2] for row in rows), strict=False)]
+    if separator != "," or len(rows[0].fields) % 2 or len(after) < 2 or not all(map(str.isdecimal, sum(after, ()))):
         return
-    columns = [*zip(*fields, strict=False)][1::2]
-    widths = [{*map(len, column)} for column in columns]
-    if (
-        len(columns) > 1
-        and all(len(w) == 1 and w != {1} for w in widths)
-        and any(c[0] == "0" for k in columns for c in k)
-    ):
+    digits = [{*map(len, column)} for column in after]
+    if all(len(k) == 1 and k != {1} for k in digits) and any(one[0] == "0" for one in sum(after, ())):
         remedy = 'Write points, or semicolons between the numbers and `decimal: ","`.'
         raise refused(f"{name} seems to have decimal commas between commas", str(rows[0]), "one number a field", remedy)
 
@@ -387,7 +381,7 @@ def _separator(lines: Sequence[str], how: Reading, name: str) -> str:
                 f"{name} has {'semicolons' if ';' in found else 'tabs'} and commas in line {number}",
                 line.strip(),
                 "one of them between the fields",
-                'With decimal commas give `decimal: ","`; else say what separates the fields, e.g. `delimiter: ";"`.',
+                'With decimal commas give `decimal: ","`; else say what separates the fields in `delimiter`.',
             )
         return found[0] if found else " "
     return "," if any("," in line for line in lines) and how.decimal != "," else " "
@@ -407,14 +401,20 @@ def _no_point(name: str, row: TableRow, titles: Sequence[str], columns: Sequence
     remedy = "Correct the line, or what writes it."
     if not columns and len(row.fields) > 2:
         remedy = _say_columns(titles, len(row.fields))
-    return refused(f"{name} has no point in line {row.number}", str(row), expected, _touching(row) or remedy)
+    return refused(f"{name} has no point in line {row.number}", str(row), expected, _way_out(row) or remedy)
 
 
-def _touching(row: TableRow) -> str | None:
-    """Return the remedy if numbers of a row touch, as in columns of fixed width."""
-    if not any(TOUCHING.match(field) for field in row.fields):
-        return None
-    return "Numbers touch: let the program write blanks between them, or give a `reader` of your own."
+def _way_out(row: TableRow) -> str | None:
+    """Return the remedy for a row that holds no point, if its fields tell one."""
+    if any(TOUCHING.match(field) for field in row.fields):
+        return "Numbers touch: let the program write blanks between them, or give a `reader` of your own."
+    if any(_is_number(re.sub("[dD]", "e", field)) and not _is_number(field) for field in row.fields):
+        return "Write exponents with E."
+    if any(_is_number(field.replace(",", ".")) and not _is_number(field) for field in row.fields):
+        return OTHER_MARKS
+    if not row.fields[0]:
+        return "Save it without an index and with names x, y; pandas: `to_csv(index=False)`."
+    return NO_POINT if _is_header(row) else None
 
 
 def _say_columns(titles: Sequence[str], number: int) -> str:
@@ -436,31 +436,3 @@ def _is_number(text: str) -> bool:
 def _quoted(title: str) -> str:
     """Return the name of a column as study.yaml holds it."""
     return title if re.fullmatch(r"[^\W\d][\w-]*", title) else f'"{title}"'
-
-
-DrawnLine = tuple[Float[np.ndarray, "point 2"], bool]
-
-
-def read_json(path: Path, how: Reading, name: str) -> Contents:
-    """Return the outlines of a GeoJSON file, each a piece of its own."""
-    found = [points for points, _ in outlines(path.read_bytes())]
-    if not found:
-        raise ValueError("no LineString or Polygon of GeoJSON in it")
-    return Contents(np.concatenate(found), pieces=np.repeat(np.arange(len(found)), [len(points) for points in found]))
-
-
-def outlines(content: bytes) -> list[DrawnLine]:
-    """Return points of each outline in a GeoJSON or labelme file, holes as well, and whether it is closed."""
-    return list(_drawn(json.loads(content)))
-
-
-def _drawn(found: Any) -> Iterator[DrawnLine]:
-    inner = [one for key in ("features", "geometries", "shapes") for one in found.get(key, ())]
-    for one in filter(None, [*inner, found.get("geometry")]):
-        yield from _drawn(one)
-    closed = CLOSED.get(found.get("shape_type", found.get("type")))
-    if closed is not None:
-        lines = [found["points"] if "points" in found else found["coordinates"]]
-        while not isinstance(lines[0][0][0], int | float):
-            lines = [line for outer in lines for line in outer]
-        yield from ((np.array([row[:2] for row in line], dtype=float), closed) for line in lines)

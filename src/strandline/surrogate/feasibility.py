@@ -43,6 +43,7 @@ class Feasibility:
     factor: Float[np.ndarray, "run run"] | None = None
 
     def log_probability(self, z: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, " point"]:
+        """Return the log probability that a run at each of the standardised inputs z succeeds."""
         if self.slope is None or self.roots is None or self.factor is None:
             return np.zeros(len(z))
         k = _kernel(z, self.z, self.length, self.spread)

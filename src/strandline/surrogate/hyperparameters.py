@@ -87,6 +87,7 @@ class Objective:
         self.worst = math.inf
 
     def evidence(self, log_ratio: float, log_lengths: Sequence[float]) -> LogEvidence:
+        """Return the log evidence and its gradient by the log ratio of variances and the log lengths."""
         inverse, variance = self._covariance(log_ratio, log_lengths)
         alpha = solve(self.K, self.y)
         value = -0.5 * self.y @ alpha - np.log(np.diagonal(self.K)).sum() - 0.5 * len(alpha) * math.log(2 * math.pi)

@@ -28,13 +28,16 @@ def written(folder, modules):
     return folder
 
 
-RESULTS = """
+RESULTS = """import math
 def points(inputs, workdir): return [[0.0, 0.0], [1.0, inputs["a"]]]
 def other_points(inputs, workdir): return [[0.0, 0.0], [1.0, 2 * inputs["a"]]]
 def ragged(inputs, workdir): return [[0.0, 0.0], [1.0]]
 def solid(inputs, workdir): return [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]
 def text(inputs, workdir): return "done"
 NUMBER = 3
+def ring(inputs, workdir):
+    points = [[math.cos(0.1 * k * math.pi), math.sin(0.1 * k * math.pi)] for k in range(21)]
+    return points if inputs["a"] else points[:-1]
 """
 
 
@@ -50,6 +53,9 @@ def test_points_become_a_polyline_and_other_results_a_failure(adapter, tmp_path)
     for name in ("ragged", "solid", "text"):
         record = attempt(PythonModel(f"my_adapter:{name}"), RunRequest("key", {"a": 0.5}), tmp_path)
         assert (record.state, record.failure_kind) == ("invalid", "not_an_interface")
+    assert PythonModel("my_adapter:ring")({"a": 1.0}, tmp_path).closed
+    record = attempt(PythonModel("my_adapter:ring"), RunRequest("key", {"a": 0.0}), tmp_path)
+    assert "closed=True" in record.message
 
 
 def test_inputs_and_fingerprint_are_those_of_the_function_or_its_source(adapter):

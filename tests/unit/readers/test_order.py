@@ -61,3 +61,7 @@ def test_an_outline_whose_ends_nearly_meet_must_say_whether_it_is_closed(tmp_pat
     assert not read(written(tmp_path, arc(360 - 4 * 360 / number, number))).closed
     assert read(written(tmp_path, arc(360, number))).closed
     assert read(written(tmp_path, arc(360, number)), closed=True).closed
+    ellipse, first = arc(360, number + 1)[:-1] * [1.0, 0.4], number // 4 + 1
+    apart = np.roll(ellipse, -first, axis=0)  # its ends are where points are farthest apart
+    refused("does not repeat it", written(tmp_path, apart))
+    assert not read(written(tmp_path, arc(180, number) * [2.5 / number, 1.0])).closed

@@ -104,6 +104,15 @@ def test_mutated_studies(tmp_path, number):
     assert complaints(tmp_path, seed, number) == [], f"seed {seed}"
 
 
+def test_names_of_files_that_are_too_long(tmp_path):
+    for shipped in ("command", "pendant-drop"):
+        study = shutil.copytree(ROOT / "examples" / shipped, tmp_path / shipped) / "study.yaml"
+        text = study.read_text()
+        study.write_text(re.sub(r"(file: |files: \[)[\w.]+", rf"\g<1>{'x' * 300}", text, count=1))
+        with pytest.raises(InvalidInput, match=r"no such file|is missing|cannot be read"):
+            load_study(study.parent)
+
+
 def test_merge_keys():
     text = "e: &a {x: 1, y: 2}\nf: {<<: *a, y: 3}\ng:\n  <<: [*a, {z: 1}]\n  x: 4\nh: {<<: {i: &b {u: 0}}, j: *b}\n"
     e, f, g, h = load_yaml(text).values()

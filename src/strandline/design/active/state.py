@@ -180,6 +180,7 @@ class State:
 
     @property
     def mean(self) -> Float[np.ndarray, " dim"]:
+        """Mean of the particles, as `positions`."""
         return Weighted(self.positions, np.exp(self.log_weights)).mean
 
     @property

@@ -160,6 +160,7 @@ class _ArrayRuns:
         self.ended: dict[str, int] = {}
 
     def records(self) -> Iterator[RunRecord]:
+        """Yield each record as its run ends, and submit arrays until no request is left."""
         known = self.options._known(self.model)
         while True:
             self._pull(known)

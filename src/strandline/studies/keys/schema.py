@@ -111,6 +111,7 @@ class Options:
 
     @cached_property
     def section(self) -> type[BaseModel]:
+        """The model of pydantic that checks these keys and describes each."""
         meaning, hints = meanings(self.of), _hints(self.of)
         own = {f.name: f for f in dataclasses.fields(self.of) if f.init and f.name not in self.without}
         keys: dict[str, Any] = {

@@ -243,6 +243,7 @@ class StudyRuns:
             pass
 
     def require_finished(self) -> None:
+        """Refuse a study some of whose runs, a synthetic one or a check's included, are not yet done."""
         study, keys, done = self.study, self.needed_keys, 0
         needed = len(keys) + self.planned - sum(len(some) for some in (self.design_keys, *self.rounds))
         if study.ledger_path.is_file():
