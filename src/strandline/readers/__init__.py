@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from strandline.readers.cells import require_in_order
     from strandline.readers.contents import Block, Contents, Unreadable, refused, undamaged
     from strandline.readers.ends import repeats_first, require_clear_ends
+    from strandline.readers.geojson import outlines
     from strandline.readers.options import READERS, TO_MM, Reading
-    from strandline.readers.outlines import outlines
     from strandline.readers.read import Reader, read_interface, read_point_sds
 else:
     __getattr__ = door(__name__, __file__)

@@ -13,7 +13,7 @@ TEXT = "strandline.readers.tables:read_text"
 ONE_TIME = {
     **dict.fromkeys((".csv", ".tsv"), TEXT),
     ".npy": "strandline.readers.tables:read_npy",
-    **dict.fromkeys((".json", ".geojson"), "strandline.readers.outlines:read_json"),
+    **dict.fromkeys((".json", ".geojson"), "strandline.readers.geojson:read_json"),
 }
 SERIES = {
     ".pvd": "strandline.readers.vtk_xml:read_pvd",

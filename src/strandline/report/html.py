@@ -40,7 +40,7 @@ def one_line(text: str) -> str:
     return re.sub("[ \n]+", " ", text).strip()
 
 
-def write_page(path: Path, page: str) -> Path:
+def save_page(path: Path, page: str) -> Path:
     """Write a page whole or not at all, and return its path."""
     unfinished = path.with_name(f".{path.name}.partial")
     unfinished.write_text(page, encoding="utf-8")

@@ -20,7 +20,7 @@ from strandline.imaging import Clicks, as_json
 from strandline.report import plots
 from strandline.report.explore import explore
 from strandline.report.figures import figure_groups
-from strandline.report.html import embedded, one_line, script_hash, template, write_page
+from strandline.report.html import embedded, one_line, save_page, script_hash, template
 from strandline.report.plots.style import Captioned, fitted, marked, saved, whole_folder
 from strandline.report.warnings import LOO_LIMIT, reason_to_doubt
 
@@ -93,7 +93,7 @@ def write_report(
         explore=section,
         batch_kinds=KINDS,
     )
-    return write_page(folder / FILE_NAME, page)
+    return save_page(folder / FILE_NAME, page)
 
 
 def methods_paragraph(summary: Mapping[str, Any]) -> str:
@@ -142,7 +142,7 @@ def add_check(check: Mapping[str, Any], folder: Path, *, draft: bool = False) ->
     _, end, after = rest.partition(MARKS[1])
     if begin and end:
         section = template("parts.html.j2").module.check(check, picture)
-        write_page(report, f"{before}{begin}{section}{end}{after}")
+        save_page(report, f"{before}{begin}{section}{end}{after}")
 
 
 def write_answer(answer: Any, *, draft: bool = False) -> None:
@@ -150,7 +150,7 @@ def write_answer(answer: Any, *, draft: bool = False) -> None:
     figures = answer.page.parent / FIGURES
     figures.mkdir(exist_ok=True)
     pictures = [saved(captioned, figures, draft=draft) for captioned in answer.drawn(answer.content)]
-    write_page(answer.page, template("answer.html.j2").render(a=answer, figures=pictures))
+    save_page(answer.page, template("answer.html.j2").render(a=answer, figures=pictures))
 
 
 SCRIPTS = ("marks.js", "editing.js")

@@ -14,7 +14,7 @@ from PIL import Image
 
 from strandline.foundations import InvalidInput
 from strandline.imaging.clicks import Clicks, as_json
-from strandline.report.html import MODULES, PANELS, bundled, embedded, write_page
+from strandline.report.html import MODULES, PANELS, bundled, embedded, save_page
 from strandline.report.page import click_page, for_screen
 
 SHA = "0123456789abcdef" * 4
@@ -62,7 +62,7 @@ def grey(png: bytes) -> Any:
 def test_the_page_holds_the_picture_what_it_is_and_earlier_clicks_on_it(tmp_path: Path) -> None:
     clicks = Clicks("scan.tif", SHA, (8, 6), np.array([[1.0, 1.0], [6.0, 1.5], [4.0, 4.0]]), closed=True)
     options: dict[str, Any] = {"name": "scan.tif", "sha256": SHA.upper(), "pixel_mm": (0.006, 0.004), "clicks": clicks}
-    page = write_page(tmp_path / "scan.html", click_page(VALUES, **options)).read_text(encoding="utf-8")
+    page = save_page(tmp_path / "scan.html", click_page(VALUES, **options)).read_text(encoding="utf-8")
     assert [p.name for p in tmp_path.iterdir()] == ["scan.html"]
     found = given(page)
     assert (found["name"], found["sha256"], found["size"], found["factor"]) == ("scan.tif", SHA, [8, 6], 1)

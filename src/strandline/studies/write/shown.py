@@ -16,7 +16,7 @@ from strandline.foundations import whole_file, write_json
 from strandline.imaging import FrameErrors
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.likelihood import adapted
-from strandline.report import DOTS_PER_INCH, click_page, html, plot_picture, plot_stack
+from strandline.report import DOTS_PER_INCH, click_page, plot_picture, plot_stack, save_page
 from strandline.studies.keys.folder import require_writable, told_if_unwritable
 from strandline.studies.keys.observation import ImageFile
 from strandline.studies.keys.parse import in_words, refused_at
@@ -176,7 +176,7 @@ def write_page(folder: Path, given: ImageFile) -> Path:
         with told_if_unwritable(target):
             pixel = picture.pixel if known else None
             page = click_page(picture.values, name=picture.name, sha256=picture.sha256, clicks=clicks, pixel_mm=pixel)
-            return html.write_page(target, page)
+            return save_page(target, page)
 
 
 def described(one: Photographed, measures: Mapping[str, Discrepancy]) -> dict[str, Any]:
