@@ -36,8 +36,8 @@ HEADING = re.compile(r"[ #%*]*(columns?\s*:)?\s*", re.IGNORECASE)
 MISSING = ("na", "n/a", "none", "null", "missing")
 """Words for a number that is missing."""
 LABEL = re.compile(
-    r"(contour|outline|curve|path|line|segment|polygon|ring|shape|piece|part|group|set|object|particle|cell|roi|region"
-    r"|layer|slice|image|sample|specimen|track|label|frame|step|time|t|id|no|nr|n|node|index|load)s?(step|id|no|nr|number)?([\W_]|$)"
+    r"(contour|outline|curve|path|(poly)?line|segment|polygon|ring|shape|piece|part|group|set|object|particle|cell|roi|region"
+    r"|layer|slice|image|sample|specimen|track|label|frame|step|time|t|id|no|nr|n|node|index|load|increment|iteration|cycle)s?(step|id|no|nr|number)?([\W_]|$)"
     r"|.*[\W_](id|no|nr|index|t|frame|step|time|number)$|$"
 )
 """Name of a column that tells pieces or times apart."""

@@ -27,6 +27,8 @@ LABELS = [
     "id",
     "n",
     "load step",
+    "increment",
+    "polyline",
     "t",
     "time_[s]",
     "frame_id",
