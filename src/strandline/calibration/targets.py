@@ -46,6 +46,9 @@ LARGEST_DIM = 3
 """Largest number of inputs, including nuisance inputs, for which posteriors are also integrated directly."""
 COMPARED = 2000  # particles of the posterior that is reported for comparison
 SCATTERED = 64  # draws of the posterior that show what the simulator's own scatter does there
+LEAST_LEFT = 10.0
+"""Effective particles of a reweighted posterior, at least: of 2000 one is left where the model misses the observation
+by thousands of the noise's standard deviations, and a single one has no width."""
 _STEP = 0.1  # step of finite differences, in the given scales
 
 
@@ -188,9 +191,17 @@ class FieldTarget:
         return one_thread()
 
     def posterior(self, sampling: SMCResult) -> Posterior:
-        """Return the particles, reweighted from the sampled log-likelihood to the expected one by draws."""
+        """Return the particles, reweighted from the sampled log-likelihood to the expected one by draws.
+
+        They keep their weights if hardly a particle would be left; the effect of the surrogate's variance then tells
+        that it is far too large.
+        """
         expected = self.knowledge.expected(sampling.positions, plug_in=self.knowledge.plug_in(sampling.positions))
         log_weights = sampling.log_weights + expected - sampling.log_likelihood
+        if np.exp(-logsumexp(2 * log_softmax(log_weights))) < LEAST_LEFT:
+            return _posterior(
+                self.space, sampling, sampling.log_weights, sampling.log_likelihood, sampling.log_evidence
+            )
         log_evidence = sampling.log_evidence + float(logsumexp(log_weights))
         return _posterior(self.space, sampling, log_softmax(log_weights), expected, log_evidence)
 
@@ -199,7 +210,8 @@ class FieldTarget:
         exact = self.knowledge.plug_in(sampling.positions) - sampling.log_likelihood
         plain = Weighted(sampling.positions, np.exp(log_softmax(sampling.log_weights + exact)))
         effective = float(1.0 / np.sum(plain.weights**2 / np.maximum(posterior.weights, 1e-300)))
-        effect = VarianceEffect((posterior.mean - plain.mean) / posterior.sd, posterior.sd / plain.sd, effective)
+        with np.errstate(divide="ignore"):  # a single particle may be left without the variance
+            effect = VarianceEffect((posterior.mean - plain.mean) / posterior.sd, posterior.sd / plain.sd, effective)
         feasible = float(posterior.weights @ np.exp(self.knowledge.log_feasibility(posterior.draws)))
         compared = None if self.beside is None else _moments_by(self.beside.mean, self.space, seed)
         inferred = self.knowledge.likelihood.inferred

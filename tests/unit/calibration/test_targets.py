@@ -59,6 +59,24 @@ def test_the_expected_posterior_is_sampled(nearby):
 
 
 @pytest.mark.stand_in
+@pytest.mark.parametrize(("spread", "kept"), [(1e6, True), (1.0, False)])
+def test_a_posterior_of_which_draws_would_leave_one_particle_keeps_its_weights(spread, kept):
+    """Noise thousands of times too small, and a surrogate that is unsure: draws of the interface decide nothing."""
+    x, equal = (
+        SPACE.low + np.random.default_rng(1).random((200, 2)) * (SPACE.high - SPACE.low),
+        np.full(200, -np.log(200)),
+    )
+    known = SimpleNamespace(
+        plug_in=lambda x: np.zeros(200), expected=lambda x, plug_in: spread * x[:, 0] / np.ptp(x[:, 0])
+    )
+    sampling = SimpleNamespace(
+        positions=x, log_weights=equal, log_likelihood=np.zeros(200), log_prior=np.zeros(200), log_evidence=-3.0
+    )
+    posterior = FieldTarget(known, SPACE).posterior(sampling)
+    assert (posterior.ess > 199.99, posterior.log_evidence == -3.0, (posterior.sd > 0).all()) == (kept, kept, True)
+
+
+@pytest.mark.stand_in
 def test_nothing_is_drawn_twice_with_the_same_random_numbers_if_particles_cannot_be_carried_over(monkeypatch):
     keys = []
     monkeypatch.setattr(method, "sample", lambda key, *_, **__: keys.append(key) or "particles")
