@@ -193,15 +193,13 @@ class FieldTarget:
     def posterior(self, sampling: SMCResult) -> Posterior:
         """Return the particles, reweighted from the sampled log-likelihood to the expected one by draws.
 
-        They keep their weights if hardly a particle would be left; the effect of the surrogate's variance then tells
-        that it is far too large.
+        They keep their weights if hardly a particle would be left.
         """
         expected = self.knowledge.expected(sampling.positions, plug_in=self.knowledge.plug_in(sampling.positions))
         log_weights = sampling.log_weights + expected - sampling.log_likelihood
         if np.exp(-logsumexp(2 * log_softmax(log_weights))) < LEAST_LEFT:
-            return _posterior(
-                self.space, sampling, sampling.log_weights, sampling.log_likelihood, sampling.log_evidence
-            )
+            known = sampling.log_weights, sampling.log_likelihood, sampling.log_evidence
+            return _posterior(self.space, sampling, *known)
         log_evidence = sampling.log_evidence + float(logsumexp(log_weights))
         return _posterior(self.space, sampling, log_softmax(log_weights), expected, log_evidence)
 

@@ -93,12 +93,8 @@ def use_double() -> None:
         return
     jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]
     if not double():
-        raise InvalidInput(
-            "precision of JAX",
-            value="float32",
-            expected="float64",
-            remedy='Leave `with jax.enable_x64(False)`, or call jax.config.update("jax_enable_x64", True) first.',
-        )
+        remedy = 'Leave `with jax.enable_x64(False)`, or call jax.config.update("jax_enable_x64", True) first.'
+        raise InvalidInput("precision of JAX", value="float32", expected="float64", remedy=remedy)
 
 
 WIDEST = {"xla_cpu_prefer_vector_width": 512}

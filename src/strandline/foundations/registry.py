@@ -29,12 +29,11 @@ def lookup(registry: Mapping[str, Any], name: str, what: str) -> Any:
         return imported(found, what) if isinstance(found, str) else found
     if ":" in name:
         return imported(name, what)
-    raise InvalidInput(
-        what,
-        value=name,
-        expected=f"one of {', '.join(registry)}, or module:name",
-        remedy=suggestion(name, registry, "Choose one of them."),
+    expected, remedy = (
+        f"one of {', '.join(registry)}, or module:name",
+        suggestion(name, registry, "Choose one of them."),
     )
+    raise InvalidInput(what, value=name, expected=expected, remedy=remedy)
 
 
 def imported(target: str, what: str, missing: str = MISSING) -> Any:

@@ -113,12 +113,9 @@ def read_legacy(path: Path, how: Reading, name: str) -> Contents:
         if dataset == [b"DATASET", b"POLYDATA"]:
             return _polygons(file, form == [b"ASCII"], by_offsets=float(version[-1]) >= 5)
     if form == [b"BINARY"] and re.search(rb"\nLOOKUP_TABLE +\S+ +\d+ *\n", path.read_bytes()):
-        raise refused(
-            f"{name} is a legacy VTK file, BINARY, with a table of colours, as FreeFEM writes it",
-            "LOOKUP_TABLE",
-            "a .vtu file, or legacy VTK as text",
-            "In FreeFEM, give savevtk a name that ends with .vtu, or `bin=false`.",
-        )
+        what = f"{name} is a legacy VTK file, BINARY, with a table of colours, as FreeFEM writes it"
+        remedy = "In FreeFEM, give savevtk a name that ends with .vtu, or `bin=false`."
+        raise refused(what, "LOOKUP_TABLE", "a .vtu file, or legacy VTK as text", remedy)
     return read_by_meshio(path, how, name)
 
 

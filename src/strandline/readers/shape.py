@@ -139,12 +139,10 @@ def _one_piece(
     if how.keep is not None:
         lengths = [np.linalg.norm(np.diff(places[one], axis=0), axis=1).sum() for one in found]
         return np.asarray(found[cells.largest(lengths, name)])
-    raise refused(
-        f"{name} holds several pieces or times",
-        f"{len(found)}, of {', '.join(str(len(one)) for one in found[:5])} points",
-        "one polyline: no blank line or comment between its points, no column that tells pieces apart",
-        "Leave one in the file, or choose by `keep: longest` or `near: [x, y]` in mm.",
-    )
+    value = f"{len(found)}, of {', '.join(str(len(one)) for one in found[:5])} points"
+    expected = "one polyline: no blank line or comment between its points, no column that tells pieces apart"
+    remedy = "Leave one in the file, or choose by `keep: longest` or `near: [x, y]` in mm."
+    raise refused(f"{name} holds several pieces or times", value, expected, remedy)
 
 
 def _of_cells(contents: Contents, places: Points, moved: Points, how: Reading, name: str) -> Interface:

@@ -46,6 +46,7 @@ PAIRS = (("x", "y"), ("points:0", "points:1"), ("points_0", "points_1"), ("axis-
 TOUCHING = re.compile(r"[+-]?(\d+|\d*\.\d*([eEdD][+-]?\d+)?)[+-]\d")
 """Two numbers without a blank between them."""
 OTHER_MARKS = 'With decimal commas write semicolons between the numbers and give `decimal: ","`; else correct the line.'
+CORRECT = "Correct the line, or what writes it."
 NO_POINT = "If it holds no point, begin the line with #."
 UNIT = re.compile(r"(?:[\W_]|^)(nm|[uµμ]m|mm|cm|m|px|pixels?|inch|(?<=\[)in|(?<=\()in)(?=[\W_]|$)", re.IGNORECASE)
 """Unit in the name of a column."""
@@ -225,13 +226,10 @@ def _require_one_width(name: str, rows: Sequence[TableRow], titles: Sequence[str
     for row, count in zip(rows, counts, strict=True):
         if count != usual:
             _require_no_count(name, rows, range(len(rows[-1].fields)))
-            raise refused(
-                f"{name} has too {'many' if count > usual else 'few'} fields in line {row.number}",
-                f"{count}: {row}",
-                f"{usual}, as there are {'column names' if titles else 'in most lines'}",
-                (NO_POINT if row is rows[0] else _way_out(row))
-                or (OTHER_MARKS if count > usual else "Correct the line, or what writes it."),
-            )
+            what = f"{name} has too {'many' if count > usual else 'few'} fields in line {row.number}"
+            expected = f"{usual}, as there are {'column names' if titles else 'in most lines'}"
+            remedy = (NO_POINT if row is rows[0] else _way_out(row)) or (OTHER_MARKS if count > usual else CORRECT)
+            raise refused(what, f"{count}: {row}", expected, remedy)
 
 
 def _require_x_before_y(name: str, titles: Sequence[str], comments: Sequence[str]) -> None:
@@ -377,12 +375,9 @@ def _separator(lines: Sequence[str], how: Reading, name: str) -> str:
         if COMMENT.match(line) or not any(character.isdigit() for character in bare):
             continue
         if "," in found and len(found) > 1:
-            raise refused(
-                f"{name} has {'semicolons' if ';' in found else 'tabs'} and commas in line {number}",
-                line.strip(),
-                "one of them between the fields",
-                'With decimal commas give `decimal: ","`; else say what separates the fields in `delimiter`.',
-            )
+            what = f"{name} has {'semicolons' if ';' in found else 'tabs'} and commas in line {number}"
+            remedy = 'With decimal commas give `decimal: ","`; else say what separates the fields in `delimiter`.'
+            raise refused(what, line.strip(), "one of them between the fields", remedy)
         return found[0] if found else " "
     return "," if any("," in line for line in lines) and how.decimal != "," else " "
 
@@ -398,7 +393,7 @@ def require_end(path: Path, name: str) -> None:
 
 def _no_point(name: str, row: TableRow, titles: Sequence[str], columns: Sequence[str | int] = ()) -> Unreadable:
     expected = f"numbers in the columns {', '.join(map(str, columns))}" if columns else "two numbers x, y"
-    remedy = "Correct the line, or what writes it."
+    remedy = CORRECT
     if not columns and len(row.fields) > 2:
         remedy = _say_columns(titles, len(row.fields))
     return refused(f"{name} has no point in line {row.number}", str(row), expected, _way_out(row) or remedy)

@@ -94,12 +94,9 @@ def _of_each(
 ) -> PointErrors:
     known = isinstance(length, float)
     if not known or given.model_error or given.spread:
-        raise InvalidInput(
-            "noise.sd",
-            value=f"{COLUMN}, with {'a model error or a spread' if known else 'an unknown length'}",
-            expected="a known length and no model error",
-            remedy="Remove model_error and spread." if known else "State the length, or write `sd: unknown`.",
-        )
+        value = f"{COLUMN}, with {'a model error or a spread' if known else 'an unknown length'}"
+        remedy = "Remove model_error and spread." if known else "State the length, or write `sd: unknown`."
+        raise InvalidInput("noise.sd", value=value, expected="a known length and no model error", remedy=remedy)
     assert sds is not None
     return PointErrors.of_each(sds, length=length, **others)
 
