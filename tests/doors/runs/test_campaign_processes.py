@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -61,6 +62,7 @@ def test_the_time_that_the_driver_takes_for_itself_makes_no_run_slow(path, tmp_p
 
     def pause(record, progress):
         assert wait_until(lambda: len(pids(tmp_path, "ends")) >= 2, 20)
+        time.sleep(0.5)  # the other run has ended; its record is on the way
         executor.starts.begun |= {key: begun - 100.0 for key, begun in executor.starts.begun.items()}
 
     batches(path, Counted(str(tmp_path)), [design(300, 400)], choose, executor, on_record=pause, patience=3.0)
