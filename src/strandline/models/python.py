@@ -194,6 +194,6 @@ def _polyline(points: Any) -> Any:
         array = array[:-1]
     elif np.isfinite(array).all():
         require_clear_ends(
-            array, "the array of points", "Return strandline.Interface.polyline(points, closed=True), or False."
+            array, "the array of points", "Return strandline.Interface.polyline(points, closed=True) or closed=False."
         )
     return Interface.polyline(array, closed=closed)

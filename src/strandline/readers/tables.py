@@ -228,7 +228,9 @@ def _require_one_width(name: str, rows: Sequence[TableRow], titles: Sequence[str
             _require_no_count(name, rows, range(len(rows[-1].fields)))
             what = f"{name} has too {'many' if count > usual else 'few'} fields in line {row.number}"
             expected = f"{usual}, as there are {'column names' if titles else 'in most lines'}"
-            remedy = (NO_POINT if row is rows[0] else _way_out(row)) or (OTHER_MARKS if count > usual else CORRECT)
+            remedy = (NO_POINT if row is rows[0] and not titles else _way_out(row)) or (
+                OTHER_MARKS if count > usual else CORRECT
+            )
             raise refused(what, f"{count}: {row}", expected, remedy)
 
 
@@ -239,7 +241,7 @@ def _require_x_before_y(name: str, titles: Sequence[str], comments: Sequence[str
         turned, pair = _in_order(*titles[::-1]), [*map(_quoted, titles)] if len({*titles}) > 1 else ["1", "2"]
         first = ", ".join(pair[::-1] if turned else pair)
         remedy = f"Give `columns: [{first}]`{'' if turned or down else ', or the other way round, with x first'}."
-        remedy += " Write y upwards, where rows of a picture count down." if down else ""
+        remedy += " Rows of a picture count downwards: write y upwards." if down else ""
         what, expected = f"{name} names its columns {titles[0]}, {titles[1]}", "x before y, or `columns`"
         raise refused(what, " ".join(titles), expected, remedy)
     orders = [(_axes(comment), comment) for comment in (*comments[::-1], " ".join(comments))]

@@ -147,6 +147,8 @@ BAD = [
     ("x y\n0,5 1,0\n1,5 2,0\n", XY, "too many fields in line 2"),
     ("n,x,y\n1,0,0\n2,1,1\n3,2", FIRST, "too few fields in line 4"),
     ("0,5;1.0\n", {"decimal": ","}, "decimal point in line 1: got 1.0"),
+    ("Specimen 3\n0,0\n1,1\n2,2\n", XY, "begin the line with #"),
+    ("x,y\n0 0\n1 1\n", XY, "as there are column names. With decimal commas"),
 ]
 REMEDIES = [
     ("node,x,y,z\n1,0,0,0\n2,1,1,0\n", {}, "no point in line 2: got 1 0 0 0; .* the 4 columns.* `columns: [x, y]`"),
