@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from strandline.discrepancy.kernel_integrals import PANEL, gauss_order
 from strandline.discrepancy.many_distances import FEWEST, similar
-from strandline.foundations import WHOLE, WIDEST, ample, double, exp2_of_minus, side_by_side
+from strandline.foundations import WHOLE, WIDEST, double, exp2_of_minus, side_by_side
 
 Cells = Int[np.ndarray, "cell 2"]
 Orders = tuple[int, int]
@@ -28,8 +28,9 @@ _PIECES = 64
 """The number of pieces is padded to a multiple of this."""
 _FARTHEST, _STEEPEST = 900.0, 200.0
 """Limits of exponents, to avoid overflow; only pairs so far apart that they contribute nothing reach them."""
-BLOCK = 256
-"""Runs processed together."""
+BLOCK, FEWEST_PAIRS = 128, 2048
+"""Runs processed together; least length of arrays of pairs. Arrays are padded to few lengths: each takes 0.2 s to trace
+and 0.4 s to compile."""
 PROBES = 8
 """Runs of a batch on which the orders of the Gauss rules are tried."""
 MARGIN = 0.1
@@ -131,14 +132,14 @@ def plain_sum(a: Pieces, b: Pieces, pairs: PiecePairs, orders: Orders) -> Float[
 def compiled_sum(a: Pieces, b: Pieces, pairs: PiecePairs, orders: Orders) -> Float[np.ndarray, " run"]:
     """Return the same, with JAX in double precision."""
     number = len(pairs.row)
-    room = (1 << max(number - 1, 0).bit_length()) - number  # few lengths: each one is compiled for
+    room = max(FEWEST_PAIRS, 1 << max(number - 1, 0).bit_length()) - number
     rows = tuple(np.pad(some, (0, room)) for some in (pairs.row, pairs.column, pairs.times))
     ours, theirs = (tuple(_padded(some) for some in (side.middles, side.halves)) for side in (a, b))
     return np.asarray(_loop()(ours, theirs, rows, number, WHOLE, orders=orders))
 
 
 def _padded(pieces: Float[np.ndarray, "piece 2 *run"]) -> Float[np.ndarray, "more 2 *run"]:
-    """Return pieces with more behind them, which no pair refers to, so that there are few lengths."""
+    """Return pieces with more behind them, which no pair refers to."""
     room = -len(pieces) % _PIECES
     return np.pad(pieces, ((0, room), *((0, 0),) * (pieces.ndim - 1)))
 
@@ -165,6 +166,14 @@ def _loop() -> Any:
     return loop
 
 
+@lru_cache(maxsize=1)
+def _power() -> Any:
+    """Return the bounded `exp2_of_minus`, which `jax.jit` traces once, not for each pair of nodes."""
+    import jax
+
+    return jax.jit(partial(exp2_of_minus, bounded=True))
+
+
 def _pair(apart: Any, h: Any, g: Any, whole: Any, orders: Orders) -> Any:
     """Return the contribution of one pair of pieces.
 
@@ -173,7 +182,7 @@ def _pair(apart: Any, h: Any, g: Any, whole: Any, orders: Orders) -> Any:
     """
     import jax.numpy as jnp
 
-    power = partial(exp2_of_minus, whole=whole, bounded=True)
+    power = partial(_power(), whole=whole)
     both = _dot(h, g)
     zero, ours = _powers(power, _dot(h, h), 2 * _dot(apart, h), orders[0])
     other_zero, theirs = _powers(power, _dot(g, g), -2 * _dot(apart, g), orders[1])
@@ -231,7 +240,7 @@ def currents_of_many(
     shapes, seen = np.moveaxis((points[order] - middle) / unit, 0, 2), (observed - middle) / unit
     batch = _Batch(shapes, cells, seen, observed_cells, tolerance / unit**2, share)
     orders = batch.orders()
-    blocks = np.array_split(np.arange(len(points)), -(-len(points) // BLOCK))
+    blocks = np.split(np.arange(len(points)), range(BLOCK, len(points), BLOCK))
     found = np.empty(len(points))
     found[order] = np.concatenate([*side_by_side(partial(batch.compiled, orders=orders), blocks)])
     return np.maximum(unit**2 * found + square, 0.0)
@@ -276,7 +285,8 @@ class _Batch:
 
     def compiled(self, rows: Int[np.ndarray, " some"], orders: Orders) -> Float[np.ndarray, " some"]:
         """Return ⟨S,S⟩ - 2⟨S,T⟩ of the runs `rows`, by the compiled loop."""
-        padded = np.pad(rows, (0, ample(len(rows)) - len(rows)), mode="edge")
+        length = BLOCK // 4 if len(rows) <= BLOCK // 4 else BLOCK
+        padded = np.pad(rows, (0, length - len(rows)), mode="edge")
         return self._summed(padded, orders, compiled_sum)[: len(rows)]
 
     def _summed(self, rows: Int[np.ndarray, " some"], orders: Orders, summed: PieceSum) -> Float[np.ndarray, " some"]:

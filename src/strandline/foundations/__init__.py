@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from strandline.foundations.computing import (
         WHOLE,
         WIDEST,
-        ample,
         assembled,
         double,
         exp2_of_minus,

@@ -105,15 +105,6 @@ _POWERS = Chebyshev.interpolate(np.exp2, 9, domain=[-0.5, 0.5]).convert(kind=Pol
 """Coefficients of 2**t on |t| ≤ 1/2, with a relative error of 2e-14."""
 
 
-def ample(length: int) -> int:
-    """Return an array length for a compiled function: few different lengths, so that it is rarely recompiled.
-
-    It exceeds `length` by at most a quarter.
-    """
-    step = 1 << max(length.bit_length() - 3, 0)
-    return -(-max(length, 1) // step) * step
-
-
 def exp2_of_minus(x: Any, whole: Any, *, bounded: bool) -> Any:
     """Return 2**-x for x above -1000 with a relative error of 2e-14, in half the time of `jnp.exp2`.
 
