@@ -23,7 +23,7 @@ $(VENV)/.installed-check: $(VENV)/.installed
 
 # The main job: 1000 fluid-structure runs, surrogate, posterior, figures, report.
 demo: env
-	$(BIN)/strandline run studies/biofilm-uniform
+	env -u OMP_NUM_THREADS $(BIN)/strandline run studies/biofilm-uniform
 
 # Run all examples of the published study and judge its claims.
 reproduce: env

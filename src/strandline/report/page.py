@@ -4,6 +4,7 @@ import base64
 import io
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Future
 from functools import partial
 from pathlib import Path, PurePath
 from typing import Any
@@ -22,6 +23,7 @@ from strandline.report.explore import explore
 from strandline.report.figures import figure_groups
 from strandline.report.html import embedded, one_line, save_page, script_hash, template
 from strandline.report.plots.style import Captioned, fitted, marked, saved, whole_folder
+from strandline.report.savers import Savers
 from strandline.report.warnings import LOO_LIMIT, reason_to_doubt
 
 
@@ -113,10 +115,16 @@ def _all_saved(
     """Save the figures and return what the page needs of each; an error ends its group but not the others."""
     shown: list[dict[str, str]] = []
     try:
-        with whole_folder(target) as folder:
+        with whole_folder(target) as folder, Savers(folder, draft=draft) as savers:
+            saving: list[tuple[str, Future[dict[str, str]]]] = []
             for name, figures in groups.items():
                 try:
-                    shown += (saved(captioned, folder, draft=draft) for captioned in figures)
+                    saving += ((name, savers.save(captioned)) for captioned in figures)
+                except Exception as error:
+                    note(f"{FIGURES} ({name})", error)
+            for name, one in saving:
+                try:
+                    shown.append(one.result())
                 except Exception as error:
                     note(f"{FIGURES} ({name})", error)
     except OSError as error:

@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
@@ -191,14 +191,15 @@ def root_scale(top: float) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
     Under a normal density it is linear in the number of standard deviations from the mode, so that the neighbourhood
     of the mode stays visible even if the log density falls by thousands elsewhere.
     """
+    return partial(_root, top=top), partial(_root_inverse, top=top)
 
-    def forward(value: Any) -> Any:
-        return np.sign(value - top) * np.sqrt(np.abs(value - top))
 
-    def inverse(root: Any) -> Any:
-        return top + root * np.abs(root)
+def _root(value: Any, *, top: float) -> Any:
+    return np.sign(value - top) * np.sqrt(np.abs(value - top))
 
-    return forward, inverse
+
+def _root_inverse(root: Any, *, top: float) -> Any:
+    return top + root * np.abs(root)
 
 
 def root_ticks(low: float, top: float, *, number: int = 4) -> tuple[list[float], list[str]]:
