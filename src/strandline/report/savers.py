@@ -56,9 +56,13 @@ class Savers:
 
     def _elsewhere(self, task: bytes) -> Any:
         process = self._own.process
-        process.stdin.write(task)
-        process.stdin.flush()
-        found = pickle.load(process.stdout)
+        try:
+            process.stdin.write(task)
+            process.stdin.flush()
+            found = pickle.load(process.stdout)
+        except (EOFError, OSError):
+            remedy = "Give it more memory, or set OMP_NUM_THREADS=1 to do without it."
+            raise RuntimeError(f"the process that saves figures ended too early. {remedy}") from None
         if isinstance(found, Exception):
             raise found
         return found

@@ -27,3 +27,13 @@ def test_processes_save_what_this_one_would(tmp_path: Path, monkeypatch: pytest.
     assert {file.name for file in there.iterdir()} == {"own.png", "own.pdf", "lambdas.png", "lambdas.pdf"}
     for kind in ("png", "pdf"):
         assert (there / f"own.{kind}").read_bytes() == (here / f"own.{kind}").read_bytes()
+
+
+def test_a_process_that_dies_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    with Savers(tmp_path, draft=True) as savers:
+        savers.save(captioned("first")).result()
+        savers._processes[0].kill()
+        savers._processes[0].wait()
+        with pytest.raises(RuntimeError, match=r"ended too early\. Give it more memory"):
+            savers.save(captioned("second")).result()
