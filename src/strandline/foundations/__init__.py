@@ -35,17 +35,20 @@ if TYPE_CHECKING:
     from strandline.foundations.files import end_of, how_it_ended, read_json, whole_file, write_json
     from strandline.foundations.refusals import (
         content_of,
+        imported,
         is_finite,
         keys_of,
+        lookup,
         named,
         number,
         numbers,
+        of_extra,
         require,
         require_label,
         require_name,
+        suggestion,
         unfit,
     )
-    from strandline.foundations.registry import imported, lookup, of_extra, suggestion
     from strandline.foundations.text import (
         RAISED,
         decimal,

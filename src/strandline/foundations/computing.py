@@ -30,11 +30,8 @@ def side_by_side(task: Callable[[Part], Result], parts: Iterable[Part]) -> Itera
     call this function itself.
     """
     workers = threads()
-    if workers == 1:
-        yield from map(task, parts)
-        return
-    pool = _pool(workers, os.getpid())
-    if pool.submit(double).result() != double():
+    pool = _pool(workers, os.getpid()) if workers > 1 else None
+    if pool is None or pool.submit(double).result() != double():
         yield from map(task, parts)
         return
     waiting: deque[Future[Result]] = deque()
@@ -76,9 +73,7 @@ def one_thread() -> AbstractContextManager[Any]:
     return _controller().limit(limits=1)  # type: ignore[no-any-return]
 
 
-@cache
-def _controller() -> ThreadpoolController:
-    return ThreadpoolController()
+_controller = cache(ThreadpoolController)
 
 
 def use_double() -> None:

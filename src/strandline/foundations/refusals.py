@@ -1,30 +1,33 @@
-"""What is wrong with a value, a name, options or a file, refused in one way: what, found, expected, what to do."""
+"""What is wrong with a value, a name, options or a file, refused in one way: what, found, expected, what to do.
 
+And objects by their name in a registry, which is a dict, or by ``module:name`` for third parties.
+"""
+
+import importlib
 import math
 import sys
-from collections.abc import Collection, Iterator, Mapping
+import traceback
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeGuard
 
 from strandline.foundations.errors import InvalidInput
-from strandline.foundations.registry import suggestion
 from strandline.foundations.text import LONGEST, is_label, is_name
 
 LARGEST = 1 << 23
 """Bytes of a file with a path or with clicks that is read."""
+OTHER = "Choose another one."
+MISSING = "Correct the name, install the module, or put its folder on PYTHONPATH."
 
 
 def require(
-    right: object,
-    what: str,
-    value: object,
-    expected: str,
-    remedy: str = "Choose another one.",
-    error: type[InvalidInput] = InvalidInput,
+    good: object, what: str, value: object, expected: str, remedy: str = OTHER, error: type[InvalidInput] = InvalidInput
 ) -> None:
-    """Refuse what is not right."""
-    if not right:
+    """Refuse what is not good."""
+    if not good:
         raise error(what, value=value, expected=expected, remedy=remedy)
 
 
@@ -104,3 +107,74 @@ def require_name(what: str, text: object, *, reserved: Collection[str] = ()) -> 
     if not is_name(text):
         expected = f"at most {LONGEST} characters on one line, without blanks at the ends and without / \\ = $"
         raise unfit(what, text or "an empty name", expected, "Rename the input.")
+
+
+def lookup(registry: Mapping[str, Any], name: str, what: str) -> Any:
+    """Return an entry of `registry`, or the object that ``module:name`` names.
+
+    Args:
+        registry: Entries by name: objects, or ``module:name`` of objects that are imported only when used.
+        name: Name of an entry, or ``module:name``.
+        what: What the entries are, for messages.
+
+    Raises:
+        InvalidInput: There is no such entry; the message suggests the closest one.
+    """
+    if name in registry:
+        found = registry[name]
+        return imported(found, what) if isinstance(found, str) else found
+    if ":" in name:
+        return imported(name, what)
+    remedy = suggestion(name, registry, "Choose one of them.")
+    raise InvalidInput(what, value=name, expected=f"one of {', '.join(registry)}, or module:name", remedy=remedy)
+
+
+def imported(target: str, what: str, missing: str = MISSING) -> Any:
+    """Return the object ``module:name``; `missing` is the remedy if there is none.
+
+    Raises:
+        InvalidInput: The module does not exist, or does not define the name.
+    """
+    refused = partial(InvalidInput, what, value=target)
+    module, _, name = target.partition(":")
+    if not (module and name):
+        raise refused(expected="module:name, e.g. my_package.measures:Hausdorff", remedy=missing)
+    try:
+        found: Any = importlib.import_module(module)
+    except Exception as error:
+        why = f"{type(error).__name__}: {error}"
+        absent = error.name if isinstance(error, ModuleNotFoundError) else None
+        if absent and f"{module}.".startswith(f"{absent}."):
+            raise refused(expected=f"a module that can be imported ({why})", remedy=missing) from None
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        at = "" if isinstance(error, SyntaxError) else f", in {Path(place.filename).name}, line {place.lineno}"
+        remedy = f"Correct the module {module}{', or install what it imports' if absent else ''}."
+        raise refused(expected=f"a module without mistakes ({why}{at})", remedy=remedy) from None
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    if found is None:
+        raise refused(expected=f"a name defined in {module}", remedy=f"Correct {name}.")
+    return found
+
+
+def of_extra(module: str, extra: str, what: str) -> Any:
+    """Return a module that comes with an extra of the package.
+
+    Raises:
+        InvalidInput: It is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        found, remedy = f"no module {error.name}", f'Install it: pip install "strandline[{extra}]"'
+        raise InvalidInput(what, value=found, expected=f"the extra `{extra}`", remedy=remedy) from None
+
+
+def suggestion(name: str, known: Iterable[str], otherwise: str) -> str:
+    """Return a question that suggests the known name closest to `name`; `otherwise` if none is close.
+
+    The case of letters does not count. Words of one or two letters are close to none but themselves.
+    """
+    words = {one.lower(): one for one in known if min(len(one), len(name)) > 2 or one.lower() == name.lower()}
+    close = get_close_matches(name.lower(), words, n=1)
+    return f"Did you mean {words[close[0]]}?" if close else otherwise

@@ -6,6 +6,7 @@
 import html
 import re
 from collections.abc import Iterable, Sequence
+from typing import TypeGuard
 
 LONGEST = 64
 """Maximum number of characters in a name or a unit."""
@@ -13,20 +14,14 @@ NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 NOT_IN_NAMES = frozenset("/\\=$")
 
 
-def is_label(text: object) -> bool:
+def is_label(text: object) -> TypeGuard[str]:
     """Return whether `text` suits figures, tables and files: short, on one line, without the `$` of formulas."""
     return isinstance(text, str) and len(text) <= LONGEST and text.isprintable() and "$" not in text
 
 
 def is_name(text: object) -> bool:
     """Return whether `text` can name an input: a label that works in netCDF files and in ``--set NAME=NUMBER``."""
-    return (
-        isinstance(text, str)
-        and is_label(text)
-        and text == text.strip()
-        and text not in ("", ".", "..")
-        and not NOT_IN_NAMES & set(text)
-    )
+    return is_label(text) and text == text.strip() and text not in ("", ".", "..") and not NOT_IN_NAMES & set(text)
 
 
 def listed(words: Sequence[str], last: str = "and") -> str:
@@ -104,9 +99,7 @@ def figure_text(symbol: str) -> str:
 def html_text(symbol: str) -> str:
     """Return a symbol as escaped HTML: the part after an underscore becomes a subscript."""
     base, _, index = symbol.partition("_")
-    if not base or not index:
-        return html.escape(symbol)
-    return f"{html.escape(base)}<sub>{html.escape(index)}</sub>"
+    return f"{html.escape(base)}<sub>{html.escape(index)}</sub>" if base and index else html.escape(symbol)
 
 
 def html_table(head: Sequence[str], rows: Iterable[Sequence[str]], *, caption: str = "") -> str:
