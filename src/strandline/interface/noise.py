@@ -7,10 +7,10 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from strandline.foundations import InvalidInput, is_label, unfit
+from strandline.foundations import is_label, unfit
 from strandline.interface.interface import Interface
 from strandline.interface.normals import spacings
-from strandline.interface.point_errors import PointErrors
+from strandline.interface.point_errors import GLOBAL, PointErrors
 
 Known = tuple[float, float] | float | None
 """A range with a log-uniform prior, a known value, or None for a wide range that follows from the residuals."""
@@ -124,8 +124,7 @@ class UnknownErrors:
     @property
     def facts(self) -> dict[str, float]:
         """The global errors by name, lengths in mm."""
-        given = {name: getattr(self, name) for name in ("shift", "rotation", "scale", "offset")}
-        return {f"{name}_sd": float(value) for name, value in given.items() if value > 0}
+        return {f"{name}_sd": float(getattr(self, name)) for name in GLOBAL if getattr(self, name) > 0}
 
     @property
     def stated(self) -> bool:
@@ -152,14 +151,10 @@ class UnknownErrors:
     def require_fits(self, seen: Interface) -> None:
         """Refuse an interface that is too short for the correlation length, and surfaces."""
         if seen.dim == 3:
-            raise InvalidInput(
-                "noise of points on a surface",
-                value=self.inferred,
-                expected="a known sd and correlation length, and no model error",
-                remedy="Remove `model_error` and `spread`."
-                if self.stated
-                else "State them, e.g. noise: {sd: 3, length: 15, unit: um}.",
-            )
+            remedy = "Remove `model_error` and `spread`."
+            remedy = remedy if self.stated else "State them, e.g. noise: {sd: 3, length: 15, unit: um}."
+            expected = "a known sd and correlation length, and no model error"
+            raise unfit("noise of points on a surface", self.inferred, expected, remedy)
         longest = self.length[1] if isinstance(self.length, tuple) else self.length or 0.0
         self.known(1.0, longest).require_fits(seen)
 
@@ -244,4 +239,4 @@ class Observation:
 
 def is_condition(name: object) -> bool:
     """Return whether `name` can name a condition: "" for the only one, else a short text valid in file names."""
-    return isinstance(name, str) and is_label(name) and name == name.strip() and not set(name) & set("/\\")
+    return is_label(name) and name == name.strip() and not set(name) & set("/\\")

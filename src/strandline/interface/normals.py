@@ -87,7 +87,14 @@ def point_normals(interface: Interface, window: float) -> Float[np.ndarray, "poi
     """
     if interface.dim == 2:
         return normals_at(interface, _at_points(interface, interface.lengths), window)
-    normal = _of_surface(interface, window)
+    areas = interface.normals
+    own = np.zeros_like(interface.points)
+    for corner in range(3):
+        np.add.at(own, interface.cells[:, corner], areas)
+    near = cKDTree(interface.centres).query_ball_point(interface.points, window)
+    normal = np.array([areas[some].sum(axis=0) if some else one for some, one in zip(near, own, strict=True)])
+    cancelled = np.linalg.norm(normal, axis=1) < 0.5 * np.linalg.norm(own, axis=1)  # these have their own triangles'
+    normal = np.where(cancelled[:, None], own, normal)
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
 
@@ -133,15 +140,3 @@ def normals_at(polyline: Interface, places: Float[np.ndarray, " place"], window:
     chord = at(places + window) - at(places - window)
     normal = np.stack([-chord[:, 1], chord[:, 0]], axis=1)
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
-
-
-def _of_surface(interface: Interface, window: float) -> Float[np.ndarray, "point 3"]:
-    """Return sums of vector areas; a point whose neighbours cancel has those of its own triangles."""
-    areas = interface.normals
-    own = np.zeros_like(interface.points)
-    for corner in range(3):
-        np.add.at(own, interface.cells[:, corner], areas)
-    near = cKDTree(interface.centres).query_ball_point(interface.points, window)
-    out = np.array([areas[some].sum(axis=0) if some else one for some, one in zip(near, own, strict=True)])
-    cancelled = np.linalg.norm(out, axis=1) < 0.5 * np.linalg.norm(own, axis=1)
-    return np.where(cancelled[:, None], own, out)

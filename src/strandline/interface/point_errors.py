@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.linalg import cho_solve, solve_triangular
 
-from strandline.foundations import InvalidInput, unfit
+from strandline.foundations import unfit
 from strandline.interface.interface import Interface
 from strandline.interface.normals import as_complex, as_pairs, node_normals, rotations, spacings, steady_normals
 
@@ -72,7 +72,13 @@ class PointErrors:
         Raises:
             InvalidInput: A standard deviation that is not above 0 or not finite, or none at all.
         """
-        _require_sds(sds)
+        if not len(sds):
+            remedy = "Give them, or state one that holds for all points."
+            raise unfit("errors of the observed points", "no standard deviation", "one for each point", remedy)
+        for number, sd in enumerate(sds, start=1):
+            if not (math.isfinite(sd) and sd > 0):
+                remedy = "Correct it, or leave the point out."
+                raise unfit(f"standard deviation of point {number}", float(sd), "a finite number above 0", remedy)
         rms = float(np.sqrt(np.mean(np.square(sds))))
         return cls(rms, shares=tuple((np.asarray(sds, float) / rms).tolist()), **others)
 
@@ -82,12 +88,8 @@ class PointErrors:
             if math.isfinite(value) and (value > 0 if name == "sd" else 0 <= value <= most):
                 continue
             limit = f", at most {most:g}" + (" degrees" if name == "rotation" else ", a share") if name in MOST else ""
-            raise InvalidInput(
-                f"{name} of the errors of points",
-                value=value,
-                expected="a finite number above 0" if name == "sd" else f"a finite number, 0 or above{limit}",
-                remedy=f"Correct {name}.",
-            )
+            expected = "a finite number above 0" if name == "sd" else f"a finite number, 0 or above{limit}"
+            raise unfit(f"{name} of the errors of points", value, expected, f"Correct {name}.")
 
     def reversed(self) -> "PointErrors":
         """Return the errors of the same points in the opposite order."""
@@ -313,18 +315,7 @@ class ErrorModel:
         return float(np.log(self.local).sum() + 2 * np.log(np.diag(self._factor)).sum())
 
 
-def _require_sds(sds: Sequence[float] | PerPoint) -> None:
-    if not len(sds):
-        remedy = "Give them, or state one that holds for all points."
-        raise unfit("errors of the observed points", "no standard deviation", "one for each point", remedy)
-    for number, sd in enumerate(sds, start=1):
-        if not (math.isfinite(sd) and sd > 0):
-            remedy = "Correct it, or leave the point out."
-            raise unfit(f"standard deviation of point {number}", float(sd), "a finite number above 0", remedy)
-
-
 def _numbers(dim: int) -> dict[str, int]:
-    """Return how many global errors of each kind there are."""
     return {"shift": dim, "rotation": 1 if dim == 2 else 3, "scale": 1, "offset": 1}
 
 
@@ -342,8 +333,11 @@ def correlated(interface: Interface, length: float, number: int, random: np.rand
 
     On a polyline t is measured along it; the first and last point of a closed one are correlated the way round.
     """
-    if length > 0 and interface.dim == 3:
-        return _over(interface, length, number, random)
+    if length > 0 and interface.dim == 3:  # sums of random waves, Rahimi and Recht 2007; draws share the waves
+        waves = random.standard_normal((_WAVES, 3)) / (length * np.abs(random.standard_normal((_WAVES, 1))))
+        phases = interface.points @ waves.T
+        both = np.hstack([np.cos(phases), np.sin(phases)])
+        return np.asarray(random.standard_normal((number, 2 * _WAVES)) @ both.T / math.sqrt(_WAVES))
     white = random.standard_normal((number, len(interface.points)))
     return white if length == 0 else _along(interface, length, white)
 
@@ -360,11 +354,3 @@ def _along(polyline: Interface, length: float, white: Draws) -> Draws:
         value = keep[k] * value + new[k] * white[:, k + 1]
         out[:, corner] = value
     return out
-
-
-def _over(surface: Interface, length: float, number: int, random: np.random.Generator) -> Draws:
-    """Return sums of random waves (Rahimi and Recht 2007); the draws share the waves, not their amplitudes."""
-    waves = random.standard_normal((_WAVES, 3)) / (length * np.abs(random.standard_normal((_WAVES, 1))))
-    phases = surface.points @ waves.T
-    both = np.hstack([np.cos(phases), np.sin(phases)])
-    return np.asarray(random.standard_normal((number, 2 * _WAVES)) @ both.T / math.sqrt(_WAVES))

@@ -5,6 +5,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 Points = Float[np.ndarray, "point 3"]
+Others = Float[np.ndarray, "other 3"]
 Triangles = Int[np.ndarray, "cell 3"]
 
 
@@ -23,10 +24,7 @@ def shortest_altitudes(points: Points, cells: Triangles) -> Float[np.ndarray, " 
 
 
 def triangle_sides(points: int, cells: Triangles) -> tuple[Int[np.ndarray, "side 2"], Int[np.ndarray, " side"]]:
-    """Return the sides of triangles between so many points, each once, and how many triangles share each.
-
-    The lower number comes first.
-    """
+    """Return the sides between so many points, each once, the lower number first; how many triangles share each."""
     both = np.sort(np.stack([cells.ravel(), np.roll(cells, -1, axis=1).ravel()], axis=1), axis=1)
     found, counts = np.unique(both[:, 0] * points + both[:, 1], return_counts=True)
     return np.stack(np.divmod(found, points), axis=1), counts
@@ -45,12 +43,7 @@ def signed_volume(points: Points, cells: Triangles) -> float:
     return float(np.sum(a * np.cross(b, c))) / 6
 
 
-def agreement(
-    centres: Points,
-    normals: Points,
-    other_centres: Float[np.ndarray, "other 3"],
-    other_normals: Float[np.ndarray, "other 3"],
-) -> float:
+def agreement(centres: Points, normals: Points, other_centres: Others, other_normals: Others) -> float:
     """Return the mean cosine between normals of each triangle and the nearest one of the other surface.
 
     The sum of the means over the areas of both surfaces: -2 … 2, below 0 if they face opposite sides.

@@ -4,17 +4,7 @@ In: names, units, fixed values, densities. Out: the space of inputs that designs
 """
 
 from strandline.parameters.parameter_space import RESERVED, Parameter, ParameterSpace
-from strandline.parameters.priors import (
-    PRIORS,
-    LogNormal,
-    LogUniform,
-    Normal,
-    Prior,
-    ScaledBeta,
-    Truncated,
-    Uniform,
-    truncate,
-)
+from strandline.parameters.priors import PRIORS, LogNormal, LogUniform, Normal, Prior, ScaledBeta, Truncated, Uniform
 
 __all__ = [
     "LogNormal",

@@ -10,35 +10,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from strandline.foundations import (
-    InvalidInput,
-    figure_text,
-    html_table,
-    html_text,
-    require_label,
-    require_name,
-    unfit,
-    unit_text,
-)
+from strandline.foundations import figure_text, html_table, html_text, require_label, require_name, unfit, unit_text
 from strandline.parameters.priors import Prior, Truncated, require_span, truncate
 
-RESERVED = (
-    "weight",
-    "log_weight",
-    "log_likelihood",
-    "log_prior",
-    "particle",
-    "chain",
-    "draw",
-    "nuisance_value",
-    "nuisance_input",
-    "value_index",
-    "nuisance_values",
-    "conditional_log_evidence",
-)
+RESERVED = ("weight", "log_weight", "log_likelihood", "log_prior", "particle", "chain", "draw", "nuisance_value")
+RESERVED += ("nuisance_input", "value_index", "nuisance_values", "conditional_log_evidence")
 """Names of variables and dimensions in the files of a posterior; no input may have one of them."""
-
-
 PRIOR_POINTS = 1000
 """Quantiles from which the standard deviation of a prior is computed."""
 
@@ -133,10 +110,8 @@ class ParameterSpace:
             raise unfit("inputs to calibrate", found, "at least one input that is not nuisance", remedy)
 
     def _repr_html_(self) -> str:
-        rows = [
-            (html_text(p.name), html.escape(unit_text(p.unit)), html.escape(repr(p.prior)), "yes" if p.nuisance else "")
-            for p in self
-        ]
+        columns = ((p.name, unit_text(p.unit), repr(p.prior), "yes" if p.nuisance else "") for p in self)
+        rows = [(html_text(name), *map(html.escape, others)) for name, *others in columns]
         return html_table(("input", "unit", "prior", "nuisance"), rows)
 
     def __iter__(self) -> Iterator[Parameter]:
@@ -144,9 +119,7 @@ class ParameterSpace:
 
     def __getitem__(self, name: str) -> Parameter:
         if name not in self.names:
-            raise InvalidInput(
-                "name of an input", value=name, expected=f"one of {', '.join(self.names)}", remedy="Correct the name."
-            )
+            raise unfit("name of an input", name, f"one of {', '.join(self.names)}", "Correct the name.")
         return self.parameters[self.names.index(name)]
 
     @property

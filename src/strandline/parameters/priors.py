@@ -108,9 +108,8 @@ class LogNormal:
     fields: ClassVar[str] = "[mu, sigma]"
 
     def __post_init__(self) -> None:
-        _require_number(
-            "lognormal", "mu", self.mu, least=-MOST_MU, most=MOST_MU, hint=" (mu is the mean of log x, not of x)"
-        )
+        hint = " (mu is the mean of log x, not of x)"
+        _require_number("lognormal", "mu", self.mu, least=-MOST_MU, most=MOST_MU, hint=hint)
         _require_number("lognormal", "sigma", self.sigma, least=LEAST_SHARE, most=MOST_SIGMA)
 
     @property

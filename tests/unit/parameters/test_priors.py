@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from scipy import integrate, stats
 
 from strandline.foundations import InvalidInput
-from strandline.parameters import PRIORS, LogNormal, LogUniform, Normal, Prior, ScaledBeta, Truncated, Uniform, truncate
+from strandline.parameters import PRIORS, LogNormal, LogUniform, Normal, Prior, ScaledBeta, Truncated, Uniform
+from strandline.parameters.priors import truncate
 
 
 def cut(base, low, high):
