@@ -10,10 +10,10 @@ from strandline.foundations.doors import door
 if TYPE_CHECKING:
     from strandline.readers.cells import require_in_order
     from strandline.readers.contents import Block, Contents, Unreadable, refused, undamaged
-    from strandline.readers.ends import repeats_first, require_clear_ends
-    from strandline.readers.geojson import outlines
     from strandline.readers.options import READERS, TO_MM, Reading
     from strandline.readers.read import Reader, read_interface, read_point_sds
+    from strandline.readers.shape import repeats_first, require_clear_ends
+    from strandline.readers.tables import outlines
 else:
     __getattr__ = door(__name__, __file__)
 

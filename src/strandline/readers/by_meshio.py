@@ -99,11 +99,8 @@ def converted(mesh: Any) -> Contents:
                 data.setdefault(region, (data["gmsh:physical"] == tag) & (dim == dimension(block.type)))
         if block.type != "vertex" and len(block.data):
             blocks.append(Block(block.type, np.asarray(block.data, dtype=np.int64), data))
-    return Contents(
-        np.asarray(mesh.points, dtype=float),
-        tuple(blocks),
-        {name: np.asarray(v) for name, v in mesh.point_data.items()},
-    )
+    data = {name: np.asarray(values) for name, values in mesh.point_data.items()}
+    return Contents(np.asarray(mesh.points, dtype=float), tuple(blocks), data)
 
 
 def read_legacy(path: Path, how: Reading, name: str) -> Contents:

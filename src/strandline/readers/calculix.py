@@ -14,9 +14,7 @@ from strandline.readers.contents import Block, Contents, refused
 from strandline.readers.options import Reading
 from strandline.readers.vtk_xml import chosen_time
 
-PRINTED = re.compile(
-    r"^ *displacements \(vx,vy,vz\) for set (\S+) and time +(\S+)\n\s*\n((?:[ \d].*(?:\n|\Z))*)", re.MULTILINE
-)
+PRINTED = re.compile(r"(?m)^ *displacements \(vx,vy,vz\) for set (\S+) and time +(\S+)\n\s*\n((?:[ \d].*(?:\n|\Z))*)")
 """Heading of printed displacements, with the set and the time, and their rows."""
 KINDS = {"1": "hexahedron", "2": "wedge", "3": "tetra", "4": "hexahedron20", "6": "tetra10", "7": "triangle"}
 KINDS |= {"8": "triangle6", "9": "quad", "10": "quad8", "11": "line", "12": "line3"}
@@ -84,7 +82,6 @@ def _values(lines: list[str], start: int) -> dict[int, list[float]]:
 
 
 def _blocks(lines: list[str], order: dict[int, int]) -> tuple[Block, ...]:
-    """Return the elements by kind."""
     found: dict[str, list[list[int]]] = {}
     start = next(k for k, line in enumerate(lines) if line.startswith("    3C"))
     for mark, *words in (line.split() for line in lines[start + 1 : lines.index(" -3", start)]):

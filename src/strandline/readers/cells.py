@@ -1,6 +1,6 @@
 """Cells of meshes: their edges, faces and boundaries, and the polylines that edges form."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components, depth_first_order
 from scipy.spatial import cKDTree
 
 from strandline.readers.contents import Block, refused
+from strandline.readers.options import Reading
 
 Points = Float[np.ndarray, "point xyz"]
 COINCIDENT = 1e-9
@@ -22,14 +23,8 @@ ALIKE = 1e-4
 """Difference of two sizes, as a share of them, that may be rounding: files print about six digits of each point."""
 LINES = {"line": (0, 1), "line3": (0, 2, 1)}
 """Nodes in their order along the cell."""
-RINGS = {
-    "triangle": (0, 1, 2),
-    "triangle6": (0, 3, 1, 4, 2, 5),
-    "quad": (0, 1, 2, 3),
-    "pixel": (0, 1, 3, 2),
-    "quad8": (0, 4, 1, 5, 2, 6, 3, 7),
-    "quad9": (0, 4, 1, 5, 2, 6, 3, 7),
-}
+RINGS = {"triangle": (0, 1, 2), "triangle6": (0, 3, 1, 4, 2, 5), "quad": (0, 1, 2, 3), "pixel": (0, 1, 3, 2)}
+RINGS |= dict.fromkeys(("quad8", "quad9"), (0, 4, 1, 5, 2, 6, 3, 7))
 """Nodes in their order around the cell."""
 FACES = {
     "tetra": ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)),
@@ -98,22 +93,18 @@ def joined(blocks: Sequence[Block], points: Points, moved: Points, name: str) ->
     return [replace(block, nodes=renumbered[block.nodes]) for block in blocks]
 
 
-def line_edges(blocks: Sequence[Block]) -> Int[np.ndarray, "edge 2"]:
+def line_edges(blocks: Sequence[Block], orders: Mapping[str, tuple[int, ...]] = LINES) -> Int[np.ndarray, "edge 2"]:
     """Return the edges of line cells; quadratic ones have two edges, through their middle node."""
     found = []
     for block in blocks:
-        chain = block.nodes[:, LINES[block.kind]]
+        chain = block.nodes[:, orders[block.kind]]
         found.append(np.stack([chain[:, :-1], chain[:, 1:]], axis=2).reshape(-1, 2))
     return np.concatenate(found)
 
 
 def boundary_edges(blocks: Sequence[Block]) -> Int[np.ndarray, "edge 2"]:
     """Return the edges that belong to only one plane cell, with the cell on their left if it is well numbered."""
-    found = []
-    for block in blocks:
-        ring = block.nodes[:, RINGS[block.kind]]
-        found.append(np.stack([ring, np.roll(ring, -1, axis=1)], axis=2).reshape(-1, 2))
-    edges = np.concatenate(found)
+    edges = line_edges(blocks, {kind: (*ring, ring[0]) for kind, ring in RINGS.items()})
     return np.asarray(edges[_once(edges)])
 
 
@@ -145,10 +136,7 @@ def _once(rings: Int[np.ndarray, "face node"]) -> Bool[np.ndarray, " face"]:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """Nodes in their order along a polyline.
-
-    `nodes`: node numbers, each once; `closed`: whether the last node is joined to the first.
-    """
+    """Nodes in their order along a polyline, each once; if it is closed, the last one is joined to the first."""
 
     nodes: Int[np.ndarray, " node"]
     closed: bool
@@ -176,21 +164,14 @@ def chains(edges: Int[np.ndarray, "edge 2"], points: Float[np.ndarray, "point 2"
     return found
 
 
-def chosen_chain(
-    found: Sequence[Chain],
-    points: Float[np.ndarray, "point 2"],
-    name: str,
-    *,
-    near: Sequence[float] | None,
-    longest: bool,
-) -> Chain:
+def chosen_chain(found: Sequence[Chain], points: Float[np.ndarray, "point 2"], how: Reading, name: str) -> Chain:
     """Return the one polyline among those found."""
     if not found:
         raise refused(f"{name} holds no interface", None, "cells that form a line", "Look at the selection.")
-    if near is not None:
-        place = np.asarray(near)[:2]
+    if how.near is not None:
+        place = np.asarray(how.near)[:2]
         return min(found, key=lambda chain: float(np.linalg.norm(points[chain.nodes] - place, axis=1).min()))
-    if longest:
+    if how.keep is not None:
         return found[largest([_length(chain, points) for chain in found], name)]
     if len(found) > 1:
         shown = [f"{_place(points[c.nodes[0]])} to {_place(points[c.nodes[-1]])}" for c in found[:3]]

@@ -13,7 +13,7 @@ TEXT = "strandline.readers.tables:read_text"
 ONE_TIME = {
     **dict.fromkeys((".csv", ".tsv"), TEXT),
     ".npy": "strandline.readers.tables:read_npy",
-    **dict.fromkeys((".json", ".geojson"), "strandline.readers.geojson:read_json"),
+    **dict.fromkeys((".json", ".geojson"), "strandline.readers.tables:read_json"),
 }
 SERIES = {
     ".pvd": "strandline.readers.vtk_xml:read_pvd",
@@ -46,7 +46,6 @@ Box = Mapping[str, tuple[float, float]]
 
 
 def _time(found: object) -> Any:
-    """Return a time of a series as a study file gives it."""
     if found == "last":
         return found
     if isinstance(found, Mapping) and len(found) == 1:
@@ -57,7 +56,6 @@ def _time(found: object) -> Any:
 
 
 def _data(found: object) -> Any:
-    """Return the name of data with a number, or several."""
     if isinstance(found, Mapping) and len(found) == 1:
         (name, value) = next(iter(found.items()))
         value = tuple(value) if isinstance(value, list | tuple) else value
@@ -67,7 +65,6 @@ def _data(found: object) -> Any:
 
 
 def _box(found: object) -> dict[str, tuple[float, float]]:
-    """Return a box."""
     if not (isinstance(found, Mapping) and found and set(found) <= set("xyz")):
         raise unfit("", found, "intervals of x, y or z, e.g. {x: [0, 1]}", "Correct it.")
     for name, ends in found.items():
@@ -77,7 +74,6 @@ def _box(found: object) -> dict[str, tuple[float, float]]:
 
 
 def _boxes(found: object) -> tuple[Box, ...]:
-    """Return one box or several."""
     return tuple(map(_box, found)) if isinstance(found, list | tuple) else (_box(found),)
 
 
@@ -156,7 +152,6 @@ class Reading:
         self._require_format()
 
     def _require_format(self) -> None:
-        """Refuse options that do not fit the format."""
         allowed = OF_TABLES if self.is_table else OF_MESHES
         if self.is_table and self.suffix not in ONE_TIME:
             allowed = allowed | {"plane", "time"}

@@ -16,10 +16,7 @@ from strandline.readers.shape import interface_of, point_sds
 from strandline.readers.tables import require_end
 
 FEBIO, DAT = "strandline.readers.calculix:read_febio", "strandline.readers.calculix:read_dat"
-TEXTS: dict[str, str] = {
-    r"\*Step *=.*\n\*Time *=.*\n\*Data *=": FEBIO,
-    r"(?s).*displacements \(vx,vy,vz\) for set": DAT,
-}
+TEXTS = {r"\*Step *=.*\n\*Time *=.*\n\*Data *=": FEBIO, r"(?s).*displacements \(vx,vy,vz\) for set": DAT}
 """Patterns of the first lines of a text file → the same, whatever its suffix."""
 PLANE = "Remove it. `plane: xz` takes x and z instead of x and y, `plane: yz` y and z"
 UNFIT: dict[str, tuple[str, set[str], str, str]] = {

@@ -13,16 +13,23 @@ from strandline.interface import Interface, signed_volume, vector_areas
 from strandline.readers import cells
 from strandline.readers.cells import Chain, chains, chosen_chain, require_in_order
 from strandline.readers.contents import Block, Contents, refused
-from strandline.readers.ends import repeats_first, require_clear_ends
 from strandline.readers.options import Reading
 from strandline.readers.tables import SD
 
 Points = Float[np.ndarray, "point xyz"]
 Plane = Float[np.ndarray, "point 2"]
+Chosen = Int[np.ndarray, " chosen"]
 FLATNESS = 1e-6
 """Share of the extent by which points may leave a plane: files in single precision are rounded by 1e-7."""
 ROUNDED = 1e-6
 """Slack of the sides of a box, as a share of the size of what is read: files print about six digits."""
+CLOSING = 1e-3
+"""Distance of a last point from the first, in median distances of neighbours, up to which an outline is closed."""
+CLOSE, GAP = 1.5, 0.1
+"""Distance of ends that nearly meet, at most, in median distances of neighbours and as a share of the length."""
+STRAIGHT = 0.5
+"""Cosine of the angles to its neighbours, at least, of a segment that would go on as a ring does."""
+OPEN_OR_CLOSED = "Say `closed: true`, as for outlines of OpenCV, or `closed: false`."
 LEAST_SEEN = 10
 """Fewest points that may be left if some are hidden."""
 IN_ORDER = "Put the points in order along the interface: `sort: x` does it if x grows along it, `sort: y` if y does."
@@ -97,7 +104,7 @@ def _of_table(contents: Contents, places: Points, moved: Points, how: Reading, n
     return polyline
 
 
-def _order(contents: Contents, places: Points, how: Reading, name: str) -> Int[np.ndarray, " chosen"]:
+def _order(contents: Contents, places: Points, how: Reading, name: str) -> Chosen:
     """Return the numbers of the chosen points of a table, along the interface."""
     if places.shape[1] != 2:
         raise refused(f"{name} holds points and no cells", f"{len(places)} points", "lines or faces between them")
@@ -126,9 +133,7 @@ def _order(contents: Contents, places: Points, how: Reading, name: str) -> Int[n
     return order
 
 
-def _one_piece(
-    order: Int[np.ndarray, " chosen"], pieces: Int[np.ndarray, " chosen"], places: Points, how: Reading, name: str
-) -> Int[np.ndarray, " piece"]:
+def _one_piece(order: Chosen, pieces: Chosen, places: Points, how: Reading, name: str) -> Int[np.ndarray, " piece"]:
     """Return the points of the piece that `near` or `keep` chooses."""
     found = [order[pieces == one] for one in np.unique(pieces)]
     if len(found) == 1:
@@ -168,10 +173,10 @@ def _of_cells(contents: Contents, places: Points, moved: Points, how: Reading, n
         faces = next((block.kind for block in contents.blocks if cells.dimension(block.kind) == 2), None)
         remedy = f"For the surface give `block: {faces}`; for a line choose `plane`." if faces else "Choose `plane`."
         raise refused(f"{name}: the line leaves its plane", how.plane, "a line in a plane", remedy)
-    edges = _merged(_kept(parts, wanted, name), places)
+    _, first, same = np.unique(places, axis=0, return_index=True, return_inverse=True)  # of points that coincide
+    edges = first[same.reshape(-1)][_kept(parts, wanted, name)]
     plane = places[:, how.axes]
-    found = chains(edges, plane, name)
-    chain = chosen_chain(found, plane, name, near=how.near, longest=how.keep is not None)
+    chain = chosen_chain(chains(edges, plane, name), plane, how, name)
     return _polyline(chain, plane, moved[:, how.axes], how.start)
 
 
@@ -201,7 +206,6 @@ def _chosen(contents: Contents, how: Reading, name: str) -> list[Block]:
 
 
 def _where(block: Block, key: str, wanted: Any, name: str) -> Block:
-    """Return the cells of a block whose data have the requested value."""
     chosen = _is_one_of(_data(block.data, key, f"{name} has no cell data"), wanted)
     return Block(block.kind, block.nodes[chosen], {k: values[chosen] for k, values in block.data.items()})
 
@@ -214,8 +218,7 @@ def _data(known: Mapping[str, Shaped[np.ndarray, "..."]], key: str, what: str) -
 
 def _is_one_of(values: Shaped[np.ndarray, "..."], wanted: Any) -> Bool[np.ndarray, " row"]:
     several = wanted if isinstance(wanted, tuple) else (wanted,)
-    found: Bool[np.ndarray, " row"] = np.isin(values.reshape(len(values), -1)[:, 0], several)
-    return found
+    return np.asarray(np.isin(values.reshape(len(values), -1)[:, 0], several))
 
 
 def _wanted(contents: Contents, places: Points, how: Reading, name: str) -> Bool[np.ndarray, " point"]:
@@ -243,12 +246,6 @@ def _inside(places: Points, box: Mapping[str, Sequence[float]]) -> Bool[np.ndarr
         column = places[:, "xyz".index(axis)] if "xyz".index(axis) < places.shape[1] else np.zeros(len(places))
         good &= (low - slack <= column) & (column <= high + slack)
     return good
-
-
-def _merged(parts: Int[np.ndarray, "part node"], places: Points) -> Int[np.ndarray, "part node"]:
-    """Return the parts with a single number for points that coincide."""
-    _, first, inverse = np.unique(places, axis=0, return_index=True, return_inverse=True)
-    return np.asarray(first[inverse.reshape(-1)][parts])
 
 
 def _polyline(chain: Chain, places: Plane, moved: Plane, start: Any) -> Interface:
@@ -306,12 +303,31 @@ def _place(point: int, lines: Sequence[int]) -> str:
     return f"in line {lines[point]}" if lines else f"with the number {point + 1}, counted from 1,"
 
 
-def _require_finite(
-    points: Points, chosen: Int[np.ndarray, " n"], name: str, lines: Sequence[int] = (), remedy: str = ""
-) -> None:
+def _require_finite(points: Points, chosen: Chosen, name: str, lines: Sequence[int] = (), remedy: str = "") -> None:
     finite = np.isfinite(points[chosen]).all(axis=1)
     if not finite.all():
         first = int(chosen[np.argmin(finite)])
         what = f"{name}: the point {_place(first, lines)} is not finite"
         remedy = remedy or "Remove or correct the point."
         raise refused(what, points[first].tolist(), "finite coordinates in mm", remedy, kind="non_finite")
+
+
+def repeats_first(chain: Plane) -> bool:
+    """Return whether a chain repeats its first point at its end, but for rounding."""
+    if len(chain) <= 3:
+        return False
+    lengths = np.linalg.norm(np.diff(chain, axis=0), axis=1)
+    return bool(np.linalg.norm(chain[0] - chain[-1]) <= CLOSING * np.median(lengths))
+
+
+def require_clear_ends(chain: Plane, name: str, remedy: str = OPEN_OR_CLOSED) -> None:
+    """Refuse an outline that may be closed: its ends are as near as neighbours, or one more segment makes it a ring."""
+    if len(chain) < 3:
+        return
+    steps = np.diff(chain, axis=0, append=chain[:1])
+    *lengths, gap = map(float, np.linalg.norm(steps, axis=1))
+    usual = float(np.median(lengths))
+    straight = [steps[-1] @ steps[k] >= STRAIGHT * gap * size for k, size in ((0, lengths[0]), (-2, lengths[-1]))]
+    if (all(straight) and gap <= CLOSE * max(lengths)) or gap <= min(GAP * sum(lengths), CLOSE * usual):
+        value, expected = f"{gap:.3g} mm apart, neighbours {usual:.3g} mm", "an outline that is clearly open or closed"
+        raise refused(f"{name} ends near its first point and does not repeat it", value, expected, remedy)

@@ -1,11 +1,13 @@
-"""Points in their order: text with two or more columns, and NumPy arrays."""
+"""Points in their order: text with two or more columns, NumPy arrays, and outlines of GeoJSON and labelme."""
 
 import csv
+import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,6 +15,7 @@ from jaxtyping import Float, Int
 from strandline.readers.contents import Contents, Unreadable, refused
 from strandline.readers.options import Reading
 
+Table = Float[np.ndarray, "point column"]
 SD = "sd of each point"
 """Name of the point data that hold standard deviations, in the file's unit."""
 AXES = (
@@ -56,14 +59,16 @@ MOST_COORDINATES = 3
 """Most rows that may be coordinates instead of points."""
 SHORTEST_PIECE = 3
 """Fewest points of each piece that a column of whole numbers tells apart."""
+DrawnLine = tuple[Float[np.ndarray, "point 2"], bool]
+CLOSED = {"polygon": True, "linestrip": False, "line": False}
+CLOSED |= {"Polygon": True, "MultiPolygon": True, "LineString": False, "MultiLineString": False}
+"""Shapes of labelme and geometries of GeoJSON → whether they are closed."""
 
 
 @dataclass(frozen=True)
 class TableRow:
-    """A line of a table.
-
-    `number`: number of the line in the file, from 1; `fields`: its fields, without blanks and quotes around them;
-    `after_gap`: whether a blank line or a comment stands between it and the row before.
+    """A line of a table: its number in the file, from 1; its fields, without blanks and quotes around them; and whether
+    a blank line or a comment stands between it and the row before.
     """
 
     number: int
@@ -133,9 +138,7 @@ def read_npy(path: Path, how: Reading, name: str) -> Contents:
     return Contents(points, data=data, displacement=moved)
 
 
-def _of_array(
-    name: str, array: Float[np.ndarray, "point column"], columns: Sequence[str | int]
-) -> Float[np.ndarray, "point chosen"]:
+def _of_array(name: str, array: Table, columns: Sequence[str | int]) -> Float[np.ndarray, "point chosen"]:
     for column in columns:
         if isinstance(column, str) or column > array.shape[1]:
             found, remedy = f"{array.shape[1]} columns", _say_columns((), array.shape[1])
@@ -178,10 +181,7 @@ def _is_header(row: TableRow) -> bool:
     return all(re.match(r"[^\W\d]|$", one) and not _is_number(one) and one.lower() not in MISSING for one in bare)
 
 
-def _columns(
-    name: str, rows: Sequence[TableRow], titles: Sequence[str], columns: Sequence[str | int]
-) -> Float[np.ndarray, "point column"]:
-    """Return columns of a table."""
+def _columns(name: str, rows: Sequence[TableRow], titles: Sequence[str], columns: Sequence[str | int]) -> Table:
     chosen = [_place(name, column, titles, rows[0], pair=len(columns) > 1) for column in columns]
     for row in rows:
         if len(row.fields) <= max(chosen) or not all(_is_number(row.fields[k]) for k in chosen):
@@ -201,7 +201,6 @@ def _place(name: str, column: str | int, titles: Sequence[str], row: TableRow, *
 
 
 def _with_points(name: str, rows: Sequence[TableRow]) -> list[TableRow]:
-    """Return rows with decimal commas replaced by decimal points."""
     for row in rows:
         odd = next((field for field in row.fields if _is_number(field) and "." in field), None)
         if odd is not None:
@@ -212,11 +211,8 @@ def _with_points(name: str, rows: Sequence[TableRow]) -> list[TableRow]:
 
 def _are_names(comment: Sequence[str], separator: str) -> bool:
     """Return whether a comment of two fields holds names of columns: of coordinates, or separated as numbers are."""
-    return (
-        [*map(_axes, comment)] in (["x", "y"], ["y", "x"])
-        or separator != " "
-        or all(len(word) == 1 for word in comment)
-    )
+    named = [*map(_axes, comment)] in (["x", "y"], ["y", "x"])
+    return named or separator != " " or all(len(word) == 1 for word in comment)
 
 
 def _require_one_width(name: str, rows: Sequence[TableRow], titles: Sequence[str]) -> None:
@@ -228,9 +224,8 @@ def _require_one_width(name: str, rows: Sequence[TableRow], titles: Sequence[str
             _require_no_count(name, rows, range(len(rows[-1].fields)))
             what = f"{name} has too {'many' if count > usual else 'few'} fields in line {row.number}"
             expected = f"{usual}, as there are {'column names' if titles else 'in most lines'}"
-            remedy = (NO_POINT if row is rows[0] and not titles else _way_out(row)) or (
-                OTHER_MARKS if count > usual else CORRECT
-            )
+            otherwise = OTHER_MARKS if count > usual else CORRECT
+            remedy = (NO_POINT if row is rows[0] and not titles else _way_out(row)) or otherwise
             raise refused(what, f"{count}: {row}", expected, remedy)
 
 
@@ -350,7 +345,8 @@ def _pieces(
             continue
         values = [row.fields[k] for row in rows]
         runs = np.cumsum([0, *(one != other for one, other in zip(values[1:], values, strict=False))])
-        lengths, different, whole = np.bincount(runs), len(set(values)), all(map(_is_label, values))
+        lengths, different = np.bincount(runs), len(set(values))
+        whole = all(not _is_number(one) or (math.isfinite(float(one)) and float(one).is_integer()) for one in values)
         if titles:
             most = len(values) - (values[0] == values[-1]) - 1 if whole else len(values) / 2
             apart = different <= most
@@ -360,10 +356,6 @@ def _pieces(
             return np.asarray(runs)
     gaps = np.cumsum([row.after_gap for row in rows])
     return gaps if gaps[-1] and how.sort is None else None
-
-
-def _is_label(text: str) -> bool:
-    return not _is_number(text) or (math.isfinite(float(text)) and float(text).is_integer())
 
 
 def _separator(lines: Sequence[str], how: Reading, name: str) -> str:
@@ -395,9 +387,7 @@ def require_end(path: Path, name: str) -> None:
 
 def _no_point(name: str, row: TableRow, titles: Sequence[str], columns: Sequence[str | int] = ()) -> Unreadable:
     expected = f"numbers in the columns {', '.join(map(str, columns))}" if columns else "two numbers x, y"
-    remedy = CORRECT
-    if not columns and len(row.fields) > 2:
-        remedy = _say_columns(titles, len(row.fields))
+    remedy = CORRECT if columns or len(row.fields) <= 2 else _say_columns(titles, len(row.fields))
     return refused(f"{name} has no point in line {row.number}", str(row), expected, _way_out(row) or remedy)
 
 
@@ -433,3 +423,28 @@ def _is_number(text: str) -> bool:
 def _quoted(title: str) -> str:
     """Return the name of a column as study.yaml holds it."""
     return title if re.fullmatch(r"[^\W\d][\w-]*", title) else f'"{title}"'
+
+
+def read_json(path: Path, how: Reading, name: str) -> Contents:
+    """Return the outlines of a GeoJSON file, each a piece of its own."""
+    found = [points for points, _ in outlines(path.read_bytes())]
+    if not found:
+        raise ValueError("no LineString or Polygon of GeoJSON in it")
+    return Contents(np.concatenate(found), pieces=np.repeat(np.arange(len(found)), [len(points) for points in found]))
+
+
+def outlines(content: bytes) -> list[DrawnLine]:
+    """Return points of each outline in a GeoJSON or labelme file, holes as well, and whether it is closed."""
+    return list(_drawn(json.loads(content)))
+
+
+def _drawn(found: Any) -> Iterator[DrawnLine]:
+    inner = [one for key in ("features", "geometries", "shapes") for one in found.get(key, ())]
+    for one in filter(None, [*inner, found.get("geometry")]):
+        yield from _drawn(one)
+    closed = CLOSED.get(found.get("shape_type", found.get("type")))
+    if closed is not None:
+        lines = [found["points"] if "points" in found else found["coordinates"]]
+        while not isinstance(lines[0][0][0], int | float):
+            lines = [line for outer in lines for line in outer]
+        yield from ((np.array([row[:2] for row in line], dtype=float), closed) for line in lines)

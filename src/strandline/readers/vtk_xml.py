@@ -18,6 +18,7 @@ from jaxtyping import Shaped
 from strandline.readers.contents import Block, Contents, refused
 from strandline.readers.options import Reading
 
+Array = Shaped[np.ndarray, "..."]
 ALWAYS_BYTES = 64 * 10**6
 PER_BYTE = 20
 """Meshes and their data shrink by a factor of 2 to 10."""
@@ -37,10 +38,7 @@ POINT_LIKE = (0, 1, 2)
 
 
 class Allowance:
-    """Number of bytes that the data of one file may still take.
-
-    `packed`: size of the file.
-    """
+    """Number of bytes that the data of one file, which has `packed` bytes, may still take."""
 
     def __init__(self, packed: int) -> None:
         self._packed = packed
@@ -50,10 +48,8 @@ class Allowance:
         """Use up `number` bytes."""
         self._left -= number
         if self._left < 0:
-            raise ValueError(
-                f"its data unpack to more than {self._limit / 1e6:.0f} MB, from {self._packed / 1e6:.2g} MB; "
-                "write them uncompressed"
-            )
+            found = f"more than {self._limit / 1e6:.0f} MB, from {self._packed / 1e6:.2g} MB"
+            raise ValueError(f"its data unpack to {found}; write them uncompressed")
 
     def unpacked(self, unpacker: Any, data: bytes) -> bytes:
         """Return compressed data as `unpacker`, a new object of zlib or lzma, unpacks them."""
@@ -107,7 +103,7 @@ def split(content: bytes) -> tuple[ElementTree.Element, Encoding]:
     return root, Encoding(order, header, UNPACKERS.get(compressor), Allowance(len(content)), appended, raw)
 
 
-def numbers(array: ElementTree.Element, encoding: Encoding) -> Shaped[np.ndarray, "..."]:
+def numbers(array: ElementTree.Element, encoding: Encoding) -> Array:
     """Return the numbers of a DataArray; (row, component) if it has several components."""
     dtype, form = _dtype(array.attrib["type"], encoding.order), array.get("format", "ascii")
     if form == "ascii":
@@ -177,9 +173,8 @@ def beside(path: Path, source: str) -> Path:
 
 def require_each_once(files: Sequence[str]) -> None:
     """Refuse a list that names a file more than once, which costs memory and adds nothing."""
-    again = next((file for file in files if files.count(file) > 1), None) if len(set(files)) < len(files) else None
-    if again is not None:
-        raise ValueError(f"it names {again} more than once")
+    if len(set(files)) < len(files):
+        raise ValueError(f"it names {next(file for file in files if files.count(file) > 1)} more than once")
 
 
 def joined(parts: Sequence[Contents]) -> Contents:
@@ -216,14 +211,10 @@ def _piece(piece: ElementTree.Element, encoding: Encoding, *, poly: bool) -> Con
     return Contents(coordinates.astype(float), blocks, _arrays(piece.find("PointData"), encoding))
 
 
-def _arrays(parent: ElementTree.Element | None, encoding: Encoding) -> dict[str, Shaped[np.ndarray, "..."]]:
-    """Return the arrays of numbers below `parent` by name."""
+def _arrays(parent: ElementTree.Element | None, encoding: Encoding) -> dict[str, Array]:
     found = [] if parent is None else parent.findall("DataArray")
-    return {
-        array.get("Name", f"#{k}"): numbers(array, encoding)
-        for k, array in enumerate(found)
-        if array.attrib["type"] != "String"
-    }
+    named = ((array.get("Name", f"#{k}"), array) for k, array in enumerate(found))
+    return {name: numbers(array, encoding) for name, array in named if array.attrib["type"] != "String"}
 
 
 def _cells(piece: ElementTree.Element, encoding: Encoding, *, poly: bool) -> Iterator[tuple[int, Any]]:
@@ -240,9 +231,7 @@ def _cells(piece: ElementTree.Element, encoding: Encoding, *, poly: bool) -> Ite
 
 
 def blocks_of(
-    cells: Sequence[tuple[int, Any]],
-    data: dict[str, Shaped[np.ndarray, "..."]],
-    visible: Shaped[np.ndarray, "..."] | None = None,
+    cells: Sequence[tuple[int, Any]], data: dict[str, Array], visible: Array | None = None
 ) -> tuple[Block, ...]:
     """Return the cells by kind; polylines become lines, polygons with more than three corners fans of triangles."""
     nodes: dict[str, list[Any]] = {}
@@ -276,10 +265,8 @@ def _parts(kind: int, nodes: Any) -> tuple[str, list[Any]]:
 
 def read_pvd(path: Path, how: Reading, name: str) -> Contents:
     """Return the joined contents of the files that a PVD file names for one time."""
-    found = [
-        (float(item.get("timestep", "0")), item.attrib["file"])
-        for item in ElementTree.fromstring(path.read_bytes()).iter("DataSet")
-    ]
+    sets = ElementTree.fromstring(path.read_bytes()).iter("DataSet")
+    found = [(float(item.get("timestep", "0")), item.attrib["file"]) for item in sets]
     times = sorted({time for time, _ in found})
     chosen = times[chosen_time(times, how, name)]
     files = [file for time, file in found if time == chosen]
