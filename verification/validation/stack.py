@@ -14,7 +14,7 @@ from verification.validation.rendered_stacks import Blob, Microscope
 from verification.validation.tables import arguments, finish, show, table
 
 from strandline.discrepancy import ClosestPoint, Currents
-from strandline.imaging.surfaces import StackFrame, find_surface
+from strandline.imaging import StackFrame, find_surface
 from strandline.interface import GaussianNoise, Interface, Observation
 
 SECONDS, DISTANCE, OWN, TRIANGLES = 3.0, 0.1, (0.7, 1.3), 5000

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from strandline.imaging.paths import is_of_clicks, read_path, typed_path
     from strandline.imaging.picture import SAME, Picture, PictureFile, PictureReading, PixelSize, Stack, StatedSize
     from strandline.imaging.read import read_frames, read_picture, read_stack
-    from strandline.imaging.surfaces import StackFrame, StatedRegion, Surface, find_surface
     from strandline.imaging.surfaces.mesh import Mesh, cut
+    from strandline.imaging.surfaces.surface import StackFrame, StatedRegion, Surface, find_surface
 else:
     __getattr__ = door(__name__, __file__)
 

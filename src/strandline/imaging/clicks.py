@@ -138,13 +138,9 @@ def read_clicks(path: Path) -> Clicks:
     """
     with named(path.name):
         found = _contents(path)
-        for key, kind, expected in (
-            ("image", str, "a text"),
-            ("sha256", str, "a text"),
-            ("closed", bool, "true or false"),
-        ):
+        for key, kind in (("image", str), ("sha256", str), ("closed", bool)):
             if not isinstance(found.get(key, False), kind):
-                raise unfit(key, found[key], expected, _AGAIN)
+                raise unfit(key, found[key], "a text" if kind is str else "true or false", _AGAIN)
         return Clicks(
             image=found["image"],
             sha256=found["sha256"],
@@ -176,7 +172,6 @@ def as_json(clicks: Clicks) -> dict[str, Any]:
 
 
 def _contents(path: Path) -> Mapping[str, Any]:
-    """Return the file as plain data with the right keys."""
     if not path.exists():
         there = sorted(one.name for one in path.parent.glob(f"*{SUFFIX}"))
         only = f"Did you mean {there[0]}?" if len(there) == 1 else "Move it there, or correct its name."

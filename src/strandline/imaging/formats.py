@@ -1,22 +1,27 @@
-"""Readers of picture files that need no TIFF: PNG, JPEG, NumPy arrays, HDF5, MATLAB 7.3 and Thorlabs .oct.
+"""Readers of picture files: PNG, JPEG, NumPy arrays, HDF5, MATLAB 7.3, Thorlabs .oct and TIFF.
 
-A Thorlabs scan is a zip archive with Header.xml and the intensity as raw 32-bit numbers, depth running fastest.
+A Thorlabs scan is a zip archive with Header.xml and the intensity as raw 32-bit numbers, depth running fastest. TIFF,
+of 8 and 16 bits or floating point, in stacks, by ImageJ or with OME's header, is read by tifffile.
 """
 
 import importlib
 import json
+import logging
+import math
+import struct
 import zipfile
+import zlib
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Shaped
 
-from strandline.foundations import suggestion
+from strandline.foundations import of_extra, suggestion
 from strandline.imaging.picture import PictureFile, PictureReading, PixelSize, require_pixels
-from strandline.readers import Unreadable, refused
+from strandline.readers import refused
 
 READERS = {".png": ("PIL.PngImagePlugin", "PngImageFile")}
 """Suffix → module and class of Pillow; other suffixes are JPEG. `PIL.Image.open` has another bound of the size."""
@@ -50,7 +55,6 @@ def _upright(image: Any, name: str) -> Any:
 
 
 def _notes(image: Any, path: Path) -> tuple[str, ...]:
-    """Return what the reader changes."""
     notes = []
     turned = image.getexif().get(ORIENTATION, 1)
     if turned in range(2, 9):
@@ -149,24 +153,18 @@ def _dataset(file: Any, h5py: Any, asked: str | None, name: str) -> tuple[str, t
         return found[0], (f"array {found[0]}, the only one in the file",)
     if key in found:
         return key, (f"array {key}",)
-    raise _no_dataset(found, asked, name)
-
-
-def _no_dataset(found: list[str], asked: str | None, name: str) -> Unreadable:
     listed = ", ".join(found[:MOST_LISTED]) + (", …" if len(found) > MOST_LISTED else "")
     if not found:
-        return refused(f"{name} holds no picture", asked, "a dataset of numbers with two or more axes")
+        raise refused(f"{name} holds no picture", asked, "a dataset of numbers with two or more axes")
     if asked is None:
         remedy = f"Add `dataset: {found[0]}` or another to the picture."
-        return refused(f"{name} holds several arrays", listed, "the name of one of them", remedy)
-    return refused(f"{name} has no array {asked}", asked, f"one of {listed}", suggestion(asked, found, "Choose one."))
+        raise refused(f"{name} holds several arrays", listed, "the name of one of them", remedy)
+    raise refused(f"{name} has no array {asked}", asked, f"one of {listed}", suggestion(asked, found, "Choose one."))
 
 
 HEADER, INTENSITY = "Header.xml", "data/Intensity.data"
 LARGEST_HEADER = 1 << 24
 """Bytes of the header that are read."""
-BYTES = 4
-"""Bytes of a number."""
 
 
 def read_oct(path: Path, how: PictureReading, name: str) -> PictureFile:
@@ -192,7 +190,7 @@ def _opened_oct(archive: zipfile.ZipFile, how: PictureReading, name: str, stack:
     header = _header(archive, members[HEADER], name)
     columns, rows, frames = (_length(header, axis, name) for axis in "XZY")
     require_pixels(name, rows, columns)
-    frame_bytes = BYTES * rows * columns
+    frame_bytes = 4 * rows * columns
     if members[INTENSITY].file_size != frames * frame_bytes:
         expected = f"{frames * frame_bytes}, for {rows} × {columns} × {frames} numbers"
         raise refused(f"{name} has an intensity of another length", members[INTENSITY].file_size, expected)
@@ -257,3 +255,157 @@ def _index_notes(header: ElementTree.Element, how: PictureReading, name: str) ->
         remedy = f"Add `index: {float(stated):g}` if depths are optical paths, or `index: 1` if they are divided."
         raise refused(f"{name} states a refractive index", stated, expected, remedy)
     return (f"the header states the refractive index {float(stated):g}; the study's is used",)
+
+
+MIN_IS_WHITE, MIN_IS_BLACK, RGB = 0, 1, 2
+"""TIFF's numbers of the ways in which a number becomes a colour."""
+JPEG_COLOURS = (6, 7)
+"""Colours and compression of a JPEG within a TIFF, which become red, green and blue."""
+LARGEST_TILE = 1 << 28
+"""Most numbers in a tile, which is decoded in one piece."""
+MOST_PAGES = 1_000_000
+DEFLATE = (8, 32946)
+"""TIFF's numbers of the compression by zlib, the only one that unpacks without a bound of its own."""
+MOST_UNPACKED = 1 << 28
+"""Bytes; what cannot unpack to more, at zlib's largest ratio, is not looked at before."""
+LARGEST_RATIO = 1032
+_MICROMETRES = ("um", "µm", "μm", "\\u00B5m", "micron", "microns", "micrometer")
+TO_MM = {"nm": 1e-6, "mm": 1.0, "cm": 10.0, "m": 1e3, "inch": 25.4, "in": 25.4} | dict.fromkeys(_MICROMETRES, 1e-3)
+"""Units as ImageJ and OME write them; both ways to write µ occur, and its code."""
+
+
+def read_tiff(path: Path, how: PictureReading, name: str) -> PictureFile:
+    """Return the first series of pictures in a TIFF file."""
+    tifffile = of_extra("tifffile", "image", f"{name} needs tifffile")
+    log = logging.getLogger("tifffile")
+    if not log.handlers:  # what it logs about a damaged file stays off the screen, for the error says it
+        log.addHandler(logging.NullHandler())
+    with ExitStack() as stack:
+        file = stack.enter_context(tifffile.TiffFile(path))
+        require_whole_chain(file)
+        return _opened_tiff(file, path, name, stack)
+
+
+def _opened_tiff(file: Any, path: Path, name: str, stack: ExitStack) -> PictureFile:
+    series = file.series[0]
+    page, shape = series.keyframe, dict(zip(series.axes, series.shape, strict=True))
+    rows, columns = shape["Y"], shape["X"]
+    require_pixels(name, rows, columns, page.samplesperpixel)
+    if page.is_tiled and page.tilelength * page.tilewidth > LARGEST_TILE:
+        raise refused(f"{name} has tiles that are too large", f"{page.tilelength} × {page.tilewidth}", "smaller tiles")
+    _require_intensities(series, page, name)
+    axes = tuple((axis, length) for axis, length in shape.items() if axis not in "YXS" and length != 1)
+
+    def load(frame: int) -> Shaped[np.ndarray, "row column *channel"]:
+        """Return a frame, channels last, high numbers bright."""
+        values = _stored(series, frame, path, file.byteorder)
+        if page.samplesperpixel > 1 and page.axes.startswith("S"):
+            values = np.moveaxis(values, 0, -1)
+        if page.photometric == MIN_IS_WHITE and values.dtype.kind in "bu":
+            values = (2**page.bitspersample - 1) - values.astype(np.int64)
+        return values
+
+    header = file.imagej_metadata or {}
+    size = _of_ome(file.ome_metadata) if file.is_ome else _of_imagej(header, page) if file.is_imagej else None
+    several, white = len(file.series) > 1, page.photometric == MIN_IS_WHITE
+    notes = [f"the first of {len(file.series)} series of pictures in the file"] if several else []
+    notes += ["0 is white in this file: turned so that high numbers are bright"] if white else []
+    return PictureFile((rows, columns), load, axes, size, tuple(notes), stack.pop_all().close)
+
+
+def _stored(series: Any, frame: int, path: Path, byteorder: str) -> Shaped[np.ndarray, "..."]:
+    """Return a frame as it is stored; ImageJ writes one page for a stack above 4 GB."""
+    count = series.size // series.keyframe.size
+    if count == len(series.pages) or series.dataoffset is None:
+        page = series.pages[frame]
+        require_parts(path, page)
+        return np.asarray(page.asarray())
+    kind = np.dtype(byteorder + series.dtype.char)
+    return np.array(np.memmap(path, kind, "r", series.dataoffset, (count, *series.keyframe.shape))[frame])
+
+
+def _require_intensities(series: Any, page: Any, name: str) -> None:
+    """Refuse several files, palettes, printers' colours and other numbers that are no intensities."""
+    if series.is_multifile:
+        raise refused(f"{name} refers to other files", "a series in several files", "one file", "Save it as one file.")
+    photometric = int(page.photometric) if page.photometric is not None else MIN_IS_BLACK
+    if photometric not in (MIN_IS_WHITE, MIN_IS_BLACK, RGB) and (photometric, page.compression) != JPEG_COLOURS:
+        remedy = "Save it in grey, or in red, green and blue."
+        raise refused(f"{name} has unusual colours", page.photometric.name, "grey, or red, green and blue", remedy)
+
+
+def _of_ome(header: str) -> PixelSize | None:
+    """Return the size in the first ``Pixels`` of an OME header, whose unit is µm unless it names another."""
+    if "<!DOCTYPE" in header:
+        return None
+    pixels = next((e for e in ElementTree.fromstring(header).iter() if e.tag.rpartition("}")[2] == "Pixels"), None)
+    if pixels is None:
+        return None
+    x, y, z = (_physical(pixels, axis) for axis in "XYZ")
+    return None if x is None or y is None else PixelSize(x, y, z, "the OME header")
+
+
+def _physical(pixels: ElementTree.Element, axis: str) -> float | None:
+    size = pixels.get(f"PhysicalSize{axis}")
+    factor = TO_MM.get(pixels.get(f"PhysicalSize{axis}Unit", "µm"))
+    return None if size is None or factor is None else factor * float(size)
+
+
+def _of_imagej(header: dict[str, Any], page: Any) -> PixelSize | None:
+    """Return the size from pixels per unit in the resolution tags, the unit from the description of ImageJ."""
+    unit = header.get("unit", "")
+    x, y, z = (TO_MM.get(str(header.get(name, unit))) for name in ("unit", "yunit", "zunit"))
+    across, along = (_per_pixel(page, f"{axis}Resolution") for axis in "XY")
+    if x is None or y is None or across is None or along is None:
+        return None
+    spacing = abs(float(header.get("spacing") or 0))
+    return PixelSize(x * across, y * along, z * spacing if z and spacing else None, "the ImageJ header")
+
+
+def _per_pixel(page: Any, tag: str) -> float | None:
+    """Return units per pixel from a fraction of pixels per unit."""
+    found = page.tags.get(tag)
+    if found is None or 0 in found.value:
+        return None
+    above, below = found.value
+    return float(below / above)
+
+
+def require_whole_chain(file: Any) -> None:
+    """Refuse a file one of whose pages lies beyond its end, so that it is cut off, or whose pages lie in a circle."""
+    form, handle, seen = file.tiff, file.filehandle, set[int]()
+    offset = file.pages.first.offset
+    while offset:
+        if offset in seen or len(seen) == MOST_PAGES:
+            raise ValueError("its pages lie in a circle")
+        seen.add(offset)
+        try:
+            handle.seek(offset)
+            (count,) = struct.unpack(form.tagnoformat, handle.read(form.tagnosize))
+            handle.seek(count * form.tagsize, 1)
+            (offset,) = struct.unpack(form.offsetformat, handle.read(form.offsetsize))
+        except struct.error:
+            raise EOFError("the file is cut off, or a page lies beyond its end") from None
+
+
+def require_parts(path: Path, page: Any, *, most: int = MOST_UNPACKED) -> None:
+    """Refuse a page that lacks strips or tiles, which tifffile fills with 0, or that unpacks to much more than it is.
+
+    `path`: path of the file; `page`: page that tifffile read; `most`: bytes to which each may unpack, if the page is
+    not larger.
+    """
+    expected = math.prod(page.keyframe.chunked)
+    found = sum(offset > 0 and count > 0 for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True))
+    if found < expected:
+        raise EOFError(f"{expected - found} of its {expected} strips or tiles are missing")
+    if int(page.compression) not in DEFLATE:
+        return
+    bound = max(most, 2 * page.nbytes)
+    for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
+        if count * LARGEST_RATIO <= bound:
+            continue
+        with path.open("rb") as file:
+            file.seek(offset)
+            packed = file.read(count)
+        if len(zlib.decompressobj().decompress(packed, bound + 1)) > bound:
+            raise ValueError(f"its {count} compressed bytes unpack to more than its pixels")

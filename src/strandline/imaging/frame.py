@@ -134,9 +134,7 @@ class _Fit:
         self.correlation = 0.0
         self.covariance = np.eye(3)
 
-    def improve(
-        self, first: Float[np.ndarray, "row column"], second: Float[np.ndarray, "other_row other_column"]
-    ) -> None:
+    def improve(self, first: Float[np.ndarray, "row column"], second: Float[np.ndarray, "rows columns"]) -> None:
         """Take Gauss–Newton steps until they are small, from pictures blurred alike.
 
         With slopes J₁ and J₂ of the two pictures, whose noise is independent, J₁ᵀJ₂ is free of it on average, while
@@ -155,10 +153,8 @@ class _Fit:
             (gain, level), *_ = np.linalg.lstsq(light, target[seen], rcond=None)
             residual = np.where(seen, target - gain * found - level, 0.0)
             # the light is fitted too: take its part out of the slopes
-            both = [
-                one - light @ np.linalg.lstsq(light, one, rcond=None)[0]
-                for one in (fixed_slopes[seen], gain * slopes[seen])
-            ]
+            pair = (fixed_slopes[seen], gain * slopes[seen])
+            both = [one - light @ np.linalg.lstsq(light, one, rcond=None)[0] for one in pair]
             J, variance = 0.5 * (both[0] + both[1]), self._variance(residual) / max(int(seen.sum()), 1)
             variance = max(variance, 1e-300)
             scatter = J.T @ J / variance + prior

@@ -95,12 +95,8 @@ def _in_frame(
         located = edge.method.locate(picture, edge.strip.course, edge.kept)
         kept = located.found & edge.kept
         points, limit = int(kept.sum()), int((located.at_limit & kept).sum())
-        shown = replace(
-            edge.errors,
-            contrast_to_noise=located.contrast_to_noise,
-            limit_share=limit / max(points, 1),
-            blur=located.blur * picture.unit,
-        )
+        share, blur = limit / max(points, 1), located.blur * picture.unit
+        shown = replace(edge.errors, contrast_to_noise=located.contrast_to_noise, limit_share=share, blur=blur)
         require_edge(points, shown, unit=picture.unit)
     return Interface.polyline(picture.unit * located.points[piece[located.found[piece]]], closed=edge.closed)
 

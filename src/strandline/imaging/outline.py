@@ -70,7 +70,7 @@ def outline_of(edge: Points, path: Float[np.ndarray, "click 2"], *, sd: float, l
     reach = float(np.median(np.linalg.norm(np.diff(path, axis=0), axis=1)))
     at = np.linspace(0.0, base.arc[-1], NODES)
     mean, covariance = _process(places, offsets, level / spacing, at, reach=reach, least=sd)
-    line = base.points(at) + mean[:, None] * base.normals(at)
+    line = base.spline(at) + mean[:, None] * base.normals(at)
     points, kept = _on_floor(line)
     seen = (at[kept] >= places.min()) & (at[kept] <= places.max())
     left = math.sqrt(float(np.median(np.diag(covariance)[kept][seen])))
@@ -86,10 +86,6 @@ class _Base:
         self.arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(fine, axis=0), axis=1))])
         self.spline = CubicSpline(self.arc, fine)
 
-    def points(self, at: Float[np.ndarray, " place"]) -> Float[np.ndarray, "place 2"]:
-        """Return its points at these arc lengths."""
-        return np.asarray(self.spline(at))
-
     def normals(self, at: Float[np.ndarray, " place"]) -> Float[np.ndarray, "place 2"]:
         """Return its unit normals, on the left of the path when y points up."""
         tangents = self.spline(at, 1)
@@ -99,12 +95,12 @@ class _Base:
     def located(self, edge: Points) -> tuple[PerPoint, PerPoint]:
         """Return arc length and offset along the normal of the base's nearest points, in order of arc length."""
         at = np.linspace(0.0, self.arc[-1], _SUBDIVIDED * len(edge))
-        nearest = cKDTree(self.points(at)).query(edge)[1]
+        nearest = cKDTree(self.spline(at)).query(edge)[1]
         found = at[nearest]
         for _ in range(3):  # Newton steps to the foot of the perpendicular
-            away, slope = edge - self.points(found), self.spline(found, 1)
+            away, slope = edge - self.spline(found), self.spline(found, 1)
             found = np.clip(found + (away * slope).sum(axis=1) / (slope**2).sum(axis=1), 0.0, self.arc[-1])
-        offsets = ((edge - self.points(found)) * self.normals(found)).sum(axis=1)
+        offsets = ((edge - self.spline(found)) * self.normals(found)).sum(axis=1)
         order = np.argsort(found, kind="stable")
         return found[order], offsets[order]
 

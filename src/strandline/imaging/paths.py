@@ -182,7 +182,6 @@ def is_of_clicks(path: Path) -> bool:
 
 
 def _reader(content: bytes) -> Callable[[bytes], FirstPath]:
-    """Return the function that reads the format that the first bytes show."""
     if content.startswith(b"Iout"):
         return _of_roi
     if content.startswith(b"PK"):
@@ -278,10 +277,7 @@ def _point(fields: list[str], number: int, line: int, remedy: str) -> tuple[floa
 
 
 def _of_shapes(content: bytes) -> FirstPath:
-    """Return the only shape in a Shapes layer of napari: open for a path, closed for a polygon.
-
-    Its last two axes are row and column.
-    """
+    """Return the only shape, path or polygon, in a Shapes layer of napari; the last two axes are row and column."""
     expected = f"columns {', '.join(COLUMNS)}"
     try:
         rows = list(csv.DictReader(io.StringIO(content.decode("utf-8-sig")), strict=True))

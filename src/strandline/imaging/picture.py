@@ -13,16 +13,10 @@ from strandline.foundations import imported, number, unfit
 from strandline.readers import TO_MM, refused
 
 UNITS = TO_MM | {"nm": 1e-6}
-EXAMPLE_OF_SIZE = "{x: 6.0, y: 4.0, unit: um} or {size: 6.0, unit: um}"
 SMALLEST, LARGEST = 1e-12, 1e9
 """Sizes, mm, that a picture may have; beyond them, areas and their squares overflow."""
 SAME = 0.01
 """Largest relative difference between the sizes that the study and a header state."""
-SCALES = ("intensity", "amplitude", "log10", "dB", "sRGB")
-"""What the numbers in the file are: the intensity, its root, its logarithm, 10 log10 of it, or coded for a screen."""
-CHANNELS = ("grey", "red", "green", "blue")
-INDICES = (1.0, 4.0)
-"""Smallest and largest refractive index that is accepted."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +75,8 @@ class StatedSize:
         for name, value in lengths.items():
             number(value, name, "a length above 0", low=5e-324)
         if lengths.keys() - {"z"} not in ({"size"}, {"x", "y"}):
-            raise unfit("x and y, or size", lengths or None, EXAMPLE_OF_SIZE)
+            expected = "{x: 6.0, y: 4.0, unit: um} or {size: 6.0, unit: um}"
+            raise unfit("x and y, or size", lengths or None, expected)
 
     @property
     def in_mm(self) -> PixelSize:
@@ -115,9 +110,10 @@ class PictureReading:
         average: Whether to average all frames of the file, which show one state.
         pixel: Size of a pixel; needed unless the file's header states it.
         index: Refractive index that divides the size along y, as depth in OCT is optical path; by default 1.
-        scale: What the numbers in the file are, one of `SCALES`; by default intensity.
+        scale: What the numbers in the file are: by default the intensity; or its root, its logarithm, 10 log10 of it,
+            or coded for a screen.
         dataset: Name of the array in an HDF5 or MATLAB file.
-        channel: Colour to take, one of `CHANNELS`; by default colours are converted to grey.
+        channel: Colour to take; by default colours are converted to grey.
         reader: Function that reads the file, ``module:name``; by default the suffix determines it.
 
     Raises:
@@ -139,9 +135,7 @@ class PictureReading:
         if self.page is not None and self.page < 0:
             raise unfit("page", self.page, "the number of a frame, from 0")
         if self.index is not None:
-            low, high = INDICES
-            expected = f"a refractive index from {low:g} to {high:g}, e.g. 1.333 for water"
-            number(self.index, "index", expected, low, high)
+            number(self.index, "index", "a refractive index from 1 to 4, e.g. 1.333 for water", 1.0, 4.0)
         if self.reader is not None and not callable(imported(self.reader, "reader")):
             raise unfit("reader", self.reader, "a function (path, how, name) -> PictureFile")
 

@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from strandline.foundations import imported, suggestion, unfit
-from strandline.imaging.formats import read_by_pillow, read_hdf5, read_npy, read_oct
+from strandline.imaging.formats import read_by_pillow, read_hdf5, read_npy, read_oct, read_tiff
 from strandline.imaging.picture import Picture, PictureFile, PictureReading, PixelSize, Stack, agreed, require_pixels
-from strandline.imaging.tiff import read_tiff
 from strandline.readers import refused, undamaged
 
 PictureReader = Callable[[Path, PictureReading, str], PictureFile]
@@ -33,6 +32,7 @@ COLOURS = ("red", "green", "blue")
 MOST_DECIBELS = 200.0
 """Largest range of a picture in decibels; a screen's 8 bits taken for decibels span 255."""
 Values = Float[np.ndarray, "row column"]
+Raw = Shaped[np.ndarray, "row column *channel"]
 _VOXEL = "e.g. `{x: 6, y: 6, z: 10, unit: um}`"
 
 
@@ -64,7 +64,7 @@ def opened(path: Path, how: PictureReading) -> Iterator[PictureFile]:
         file.close()
 
 
-def loaded(file: PictureFile, frame: int, name: str) -> Shaped[np.ndarray, "row column *channel"]:
+def loaded(file: PictureFile, frame: int, name: str) -> Raw:
     """Return the numbers of a frame."""
     with undamaged(name, "a whole picture file"):
         values = np.asarray(file.load(frame))
@@ -222,15 +222,12 @@ def _layers(file: PictureFile) -> str:
 
 
 def _require_same(first: Picture, other: Picture) -> None:
-    """Refuse frames of another size."""
     if first.values.shape != other.values.shape or not np.allclose(first.pixel, other.pixel, rtol=1e-6, atol=0):
         remedy = "Give frames of one camera and scale."
         raise refused(f"{other.name} differs from {first.name}", repr(other), repr(first), remedy)
 
 
-def intensity(
-    raw: Shaped[np.ndarray, "row column *channel"], how: PictureReading, name: str
-) -> tuple[Values, tuple[str, ...]]:
+def intensity(raw: Raw, how: PictureReading, name: str) -> tuple[Values, tuple[str, ...]]:
     """Return the intensity of each pixel, and sentences that say what was done.
 
     `raw`: numbers of the file, shape (row, column) or (row, column, channel). `how`: how to read the picture; its
@@ -247,10 +244,7 @@ def intensity(
     return values, (*notes, *of_colours, _scale_note(how.scale, coloured=channels > 2))
 
 
-def _chosen(
-    colours: Shaped[np.ndarray, "row column channel"], how: PictureReading, name: str
-) -> tuple[Values, tuple[str, ...]]:
-    """Return the channel that the study asks for, or grey."""
+def _chosen(colours: Raw, how: PictureReading, name: str) -> tuple[Values, tuple[str, ...]]:
     wanted = how.channel or "grey"
     if colours.shape[2] == 1:
         if wanted != "grey":

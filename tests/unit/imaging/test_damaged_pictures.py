@@ -16,9 +16,9 @@ from PIL import Image
 from tests.unit.imaging.files import oct_file, of_size, png, read, reading, refusal, tiff, with_tag
 
 from strandline.foundations import InvalidInput
+from strandline.imaging.formats import require_parts
 from strandline.imaging.picture import PictureFile, require_pixels
 from strandline.imaging.read import read_stack
-from strandline.imaging.tiff import require_parts
 
 HUGE = 200_000
 """Rows and columns of a picture of 40 gigapixels."""

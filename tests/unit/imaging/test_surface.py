@@ -12,8 +12,7 @@ from tests.unit.discrepancy.surfaces import sphere
 from verification.validation.rendered_stacks import Blob, Microscope
 
 from strandline.foundations import InvalidInput
-from strandline.imaging import Stack
-from strandline.imaging.surfaces import StackFrame, StatedRegion, find_surface
+from strandline.imaging import Stack, StackFrame, StatedRegion, find_surface
 from strandline.imaging.surfaces.mesh import Mesh, _noise, cut, thinned, two_levels
 from strandline.imaging.surfaces.surface import _outside
 from strandline.interface import Interface

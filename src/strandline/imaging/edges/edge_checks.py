@@ -99,10 +99,7 @@ def edge_errors(
 
 
 def offset_sd(straight: float, blur: float, curvatures: Float[np.ndarray, " point"]) -> float:
-    """Return the standard deviation of a common offset: that of a straight edge, and w²/2R, by which blur moves a bend.
-
-    R is the root mean square radius of the edge.
-    """
+    """Return the sd of a common offset: of a straight edge, and w²/2R, by which blur moves a bend of rms radius R."""
     bend = math.sqrt(float(np.mean(curvatures**2))) if len(curvatures) else 0.0
     return math.hypot(straight, 0.5 * blur**2 * bend)
 

@@ -18,15 +18,8 @@ from scipy.special import ndtr
 
 from strandline.foundations import InvalidInput, keys_of, lookup, unfit
 from strandline.imaging.edges.markov_path import MarkovPath
-from strandline.imaging.edges.profile_and_noise import (
-    PLATEAU,
-    EdgeTemplate,
-    learnt_template,
-    noise_covariance,
-    scatter_of,
-)
+from strandline.imaging.edges.profile_and_noise import PLATEAU, learnt_template, noise_covariance, scatter_of
 from strandline.imaging.edges.strip import (
-    NO_SCATTER,
     EdgeMethod,
     GreyValues,
     Located,
@@ -40,6 +33,7 @@ from strandline.imaging.edges.strip import (
     strip_along,
 )
 
+Basis = Float[np.ndarray, "place column"]
 _STEPS = 12
 """Gauss–Newton steps."""
 _BLURS = (0.3, 6.0)
@@ -87,15 +81,17 @@ class ErfStep:
         steps = fit_steps(strip, tolerance=0.02 if counted is None else 1e-5)
         jumps = steps.high - steps.low
         contrast = float(np.median(jumps[steps.found])) if steps.found.any() else 0.0
-        noise, scatter = math.nan, NO_SCATTER
+        noise, scatter = math.nan, Scatter()
         if counted is not None and (counted & steps.found).any():
             phi = _phi(strip, steps.places, steps.width)
             residuals = strip.samples - np.asarray(steps.low[:, None] + jumps[:, None] * phi)
-            basis, row = _influence(strip, steps, contrast)
-            noise, scatter = _noise_of(strip, steps.places, counted & steps.found, residuals, basis, row)
+            influence = _influence(strip, steps, contrast)
+            noise, scatter = _noise_of(strip, steps.places, counted & steps.found, residuals, *influence)
         sds = scatter.sd * abs(contrast) / np.maximum(np.abs(jumps), 0.01 * abs(contrast) + 1e-300)
-        edge = strip, steps.places, sds, steps.found
-        return _located(*edge, scatter, noise, reach=self.reach, blur=steps.width, contrast=contrast)
+        at_limit = steps.found & (np.abs(steps.places) > self.reach - 1.0)
+        edge = strip, steps.places, sds, steps.found, at_limit, scatter
+        to_noise = abs(contrast) / noise if noise != 0 else math.inf
+        return Located(*edge, steps.width, contrast, to_noise, {"noise": noise})
 
 
 def fit_steps(strip: Strip, *, tolerance: float = 1e-5) -> FittedSteps:
@@ -183,7 +179,7 @@ def _slopes(strip: Strip, places: PerNormal, width: float) -> tuple[Samples, Sam
     return np.exp(-0.5 * scaled**2) / (math.sqrt(2 * math.pi) * width), scaled
 
 
-def _influence(strip: Strip, steps: FittedSteps, contrast: float) -> tuple[Float[np.ndarray, "place 3"], PerPlace]:
+def _influence(strip: Strip, steps: FittedSteps, contrast: float) -> tuple[Basis, PerPlace]:
     """Return what noise does to a typical normal: its basis, and the change of u₀ per unit of noise."""
     middle = np.array([float(np.median(steps.places[steps.found]))])
     phi, (slope, _) = _phi(strip, middle, steps.width)[0], _slopes(strip, middle, steps.width)
@@ -223,14 +219,21 @@ class HalfLevel:
         relative = np.where(strip.usable, (strip.samples - right[:, None]) / scale[:, None], 0.0)
         normalised = Strip(relative, strip.usable & found[:, None], strip.places, course)
         template, _ = learnt_template(normalised, offsets)
-        noise, scatter = math.nan, NO_SCATTER
+        noise, scatter = math.nan, Scatter()
         if counted is not None and (counted & found).any():
             expected = template.at(strip.places - offsets[:, None])
             residuals = (relative - expected) * (left - right)[:, None]
-            basis, row = self._influence(template, strip.places, contrast)
+            profile, sigma = template.at(strip.places), self.smooth / strip.step
+            kernel = gaussian_filter1d((np.abs(strip.places) < 0.5 * strip.step).astype(float), sigma)
+            smooth = gaussian_filter1d(profile, sigma)
+            slope = float(np.gradient(smooth, strip.places)[len(smooth) // 2])
+            # what alignment takes out of residuals, and the change of the edge per unit of noise in each sample
+            basis, row = np.gradient(profile, strip.places)[:, None], -kernel / (contrast * slope or math.inf)
             noise, scatter = _noise_of(strip, offsets, counted & found, residuals, basis, row)
-        edge = strip, offsets, np.full(len(offsets), scatter.sd), found
-        return _located(*edge, scatter, noise, reach=self.reach, blur=template.blur, contrast=contrast)
+        at_limit = found & (np.abs(offsets) > self.reach - 1.0)
+        edge = strip, offsets, np.full(len(offsets), scatter.sd), found, at_limit, scatter
+        to_noise = abs(contrast) / noise if noise != 0 else math.inf
+        return Located(*edge, template.blur, contrast, to_noise, {"noise": noise})
 
     def _crossings(self, strip: Strip, right: PerNormal, left: PerNormal, *, up: bool) -> tuple[PerNormal, Normals]:
         """Return the crossing of the half level nearest to the course on each normal, and where there is one."""
@@ -244,17 +247,6 @@ class HalfLevel:
         found = crosses.any(axis=1)
         return np.where(found, at[np.arange(len(at)), nearest], 0.0), found
 
-    def _influence(
-        self, template: EdgeTemplate, places: PerPlace, contrast: float
-    ) -> tuple[Float[np.ndarray, "place 1"], PerPlace]:
-        """Return what alignment takes out of residuals, and the change of the edge per unit of noise in each sample."""
-        step = float(places[1] - places[0])
-        kernel = gaussian_filter1d((np.abs(places) < 0.5 * step).astype(float), self.smooth / step)
-        profile = template.at(places)
-        smooth = gaussian_filter1d(profile, self.smooth / step)
-        slope = float(np.gradient(smooth, places)[len(places) // 2])
-        return np.gradient(profile, places)[:, None], -kernel / (contrast * slope or math.inf)
-
 
 def _sides(strip: Strip) -> tuple[PerNormal, PerNormal]:
     """Return the grey values on the right and on the left of the path, smoothed along it."""
@@ -267,35 +259,12 @@ def _sides(strip: Strip) -> tuple[PerNormal, PerNormal]:
     return out[0], out[1]
 
 
-def _located(
-    strip: Strip,
-    offsets: PerNormal,
-    sds: PerNormal,
-    found: Normals,
-    scatter: Scatter,
-    noise: float,
-    *,
-    reach: float,
-    blur: float,
-    contrast: float,
-) -> Located:
-    """Return the edge; contrast over noise is infinite without noise."""
-    at_limit = found & (np.abs(offsets) > reach - 1.0)
-    to_noise = abs(contrast) / noise if noise != 0 else math.inf
-    return Located(strip, offsets, sds, found, at_limit, scatter, blur, contrast, to_noise, {"noise": noise})
-
-
 def _noise_of(
-    strip: Strip,
-    offsets: PerNormal,
-    kept: Normals,
-    residuals: Samples,
-    basis: Float[np.ndarray, "place column"],
-    row: PerPlace,
+    strip: Strip, offsets: PerNormal, kept: Normals, left: Samples, basis: Basis, row: PerPlace
 ) -> tuple[float, Scatter]:
-    """Return the noise of a pixel, and the random errors of the points that are kept, from the residuals of a fit."""
+    """Return the noise of a pixel, and the random errors of the points that are kept, from what a fit has left."""
     weights = strip.usable & kept[:, None]
-    covariance = noise_covariance(np.where(weights, residuals, 0.0), weights, basis)
+    covariance = noise_covariance(np.where(weights, left, 0.0), weights, basis)
     noise = math.sqrt(max(float(covariance[0, 0]), 0.0) / strip.kept)
     return noise, scatter_of(np.where(kept, offsets, math.nan), covariance, row)
 
@@ -332,7 +301,6 @@ def edge_method(given: object, place: str = "method to find an edge") -> EdgeMet
 
 
 def _made(found: Any, name: object, options: Mapping[str, Any], place: str) -> Any:
-    """Return a method of a class, with its options."""
     if not isinstance(found, type):
         if options:
             raise unfit(place, f"{name} with options", "options for a class only", "Remove the options.")

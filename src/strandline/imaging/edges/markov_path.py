@@ -25,18 +25,7 @@ from strandline.imaging.edges.profile_and_noise import (
     levelled,
     sum_to_first_zero,
 )
-from strandline.imaging.edges.strip import (
-    NO_SCATTER,
-    GreyValues,
-    Located,
-    Normals,
-    PerNormal,
-    Samples,
-    Scatter,
-    SmoothPath,
-    Strip,
-    strip_along,
-)
+from strandline.imaging.edges.strip import GreyValues, Located, Normals, Scatter, SmoothPath, Strip, strip_along
 
 Table = Float[np.ndarray, "normal candidate"]
 Candidates = Float[np.ndarray, " candidate"]
@@ -107,21 +96,14 @@ class MarkovPath:
         if counted is not None:
             _require_speckle(speckle.skewness, math.sqrt(speckle.variance))
         found = strip.usable[:, np.abs(strip.places) <= self.support / 2].mean(axis=1) > 0.5
-        return Located(
-            strip=strip,
-            offsets=offsets,
-            sds=path.sd,
-            found=found,
-            at_limit=found & (np.abs(offsets) > self.reach - 1.0),
-            scatter=NO_SCATTER if counted is None else _scatter(path, found & counted),
-            blur=template.blur,
-            contrast=template.left - template.right,
-            contrast_to_noise=speckle.contrast_to_noise(template),
-            facts={"kappa": speckle.kappa, "speckle_variance": speckle.variance, "skewness": speckle.skewness},
-        )
+        at_limit = found & (np.abs(offsets) > self.reach - 1.0)
+        scatter = Scatter() if counted is None else _scatter(path, found & counted)
+        edge = strip, offsets, path.sd, found, at_limit, scatter
+        to_noise = speckle.contrast_to_noise(template)
+        facts = {"kappa": speckle.kappa, "speckle_variance": speckle.variance, "skewness": speckle.skewness}
+        return Located(*edge, template.blur, template.left - template.right, to_noise, facts)
 
     def _table(self, strip: Strip, template: EdgeTemplate, places: Candidates, speckle: "_Speckle") -> Table:
-        """Return the log-likelihood of each candidate on each normal."""
         m = template.at(strip.places - places[:, None])
         m = np.maximum(m, 1e-6 * float(m.max()))
         usable, weight = strip.usable.astype(float), speckle.kappa / speckle.variance
@@ -142,7 +124,7 @@ class _Speckle:
     skewness: float
 
     @classmethod
-    def of(cls, strip: Strip, expected: Samples) -> "_Speckle":
+    def of(cls, strip: Strip, expected: Float[np.ndarray, "normal place"]) -> "_Speckle":
         """Estimate them from a strip and what is expected of it."""
         usable = strip.usable.astype(float)
         scale = np.maximum(expected, 1e-6 * float(np.abs(expected).max()))
@@ -173,25 +155,20 @@ class Walk:
     paths drawn from it, shape (draw, normal).
     """
 
-    mean: PerNormal
-    sd: PerNormal
+    mean: Float[np.ndarray, " normal"]
+    sd: Float[np.ndarray, " normal"]
     draws: Float[np.ndarray, "draw normal"]
 
 
 def walk(
-    log_likelihood: Table,
-    candidates: Candidates,
-    drift: float,
-    *,
-    draws: int = 0,
-    random: np.random.Generator | None = None,
+    table: Table, candidates: Candidates, drift: float, *, draws: int = 0, random: np.random.Generator | None = None
 ) -> Walk:
     """Return the posterior of a path that changes by N(0, drift²) from one normal to the next, by forward–backward.
 
-    The log-likelihood of each equally spaced candidate on each normal may lack a constant on each. With a `drift` below
-    half the spacing of candidates the path could hardly move. `draws` is the number of paths to draw, by `random`.
+    `table` has the log-likelihood of equally spaced candidates on each normal, but for a constant on each. With a
+    `drift` below half their spacing the path could hardly move. `draws` is the number of paths to draw, by `random`.
     """
-    likelihood = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
+    likelihood = np.exp(table - table.max(axis=1, keepdims=True))
     kernel = np.exp(-0.5 * (np.subtract.outer(candidates, candidates) / drift) ** 2)
     kernel /= kernel.sum(axis=1, keepdims=True)
     forward = np.empty_like(likelihood)
@@ -237,10 +214,7 @@ def _require_intensity(picture: GreyValues) -> None:
 
 
 def _require_speckle(skewness: float, sd: float) -> None:
-    """Refuse grey values that scatter about their mean symmetrically or downwards, as no intensity of speckle does.
-
-    Skewness and standard deviation are those of the values over their mean.
-    """
+    """Refuse values that scatter, over their mean, symmetrically or downwards, as no intensity of speckle does."""
     if skewness < _SYMMETRIC * sd:
         what = "grey values of the scan do not scatter like the intensity of speckle: skewness over relative sd"
         remedy = "Undo the logarithm of a display scan (scale: log10 or dB); for a camera use method `erf`."
@@ -265,7 +239,6 @@ def _walk(table: Table, places: Candidates, drift: float, closed: bool, draws: i
 
 
 def _scatter(path: Walk, counted: Normals) -> Scatter:
-    """Return standard deviation and correlation length of drawn paths about their mean."""
     apart = (path.draws - path.mean)[:, counted]
     lags = min(apart.shape[1] - 1, _LONGEST)
     products = np.array([(apart[:, : apart.shape[1] - k] * apart[:, k:]).mean() for k in range(lags + 1)])

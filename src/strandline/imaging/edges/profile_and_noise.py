@@ -99,10 +99,8 @@ def columns_levelled(
     if not counts.any():
         return strip
     relative, number = strip.samples[counts] / expected[counts], int(columns.max()) + 1
-    samples, total = (
-        gaussian_filter1d(np.bincount(columns[counts], weights, number), _COLUMN, mode="nearest")
-        for weights in (np.ones(len(relative)), relative)
-    )
+    sums = [np.bincount(columns[counts], one, number) for one in (np.ones(len(relative)), relative)]
+    samples, total = gaussian_filter1d(sums, _COLUMN, mode="nearest")
     known = samples > 1e-9
     light = np.ones(number)
     light[known] = np.maximum(total[known] / samples[known], 1e-3)
@@ -111,10 +109,7 @@ def columns_levelled(
 
 
 def levelled(strip: Strip, expected: Samples) -> Strip:
-    """Return a strip without the differences in brightness between normals, smooth along the edge, due to light.
-
-    Light multiplies grey values, so that samples are divided by a gain.
-    """
+    """Return a strip divided by a gain that is smooth along the edge: light multiplies the grey values of normals."""
     mode = "wrap" if strip.course.closed else "nearest"
     apart = strip.samples / np.where(expected > 0, expected, np.inf)
     total = gaussian_filter1d((strip.usable * apart).sum(axis=1), _SHADOW, mode=mode)

@@ -21,13 +21,9 @@ from strandline.interface import inside_polygon
 
 PathPoints = Float[np.ndarray, "point 2"]
 PerNormal = Float[np.ndarray, " normal"]
-"""A number for each normal of a path."""
 PerPlace = Float[np.ndarray, " place"]
-"""A number for each place on a normal."""
 Normals = Bool[np.ndarray, " normal"]
-"""Which normals of a path are meant."""
 Samples = Float[np.ndarray, "normal place"]
-"""A number for each place on each normal."""
 _NEARER, _SLACK = 0.85, 1.0
 """A place on a normal belongs to another part of the path if that is nearer than this share of its distance, minus
 this slack."""
@@ -35,10 +31,7 @@ this slack."""
 
 @dataclass(frozen=True, eq=False)
 class SmoothPath:
-    """A smooth path, its points about one pixel apart.
-
-    `points`: points (x, y), shape (point, 2); `closed`: whether the last point is followed by the first.
-    """
+    """A smooth path of points (x, y) about one pixel apart; if it is closed, the first point follows the last."""
 
     points: PathPoints
     closed: bool
@@ -111,10 +104,7 @@ def course_through(points: PathPoints, *, closed: bool, sigma: float) -> SmoothP
 
 
 def smoothed(points: PathPoints, *, closed: bool, sigma: float) -> SmoothPath:
-    """Return the course along points, convolved with a Gaussian of this standard deviation along it.
-
-    The ends of an open path stay in place.
-    """
+    """Return the course along points, convolved along it with a Gaussian; the ends of an open one stay in place."""
     course = _equally_spaced(points, closed=closed).points
     if closed:
         return _equally_spaced(np.asarray(gaussian_filter1d(course, sigma, axis=0, mode="wrap")), closed=True)
@@ -250,16 +240,12 @@ class Scatter:
     """Random errors of the points along an edge, in units of the smaller side of a pixel.
 
     Args:
-        sd: Standard deviation s of a point along its normal.
-        length: Integral correlation length ℓ = ∫₀^∞ ρ(t) dt along the edge.
+        sd: Standard deviation s of a point along its normal; not a number before the last pass.
+        length: Integral correlation length ℓ = ∫₀^∞ ρ(t) dt along the edge; likewise.
     """
 
-    sd: float
-    length: float
-
-
-NO_SCATTER = Scatter(math.nan, math.nan)
-"""Errors before the last pass."""
+    sd: float = math.nan
+    length: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,7 @@ Points = Float[np.ndarray, "point 3"]
 PerPoint = Float[np.ndarray, " point"]
 Sides = Int[np.ndarray, "edge 2"]
 Places = Float[np.ndarray, "edge 3"]
+Lengths = Float[np.ndarray, " 3"]
 _ROUNDS, _CHEAPEST = 400, 0.4
 """Most rounds, and the share of the sides, the cheapest, of which some collapse in each."""
 _STUCK, _SIMPLEX = 5, 4
@@ -132,14 +133,11 @@ def _quadrics(mesh: Mesh) -> tuple[Float[np.ndarray, "point 3 3"], Points]:
     size = np.maximum(np.linalg.norm(areas, axis=1), 1e-30)
     tensor = areas[:, :, None] * areas[:, None, :] / size[:, None, None]
     vector = np.einsum("cij,cj->ci", tensor, mesh.points[mesh.cells[:, 0]])
-    tensors, vectors = np.zeros((len(mesh.points), 9)), np.zeros((len(mesh.points), 3))
+    both, sums = np.hstack([tensor.reshape(-1, 9), vector]), np.zeros((len(mesh.points), 12))
     for corner in range(3):
-        at = mesh.cells[:, corner]
-        for k in range(9):
-            tensors[:, k] += np.bincount(at, tensor.reshape(-1, 9)[:, k], len(mesh.points))
-        for k in range(3):
-            vectors[:, k] += np.bincount(at, vector[:, k], len(mesh.points))
-    return tensors.reshape(-1, 3, 3), vectors
+        for k in range(12):
+            sums[:, k] += np.bincount(mesh.cells[:, corner], both[:, k], len(mesh.points))
+    return sums[:, :9].reshape(-1, 3, 3), sums[:, 9:].copy()
 
 
 def _collapses(
@@ -252,18 +250,21 @@ class Field:
 
     values: Voxels
     raw: Float[np.ndarray, "z row column"]
-    stretch: Float[np.ndarray, " 3"]
+    stretch: Lengths
     sigma: float
 
     @property
-    def extent(self) -> Float[np.ndarray, " 3"]:
+    def extent(self) -> Lengths:
         """Place (x, y, z) of the last voxel; that of the first is 0."""
         return np.asarray((np.array(self.values.shape[::-1]) - 1) * self.stretch)
 
+    @property
+    def level(self) -> float:
+        """Grey value half way between those of the dark and of the bright part."""
+        return 0.5 * sum(two_levels(self.values))
 
-def field_of(
-    values: Float[np.ndarray, "z row column"], stretch: Float[np.ndarray, " 3"], *, smooth: float | None
-) -> Field:
+
+def field_of(values: Float[np.ndarray, "z row column"], stretch: Lengths, *, smooth: float | None) -> Field:
     """Return the smoothed grey values for voxels of a size along x, y and z.
 
     `smooth` is the standard deviation of the Gaussian, in sides of a voxel; by default 1, and up to 2 in a noisy stack.
@@ -298,7 +299,7 @@ def _noise(values: Voxels) -> float:
     return float(np.median(np.abs(difference))) / (_NORMAL * math.sqrt(2))
 
 
-def _blurred(values: Voxels, sigma: float, stretch: Float[np.ndarray, " 3"]) -> Voxels:
+def _blurred(values: Voxels, sigma: float, stretch: Lengths) -> Voxels:
     return np.asarray(gaussian_filter(values, sigma / stretch[::-1], mode="nearest", truncate=_TRUNCATE))
 
 
@@ -312,7 +313,8 @@ def level_surface(field: Field, level: float, *, triangles: int) -> Mesh:
     rims = np.maximum(1, np.rint(field.sigma / field.stretch)).astype(int)
     rims = np.where(np.array(field.values.shape[::-1]) > 4 * rims, rims, 0)
     inner = field.values[tuple(slice(rim, -rim or None) for rim in rims[::-1])]
-    found = 2 * _crossings(inner > level)
+    bright = inner > level  # neighbours on different sides: points of the finest grid, with two triangles each
+    found = 2 * sum(int(np.count_nonzero(np.diff(bright, axis=axis))) for axis in range(3))
     if found == 0:
         value, expected = f"no voxel on one side of the grey value {level:.6g}", "a bright and a dark part"
         remedy = "Choose the stack, or crop it to the solid and its surroundings."
@@ -335,11 +337,6 @@ def largest_part(mesh: Mesh) -> tuple[Mesh, float]:
     areas = np.bincount(part[mesh.cells[:, 0]], mesh.areas)
     largest = int(np.argmax(areas))
     return mesh.of_cells(part[mesh.cells[:, 0]] == largest), float(areas[largest] / areas.sum())
-
-
-def _crossings(bright: np.ndarray) -> int:
-    """Return the number of neighbours on different sides: that of the points of the surface on the finest grid."""
-    return sum(int(np.count_nonzero(np.diff(bright, axis=axis))) for axis in range(3))
 
 
 def _merged(points: Float[np.ndarray, "point 3"], cells: Int[np.ndarray, "cell 3"]) -> Mesh:

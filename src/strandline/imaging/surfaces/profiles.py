@@ -20,6 +20,7 @@ from strandline.foundations import unfit
 from strandline.imaging.surfaces.mesh import Field, Mesh, PerPoint, Points
 
 Values = Float[np.ndarray, "point place"]
+Triple = tuple[float, float, float]
 REACH, STEP = 7.0, 0.5
 PLATEAU = 4.0
 """Distance from the surface beyond which a side has its own grey value, in sides of a voxel."""
@@ -205,7 +206,7 @@ class SurfaceErrors:
     facts: dict[str, float]
 
 
-def noise_beside(field: Field, mesh: Mesh, normals: Points, profiles: Profiles) -> tuple[float, float, float]:
+def noise_beside(field: Field, mesh: Mesh, normals: Points, profiles: Profiles) -> Triple:
     """Return the noise on both sides of a surface, from differences along tangents of it.
 
     Its standard deviation in the smoothed stack, in its grey values, its correlation length ℓ there, in sides of a
@@ -255,20 +256,12 @@ def _of_voxels(field: Field, places: Points, level: PerPoint, far: np.ndarray) -
 
 
 def surface_errors(
-    field: Field,
-    mesh: Mesh,
-    profiles: Profiles,
-    noise: tuple[float, float, float],
-    moved: PerPoint,
-    *,
-    unit: float,
-    open_share: float,
-    area_share: float,
+    field: Field, mesh: Mesh, profiles: Profiles, noise: Triple, moved: PerPoint, unit: float, cut: float, share: float
 ) -> SurfaceErrors:
     """Return the errors of the points of a surface in sides of a voxel, of which one is `unit` mm.
 
     `noise` comes from `noise_beside`; `moved` is how far each point was moved to put right what blur does to a curved
-    surface.
+    surface; `cut` and `share` are the result's `open_share` and `area_share`.
     """
     noise_sd, noise_length, of_voxel = noise
     contrast = np.abs(profiles.inside - profiles.outside)
@@ -285,8 +278,8 @@ def surface_errors(
         offset=unit * offset,
         blur=unit * math.sqrt(max(blur**2 - field.sigma**2, 0.0)),
         contrast_to_noise=float(np.median(contrast)) / of_voxel if of_voxel > 0 else math.inf,
-        open_share=open_share,
-        area_share=area_share,
+        open_share=cut,
+        area_share=share,
         facts={
             "smoothing": unit * field.sigma,
             "noise": of_voxel,

@@ -11,16 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from strandline.foundations import number, numbers, unfit
 from strandline.imaging.picture import UNITS, Stack
-from strandline.imaging.surfaces.mesh import (
-    Field,
-    Mesh,
-    Points,
-    field_of,
-    largest_part,
-    level_surface,
-    thinned,
-    two_levels,
-)
+from strandline.imaging.surfaces.mesh import Field, Mesh, Points, field_of, largest_part, level_surface, thinned
 from strandline.imaging.surfaces.profiles import (
     Profiles,
     SurfaceErrors,
@@ -35,11 +26,7 @@ from strandline.imaging.surfaces.profiles import (
 )
 from strandline.interface import Interface, vector_areas
 
-SIGNS: dict[str, dict[str, float]] = {
-    "x": {"right": 1.0, "left": -1.0},
-    "y": {"down": 1.0, "up": -1.0},
-    "z": {"last": 1.0, "first": -1.0},
-}
+SIGNS = {"x": {"right": 1.0, "left": -1.0}, "y": {"down": 1.0, "up": -1.0}, "z": {"last": 1.0, "first": -1.0}}
 """Axis of the model → where it points in the stack → its sign."""
 ANGLES = "angles [x, y, z] from -360 to 360 degrees, about the axes of the model"
 Point = tuple[float, float, float]
@@ -132,7 +119,6 @@ class StatedRegion:
         return partial(self._holds, frame=frame)
 
     def _holds(self, points: Points, frame: StackFrame) -> Bool[np.ndarray, " point"]:
-        """Return which points, in voxels, lie in the region."""
         mm = UNITS[self.unit] if self.unit else 1.0
         at = points if self.voxels is not None else frame.to_mm(points)
         if self.ball is not None:
@@ -195,7 +181,7 @@ def find_surface(
         raise unfit("most triangles", triangles, f"at least {FEWEST}", "Use 5000.")
     unit = float(np.prod(stack.voxel)) ** (1 / 3)
     field = field_of(stack.values, np.array(stack.voxel) / unit, smooth=smooth)
-    level = 0.5 * sum(two_levels(field.values))
+    level = field.level
     mesh, share = largest_part(level_surface(field, level, triangles=triangles))
     mesh = thinned(mesh, triangles)
     if len(mesh.cells) < FEWEST:
@@ -210,7 +196,7 @@ def find_surface(
     normals, moved, profiles = normals[used], moved[used], profiles.of(used)
     noise = noise_beside(field, mesh, normals, profiles)
     mesh = Mesh(mesh.points + moved[:, None] * normals, mesh.cells)
-    errors = surface_errors(field, mesh, profiles, noise, moved, unit=unit, open_share=cut, area_share=share)
+    errors = surface_errors(field, mesh, profiles, noise, moved, unit, cut, share)
     require_surface(errors, 1 - float(profiles.found.mean()))
     return Surface(Mesh(mesh.points / field.stretch, mesh.cells), errors, number - len(mesh.cells))
 
