@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float
 from strandline.foundations import figure_text, html_table, html_text, require_label, require_name, unfit, unit_text
 from strandline.parameters.priors import Prior, Truncated, require_span, truncate
 
-RESERVED = ("weight", "log_weight", "log_likelihood", "log_prior", "particle", "chain", "draw", "nuisance_value")
-RESERVED += ("nuisance_input", "value_index", "nuisance_values", "conditional_log_evidence")
+RESERVED: tuple[str, ...] = ("weight", "log_weight", "log_likelihood", "log_prior", "particle", "chain", "draw")
+RESERVED += ("nuisance_value", "nuisance_input", "value_index", "nuisance_values", "conditional_log_evidence")
 """Names of variables and dimensions in the files of a posterior; no input may have one of them."""
 PRIOR_POINTS = 1000
 """Quantiles from which the standard deviation of a prior is computed."""
