@@ -9,32 +9,12 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from strandline.calibration import (
-    Alternative,
-    AlternativePosterior,
-    Baseline,
-    reweight_or_resample,
-    reweighted,
-    scaled_noise,
-    with_prior,
-)
-from strandline.foundations import InvalidInput
+from strandline import calibration, studies
+from strandline.calibration import Alternative, AlternativePosterior, Baseline, scaled_noise
+from strandline.foundations import require, unfit
 from strandline.interface import GaussianNoise, PointErrors
 from strandline.likelihood import FieldLikelihood
-from strandline.parameters import Prior
-from strandline.questions import require
-from strandline.studies import (
-    REMOVED,
-    Number,
-    Section,
-    Study,
-    build_prior,
-    changed_text,
-    checked,
-    load_yaml,
-    reuse_from,
-    write_copy,
-)
+from strandline.studies import Number, Section, Study
 
 NOISE, LENGTH = (0.2, 5.0), (0.0, 200.0)
 """Range of the factor on the noise's standard deviation, and of the correlation length, µm."""
@@ -85,7 +65,7 @@ def _in_words(noise: object) -> dict[str, Any]:
 
 def asked_by(given: Mapping[str, Any], study: Study) -> Asked:
     """Return what the page asks; refuse values that make no sense."""
-    asked = checked(Asked, given, "assumptions")
+    asked = studies.checked(Asked, given, "assumptions")
     known = asked.measure in (None, *study.discrepancies)
     require(known, "measure", asked.measure, f"one of {', '.join(study.discrepancies)}")
     for name in (*asked.priors, *asked.fixed):
@@ -99,12 +79,12 @@ def answer_to(asked: Asked, study: Study, now: Baseline, *, again: bool) -> Alte
     """Return the posterior under other assumptions without a run, by other weights or, if `again`, by new draws."""
     alternative = _alternative(asked, study, now)
     if again or alternative.fixed:
-        return reweight_or_resample(now, alternative, seed=SEED)
-    return reweighted(now, alternative)
+        return calibration.reweight_or_resample(now, alternative, seed=SEED)
+    return calibration.reweighted(now, alternative)
 
 
 def _alternative(asked: Asked, study: Study, now: Baseline) -> Alternative:
-    priors: dict[str, Prior] = {name: build_prior(one, f"prior of {name}") for name, one in asked.priors.items()}
+    priors = {name: studies.build_prior(one, f"prior of {name}") for name, one in asked.priors.items()}
     plain = asked.noise == 1 and asked.length_um is None and asked.measure is None
     possible, expected = plain or now.knowledge is not None, f"another prior only: {now.why_not}"
     require(possible, "assumptions", "another noise or measure", expected)
@@ -113,7 +93,7 @@ def _alternative(asked: Asked, study: Study, now: Baseline) -> Alternative:
         name="as asked",
         kind="several",
         about="the assumptions",
-        space=with_prior(now.space, priors),
+        space=calibration.with_prior(now.space, priors),
         likelihood=likelihood,
         fixed=dict(asked.fixed),
         by_prior_alone=likelihood is None,
@@ -148,20 +128,20 @@ def save_as(study: Study, name: str, asked: Asked) -> Path:
     present = study.folder.resolve()
     target = present.parent / name
     require(not target.exists(), "name of the new study", name, "no such folder yet")
-    text = changed_text(study.text, _changes(study, name, asked, present, target))
-    write_copy(present, target, f"# {name}: {study.name} with other assumptions\n{text}")
+    text = studies.changed_text(study.text, _changes(study, name, asked, present, target))
+    studies.write_copy(present, target, f"# {name}: {study.name} with other assumptions\n{text}")
     return target
 
 
 def _changes(study: Study, name: str, asked: Asked, present: Path, target: Path) -> dict[tuple[str, ...], Any]:
     """Return the values that differ in the new study, which takes over the runs of the present one."""
-    content = load_yaml(study.text)
+    content = studies.load_yaml(study.text)
     changes: dict[tuple[str, ...], Any] = {("name",): name}
     for key, prior in asked.priors.items():
         changes["inputs", key, "prior"] = dict(prior)
         changes["inputs", key, "box"] = content["inputs"][key].get("box", list(study.space[key].interval))
     for key, value in asked.fixed.items():
-        changes["inputs", key] = REMOVED
+        changes["inputs", key] = studies.REMOVED
         changes["fixed", key] = value
     if asked.noise != 1 or asked.length_um is not None:
         changes["noise",] = _noise(study, asked)
@@ -169,7 +149,7 @@ def _changes(study: Study, name: str, asked: Asked, present: Path, target: Path)
         stated = content["discrepancy"] if isinstance(content["discrepancy"], list) else [content["discrepancy"]]
         each = [{measure: options} for one in stated for measure, options in one.items()]
         changes["discrepancy",] = sorted(each, key=lambda one: asked.measure not in one)
-    changes["reuse",] = reuse_from(present, target, content.get("reuse"))
+    changes["reuse",] = studies.reuse_from(present, target, content.get("reuse"))
     return changes
 
 
@@ -178,16 +158,13 @@ def _noise(study: Study, asked: Asked) -> dict[str, Any]:
     noise = study.noise
     if not study.noises and isinstance(noise, GaussianNoise):
         return {"variance": float(f"{asked.noise**2 * noise.variance:.6g}")}
-    given = load_yaml(study.text)["noise"]
+    given = studies.load_yaml(study.text)["noise"]
     if not study.noises and isinstance(noise, PointErrors) and isinstance(given.get("sd"), int | float | str):
         sd = float(f"{asked.noise * TO_UM * noise.sd:.6g}")
         length = TO_UM * noise.length if asked.length_um is None else asked.length_um
         kept = {key: value for key, value in given.items() if key not in ("sd", "length", "unit")}
         if not kept:
             return {"sd": sd, "unit": "um", **({"length": float(f"{length:.6g}")} if length else {})}
-    raise InvalidInput(
-        "noise of the new study",
-        value="other noise for a study whose points or conditions have their own",
-        expected="a study with one standard deviation",
-        remedy="Change noise in study.yaml by hand.",
-    )
+    found = "other noise for a study whose points or conditions have their own"
+    expected, remedy = "a study with one standard deviation", "Change noise in study.yaml by hand."
+    raise unfit("noise of the new study", found, expected, remedy)

@@ -4,7 +4,6 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
@@ -13,35 +12,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib.tri import LinearTriInterpolator, Triangulation
 
+from strandline import studies
 from strandline.calibration import AlternativePosterior, Baseline, by_field, interim_posterior
 from strandline.design import Knowledge
-from strandline.foundations import (
-    InvalidInput,
-    InvalidStudy,
-    NumericsError,
-    TooFewRuns,
-    one_thread,
-    read_json,
-    use_double,
-)
+from strandline.foundations import InvalidInput, InvalidStudy, NumericsError, one_thread, read_json, require, use_double
 from strandline.interface import Interface
 from strandline.models import DrawsFields, ForwardModel, declared_conditions
 from strandline.posterior import reliability_threshold, systematic_indices
-from strandline.questions import baseline_of, field_knowledge, require
+from strandline.questions import baseline_of, field_knowledge
 from strandline.report import explore
-from strandline.runs import EXCLUDED, OPEN, Attempt, Ledger, Overview
-from strandline.studies import (
-    REFINEMENT,
-    STUDY,
-    SUMMARY,
-    Study,
-    digest_of,
-    finished_posterior,
-    observations_of,
-    picture_behind,
-    progress_as_planned,
-    results_of,
-)
+from strandline.runs import EXCLUDED, OPEN, Attempt, Details, Ledger, Overview
+from strandline.studies import STUDY, SUMMARY, Study, observations_of, results_of
 from strandline.view.assumptions import SEED, answer_to, asked_by, knobs_of, number_in
 
 OF_SUMMARY = ("warnings", "misfit", "certificate", "nearest")
@@ -165,7 +146,7 @@ class PosteriorFeed:
         with one_thread():
             try:
                 found, source = self._posterior()
-            except (InvalidStudy, InvalidInput, TooFewRuns, NumericsError) as error:
+            except (InvalidInput, NumericsError) as error:
                 self.shown = replace(self.shown, why_none=f"no posterior yet: {error}")
                 return
         before, moved = self.shown, None
@@ -182,7 +163,7 @@ class PosteriorFeed:
 
     def _posterior(self) -> tuple[Baseline, str]:
         if results_of(self.study) == "current":
-            stored = finished_posterior(self.study, purpose="show")
+            stored = studies.finished_posterior(self.study, purpose="show")
             return baseline_of(self.study, stored, purpose="the page"), "stored"
         knowledge = field_knowledge(self.study, purpose="the page")
         return interim_posterior(knowledge, self.study.space, seed=SEED), "so far"
@@ -214,20 +195,15 @@ class ViewedStudy:
 
     study: Study
 
-    @cached_property
-    def feed(self) -> RunsFeed:
-        return RunsFeed(self.study.ledger_path, self.study.space.names)
-
-    @cached_property
-    def newest(self) -> PosteriorFeed:
-        return PosteriorFeed(self.study)
+    def __post_init__(self) -> None:
+        self.feed = RunsFeed(self.study.ledger_path, self.study.space.names)
+        self.newest = PosteriorFeed(self.study)
 
     @property
     def facts(self) -> dict[str, Any]:
         study, observed = self.study, dict[str, Interface | None](observations_of(self.study)) or {"": None}
-        pictures = {
-            name: picture_behind(study, name, f"api/picture?{urlencode({'condition': name})}") for name in observed
-        }
+        links = {name: f"api/picture?{urlencode({'condition': name})}" for name in observed}
+        pictures = {name: studies.picture_behind(study, name, link) for name, link in links.items()}
         return {
             "name": study.name,
             "folder": str(study.folder),
@@ -253,12 +229,12 @@ class ViewedStudy:
         if ledger.is_file():
             with Overview(ledger) as overview:
                 driver = overview.driver()
-        files = tuple(changed_at(folder / name) for name in (STUDY, SUMMARY, REFINEMENT))
+        files = tuple(changed_at(folder / name) for name in (STUDY, SUMMARY, studies.REFINEMENT))
         return self.feed.version, driver, files, len(self.newest.shown.history)
 
     @property
     def state(self) -> dict[str, Any]:
-        progress = progress_as_planned(self.study)
+        progress = studies.progress_as_planned(self.study)
         summary = read_json(self.study.folder / SUMMARY) if progress.results == "current" else {}
         return {
             **progress.as_dict(),
@@ -275,7 +251,7 @@ class ViewedStudy:
             text = (self.study.folder / STUDY).read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError):
             return True
-        return digest_of(text) != self.study.text_digest
+        return studies.digest_of(text) != self.study.text_digest
 
     def run(self, place: int) -> dict[str, Any] | None:
         """Return the run in this place of the feed, with its interfaces, message and log; None if there is none."""
@@ -284,8 +260,7 @@ class ViewedStudy:
         key, attempt = found
         with Overview(self.study.ledger_path) as overview:
             exclusion = overview.exclusions().get(key)
-            details = overview.details([attempt.number]).get(attempt.number)
-        figures = {} if details is None else details.diagnostics
+            details = overview.details([attempt.number]).get(attempt.number, Details("", "", {}))
         return {
             "row": place,
             "key": key,
@@ -296,9 +271,9 @@ class ViewedStudy:
             "excluded": None if exclusion is None else exclusion.why,
             "observes": self.study.truth is not None and key == self.study.runs.key(self.study.truth),
             "seconds": attempt.seconds,
-            "message": "" if details is None else details.message,
-            "log": "" if details is None else details.log,
-            "diagnostics": {name: value for name, value in figures.items() if math.isfinite(value)},
+            "message": details.message,
+            "log": details.log,
+            "diagnostics": {name: value for name, value in details.diagnostics.items() if math.isfinite(value)},
             "interfaces": self._interfaces(key) if attempt.state == "ok" else {},
         }
 
