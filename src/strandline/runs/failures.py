@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from strandline.foundations import CampaignStopped, ForwardModelError, InvalidInput
+from strandline.foundations import CampaignStopped, ForwardModelError, require
 from strandline.models import ForwardModel
 from strandline.runs.ledger.ledger_schema import EXCLUDED
 from strandline.runs.ledger.record import RunRecord
@@ -49,9 +49,7 @@ class Retry:
     times: int = 1
 
     def __post_init__(self) -> None:
-        if self.times < 1:
-            remedy = "Use `continue` for none."
-            raise InvalidInput("retry of a failed run", value=self.times, expected="at least 1", remedy=remedy)
+        require(self.times >= 1, "retry of a failed run", self.times, "at least 1", "Use `continue` for none.")
 
 
 @dataclass(frozen=True)
@@ -74,16 +72,13 @@ class FailurePolicy:
 
     def __post_init__(self) -> None:
         for kind, action in self.actions.items():
-            if not isinstance(action, Retry) and action not in ("continue", "abort"):
-                what, expected = f"what is done about {kind}", "continue, abort, or {retry: N}"
-                raise InvalidInput(what, value=action, expected=expected, remedy="Correct the action.")
-        if self.stop_after < 1 or not self.stop_share > 0:
-            raise InvalidInput(
-                "when a failing campaign is stopped",
-                value=f"share {self.stop_share:g} after {self.stop_after} runs",
-                expected="a share above 0 and at least 1 run",
-                remedy="Correct the numbers; a share above 1 never stops it.",
-            )
+            known = isinstance(action, Retry) or action in ("continue", "abort")
+            expected = "continue, abort, or {retry: N}"
+            require(known, f"what is done about {kind}", action, expected, "Correct the action.")
+        sound, what = self.stop_after >= 1 and self.stop_share > 0, "when a failing campaign is stopped"
+        found = f"share {self.stop_share:g} after {self.stop_after} runs"
+        remedy = "Correct the numbers; a share above 1 never stops it."
+        require(sound, what, found, "a share above 0 and at least 1 run", remedy)
 
     def attempts(self, record: RunRecord, *, killed: int) -> int:
         """Return how often a run that ended like `record` may be tried in total; `killed` if its process vanished."""
@@ -98,19 +93,16 @@ class FailurePolicy:
 
     def tries_again(self, record: RunRecord) -> bool:
         """Return whether to repeat a failure of an earlier campaign: it ended that campaign, or `again` names it."""
-        if record.state == EXCLUDED:
-            return False
         wanted = bool(self.again & {record.failure_kind, record.state})
-        return not record.ok and (wanted or self.aborts(record))
+        return not record.ok and record.state != EXCLUDED and (wanted or self.aborts(record))
 
     def require_worth_going_on(self, made: Sequence[RunRecord]) -> None:
-        """Raise CampaignStopped if nearly all runs settled so far fail, or the first ones by one mistake; it shows a
-        log."""
+        """Raise CampaignStopped, with a log, if nearly all runs so far fail, or the first ones by one mistake."""
         failed = [record for record in made if not record.ok]
-        if len(made) >= self.stop_after and len(failed) >= self.stop_share * len(made):
-            raise _mostly_failed(failed, len(made))
+        mostly = len(made) >= self.stop_after and len(failed) >= self.stop_share * len(made)
         mistakes = {_mistake(record) for record in made[:ALIKE]}
-        if len(made) == ALIKE and self.stop_share <= 1 and len(mistakes) == 1 and None not in mistakes:
+        alike = len(made) == ALIKE and self.stop_share <= 1 and len(mistakes) == 1 and None not in mistakes
+        if mostly or alike:
             raise _mostly_failed(failed, len(made))
 
     def _action(self, record: RunRecord) -> "str | Retry | None":
@@ -167,10 +159,9 @@ def require_kinds(again: Iterable[str], known: Iterable[str]) -> None:
     """Refuse a kind of failure that no run ended with; the message lists those that occurred."""
     present = sorted(set(known))
     for kind in again:
-        if kind not in present:
-            expected = f"one of {', '.join(present)}" if present else "a failed run; there is none"
-            remedy = "`strandline status` lists the kinds and how many there are."
-            raise InvalidInput("--kind", value=kind, expected=expected, remedy=remedy)
+        expected = f"one of {', '.join(present)}" if present else "a failed run; there is none"
+        remedy = "`strandline status` lists the kinds and how many there are."
+        require(kind in present, "--kind", kind, expected, remedy)
 
 
 class Outages:

@@ -26,12 +26,14 @@ from dataclasses import dataclass
 from multiprocessing import Pipe, spawn
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import cast
 
-from strandline.foundations import InvalidInput, end_of, how_it_ended
+from strandline.foundations import InvalidInput, end_of, how_it_ended, require, unfit
 from strandline.models import ForwardModel
 from strandline.runs.ledger.overview import exists
 from strandline.runs.ledger.record import RunRecord, RunRequest, State, attempt, with_log
 
+Wanted = Callable[[], bool]
 READY, UNUSABLE = "ready", "unusable"
 _loading = threading.Event()
 """Set while this process is a worker that runs the user's script to find the model."""
@@ -71,8 +73,7 @@ def _load(setup: Path) -> ForwardModel:
         _loading.set()
         spawn.prepare(preparation)
         _loading.clear()
-    loaded: ForwardModel = pickle.loads(model)
-    return loaded
+    return cast(ForwardModel, pickle.loads(model))
 
 
 def _die_with_driver() -> None:
@@ -128,19 +129,15 @@ def packed_model(model: ForwardModel) -> bytes:
 
 def require_not_loading() -> None:
     """Refuse to start workers from a worker that is only looking for the model in the user's script."""
-    if _loading.is_set():
-        what = "worker processes were asked for while a worker was loading the script that defines the model"
-        expected = "runs started under `if __name__ == '__main__':`"
-        remedy = "Put the code that starts the runs under that line, or the model into a module of its own."
-        raise InvalidInput(what, value="a script without a guard", expected=expected, remedy=remedy)
+    what = "worker processes were asked for while a worker was loading the script that defines the model"
+    expected = "runs started under `if __name__ == '__main__':`"
+    remedy = "Put the code that starts the runs under that line, or the model into a module of its own."
+    require(not _loading.is_set(), what, "a script without a guard", expected, remedy)
 
 
 def require_posix() -> None:
     """Refuse worker processes on a system that has no process groups."""
-    if os.name != "posix":
-        raise InvalidInput(
-            "worker processes", value=os.name, expected="Linux or macOS", remedy="Use InProcess(), or run under WSL."
-        )
+    require(os.name == "posix", "worker processes", os.name, "Linux or macOS", "Use InProcess(), or run under WSL.")
 
 
 ONE_THREAD = dict.fromkeys(
@@ -185,12 +182,11 @@ class WorkerSlot:
         self._worker: _Worker | None = None
         self._runs = 0
 
-    def start(self, *, wanted: Callable[[], bool]) -> bool:
-        """Return True once a worker process has loaded the model (else InvalidInput), False if it is no longer
-        `wanted`."""
+    def start(self, *, wanted: Wanted) -> bool:
+        """Return whether a worker process has loaded the model (else InvalidInput); False if no longer `wanted`."""
         return self._ready_worker(wanted) is not None
 
-    def run(self, request: RunRequest, timeout: float | None, *, wanted: Callable[[], bool]) -> RunRecord | None:
+    def run(self, request: RunRequest, timeout: float | None, *, wanted: Wanted) -> RunRecord | None:
         """Return the outcome of a run; None if it is no longer `wanted` before it begins.
 
         If it is no longer wanted after it has begun, it is stopped within half a second, as out of time; after
@@ -220,17 +216,14 @@ class WorkerSlot:
         self._drop()
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _answer(
-        self, worker: _Worker, timeout: float | None, wanted: Callable[[], bool]
-    ) -> RunRecord | tuple[State, str, str]:
+    def _answer(self, worker: _Worker, timeout: float | None, wanted: Wanted) -> RunRecord | tuple[State, str, str]:
         """Return the record that the worker sends, or how it ended; then it is killed."""
         began = time.monotonic()
         while wanted():
             left = LOOKED_AFTER_SECONDS if timeout is None else began + timeout - time.monotonic()
             if worker.connection.poll(max(0.0, min(LOOKED_AFTER_SECONDS, left))):
                 with contextlib.suppress(EOFError, OSError):
-                    record: RunRecord = worker.connection.recv()
-                    return record
+                    return cast(RunRecord, worker.connection.recv())
             elif left <= 0.0:
                 break
             elif not worker.gone():
@@ -241,7 +234,7 @@ class WorkerSlot:
         seconds = min(time.monotonic() - began, timeout or math.inf)
         return "timeout", "timeout", f"still running after {seconds:g} s, and killed"
 
-    def _ready_worker(self, wanted: Callable[[], bool]) -> _Worker | None:
+    def _ready_worker(self, wanted: Wanted) -> _Worker | None:
         """Return a worker that has loaded the model; None if it is no longer wanted."""
         if self._worker is not None and self._worker.process.poll() is not None:
             self._drop()
@@ -264,11 +257,10 @@ class WorkerSlot:
                 raise _unusable(f"the worker process ended with {how_it_ended(code)}\n{end_of(self._log)}")
             self._drop()
             killed += 1
-            if killed > KILLED_STARTS_BORNE:
-                what = "worker processes are killed before they have loaded the model"
-                expected = "workers that run until they are asked to stop"
-                remedy = "Look for what kills them (memory?), or use fewer workers."
-                raise InvalidInput(what, value=f"{killed} times", expected=expected, remedy=remedy)
+            what = "worker processes are killed before they have loaded the model"
+            expected = "workers that run until they are asked to stop"
+            remedy = "Look for what kills them (memory?), or use fewer workers."
+            require(killed <= KILLED_STARTS_BORNE, what, f"{killed} times", expected, remedy)
         return None
 
     def _launch(self) -> _Worker:
@@ -326,13 +318,10 @@ def _ended(worker: _Worker) -> int | None:
 def _unusable(text: str) -> InvalidInput:
     """Return the error of a model that no worker can load."""
     last = text.strip().splitlines()[-1] if text.strip() else "no output"
-    error = InvalidInput(
-        "a worker process could not load the model",
-        value=last,
-        expected="a model that a fresh interpreter can import",
-        remedy="If the model is defined in a script, start the runs under `if __name__ == '__main__':`; "
-        "in a notebook, put the model into a module of its own. InProcess() needs neither.",
-    )
+    what, expected = "a worker process could not load the model", "a model that a fresh interpreter can import"
+    remedy = "If the model is defined in a script, start the runs under `if __name__ == '__main__':`; "
+    remedy += "in a notebook, put the model into a module of its own. InProcess() needs neither."
+    error = unfit(what, last, expected, remedy)
     error.add_note(f"Output of the worker:\n{text.strip()[-4000:]}")
     return error
 
@@ -348,9 +337,9 @@ def scratch_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix=f"{PREFIX}{_machine()}-{pid}-{_begun(pid) or 0}-"))
 
 
-def clear_stale(parent: Path) -> int:
-    """Remove the folders in `parent` whose process was on this machine and is gone; return how many."""
-    cleared, names = 0, list[str]()
+def clear_stale(parent: Path) -> None:
+    """Remove the folders in `parent` whose process was on this machine and is gone."""
+    names = list[str]()
     with contextlib.suppress(OSError):
         names = os.listdir(parent)  # noqa: PTH208
     for name in names:
@@ -361,15 +350,9 @@ def clear_stale(parent: Path) -> int:
         if exists(pid) and _begun(pid) in (None, begun):  # a later process of this number does not count
             continue
         folder = parent / name
-        try:
-            ours = not folder.is_symlink() and folder.is_dir() and folder.stat().st_uid == os.getuid()
-        except OSError:  # another driver has just removed it
-            continue
-        if not ours:
-            continue
-        shutil.rmtree(folder, ignore_errors=True)
-        cleared += not folder.exists()
-    return cleared
+        with contextlib.suppress(OSError):  # another driver may have just removed it
+            if not folder.is_symlink() and folder.is_dir() and folder.stat().st_uid == os.getuid():
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def _begun(pid: int) -> int | None:

@@ -51,5 +51,4 @@ def with_workers(executor: Executor, workers: int | None) -> Executor:
     if workers is None or not hasattr(executor, "workers"):
         return executor
     bounds = {name: None for name in ("minimum", "maximum") if hasattr(executor, name)}
-    changed: Executor = replace(cast(Any, executor), workers=workers, **bounds)
-    return changed
+    return cast(Executor, replace(cast(Any, executor), workers=workers, **bounds))

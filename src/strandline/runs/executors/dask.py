@@ -16,7 +16,7 @@ from operator import length_hint
 from pathlib import Path
 from typing import Any, ClassVar
 
-from strandline.foundations import InvalidInput, of_extra
+from strandline.foundations import of_extra, require, unfit
 from strandline.models import ForwardModel
 from strandline.runs.executors import shared
 from strandline.runs.executors.dask_driver import Cluster, DaskDispatcher, Submissions
@@ -66,13 +66,15 @@ class DaskCluster:
         shared.require_seconds("timeout", self.timeout)
         for name, least in {"workers": 1, "minimum": 0, "maximum": 1}.items():
             shared.require_count(name, getattr(self, name), remedy="Correct the number.", least=least)
-        for wrong, what, value, expected, remedy in (*_contradictions(self), *_job_faults(self)):
-            if wrong:
-                raise InvalidInput(what, value=value, expected=expected, remedy=remedy)
-        if self.kind in QUEUES:
-            shared.require_count("jobs.cores", self.jobs["cores"], remedy="Correct the number.")
-            shared.walltime_seconds(self.jobs["walltime"])
-            shared.require_room_in_walltime(self.timeout, self.jobs["walltime"])
+        _require_consistent(self)
+        if self.kind not in QUEUES:
+            what, remedy = "none, because this cluster has no jobs", "Choose cluster: slurm or pbs, or remove jobs."
+            require(not self.jobs, "jobs", dict(self.jobs), what, remedy)
+            return
+        _require_known(self.jobs)
+        shared.require_count("jobs.cores", self.jobs["cores"], remedy="Correct the number.")
+        shared.walltime_seconds(self.jobs["walltime"])
+        shared.require_room_in_walltime(self.timeout, self.jobs["walltime"])
 
     @property
     def kind(self) -> str:
@@ -101,43 +103,36 @@ class DaskCluster:
             life = shared.walltime_seconds(self.jobs["walltime"]) if "walltime" in self.jobs else None
             limits = {"least": least, "most": length_hint(requests, sys.maxsize)}
             runs = DaskDispatcher(cluster, setup, iter(requests), timeout=self.timeout, life=life, **limits)
-            try:
+            with contextlib.closing(runs):
                 yield from runs.records()
-            finally:
-                runs.close()
 
 
-def _contradictions(options: DaskCluster) -> list[tuple[bool, str, object, str, str]]:
-    """Return options that contradict each other or that somebody else decides: whether they do, and the refusal."""
+def _require_consistent(options: DaskCluster) -> None:
+    """Refuse options that contradict each other or that somebody else decides."""
     place, workers, least, most = options.cluster, options.workers, options.minimum, options.maximum
     bounds = [value for value in (least, most) if value is not None]
-    both = place is not None and options.address is not None
-    alone, theirs = "workers alone, or minimum and maximum", "the workers that the scheduler has"
-    coming = "cluster: slurm or pbs, whose jobs come and go"
-    kinds, either = f"one of {', '.join(KINDS)}", "Leave the cluster out if there is a scheduler already."
-    larger = least is not None and (most is None or least > most)
-    return [
-        (place not in (None, *KINDS), "cluster", place, kinds, "Choose one, or give the address of a scheduler."),
-        (both, "cluster and address", f"{place} and {options.address}", "one of the two", either),
-        (workers is not None and bool(bounds), "workers and minimum or maximum", workers, alone, "Leave workers out."),
-        (options.kind not in QUEUES and bool(bounds), "minimum and maximum", bounds, coming, "Give workers instead."),
-        (options.kind == "address" and workers is not None, "workers", workers, theirs, "Leave workers out."),
-        (larger, "minimum", least, "a maximum that is at least as large", "Give one."),
-    ]
+    kinds, remedy = f"one of {', '.join(KINDS)}", "Choose one, or give the address of a scheduler."
+    require(place in (None, *KINDS), "cluster", place, kinds, remedy)
+    one, found = place is None or options.address is None, f"{place} and {options.address}"
+    remedy = "Leave the cluster out if there is a scheduler already."
+    require(one, "cluster and address", found, "one of the two", remedy)
+    alone, coming = "workers alone, or minimum and maximum", "cluster: slurm or pbs, whose jobs come and go"
+    require(workers is None or not bounds, "workers and minimum or maximum", workers, alone, "Leave workers out.")
+    require(options.kind in QUEUES or not bounds, "minimum and maximum", bounds, coming, "Give workers instead.")
+    ours, theirs = options.kind != "address" or workers is None, "the workers that the scheduler has"
+    require(ours, "workers", workers, theirs, "Leave workers out.")
+    fits = least is None or (most is not None and least <= most)
+    require(fits, "minimum", least, "a maximum that is at least as large", "Give one.")
 
 
-def _job_faults(options: DaskCluster) -> list[tuple[bool, str, object, str, str]]:
-    """Return what may be wrong with the options of jobs: whether it is, and the refusal."""
-    jobs = options.jobs
-    if options.kind not in QUEUES:
-        remedy = "Choose cluster: slurm or pbs, or remove jobs."
-        return [(bool(jobs), "jobs", dict(jobs), "none, because this cluster has no jobs", remedy)]
+def _require_known(jobs: Mapping[str, Any]) -> None:
+    """Refuse unknown options of jobs, and missing ones."""
     known, needed = f"one of {', '.join(JOB_OPTIONS)}", ("cores", "memory", "walltime")
-    rest = "directives of the queueing system go under extra."
-    return [
-        *((name not in JOB_OPTIONS, "jobs: unknown option", name, known, f"Remove {name}; {rest}") for name in jobs),
-        *((name not in jobs, f"jobs.{name}", None, ", ".join(needed), f"Add {name}.") for name in needed),
-    ]
+    for name in jobs:
+        remedy = f"Remove {name}; directives of the queueing system go under extra."
+        require(name in JOB_OPTIONS, "jobs: unknown option", name, known, remedy)
+    for name in needed:
+        require(name in jobs, f"jobs.{name}", None, ", ".join(needed), f"Add {name}.")
 
 
 JOB_OPTIONS = ("cores", "memory", "walltime", "queue", "account", "interface", "extra", "prologue")
@@ -201,13 +196,10 @@ def _client(place: Any, address: str, reach_seconds: float) -> Iterator[Any]:
         client: Any = Client(place, set_as_default=False, timeout=reach_seconds)  # type: ignore[no-untyped-call]
     except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        raise InvalidInput(
-            "Dask scheduler",
-            value=f"{address}: {reason}",
-            expected="a scheduler that answers: tcp://host:port; or tls://host:port, with Dask's setting "
-            "distributed.comm.tls naming the keys",
-            remedy="Start it (`dask scheduler`), correct the address, or give Dask the keys that it accepts.",
-        ) from None
+        expected = "a scheduler that answers: tcp://host:port; or tls://host:port, with Dask's setting "
+        expected += "distributed.comm.tls naming the keys"
+        remedy = "Start it (`dask scheduler`), correct the address, or give Dask the keys that it accepts."
+        raise unfit("Dask scheduler", f"{address}: {reason}", expected, remedy) from None
     try:
         yield client
     finally:
@@ -215,8 +207,7 @@ def _client(place: Any, address: str, reach_seconds: float) -> Iterator[Any]:
 
 
 def _started(kind: str, workers: int, jobs: Mapping[str, Any], submissions: Submissions | None) -> Any:
-    """Return a cluster of our own with a new key, needed to give or take runs; its processes leave Ctrl-C to the
-    driver."""
+    """Return our own cluster, with a key that giving or taking runs needs; its processes leave Ctrl-C to the driver."""
     from distributed.security import Security
 
     require_not_loading()
@@ -233,7 +224,6 @@ def _local(workers: int, security: Any) -> Any:
         return LocalCluster(  # type: ignore[no-untyped-call]
             n_workers=workers,
             threads_per_worker=1,
-            processes=True,
             memory_limit=0,
             host="127.0.0.1",
             security=security,
@@ -244,7 +234,7 @@ def _local(workers: int, security: Any) -> Any:
         what = "the workers of the Dask cluster do not start"
         expected = "runs started under `if __name__ == '__main__':` where they are started by a script"
         remedy = "Put the code that starts the runs under that line."
-        raise InvalidInput(what, value=str(error), expected=expected, remedy=remedy) from error
+        raise unfit(what, str(error), expected, remedy) from error
 
 
 def _queued(kind: str, workers: int, jobs: Mapping[str, Any], submissions: Submissions, security: Any) -> Any:
@@ -296,10 +286,7 @@ def _shared_folder(kind: str) -> str:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
-        raise InvalidInput(
-            "folder for the keys of a Dask cluster",
-            value=f"{folder}: {error.strerror or error}",
-            expected="a folder that can be written here and read on the nodes",
-            remedy=f"Name one in Dask's configuration: jobqueue.{kind}.shared-temp-directory.",
-        ) from None
+        what, found = "folder for the keys of a Dask cluster", f"{folder}: {error.strerror or error}"
+        remedy = f"Name one in Dask's configuration: jobqueue.{kind}.shared-temp-directory."
+        raise unfit(what, found, "a folder that can be written here and read on the nodes", remedy) from None
     return str(folder)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from strandline.foundations import InvalidInput
+from strandline.foundations import InvalidInput, unfit
 from strandline.runs.executors.shared import SPARE_SECONDS, Dispatcher
 from strandline.runs.ledger.record import RunRecord, RunRequest, ended
 from strandline.runs.worker import WorkerSlot
@@ -40,8 +40,7 @@ class DaskJob:
     timeout: float | None = None
 
     def __call__(self) -> RunRecord | bool | None:
-        """Return the record of the run, or whether a process has loaded the model (else InvalidInput); None if not
-        wanted."""
+        """Return the run's record, or whether a process loaded the model (else InvalidInput); None if not wanted."""
         wanted = _wanted()
         if self.request is None:
             with _lock:  # the drivers of other sessions may be gone; if not, they start new processes
@@ -228,9 +227,7 @@ class DaskDispatcher(Dispatcher[str]):
         self.number += 1
         key = f"strandline-{self.session}-{self.number}"
         job = DaskJob(self.session, self.setup, request, self.timeout)
-        future = self.cluster.client.submit(
-            job, key=key, workers=[place], allow_other_workers=False, pure=False, retries=0
-        )
+        future = self.cluster.client.submit(job, key=key, workers=[place], pure=False, retries=0)
         self.out[key] = _DaskTask(request, place, future, time.monotonic())
         future.add_done_callback(lambda done: self.news.put(done.key))
 
@@ -304,12 +301,9 @@ class DaskDispatcher(Dispatcher[str]):
         except (KilledWorker, FutureCancelledError, TimeoutError, OSError) as error:
             return error
         except Exception as error:
-            raise InvalidInput(
-                "runs cannot be made on the Dask workers",
-                value=f"{type(error).__name__}: {error}",
-                expected="the same strandline, and the model, where the scheduler and its workers are",
-                remedy="Install both there, in the same versions as here.",
-            ) from error
+            what, found = "runs cannot be made on the Dask workers", f"{type(error).__name__}: {error}"
+            expected = "the same strandline, and the model, where the scheduler and its workers are"
+            raise unfit(what, found, expected, "Install both there, in the same versions as here.") from error
         finally:
             future.release()
 
@@ -321,23 +315,17 @@ class DaskDispatcher(Dispatcher[str]):
         except (OSError, TimeoutError, RuntimeError) as error:
             self.threads, self.ready = {}, {}
             if time.monotonic() > self.reached + self.silence_borne_seconds:
-                raise InvalidInput(
-                    f"the Dask scheduler at {self.cluster.address} cannot be reached any more",
-                    value=f"{type(error).__name__}: {error}",
-                    expected="an answer within a minute",
-                    remedy="Start it again and repeat the command: finished runs are kept.",
-                ) from error
+                what = f"the Dask scheduler at {self.cluster.address} cannot be reached any more"
+                remedy = "Start it again and repeat the command: finished runs are kept."
+                raise unfit(what, f"{type(error).__name__}: {error}", "an answer within a minute", remedy) from error
             return
         self.reached = self.looked
         self.cluster.replace_the_lost()
         if self.cluster.refused is not None and not self.threads:
             lines = [line for line in self.cluster.refused.splitlines() if "error" in line.lower()]
-            raise InvalidInput(
-                "the queueing system takes no job for a Dask worker",
-                value=lines[-1] if lines else self.cluster.refused,
-                expected="jobs with these cores, memory, walltime, queue and account",
-                remedy="Correct executor.dask.jobs, and run again: finished runs are kept.",
-            )
+            what, found = "the queueing system takes no job for a Dask worker", [self.cluster.refused, *lines][-1]
+            expected = "jobs with these cores, memory, walltime, queue and account"
+            raise unfit(what, found, expected, "Correct executor.dask.jobs, and run again: finished runs are kept.")
         self._forget_the_gone()
         for worker in self.threads:
             self.first_seen.setdefault(worker, self.looked)

@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor
 from concurrent.futures import wait as futures_wait
+from contextlib import closing
 from dataclasses import dataclass
 from operator import length_hint
 from threading import Event
@@ -21,8 +22,7 @@ LONGEST_WAIT_SECONDS = 0.5
 
 @dataclass(frozen=True)
 class InProcess:
-    """Runs one after the other in this process, for small models and debugging: a crash or a hang takes the driver
-    along."""
+    """Runs one after the other in this process, for small models and debugging; a crash or a hang hits the driver."""
 
     def __call__(self, model: ForwardModel, requests: Iterable[RunRequest]) -> Iterator[RunRecord]:
         for request in requests:
@@ -68,11 +68,8 @@ class LocalProcesses:
         number = min(limit, length_hint(requests, limit))
         if number == 0:
             return
-        crew = _Crew(setup, iter(requests), self.timeout, number)
-        try:
+        with closing(_Crew(setup, iter(requests), self.timeout, number)) as crew:
             yield from crew.records()
-        finally:
-            crew.close()
 
 
 class _Crew(Dispatcher[WorkerSlot]):

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Generic, TypeVar
 
-from strandline.foundations import InvalidInput
+from strandline.foundations import require, unfit
 from strandline.runs.ledger.record import NOT_NOW, RunRecord, RunRequest
 
 Place = TypeVar("Place")
@@ -22,15 +22,13 @@ CLOCK = re.compile(r"((?P<hours>\d+):)?(?P<minutes>\d+):(?P<seconds>\d+)")
 
 def require_count(what: str, value: int | None, *, remedy: str, least: int = 1) -> None:
     """Refuse a number below `least`; None is left to the executor."""
-    if value is not None and value < least:
-        raise InvalidInput(what, value=value, expected=f"at least {least}", remedy=remedy)
+    require(value is None or value >= least, what, value, f"at least {least}", remedy)
 
 
 def require_seconds(what: str, seconds: float | None, *, remedy: str = "Leave it out for no limit.") -> None:
     """Refuse seconds that are not above 0, or more than a year."""
-    if seconds is not None and not 0 < seconds <= LONGEST:
-        expected = f"seconds above 0, at most {LONGEST:.0f} (a year)"
-        raise InvalidInput(what, value=seconds, expected=expected, remedy=remedy)
+    expected = f"seconds above 0, at most {LONGEST:.0f} (a year)"
+    require(seconds is None or 0 < seconds <= LONGEST, what, seconds, expected, remedy)
 
 
 def require_room_in_walltime(timeout: float | None, walltime: str | None) -> None:
@@ -38,11 +36,9 @@ def require_room_in_walltime(timeout: float | None, walltime: str | None) -> Non
     if timeout is None or walltime is None:
         return
     longest = walltime_seconds(walltime) - SPARE_SECONDS
-    if timeout > longest:
-        what = "timeout and walltime of a job"
-        expected = f"at most {max(longest, 0.0):g} s, the walltime less {SPARE_SECONDS:g} s for start and end"
-        remedy = "Ask for a longer walltime, or shorten the timeout."
-        raise InvalidInput(what, value=f"{timeout:g} s in a job of {walltime}", expected=expected, remedy=remedy)
+    what, found = "timeout and walltime of a job", f"{timeout:g} s in a job of {walltime}"
+    expected = f"at most {max(longest, 0.0):g} s, the walltime less {SPARE_SECONDS:g} s for start and end"
+    require(timeout <= longest, what, found, expected, "Ask for a longer walltime, or shorten the timeout.")
 
 
 def walltime_seconds(text: str) -> float:
@@ -50,7 +46,7 @@ def walltime_seconds(text: str) -> float:
     found = DAYS.fullmatch(text) or CLOCK.fullmatch(text)
     if found is None:
         expected = 'hours:minutes:seconds, e.g. "02:30:00", or days-hours, e.g. "1-12"'
-        raise InvalidInput("walltime", value=text, expected=expected, remedy="Write it like this, in quotes.")
+        raise unfit("walltime", text, expected, "Write it like this, in quotes.")
     parts = {name: int(number or 0) for name, number in found.groupdict().items()}
     hours = 24 * parts.get("days", 0) + parts["hours"]
     return 3600.0 * hours + 60.0 * parts["minutes"] + parts["seconds"]

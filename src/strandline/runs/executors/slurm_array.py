@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from strandline.foundations import InvalidInput, StrandlineError, end_of
+from strandline.foundations import InvalidInput, StrandlineError, end_of, require, unfit
 from strandline.models import ForwardModel, asks_sensitivities, fingerprint, with_sensitivities
 from strandline.runs.executors import shared, slurm_batch
 from strandline.runs.executors.slurm_batch import ArrayBatch, SlurmUnreachable, read_run
@@ -41,6 +41,8 @@ ENDINGS: Mapping[str, tuple[State, str]] = {
     "PREEMPTED": ("killed", "preempted"),
 }
 """How a run ended if its job left no result, by the state of the job; for other states, its process died."""
+SBATCH = {"time": "walltime", "partition": "partition", "account": "account", "cpus-per-task": "cpus", "mem": "memory"}
+"""Our options by the names that ``sbatch`` has for them."""
 MEMORY_KILL = re.compile(r"^slurmstepd\S*: error: .*exceeded .*memory limit", re.IGNORECASE | re.MULTILINE)
 """What only a job's output says if SLURM watches its memory without cgroups (OverMemoryKill): the job is ``FAILED``."""
 
@@ -120,13 +122,7 @@ class SlurmArray:
 
     def options(self, number: int) -> list[str]:
         """Return the options of ``sbatch`` for an array of `number` jobs."""
-        given = {
-            "time": self.walltime,
-            "partition": self.partition,
-            "account": self.account,
-            "cpus-per-task": self.cpus,
-            "mem": self.memory,
-        }
+        given = {name: getattr(self, option) for name, option in SBATCH.items()}
         limit = "" if self.max_running is None else f"%{self.max_running}"
         # The campaign, which counts attempts, tries a run again; SLURM, which does not count them, must not.
         warning = int(min(WARNING_SECONDS, shared.walltime_seconds(self.walltime or "1-0") / 10))
@@ -266,7 +262,7 @@ class _ArrayRuns:
             what = "a job could not load the model"
             expected = "a model that the nodes can load as this machine does"
             remedy = "Fix that and run again; the jobs of this array are cancelled."
-            raise InvalidInput(what, value=(record.message or "").splitlines()[0], expected=expected, remedy=remedy)
+            raise unfit(what, (record.message or "").splitlines()[0], expected, remedy)
         return record
 
     def _tidy(self) -> None:
@@ -279,8 +275,7 @@ class _ArrayRuns:
 
 def _found(batch: ArrayBatch) -> bool:
     """Return whether SLURM has the job of a batch whose driver could not note its number; if so, note it."""
-    job = slurm_batch.job_called(batch.name)
-    if job is not None:
+    if (job := slurm_batch.job_called(batch.name)) is not None:
         batch.submitted(job)
     return job is not None
 
@@ -311,11 +306,8 @@ def run_task(folder: Path, index: int, load: Callable[[], ForwardModel]) -> None
         return
     request, began = batch.requests[index], time.monotonic()
     try:
-        slot = WorkerSlot(packed_model(_fitting(load(), batch)))
-        try:
+        with contextlib.closing(WorkerSlot(packed_model(_fitting(load(), batch)))) as slot:
             record = slot.run(request, batch.timeout, wanted=lambda: not walltime_over.is_set())
-        finally:
-            slot.close()
     except InvalidInput as error:
         batch.put(index, ended(request, "killed", UNUSABLE, str(error)))
         return
@@ -328,9 +320,8 @@ def _fitting(model: ForwardModel, batch: ArrayBatch) -> ForwardModel:
     """Return the model as the batch needs it; refuse one that has changed since."""
     if batch.sensitivities and not asks_sensitivities(model):
         model = with_sensitivities(model)
-    if fingerprint(model) != batch.fingerprint:
-        what, remedy = "the model has changed since the runs were submitted", "Cancel the array, or undo the change."
-        raise InvalidInput(what, value=fingerprint(model), expected=batch.fingerprint, remedy=remedy)
+    what, now = "the model has changed since the runs were submitted", fingerprint(model)
+    require(now == batch.fingerprint, what, now, batch.fingerprint, "Cancel the array, or undo the change.")
     return model
 
 

@@ -22,8 +22,9 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
-from strandline.foundations import InvalidInput, whole_file
+from strandline.foundations import InvalidInput, require, unfit, whole_file
 from strandline.models import ForwardModel, asks_sensitivities, fingerprint
 from strandline.runs.ledger.ledger_rows import inputs_text, record_of, rows_of
 from strandline.runs.ledger.ledger_schema import synchronise
@@ -47,9 +48,8 @@ def write_run(path: Path, record: RunRecord) -> None:
 def read_run(path: Path) -> RunRecord:
     """Return the record in `path`; raise InvalidInput if the content is not what was written."""
     header, _, content = path.read_bytes().partition(b"\n")
-    if header != HEADER + hashlib.sha256(content).hexdigest().encode():
-        what, remedy = f"the result of a run in {path}", "The run is made again."
-        raise InvalidInput(what, value="a checksum that does not match", expected="what was written", remedy=remedy)
+    intact, found = header == HEADER + hashlib.sha256(content).hexdigest().encode(), "a checksum that does not match"
+    require(intact, f"the result of a run in {path}", found, "what was written", "The run is made again.")
     row, arrays = json.loads(content, object_hook=lambda packed: base64.b64decode(packed["base64"]))
     return record_of(path, tuple(row), [tuple(one) for one in arrays])
 
@@ -79,9 +79,7 @@ class ArrayBatch:
     requests: tuple[RunRequest, ...]
 
     @classmethod
-    def new(
-        cls, parent: Path, model: ForwardModel, requests: Sequence[RunRequest], timeout: float | None
-    ) -> "ArrayBatch":
+    def new(cls, parent: Path, model: ForwardModel, requests: Sequence[RunRequest], timeout: float | None) -> Self:
         """Write a new batch to its own folder inside `parent`, durably."""
         folder = parent / f"strandline-{time.strftime('%Y%m%d-%H%M%S')}-{uuid.uuid4().hex[:8]}"
         for part in ("logs", "results"):
@@ -93,7 +91,7 @@ class ArrayBatch:
         return batch
 
     @classmethod
-    def read(cls, folder: Path) -> "ArrayBatch":
+    def read(cls, folder: Path) -> Self:
         """Return the batch in `folder`; raise FileNotFoundError if there is none, or none any more."""
         content = json.loads((folder / BATCH).read_text(encoding="utf-8"))
         requests = tuple(RunRequest(**run) for run in content.pop("runs"))
@@ -117,7 +115,7 @@ class ArrayBatch:
 
     def put(self, index: int, record: RunRecord) -> None:
         """Write the record of a run, unless it has one."""
-        if not (self._result(index).exists() or self._taken(index).exists()):
+        if not (self._result(index).exists() or self._result(index, "taken").exists()):
             write_run(self._result(index), record)
 
     def present(self) -> tuple[dict[int, Path], frozenset[int]]:
@@ -130,20 +128,17 @@ class ArrayBatch:
     def take(self, index: int) -> None:
         """Note that the driver has the record of a run."""
         try:
-            self._result(index).replace(self._taken(index))
+            self._result(index).replace(self._result(index, "taken"))
         except FileNotFoundError:
-            self._taken(index).touch()
+            self._result(index, "taken").touch()
 
     def remove(self) -> None:
         """Remove the batch; jobs that start later find nothing to do."""
         (self.folder / BATCH).unlink(missing_ok=True)
         shutil.rmtree(self.folder, ignore_errors=True)
 
-    def _result(self, index: int) -> Path:
-        return self.folder / "results" / f"{index}.run"
-
-    def _taken(self, index: int) -> Path:
-        return self.folder / "results" / f"{index}.taken"
+    def _result(self, index: int, ending: str = "run") -> Path:
+        return self.folder / "results" / f"{index}.{ending}"
 
 
 def known_batches(parent: Path) -> Iterable[ArrayBatch]:
@@ -208,7 +203,7 @@ def _said(*command: str) -> str:
         what = "the executor slurm_array"
         expected = "the commands of SLURM: sbatch, squeue, scontrol, scancel"
         remedy = "Run it where jobs are submitted, or choose another executor."
-        raise InvalidInput(what, value=f"no command {command[0]}", expected=expected, remedy=remedy) from None
+        raise unfit(what, f"no command {command[0]}", expected, remedy) from None
     except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
         stderr = error.stderr.decode() if isinstance(error.stderr, bytes) else error.stderr
         what = f"{command[0]} failed"

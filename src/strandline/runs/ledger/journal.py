@@ -11,9 +11,9 @@ import re
 import sqlite3
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
-from strandline.foundations import InvalidInput, LedgerError
+from strandline.foundations import LedgerError, require
 
 Journal = Literal["wal", "delete"]
 VARIABLE = "STRANDLINE_JOURNAL"
@@ -34,12 +34,11 @@ FORMAT_BYTE = 18
 def journal_for(path: Path, *, environment: Mapping[str, str] | None = None, mounts: Path | None = None) -> Journal:
     """Return which journal the ledger at `path` should have; refuse an environment that says neither wal nor delete."""
     asked = (os.environ if environment is None else environment).get(VARIABLE, "")
-    if asked in ("wal", "delete"):
-        return "wal" if asked == "wal" else "delete"
-    if asked:
-        remedy = "Unset it to let the file system decide."
-        raise InvalidInput(f"{VARIABLE} in the environment", value=asked, expected="wal or delete", remedy=remedy)
-    return "delete" if is_network(file_system(path, mounts=mounts)) else "wal"
+    if not asked:
+        return "delete" if is_network(file_system(path, mounts=mounts)) else "wal"
+    what, remedy = f"{VARIABLE} in the environment", "Unset it to let the file system decide."
+    require(asked in ("wal", "delete"), what, asked, "wal or delete", remedy)
+    return cast(Journal, asked)
 
 
 def note(path: Path, *, mounts: Path | None = None) -> str | None:
@@ -84,14 +83,11 @@ def settle(connection: sqlite3.Connection, path: Path, *, busy_seconds: float = 
     try:
         connection.execute("PRAGMA journal_mode = DELETE")
     except sqlite3.OperationalError as error:
-        if "locked" in str(error):
-            raise LedgerError(
-                f"ledger {path} cannot be given a rollback journal, which it needs on this disk",
-                value="a ledger that another program is reading",
-                expected="no other program using it for a moment",
-                remedy="Wait until it ends, and run again.",
-            ) from None
-        raise
+        if "locked" not in str(error):
+            raise
+        what = f"ledger {path} cannot be given a rollback journal, which it needs on this disk"
+        found, expected = "a ledger that another program is reading", "no other program using it for a moment"
+        raise LedgerError(what, value=found, expected=expected, remedy="Wait until it ends, and run again.") from None
     connection.execute("PRAGMA locking_mode = NORMAL")
     connection.execute("PRAGMA synchronous = EXTRA")
     connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()  # releases the lock

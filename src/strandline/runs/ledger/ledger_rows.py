@@ -6,14 +6,13 @@ import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Shaped
 
-from strandline.foundations import LedgerError
+from strandline.foundations import LedgerError, require
 from strandline.interface import Interface
 from strandline.runs.ledger import ledger_schema
 from strandline.runs.ledger.ledger_schema import translated
@@ -57,11 +56,10 @@ def rows_of(record: RunRecord, origin: str | None) -> tuple[tuple[Any, ...], lis
 def record_of(path: Path, row: tuple[Any, ...], arrays: Sequence[tuple[Any, ...]]) -> RunRecord:
     """Return the record of a row (key, inputs, *`OUTCOME_COLUMNS`) and its `arrays`; refuse another checksum."""
     key, inputs, *values, checksum = row
-    if checksum != _checksum(key, inputs, tuple(values), arrays):
-        what = f"run {key[:12]} in {path} is damaged"
-        expected = f"contents with the checksum {checksum[:12]}"
-        remedy = "Restore the ledger from a backup, or move it away and run again."
-        raise LedgerError(what, value=f"inputs {inputs}", expected=expected, remedy=remedy)
+    sound, what = checksum == _checksum(key, inputs, tuple(values), arrays), f"run {key[:12]} in {path} is damaged"
+    expected = f"contents with the checksum {checksum[:12]}"
+    remedy = "Restore the ledger from a backup, or move it away and run again."
+    require(sound, what, f"inputs {inputs}", expected, remedy, LedgerError)
     state, points, points_shape, cells, cells_shape, diagnostics, seconds, kind, message, log, origin = values
     plain = {} if points is None else {"": _interface(points, points_shape, cells, cells_shape)}
     figures = json.loads(diagnostics)
@@ -126,9 +124,8 @@ def unsound(path: Path) -> Iterator[str]:
             ledger_schema.require_version(path, connection)
             checked = connection.execute(f"PRAGMA integrity_check({MOST})")
             yield from (f"SQLite says: {found}" for (found,) in checked if found != "ok")
-            for table, *_ in connection.execute("PRAGMA foreign_key_check"):
-                yield f"a row of {table} refers to a row that does not exist"
-                break
+            if astray := connection.execute("PRAGMA foreign_key_check").fetchone():
+                yield f"a row of {astray[0]} refers to a row that does not exist"
             yield from _damaged_outcomes(path, connection)
     except LedgerError as error:
         yield " ".join(str(error).split())
@@ -141,7 +138,7 @@ def outcome_digest(path: Path, keys: frozenset[str]) -> str:
     with closing(ledger_schema.opened_for_reading(path)) as connection, translated(path):
         found = [row for row in connection.execute(sql) if row[0] in keys]
         excluded = sorted(keys & read_exclusions(connection).keys())
-    return sha256(repr((found, excluded)).encode()).hexdigest()
+    return hashlib.sha256(repr((found, excluded)).encode()).hexdigest()
 
 
 def _damaged_outcomes(path: Path, connection: sqlite3.Connection) -> Iterator[str]:

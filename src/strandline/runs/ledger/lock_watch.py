@@ -17,12 +17,9 @@ def locked(path: Path) -> BaseFileLock:
         path.parent.resolve(strict=True)  # the lock would create a missing folder
         lock.acquire(timeout=0)
     except Timeout:
-        raise LedgerError(
-            f"{path} is locked",
-            value=f"another run is using it, {last_driver(path)}",
-            expected="one driver at a time",
-            remedy="Wait for the other run to end, or stop it; finished runs are kept.",
-        ) from None
+        found = f"another run is using it, {last_driver(path)}"
+        remedy = "Wait for the other run to end, or stop it; finished runs are kept."
+        raise LedgerError(f"{path} is locked", value=found, expected="one driver at a time", remedy=remedy) from None
     except OSError as error:
         what = f"folder of {path} cannot be written"
         remedy = "Create the folder or correct its permissions; read_only=True reads without writing."
@@ -43,15 +40,12 @@ class Hold:
         self._file, self._lock_file = _identity(path), _identity(self._lock_path)
 
     def require(self, connection: sqlite3.Connection, session: int) -> None:
-        """Raise LedgerError if the ledger was deleted, moved or replaced, or no longer belongs to this driver's
-        session."""
+        """Raise LedgerError if the ledger was deleted, moved or replaced, or another driver's session has begun."""
         if _identity(self.path) != self._file:
-            raise LedgerError(
-                f"ledger {self.path} is not the file that this run opened",
-                value="deleted, moved or replaced" if self.path.exists() else "deleted or moved",
-                expected="the ledger in its place until the run ends",
-                remedy="Put it back and run again; it holds the runs that ended before.",
-            )
+            what = f"ledger {self.path} is not the file that this run opened"
+            found = "deleted, moved or replaced" if self.path.exists() else "deleted or moved"
+            remedy = "Put it back and run again; it holds the runs that ended before."
+            raise LedgerError(what, value=found, expected="the ledger in its place until the run ends", remedy=remedy)
         if _identity(self._lock_path) != self._lock_file:
             self._lock_again(connection, session)
 
@@ -84,9 +78,7 @@ def _identity(path: Path) -> tuple[int, int] | None:
 
 
 def _taken_over(path: Path) -> LedgerError:
-    return LedgerError(
-        f"another driver took over the ledger {path}",
-        value=f"its lock file was deleted, and {last_driver(path)} opened it",
-        expected="one driver at a time, and its lock file in its place",
-        remedy="Let the other run go on, or stop it and run again: finished runs are in the ledger.",
-    )
+    found = f"its lock file was deleted, and {last_driver(path)} opened it"
+    expected = "one driver at a time, and its lock file in its place"
+    remedy = "Let the other run go on, or stop it and run again: finished runs are in the ledger."
+    return LedgerError(f"another driver took over the ledger {path}", value=found, expected=expected, remedy=remedy)

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import takewhile
 
-from strandline.foundations import LedgerError
+from strandline.foundations import LedgerError, require
 
 COLUMNS = "study_sha256, part, name, model, inputs, sensitivities, planned, keys"
 
@@ -79,9 +79,8 @@ def read_exclusions(connection: sqlite3.Connection) -> Mapping[str, Exclusion]:
 
 def require_reason(why: str) -> str:
     """Return the reason on one line; raise LedgerError if it is empty."""
-    if not why.strip():
-        remedy = 'Say why: --why "the mesh folded over".'
-        raise LedgerError("reason for excluding a run", value="an empty text", expected="a few words", remedy=remedy)
+    what, remedy = "reason for excluding a run", 'Say why: --why "the mesh folded over".'
+    require(why.strip(), what, "an empty text", "a few words", remedy, LedgerError)
     return " ".join(why.split())
 
 

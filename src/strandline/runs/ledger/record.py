@@ -15,16 +15,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from strandline.foundations import ForwardModelError, InvalidInput, InvalidInterface
+from strandline import models
+from strandline.foundations import ForwardModelError, InvalidInterface, require
 from strandline.interface import Interface, is_condition
-from strandline.models import (
-    ForwardModel,
-    KeepsFolders,
-    Sensitivities,
-    Simulation,
-    asks_sensitivities,
-    declared_conditions,
-)
+from strandline.models import ForwardModel, Sensitivities, Simulation
 from strandline.runs.ledger.ledger_schema import EXCLUDED, LOG_TITLE
 
 State = Literal["ok", "failed", "timeout", "killed", "invalid", "excluded"]
@@ -108,7 +102,10 @@ def run_key(fingerprint: str, inputs: Mapping[str, float]) -> str:
     Raises:
         InvalidInput: an input is not a finite number.
     """
-    exact = [[name, _exact(name, inputs[name])] for name in sorted(inputs)]
+    values, remedy = sorted(inputs.items()), "Correct the design or the prior it comes from."
+    for name, value in values:
+        require(math.isfinite(value), f"input {name} of a run", value, "a finite number", remedy)
+    exact = [[name, (float(value) + 0.0).hex()] for name, value in values]
     return hashlib.sha256(json.dumps([fingerprint, exact]).encode()).hexdigest()
 
 
@@ -118,7 +115,9 @@ def attempt(model: ForwardModel, request: RunRequest, workdir: Path) -> RunRecor
     try:
         with _working_directory_kept():
             returned = model(dict(request.inputs), workdir)
-        ending = _accepted(request, returned, model)
+        good = checked(returned, model, request.inputs)
+        figures, slopes = _figures(good.diagnostics), good.sensitivities
+        ending = RunRecord(request.key, request.inputs, "ok", good.interfaces, figures, sensitivities=slopes)
     except ForwardModelError as error:
         ending, log = ended(request, error.state, error.kind, error.message, error.evidence), error.log
     except InvalidInterface as error:
@@ -127,8 +126,7 @@ def attempt(model: ForwardModel, request: RunRequest, workdir: Path) -> RunRecor
         ending = ended(request, "failed", "exception", _told(error, request))
         if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
             ending = replace(ending, state="killed", failure_kind="out_of_memory")  # the machine may be less busy later
-    ending = _retained(replace(ending, seconds=time.perf_counter() - begin), model, workdir)
-    return with_log(ending, log)
+    return with_log(_retained(replace(ending, seconds=time.perf_counter() - begin), model, workdir), log)
 
 
 def with_log(record: RunRecord, log: str) -> RunRecord:
@@ -142,7 +140,7 @@ def with_log(record: RunRecord, log: str) -> RunRecord:
 
 def _retained(record: RunRecord, model: ForwardModel, workdir: Path) -> RunRecord:
     """Let a model that keeps folders keep the one of this run; if it does, the message says where."""
-    if not isinstance(model, KeepsFolders):
+    if not isinstance(model, models.KeepsFolders):
         return record
     try:
         kept: Path | str | None = model.retain(workdir, record.key, ok=record.ok)
@@ -172,14 +170,6 @@ def _working_directory_kept() -> Iterator[None]:
         os.chdir(home)
 
 
-def _accepted(request: RunRequest, result: object, model: ForwardModel) -> RunRecord:
-    """Return the record of a run of `model` that returned `result`."""
-    asked = asks_sensitivities(model)
-    good = checked(result, conditions=declared_conditions(model), inputs=request.inputs, sensitivities=asked)
-    figures = _figures(good.diagnostics)
-    return RunRecord(request.key, request.inputs, "ok", good.interfaces, figures, sensitivities=good.sensitivities)
-
-
 def ended(
     request: RunRequest, state: State, kind: str, message: str, evidence: Mapping[str, float] | None = None
 ) -> RunRecord:
@@ -207,13 +197,6 @@ def _told(error: BaseException, request: RunRequest) -> str:
     return "\n".join([reason, *lines])
 
 
-def _exact(name: str, value: float) -> str:
-    if not math.isfinite(value):
-        remedy = "Correct the design or the prior it comes from."
-        raise InvalidInput(f"input {name} of a run", value=value, expected="a finite number", remedy=remedy)
-    return (float(value) + 0.0).hex()
-
-
 def _clean(text: str) -> str:
     """Return `text` without characters that UTF-8 cannot hold."""
     return text.encode("utf-8", "replace").decode()
@@ -225,12 +208,13 @@ def _short(text: str) -> str:
     return text if len(text) <= MESSAGE_CHARACTERS else f"{text[:half]}\n[…]\n{text[-half:]}"
 
 
-def checked(result: object, *, conditions: Collection[str], inputs: Collection[str], sensitivities: bool) -> Simulation:
+def checked(result: object, model: ForwardModel, inputs: Collection[str]) -> Simulation:
     """Check what a model returned and return a copy that shares no memory with the model.
 
     Raises ForwardModelError, ``invalid``: there is no interface, the conditions differ from those declared, a number is
     not finite, or requested sensitivities are missing or do not belong to interfaces and inputs.
     """
+    conditions, asked = models.declared_conditions(model), models.asks_sensitivities(model)
     simulation = Simulation.of(result) if isinstance(result, Interface) else result
     found: Any = getattr(simulation, "interfaces", None)
     sound = isinstance(found, Mapping) and found and all(isinstance(one, Interface) for one in found.values())
@@ -241,7 +225,7 @@ def checked(result: object, *, conditions: Collection[str], inputs: Collection[s
     _require_conditions(simulation.interfaces, conditions)
     interfaces = {name: _copied(name, interface) for name, interface in simulation.interfaces.items()}
     given = simulation.sensitivities
-    if sensitivities and not (isinstance(given, Mapping) and all(given.get(name) for name in interfaces)):
+    if asked and not (isinstance(given, Mapping) and all(given.get(name) for name in interfaces)):
         found = "the model was asked for sensitivities and returned none for at least one condition"
         remedy = "Return them by condition and input, or take the field `sensitivities` from the model."
         raise _invalid("sensitivities", f"{found}. {remedy}")
@@ -262,10 +246,8 @@ def _require_conditions(given: Mapping[str, Interface], declared: Collection[str
 def _copied(condition: str, interface: Interface) -> Interface:
     points = np.array(interface.points, dtype=np.float64, order="C")
     if not np.isfinite(points).all():
-        bad = np.count_nonzero(~np.isfinite(points))
-        raise _invalid(
-            "non_finite", f"{bad} of {points.size} coordinates of the interface{_of(condition)} are not finite"
-        )
+        bad = f"{np.count_nonzero(~np.isfinite(points))} of {points.size} coordinates"
+        raise _invalid("non_finite", f"{bad} of the interface{_of(condition)} are not finite")
     return Interface(points, np.array(interface.cells, dtype=np.int64, order="C"))
 
 
