@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from strandline.studies import Study
 
 from strandline.cli import options
+from strandline.cli.forward import attempted, show_remains
 
 PICTURE = "check.png"
 MOST_PLANNED = 1000
@@ -105,7 +106,6 @@ def _prepared(study: "Study") -> Iterator[str]:
 
 def _lines(study: "Study", record: "RunRecord", log_likelihoods: Mapping[str, float]) -> Iterator[str]:
     """Yield what the run shows: shapes, their distance, log-likelihoods, displacement, error of the mesh."""
-    from strandline.cli.forward import attempted
     from strandline.studies import cheaper_lines, measure_lines, node_lines
     from strandline.studies.foresight import first_run
 
@@ -124,7 +124,6 @@ def _widths(study: "Study", record: "RunRecord", *, asked: bool) -> Iterator[str
     """Yield the expected widths of the posterior: from sensitivities, or if `asked` from one more run per input."""
     import numpy as np
 
-    from strandline.cli.forward import attempted
     from strandline.foundations import InvalidInput, NumericsError
     from strandline.interface import UnknownErrors
     from strandline.studies import observations_of
@@ -181,7 +180,6 @@ def _drawn(study: "Study", record: "RunRecord") -> Path:
 def _forward_run(study: "Study") -> tuple["RunRecord", str]:
     import numpy as np
 
-    from strandline.cli.forward import attempted, show_remains
     from strandline.models import prepare_runs
     from strandline.studies import differentiating, require_ok
 
@@ -203,9 +201,6 @@ def _measured(study: "Study", record: "RunRecord") -> dict[str, float]:
     """Return the log-likelihood of the run by measure; empty if the observation has not been made yet."""
     from strandline.likelihood import InterfaceLikelihood
 
-    observations = study.observations(study.observed or record.interfaces)
-    values = {
-        name: InterfaceLikelihood(observations, discrepancy)(record.interfaces)
-        for name, discrepancy in study.discrepancies.items()
-    }
+    found, seen = record.interfaces, study.observations(study.observed or record.interfaces)
+    values = {name: InterfaceLikelihood(seen, one)(found) for name, one in study.discrepancies.items()}
     return values if study.observed else {}

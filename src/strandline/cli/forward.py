@@ -1,8 +1,10 @@
-"""`strandline forward`: one forward run at chosen inputs."""
+"""`strandline forward`, `serve`: one run at chosen inputs; the model for other programs, by UM-Bridge; no ledger."""
 
 import json
 import math
 import os
+import signal
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,7 +21,9 @@ if TYPE_CHECKING:
     import numpy as np
 
     from strandline.models import ForwardModel
+    from strandline.models.umbridge import UMBridgeServer
     from strandline.runs import RunRecord
+    from strandline.studies import Study
 
 LOG_LINES = 20
 SLOW = 10.0
@@ -41,20 +45,11 @@ def _numbers(_context: click.Context, _option: click.Parameter, given: tuple[str
 
 @click.command("forward")
 @options.study
-@click.option(
-    "--set",
-    "settings",
-    multiple=True,
-    metavar="NAME=VALUE",
-    callback=_numbers,
-    help="An input or fixed quantity; repeatable.",
-)
-@click.option("--csv", "csv_path", type=click.Path(path_type=Path), help="Write the deformed interface, x,y in mm.")
+@options.repeatable("--set", "settings", "NAME=VALUE", "An input or fixed quantity; repeatable.", callback=_numbers)
+@click.option("--csv", "csv_path", type=options.PATH, help="Write the deformed interface, x,y in mm.")
 @options.as_json
 @click.option("--sensitivities", is_flag=True, help="Add d(interface)/d(input) to the CSV and the JSON object.")
-@click.option(
-    "--vtu", type=click.Path(path_type=Path), metavar="FOLDER", help="Write flow and deformation for ParaView."
-)
+@click.option("--vtu", type=options.PATH, metavar="FOLDER", help="Write flow and deformation for ParaView.")
 @click.option("--plot", is_flag=True, help="Draw forward.png: flow and deformation; in the folder of --vtu, or here.")
 def command(
     study: Path,
@@ -116,8 +111,7 @@ def show_remains(record: "RunRecord") -> None:
     """Print where the folder of a failed run is kept and how its log ends, if the simulator is a program."""
     from strandline.runs import told_folder
 
-    folder = told_folder(record)
-    if folder:
+    if folder := told_folder(record):
         click.echo(f"{folder} (kept for a look; delete it at any time)", err=True)
     if record.log:
         lines = record.log.splitlines()[-LOG_LINES:]
@@ -142,13 +136,10 @@ def told_if_slow(what: str, say: Callable[[str], None], timer: Callable[..., Tim
 
 def attempted(model: "ForwardModel", inputs: Mapping[str, float]) -> "RunRecord":
     """Return the record of one run in this process, in a temporary folder, with no ledger; if it is slow, say so."""
-    import tempfile
-
     from strandline.runs import RunRequest, attempt
 
     require_temporary()
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # one solve is too small to benefit from threads
-
     what = f"the run at {', '.join(f'{name} = {value:.6g}' for name, value in inputs.items())}"
     with (
         tempfile.TemporaryDirectory(prefix="strandline-") as folder,
@@ -224,9 +215,7 @@ def _write_csv(path: Path, record: "RunRecord", condition: str, *, sensitivities
 
 
 def _outcome(record: "RunRecord", inputs: Mapping[str, float], targets: Mapping[str, Path]) -> dict[str, object]:
-    failure = None
-    if not record.ok:
-        failure = {"state": record.state, "kind": record.failure_kind, "message": record.message}
+    failure = {"state": record.state, "kind": record.failure_kind, "message": record.message}
     figures = {name: value if math.isfinite(value) else None for name, value in record.diagnostics.items()}
     written = {condition: str(path) for condition, path in targets.items()} if record.ok else {}
     return {
@@ -235,5 +224,59 @@ def _outcome(record: "RunRecord", inputs: Mapping[str, float], targets: Mapping[
         "seconds": record.seconds,
         **figures,
         "csv": written.get("", written) or None,
-        "failure": failure,
+        "failure": None if record.ok else failure,
     }
+
+
+@click.command("serve")
+@options.study
+@click.option("--port", type=click.IntRange(0, 65535), default=4242, help="To listen on; 0 takes any free one. [4242]")
+@click.option("--host", default="127.0.0.1", help="Address to listen on. [127.0.0.1, this machine alone]")
+@click.option("--workers", type=click.IntRange(1), default=1, metavar="N", help="Runs made at the same time. [1]")
+@click.option("--token", metavar="TEXT", envvar="STRANDLINE_TOKEN", help="Answer only requests that carry this secret.")
+@options.repeatable("--allow-host", "names", "NAME", "A further name it is called by; repeatable.")
+@options.repeatable("--allow-origin", "origins", "URL", "A web page that may ask; repeatable.")
+@click.option("--outside", is_flag=True, help="Answer for inputs outside the boxes of the priors too.")
+def serve(study: Path, port: int, host: str, workers: int, outside: bool, **access: Any) -> None:
+    """Serve STUDY's model and its log-likelihood by UM-Bridge, until Ctrl-C; nothing goes into the ledger.
+
+    `interface` takes the unknown inputs and yields the interface's points in mm, `log_likelihood` the log-likelihood
+    of the study's observation by the true model. Requests of web pages are refused. Without --token every program that
+    reaches the port can make runs; set it by the environment variable STRANDLINE_TOKEN where others see your processes.
+    """
+    from strandline.models.umbridge import Access, UMBridgeServer
+    from strandline.studies import Solver, differentiating, load_study, plain_model, served_models
+
+    door = Access.of(host, **access)
+    loaded = load_study(study)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    plain, timeout = plain_model(loaded), getattr(loaded.executor, "timeout", None)
+    models = [model for model in (plain, differentiating(plain)) if model is not None]  # the second with sensitivities
+    solvers = [Solver(model, workers=workers, timeout=timeout) for model in models]
+    try:
+        with UMBridgeServer((), host, port, door=door) as server:
+            server.models = served_models(loaded, *solvers, outside=outside)
+            _announce(loaded, server, host)
+            server.serve_forever()
+    except KeyboardInterrupt:
+        click.echo("stopped", err=True)
+    finally:
+        for solver in solvers:
+            solver.close()
+
+
+def _announce(study: "Study", server: "UMBridgeServer", host: str) -> None:
+    from strandline.models import RUNS, KeepsFolders
+    from strandline.models.umbridge import is_loopback
+
+    if not is_loopback(host) and server.door.token is None:
+        click.echo(f"warning: whoever reaches {host} over the network can make runs here", err=True)
+    click.echo(f"{study.name}: serving {server.url}")
+    click.echo(f"  inputs: [{', '.join(parameter.label() for parameter in study.space)}]")
+    kept = study.model.keep if isinstance(study.model, KeepsFolders) else "none"
+    if kept != "none":
+        click.echo(f"  folders of {'all' if kept == 'all' else 'failed'} runs are kept in {study.folder / RUNS}")
+    for model in server.models:
+        sizes = " and ".join(str(size) for size in model.output_sizes)
+        features = ", ".join(name for name, offered in model.support.items() if offered)
+        click.echo(f"  {model.name}: {sizes} number{'s' if sizes != '1' else ''}; {features}")

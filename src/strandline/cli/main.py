@@ -37,8 +37,8 @@ COMMANDS = {
     "serve": "Serve a study's model to other programs, by UM-Bridge.",
 }
 FILES = dict.fromkeys(QUESTIONS, "questions")
-FILES |= {"retry": "run", "report": "run", "status": "runs", "doctor": "runs", "backup": "runs", "view": "serve"}
-FILES |= {"noise": "observation", "image": "observation"}
+FILES |= {"retry": "run", "report": "run", "status": "runs", "doctor": "runs", "backup": "runs", "view": "runs"}
+FILES |= {"init": "observation", "noise": "observation", "image": "observation", "serve": "forward"}
 """Modules of the commands that are not called like them."""
 
 
@@ -76,11 +76,7 @@ def _end_once(number: int, _frame: Any) -> None:
 
 
 class _Interrupted(BaseException):
-    """Ctrl-C or another signal, hidden from click, which would print an extra empty line."""
-
-    def __init__(self, cause: KeyboardInterrupt) -> None:
-        self.cause = cause
-        super().__init__()
+    """Ctrl-C or another signal, its cause, hidden from click, which would print an extra empty line."""
 
 
 class _LazyGroup(click.Group):
@@ -90,7 +86,7 @@ class _LazyGroup(click.Group):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as cause:
-            raise _Interrupted(cause) from None
+            raise _Interrupted from cause
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -98,9 +94,7 @@ class _LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         return command_named(cmd_name) if cmd_name in COMMANDS else None
 
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """Return the command that is called; suggest the nearest one if there is none of this name."""
         try:
             return super().resolve_command(ctx, args)
@@ -142,10 +136,11 @@ def main(arguments: list[str] | None = None, *, command: click.Command | None = 
     except BrokenPipeError:
         sys.stderr.close()
         raise SystemExit(0) from None
-    except KeyboardInterrupt as cause:
-        _end_interrupted(cause)
-    except _Interrupted as interrupted:
-        _end_interrupted(interrupted.cause)
+    except (KeyboardInterrupt, _Interrupted) as ended:
+        cause = ended.__cause__ if isinstance(ended, _Interrupted) else ended
+        number = cause.number if isinstance(cause, EndedBySignal) else signal.SIGINT
+        by = f" by {number.name}" if isinstance(cause, EndedBySignal) else ""
+        _end(f"interrupted{by}; what is finished is kept; run the same command again to go on", 128 + number)
 
 
 def _is_study(word: str) -> bool:
@@ -189,11 +184,6 @@ def _call(command: click.Command, arguments: list[str] | None) -> Any:
         _end(f"{told}{'' if told.endswith(('.', '?')) else '.'} See `{where} --help`.", 2)
     except click.ClickException as error:
         _end(error.format_message(), 2)
-
-
-def _end_interrupted(cause: KeyboardInterrupt) -> None:
-    by, number = (f" by {cause.number.name}", cause.number) if isinstance(cause, EndedBySignal) else ("", signal.SIGINT)
-    _end(f"interrupted{by}; what is finished is kept; run the same command again to go on", 128 + number)
 
 
 def _end(message: str, code: int) -> None:

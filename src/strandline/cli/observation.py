@@ -1,5 +1,7 @@
-"""`strandline noise`, `image`: errors of measured contours; edge or surface in pictures, or a page to mark them."""
+"""`strandline init`, `noise`, `image`: a study that runs; errors of measured contours; edge or surface in pictures."""
 
+import shlex
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -7,24 +9,112 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from strandline.cli import options
-from strandline.foundations import InvalidInput, InvalidStudy
+from strandline.foundations import InvalidInput, InvalidStudy, require, suggestion
+from strandline.studies import EXAMPLES, OWN, Observed, write_example
 
 if TYPE_CHECKING:
     from strandline.discrepancy import Repeats, Roughness
     from strandline.studies import PictureFiles
 
 
+class _Size(click.FloatRange):
+    """A number in a range, or `unknown`."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number or the word."""
+        return value if value == "unknown" else super().convert(value, param, ctx)
+
+
+NOT_NEGATIVE, SD, LENGTH = click.FloatRange(min=0), _Size(min=0, min_open=True), _Size(min=0)
+UNIT = click.Choice(["mm", "um", "m"])
+QUESTIONS: dict[str, tuple[str, click.FloatRange]] = {
+    "length": (
+        "Over what length along the interface do neighbouring points err together, in µm? (0: not at all)",
+        LENGTH,
+    ),
+    "shift": ("How far may the whole interface be shifted, in µm?", NOT_NEGATIVE),
+    "rotation": ("How far may it be turned, in degrees?", NOT_NEGATIVE),
+    "scale": ("How wrong may its scale be, as a share? (0.005: half a per cent)", NOT_NEGATIVE),
+    "offset": ("How far may all points be too far in or out, in µm? (a threshold: never 0)", NOT_NEGATIVE),
+}
+"""Questions about the errors of the observed points that have a default: none."""
+
+
+class _Init(click.Command):
+    """The command, whose help lists the examples."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Examples"):
+            formatter.write_dl(list(EXAMPLES.items()))
+
+
+class _Example(click.Choice[str]):
+    """The name of an example; for an unknown one, the nearest is suggested."""
+
+    def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:
+        """Return the message for an unknown example."""
+        return f"{super().get_invalid_choice_message(value, ctx)} {suggestion(str(value), EXAMPLES, '')}".rstrip()
+
+
+@click.command("init", cls=_Init)
+@click.argument("folder", type=options.PATH)
+@click.option("--example", type=_Example(list(EXAMPLES)), help="Which example to write; by default the first.")
+@click.option(
+    "--observed",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Your interface: a file with a point x, y per line.",
+)
+@click.option("--unit", type=UNIT, help="Unit of its coordinates.")
+@click.option("--sd", type=SD, help="Standard deviation of one of its points, in µm, or `unknown`.")
+@click.option("--length", type=LENGTH, help="Length over which neighbouring points err together, in µm, or `unknown`.")
+@click.option("--shift", type=NOT_NEGATIVE, help="Standard deviation of its position, in µm.")
+@click.option("--rotation", type=NOT_NEGATIVE, help="Standard deviation of its rotation, in degrees.")
+@click.option("--scale", type=NOT_NEGATIVE, help="Standard deviation of its scale, as a share.")
+@click.option("--offset", type=NOT_NEGATIVE, help="Standard deviation of a common offset along the normals, in µm.")
+def init(folder: Path, example: str | None, observed: Path | None, **stated: Any) -> None:
+    """Write FOLDER/study.yaml, a commented study that runs as it is (a biofilm, at most 80 forward runs).
+
+    With --example it writes all files of another example. With --observed it is a study of your own interface, which
+    --example python or command combines with your own simulator; what you do not state about its errors, it asks.
+    """
+    given = [f"--{name}" for name, value in stated.items() if value is not None]
+    if observed is None and given:
+        raise click.UsageError(f"{' and '.join(given)}: only for an observed interface; add --observed FILE.")
+    if observed is not None and example not in (None, *OWN):
+        raise click.UsageError(
+            f"--example {example} has an observation of its own: take one of {', '.join(OWN)}, or leave out --observed."
+        )
+    path = write_example(example or "biofilm", folder, None if observed is None else _asked(observed, stated))
+    name = shlex.quote(str(folder))
+    click.echo(f"wrote {path}")
+    if observed is not None:
+        click.echo("adapt there: model, fixed and inputs with their comments, an example's and not read from your file")
+    click.echo(f"next: strandline check {name}, then strandline run {name}")
+
+
+def _asked(observed: Path, stated: dict[str, Any]) -> Observed:
+    """Return what is known about the observed interface; ask for the rest if somebody can answer."""
+    ask, found = sys.stdin.isatty(), dict(stated)
+    missing = [f"--{name}" for name in ("unit", "sd") if found[name] is None]
+    if missing and not ask:
+        raise click.UsageError(f"Nobody is there to ask: add {' and '.join(missing)}, such as --unit mm --sd 3 (µm).")
+    if found["unit"] is None:
+        found["unit"] = click.prompt(f"Unit of the coordinates in {observed.name}", type=UNIT)
+    if found["sd"] is None:
+        text = "How far may one point be off, as a standard deviation in µm? (`unknown`: estimate it)"
+        found["sd"] = click.prompt(text, type=SD)
+    for name, (text, kind) in QUESTIONS.items():
+        if found[name] is None:
+            found[name] = click.prompt(text, "0", type=kind) if ask else 0.0
+    known: dict[str, Any] = {name: None if value == "unknown" else value for name, value in found.items()}
+    return Observed(observed, **known)
+
+
 @click.command("noise")
 @click.argument("files", nargs=-1, required=True, metavar="FILE...", type=click.Path(exists=True, path_type=Path))
 @click.option("--unit", required=True, type=click.Choice(["mm", "um", "µm", "m"]), help="Unit of the coordinates.")
 @click.option("--window", type=float, metavar="LENGTH", help="One contour only: smooth it over this length, in UNIT.")
-@click.option(
-    "--read",
-    "reading",
-    multiple=True,
-    metavar="NAME=VALUE",
-    help="How to read the files, e.g. columns=[x,y]; repeatable.",
-)
+@options.repeatable("--read", "reading", "NAME=VALUE", "How to read the files, e.g. columns=[x,y]; repeatable.")
 def noise(files: tuple[Path, ...], unit: str, window: float | None, reading: tuple[str, ...]) -> None:
     """Estimate the errors of the points in FILEs, and print the key `noise` for study.yaml.
 
@@ -87,13 +177,11 @@ def _digits(value: float) -> str:
 def _files(given: Sequence[Path]) -> list[Path]:
     found: list[Path] = []
     for path in given:
-        if path.is_dir():
-            inside = sorted(one for one in path.iterdir() if one.is_file() and not one.name.startswith("."))
-            if not inside:
-                raise click.UsageError(f"{path} has no files: give a folder with a file for each contour.")
-            found += inside
-        else:
-            found.append(path)
+        inside = path.iterdir() if path.is_dir() else ()
+        files = sorted(one for one in inside if one.is_file() and not one.name.startswith("."))
+        if path.is_dir() and not files:
+            raise click.UsageError(f"{path} has no files: give a folder with a file for each contour.")
+        found += files or [path]
     return found
 
 
@@ -118,7 +206,6 @@ def _options(reading: Sequence[str]) -> dict[str, Any]:
 @click.option("--edit", is_flag=True, help="Write a page on which to mark path, scale, origin and regions instead.")
 @click.option(
     "--condition",
-    default=None,
     metavar="NAME",
     help="With --edit and several pictures: which one; `undeformed` is that of the model's outline.",
 )
@@ -144,13 +231,10 @@ def image(study: Path, edit: bool, condition: str | None, reference: bool) -> No
             raise
         remedy = f"{error.remedy} ({study / IMAGE / earlier[0]} still shows an earlier edge.)"
         raise InvalidStudy(error.what, value=error.value, expected=error.expected, remedy=remedy) from None
-    if not loaded.pictures and not loaded.stacks and loaded.undeformed is None:
-        raise InvalidStudy(
-            "observation",
-            value="no picture",
-            expected="`image: {file: …, path: …, solid: …}`, or `stack: {file: …, solid: …}`",
-            remedy='See the guide "Your observation", docs/how-to/picture.md.',
-        )
+    pictured = loaded.pictures or loaded.stacks or loaded.undeformed is not None
+    expected = "`image: {file: …, path: …, solid: …}`, or `stack: {file: …, solid: …}`"
+    remedy = 'See the guide "Your observation", docs/how-to/picture.md.'
+    require(pictured, "observation", "no picture", expected, remedy, InvalidStudy)
     for one in write_pictures(loaded):
         click.echo("\n".join([*_lines(one), *(f"  wrote {study / file}" for file in one.files)]))
     click.echo(f"next: strandline check {study}")
@@ -171,7 +255,11 @@ def _lines(one: "PictureFiles") -> Iterator[str]:
     if "stack" in found:
         yield f"  contrast over noise: {found['contrast_to_noise']:.3g}"
     else:
-        yield from _of_picture(found)
+        yield from _of_frames(found["frames"])
+        for check in found["checks"]:
+            yield f"  {check['verdict']}: {check['name']} {check['shown']} ({check['expected']})"
+        if found["registration"] is not None:
+            yield _moved(found["registration"], 1e3 * min(found["pixel_mm"]))
     if "outline" in found:
         smooth = {name: f"{1e3 * found['outline'][name]:.3g} µm" for name in ("sd", "length")}
         yield f"  smooth outline: sd of a point {smooth['sd']}, correlation length {smooth['length']};"
@@ -181,15 +269,6 @@ def _lines(one: "PictureFiles") -> Iterator[str]:
     for name, one_of in found["noise_variance"].items():
         said = one_of["note"] if one_of["value"] is None else f"{one_of['value']:.3g} {one_of['unit']}".strip()
         yield f"  σ_N² for {name}: {said}"
-
-
-def _of_picture(found: Mapping[str, Any]) -> Iterator[str]:
-    yield from _of_frames(found["frames"])
-    yield from (
-        f"  {check['verdict']}: {check['name']} {check['shown']} ({check['expected']})" for check in found["checks"]
-    )
-    if found["registration"] is not None:
-        yield _moved(found["registration"], 1e3 * min(found["pixel_mm"]))
 
 
 def _of_frames(found: Mapping[str, Any] | None) -> Iterator[str]:

@@ -1,12 +1,16 @@
 """Arguments and options that several commands have."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar
 
 import click
 from click.shell_completion import CompletionItem
 
-from strandline.foundations import InvalidInput
+from strandline.foundations import require
+
+Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 
 
 class StudyFolder(click.Path):
@@ -28,12 +32,15 @@ class StudyFolder(click.Path):
         return [CompletionItem(incomplete, type="dir")]
 
 
-STUDY = StudyFolder(path_type=Path)
+def repeatable(flag: str, name: str, metavar: str, meaning: str, **more: Any) -> Callable[[Decorated], Decorated]:
+    """Return an option that may be given several times, for the argument `name`, a tuple."""
+    return click.option(flag, name, multiple=True, metavar=metavar, help=meaning, **more)
+
+
+STUDY, PATH = StudyFolder(path_type=Path), click.Path(path_type=Path)
 study = click.argument("study", type=STUDY)
 quiet = click.option("--quiet", is_flag=True, help="Print only the result.")
-seed = click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of all random numbers."
-)
+seed = click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of all random numbers.")
 measure = click.option("--measure", metavar="NAME", help="A measure of the study; its first by default.")
 workers = click.option("--workers", type=click.IntRange(min=1), help="Worker processes, if not as study.yaml says.")
 as_json = click.option("--json", "as_json", is_flag=True, help="Print everything as one JSON object.")
@@ -53,7 +60,6 @@ def use_device(name: str | None) -> None:
         found = jax.devices(name)
     except RuntimeError:
         found = []
-    if not found or jax.default_backend() != name:
-        expected = f"a device that JAX has; here it is {jax.default_backend()}"
-        remedy = 'For an NVIDIA GPU: pip install "jax[cuda12]".' if name == "gpu" else "Leave the option out."
-        raise InvalidInput("--device", value=name, expected=expected, remedy=remedy)
+    expected = f"a device that JAX has; here it is {jax.default_backend()}"
+    remedy = 'For an NVIDIA GPU: pip install "jax[cuda12]".' if name == "gpu" else "Leave the option out."
+    require(found and jax.default_backend() == name, "--device", name, expected, remedy)

@@ -15,7 +15,6 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 
 from strandline.calibration import STAGES, Observer, part_note, run_note, step_note
 from strandline.calibration import Settings as Stated
-from strandline.design import BatchReport
 from strandline.runs import Executor, RunRecord, told_folder
 from strandline.runs import Progress as Runs
 from strandline.runs import note as journal_note
@@ -75,13 +74,8 @@ def _both(first: Observer, second: Observer) -> Observer:
 
 @contextmanager
 def _bars(console: Console) -> Iterator[Observer]:
-    columns = (
-        SpinnerColumn(finished_text="✓"),
-        TextColumn("{task.description:<18}"),
-        BarColumn(bar_width=12),
-        TextColumn("{task.fields[note]}"),
-        TimeElapsedColumn(),
-    )
+    name, words = TextColumn("{task.description:<18}"), TextColumn("{task.fields[note]}")
+    columns = SpinnerColumn(finished_text="✓"), name, BarColumn(bar_width=12), words, TimeElapsedColumn()
     with Progress(*columns, console=console) as progress:
         tasks: list[TaskID] = []
 
@@ -102,11 +96,8 @@ def _bars(console: Console) -> Iterator[Observer]:
         def part(state: Runs) -> None:
             progress.update(tasks[-1], total=state.total, completed=state.finished, note=part_note(state))
 
-        def batch(report: BatchReport) -> None:
-            _say(progress.console, report.line)
-
-        note = partial(_say, progress.console)
-        yield Observer(stage=stage, run=run, step=step, part=part, batch=batch, note=note)
+        say = partial(_say, progress.console)
+        yield Observer(stage=stage, run=run, step=step, part=part, batch=lambda report: say(report.line), note=say)
         end_stage()
 
 
@@ -135,10 +126,7 @@ def _lines(say: Callable[[str], None], clock: Callable[[], float]) -> Observer:
         if due(state.finished == state.total):
             say(f"  {part_note(state)}")
 
-    def batch(report: BatchReport) -> None:
-        say(f"  {report.line}")
-
-    return Observer(stage=stage, run=run, step=step, part=part, batch=batch, note=say)
+    return Observer(stage=stage, run=run, step=step, part=part, batch=lambda report: say(f"  {report.line}"), note=say)
 
 
 def _say(console: Console, text: str) -> None:

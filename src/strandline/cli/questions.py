@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from strandline.cli import options
-from strandline.foundations import with_sd
+from strandline.foundations import require, with_sd
 
 QUESTIONS = {
     "coverage": "Test by replicates whether the intervals are right.",
@@ -18,6 +18,7 @@ QUESTIONS = {
     "next": "Rank the candidates for the next experiment.",
 }
 """The commands below, in the order in which the help lists them."""
+SOURCES = click.Choice(["prior", "posterior"])
 
 
 def _ask(question: str, study: Any, *given: Any, quiet: bool, **stated: Any) -> None:
@@ -35,12 +36,7 @@ def _ask(question: str, study: Any, *given: Any, quiet: bool, **stated: Any) -> 
 @options.study
 @click.option("--replicates", type=int, default=200, show_default=True, help="Repetitions, at least 20.")
 @click.option(
-    "--from",
-    "source",
-    type=click.Choice(["prior", "posterior"]),
-    default="prior",
-    show_default=True,
-    help="Where the true inputs come from.",
+    "--from", "source", type=SOURCES, default="prior", show_default=True, help="Where the true inputs come from."
 )
 @options.seed
 @options.measure
@@ -55,12 +51,7 @@ def coverage(study: Path, **stated: Any) -> None:
 
 @click.command("next")
 @options.study
-@click.option(
-    "--from",
-    "source",
-    type=click.Choice(["prior", "posterior"]),
-    help="Where to begin; by default from the posterior if there is one.",
-)
+@click.option("--from", "source", type=SOURCES, help="Where to begin; by default from the posterior if there is one.")
 @click.option("--draws", type=int, default=1000, show_default=True, help="Draws of the posterior.")
 @click.option("--runs", type=int, default=8, show_default=True, help="Draws of the prior at which candidates are run.")
 @options.seed
@@ -76,12 +67,11 @@ def next_experiment(study: Path, **stated: Any) -> None:
 
 @click.command("what-if")
 @options.study
-@click.option(
+@options.repeatable(
     "--ask",
     "asked",
-    multiple=True,
-    metavar="CHANGE",
-    help="Ask only this, with the keys of what_if: '{noise: {sd: 5, unit: um}}'. May be repeated.",
+    "CHANGE",
+    "Ask only this, with the keys of what_if: '{noise: {sd: 5, unit: um}}'. May be repeated.",
 )
 @options.seed
 @options.quiet
@@ -94,22 +84,16 @@ def what_if(study: Path, asked: tuple[str, ...], **stated: Any) -> None:
 
 
 def _change(text: str) -> dict[str, Any]:
-    from strandline.foundations import InvalidInput
     from strandline.studies import load_yaml
 
-    found = load_yaml(text)
-    if not isinstance(found, dict):
-        raise InvalidInput(
-            "--ask", value=text, expected="keys with values", remedy="Write e.g. --ask '{noise: {sd: 5, unit: um}}'."
-        )
-    return found
+    found, remedy = load_yaml(text), "Write e.g. --ask '{noise: {sd: 5, unit: um}}'."
+    require(isinstance(found, dict), "--ask", text, "keys with values", remedy)
+    return dict(found)
 
 
 @click.command("compare")
 @click.argument("studies", nargs=-1, type=options.STUDY)
-@click.option(
-    "--to", type=click.Path(path_type=Path), default="comparison", show_default=True, help="Folder of the result."
-)
+@click.option("--to", type=options.PATH, default="comparison", show_default=True, help="Folder of the result.")
 @click.option("--odds", metavar="NUMBERS", help="Prior odds of the models in their order, e.g. 2:1; equal by default.")
 @click.option(
     "--separate", is_flag=True, help="Rank the candidates under `next` by how well they tell the models apart."

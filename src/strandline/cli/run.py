@@ -5,6 +5,7 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -30,13 +31,12 @@ def _keys(context: click.Context, option: click.Parameter, start: str) -> list[C
 
 @click.command("run")
 @options.study
-@click.option(
+@options.repeatable(
     "--set",
     "settings",
-    multiple=True,
-    metavar="KEY=VALUE",
+    "KEY=VALUE",
+    "Run a copy of the study with another value, e.g. noise.sd=3; can be repeated.",
     shell_complete=_keys,
-    help="Run a copy of the study with another value, e.g. noise.sd=3; can be repeated.",
 )
 @click.option("--into", type=click.Path(path_type=Path, file_okay=False), help="Folder of that copy.")
 @options.workers
@@ -69,8 +69,6 @@ def run(
     if verbose and quiet:
         raise click.UsageError("--verbose shows more, --quiet less: leave one out; --log FILE keeps the progress.")
     options.use_device(device)
-    from functools import partial
-
     from strandline.cli.progress import detailed, observing, say_journal, set_aside_lines
     from strandline.runs import with_workers
     from strandline.studies import REPORT, load_study, results_at_hand, run_study
@@ -147,10 +145,8 @@ def _submit(study: "Study", executor: "Executor", observer: "Observer") -> None:
     from strandline.studies import submit_study
 
     if not isinstance(executor, SlurmArray):
-        raise click.UsageError(
-            f"--detach: got the executor {type(executor).__name__}; expected runs that go on without a driver, "
-            "`executor: {slurm_array: …}` in study.yaml."
-        )
+        expected = "runs that go on without a driver, `executor: {slurm_array: …}` in study.yaml."
+        raise click.UsageError(f"--detach: got the executor {type(executor).__name__}; expected {expected}")
     try:
         submit_study(study, executor=replace(executor, detach=True), observer=observer)
     except Detached as detached:
@@ -179,13 +175,12 @@ def _told_what_goes_on(study: "Study", executor: "Executor") -> Iterator[None]:
 
 @click.command("retry")
 @options.study
-@click.option(
+@options.repeatable(
     "--kind",
     "kinds",
-    multiple=True,
+    "KIND",
+    "Kind of failure, or a state: failed, timeout, killed, invalid. May be given several times.",
     required=True,
-    metavar="KIND",
-    help="Kind of failure, or a state: failed, timeout, killed, invalid. May be given several times.",
 )
 @options.workers
 @options.quiet

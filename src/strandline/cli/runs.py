@@ -1,18 +1,17 @@
-"""`strandline status`, `runs`, `doctor`, `backup`: how far a study has got, its runs, what is wrong, a copy."""
+"""`strandline status`, `view`, `runs`, `doctor`, `backup`: how far a study has got, its runs, what is wrong, a copy."""
 
 import json
 import sqlite3
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from strandline.cli import options
-from strandline.foundations import InvalidInput, read_json
-from strandline.runs import EXCLUDED, LOG_TITLE, STATES, Details, Overview, Run, copied, opened_for_reading
+from strandline.foundations import read_json, require, unfit
+from strandline.runs import EXCLUDED, LOG_TITLE, STATES, Details, Driver, Overview, Run
 from strandline.studies import LEDGER, SUMMARY
 
 if TYPE_CHECKING:
@@ -51,7 +50,7 @@ def lines_of(state: "StudyProgress") -> Iterator[str]:
     if state.detached:
         yield "  jobs of a SLURM array are out, which go on without a driver; `strandline run` collects them"
     if state.driver is not None:
-        yield f"  {_driver(state)}"
+        yield f"  {_driver(state.driver, state)}"
     if state.last_batch:
         yield f"  {state.last_batch}"
     for kind, some in state.failures.items():
@@ -65,19 +64,15 @@ def lines_of(state: "StudyProgress") -> Iterator[str]:
     yield f"  results: {RESULTS[state.results]}"
 
 
-def _driver(state: "StudyProgress") -> str:
-    driver = state.driver
-    if driver is None:
-        return "no driver yet"
+def _driver(driver: Driver, state: "StudyProgress") -> str:
     who = f"process {driver.pid} on {driver.host}"
     pace = "" if state.rate is None else f"{_figure(state.rate)} runs a minute"
     if driver.at_work is None:
         return f"driver {who}; strandline cannot see from here whether it is running" + (f"; {pace}" if pace else "")
     if not driver.at_work:
         return "no driver at work" + (f"; the last made {pace}" if pace else "")
-    left = (
-        "" if not state.seconds_left else f", {'at most' if state.active else 'about'} {_time(state.seconds_left)} left"
-    )
+    about = "at most" if state.active else "about"
+    left = f", {about} {_time(state.seconds_left)} left" if state.seconds_left else ""
     return f"driver at work, {who}" + (f": {pace}{left}" if pace else "")
 
 
@@ -93,6 +88,34 @@ def _time(seconds: float) -> str:
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+@click.command("view")
+@options.study
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="To listen on; by default any free one.")
+@click.option("--no-browser", is_flag=True, help="Print the address only.")
+def view(study: Path, port: int, no_browser: bool) -> None:
+    """Show STUDY in the browser, until Ctrl-C: runs, posterior, interfaces, and what its assumptions do.
+
+    The page changes nothing in the study. It answers on this machine alone, to whoever has its address.
+    """
+    import webbrowser
+
+    from strandline.studies import load_study
+    from strandline.view import Server
+
+    server = Server(load_study(study), port=port)
+
+    def started() -> None:
+        click.echo(f"{study}: {server.url}")
+        click.echo(f"Ctrl-C ends. From another machine: ssh -L {server.port}:localhost:{server.port} THIS_MACHINE")
+        if not no_browser:
+            webbrowser.open(server.url)
+
+    try:
+        server.run(started)
+    except KeyboardInterrupt:
+        click.echo("stopped", err=True)
 
 
 @click.command("doctor")
@@ -114,24 +137,22 @@ def doctor(study: Path) -> None:
 
 @click.command("backup")
 @options.study
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("file", type=options.PATH)
 def backup(study: Path, file: Path) -> None:
     """Copy the ledger of STUDY to FILE, which must not exist; it may be running meanwhile.
 
     To restore it, copy FILE to ledger.sqlite in the study folder while nothing is running there.
     """
-
     if file.exists() or not file.parent.is_dir():
         raise click.UsageError(f"FILE: got {file}; expected a file that does not exist, in a folder that does.")
     with Overview(study / LEDGER) as ledger:
         number = len(ledger.runs())
-    try:
-        with closing(opened_for_reading(study / LEDGER)) as connection:
-            copied(connection, file)
-    except (OSError, sqlite3.Error) as error:
-        expected = "a folder that can be written to, with room on the disk, and a sound ledger"
-        remedy = "Choose another place; `strandline doctor` says whether the ledger is sound."
-        raise InvalidInput("FILE of the backup", value=f"{file}: {error}", expected=expected, remedy=remedy) from error
+        try:
+            ledger.copy_to(file)
+        except (OSError, sqlite3.Error) as error:
+            expected = "a folder that can be written to, with room on the disk, and a sound ledger"
+            remedy = "Choose another place; `strandline doctor` says whether the ledger is sound."
+            raise unfit("FILE of the backup", f"{file}: {error}", expected, remedy) from error
     click.echo(f"wrote {file}: {number} runs")
 
 
@@ -145,9 +166,7 @@ SHORT = 12
 @click.option("--kind", help="Only runs that failed for this reason.")
 @click.option("--limit", type=click.IntRange(min=1), metavar="N", help="At most N, the last to be started.")
 @click.option("--show", metavar="KEY", help="Show one run in full; the first characters of its key are enough.")
-@click.option(
-    "--export", type=click.Path(path_type=Path), metavar="FILE", help="Write them to FILE.csv or FILE.nc instead."
-)
+@click.option("--export", type=options.PATH, metavar="FILE", help="Write them to FILE.csv or FILE.nc instead.")
 @click.option("--json", "as_json", is_flag=True, help="Print them as one JSON array.")
 @click.option("--exclude", metavar="KEY", help="Use this run no more, and do not make it again; needs --why.")
 @click.option("--include", metavar="KEY", help="Use an excluded run again.")
@@ -218,13 +237,10 @@ def _require_kind(kind: str | None, runs: Sequence[Run]) -> None:
 
 def _found(key: str, runs: Sequence[Run], option: str) -> Run:
     matching = [run for run in runs if key and run.key.startswith(key)]
-    if len(matching) != 1:
-        raise InvalidInput(
-            option,
-            value=key if matching else f"{key}: none of the {len(runs)} keys begins with {key}",
-            expected="the beginning of the key of one run" + (f", not of {len(matching)}" if matching else ""),
-            remedy="Give more of its characters." if matching else "See `strandline runs STUDY` for the keys.",
-        )
+    found = key if matching else f"{key}: none of the {len(runs)} keys begins with {key}"
+    expected = "the beginning of the key of one run" + (f", not of {len(matching)}" if matching else "")
+    remedy = "Give more of its characters." if matching else "See `strandline runs STUDY` for the keys."
+    require(len(matching) == 1, option, found, expected, remedy)
     return matching[0]
 
 
@@ -299,14 +315,17 @@ def _export(path: Path, runs: Sequence[Run], ledger: Overview) -> None:
 def _as_used(runs: Sequence[Run], folder: Path) -> list[Run]:
     """Return the runs with the state that the analysis gives them: excluded by hand, or set aside as invalid."""
     kinds = {key: kind for key, (kind, _) in _set_aside(folder).items()}
-    out = []
-    for run in runs:
+
+    def as_used(run: Run) -> Run:
         if run.exclusion is not None:
-            run = _ending(run, EXCLUDED, EXCLUDED)
+            last = run.last._replace(state=EXCLUDED, kind=EXCLUDED)
         elif run.key in kinds and run.last.state == "ok":
-            run = _ending(run, "invalid", kinds[run.key])
-        out.append(run)
-    return out
+            last = run.last._replace(state="invalid", kind=kinds[run.key])
+        else:
+            return run
+        return run._replace(attempts=(*run.attempts[:-1], last))
+
+    return [as_used(run) for run in runs]
 
 
 def _reasons(run: Run, folder: Path) -> Iterator[str]:
@@ -326,10 +345,6 @@ def _change(folder: Path, key: str, model: str | None, why: str, *, exclude: boo
         ledger.exclude(key, why) if exclude else ledger.include(key, why)
     done = "excluded: it is not used and not made again" if exclude else "included again"
     click.echo(f"run {key[:SHORT]} is {done}; `strandline run {folder}` makes the results again")
-
-
-def _ending(run: Run, state: str, kind: str) -> Run:
-    return run._replace(attempts=(*run.attempts[:-1], run.last._replace(state=state, kind=kind)))
 
 
 def _set_aside(folder: Path) -> dict[str, tuple[str, str]]:

@@ -19,14 +19,7 @@ if TYPE_CHECKING:
     from strandline.runs.ledger.journal import note
     from strandline.runs.ledger.ledger import Counts, Ledger
     from strandline.runs.ledger.ledger_rows import outcome_digest, unsound
-    from strandline.runs.ledger.ledger_schema import (
-        ATTEMPTS,
-        EXCLUDED,
-        INTERRUPTED,
-        LOG_TITLE,
-        copied,
-        opened_for_reading,
-    )
+    from strandline.runs.ledger.ledger_schema import ATTEMPTS, EXCLUDED, INTERRUPTED, LOG_TITLE
     from strandline.runs.ledger.overview import OPEN, STATES, Attempt, Details, Driver, Overview, Run
     from strandline.runs.ledger.plans import Plan
     from strandline.runs.ledger.record import ENDS, NOT_NOW, RunRecord, RunRequest, attempt, ended, run_key, told_folder

@@ -11,7 +11,7 @@ import sqlite3
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
 from strandline.runs.ledger import ledger_schema
 from strandline.runs.ledger.ledger_schema import ATTEMPTS, INTERRUPTED, translated
@@ -57,14 +57,11 @@ class Run(NamedTuple):
 
     @property
     def outcome(self) -> Attempt | None:
-        if self.last.state != OPEN:
-            return self.last
         return next((attempt for attempt in reversed(self.attempts) if attempt.state != OPEN), None)
 
     @property
     def inputs(self) -> Mapping[str, float]:
-        inputs: dict[str, float] = json.loads(self.last.inputs)
-        return inputs
+        return cast(dict[str, float], json.loads(self.last.inputs))
 
     def settled(self, *, sensitivities: bool) -> bool:
         """Return whether the run will not be tried again, given whether `sensitivities` are requested."""
@@ -188,11 +185,14 @@ class Overview(OpenedLedger["Overview"]):
         rows = [(number, *row) for number in numbers for row in self._rows(sql, (number,))]
         return {number: Details(message or "", log, json.loads(found)) for number, message, log, found in rows}
 
+    def copy_to(self, target: Path) -> None:
+        """Copy the ledger to a new file; errors are those of `copied`."""
+        ledger_schema.copied(self._connection, target)
+
     def driver(self) -> Driver | None:
         """Return the process that last opened the ledger to make runs; None if there was none."""
         sql = "SELECT session, pid, host, opened_at FROM sessions ORDER BY session DESC LIMIT 1"
-        rows = self._rows(sql)
-        if not rows:
+        if not (rows := self._rows(sql)):
             return None
         session, pid, host, opened_at = rows[0]
         return Driver(session, pid, host, opened_at, is_at_work(pid, host, self.path.with_suffix(".lock")))
