@@ -22,18 +22,15 @@ from strandline.interface import GLOBAL, GaussianNoise, Interface, Observation, 
 from strandline.likelihood import Compared, Registered, StatedErrors, compared, noise_of_residuals, noise_on_surface
 from strandline.posterior import Posterior
 
-FEW_DRAWS = 32
-"""Most draws of the posterior for surfaces, which are compared one by one; too few to flag a model."""
+FEW_DRAWS = 32  # most draws of the posterior for surfaces, which are compared one by one; too few to flag a model
 SYMMETRIC = (discrepancy.Currents, discrepancy.TrackedPoints)
 """Measures in which both interfaces can change places: many drawn observations are compared at once."""
 FULL = Effort()
 FAILURES = StrandlineError, ArithmeticError, ValueError
 STREAM = 5  # keeps these random numbers apart from all others of the same seed
-NOTICED = 0.1
-"""Model error, in standard deviations of the noise, below which the verdict does not mention it."""
+NOTICED = 0.1  # model error, in standard deviations of the noise, below which the verdict does not mention it
 Drawn = Float[np.ndarray, "draw point"]
-_ONE_SIDE = 0.5
-"""Least length of the mean unit normal of a part of an arc that lies on one side of the prediction."""
+_ONE_SIDE = 0.5  # least length of the mean unit normal of a part of an arc that lies on one side of the prediction
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,12 +30,10 @@ from strandline.posterior import Posterior, Weighted
 from strandline.runs import RunRecord
 from strandline.surrogate import FieldSurrogate
 
-RUNS_PER_INPUT = 8
-"""Runs from which a field is learnt for this purpose: so many for each input and for the mean."""
+RUNS_PER_INPUT = 8  # runs from which a field is learnt for this purpose: so many for each input and for the mean
 STEPS = 4  # largest number of Gauss–Newton steps from the MAP
 LEVELS = 400  # quantiles of the priors from which their moments are computed
-NEGLIGIBLE = 0.02
-"""Standard deviation of a mode of the surrogate, in that of a point, below which it counts as exact."""
+NEGLIGIBLE = 0.02  # standard deviation of a mode of the surrogate, in that of a point, below which it counts as exact
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,17 +234,14 @@ def _around(
 
 PATCHES, FEWEST_IN_PATCH = 8, 4  # patches of a surface, and the fewest points of a patch on average
 ROUNDS = 20  # rounds in which the middles of the patches move
-WAVES, FEWEST_FOR_WAVE = 6, 4
-"""Waves along an arc, the first one constant, and the fewest points for each."""
+WAVES, FEWEST_FOR_WAVE = 6, 4  # waves along an arc, the first one constant, and the fewest points for each
 TOGETHER = 0.01
 """Squared change of all residuals, in their standard deviations, by a combination of inputs over its prior, below which
 these inputs only act together: differences cannot tell such a change, and it hardly moves a wave."""
 EXPLAINED = 1e-6
 """Variance of a combination of waves, relative to the largest one, below which inputs or global errors explain it."""
-BLOCK = 500
-"""Draws processed together; this bounds the memory."""
-PARTS, FEWEST_POINTS = 6, 4
-"""Parts of the arc of an interface, and the fewest points of a part on average."""
+BLOCK = 500  # draws processed together; this bounds the memory
+PARTS, FEWEST_POINTS = 6, 4  # parts of the arc of an interface, and the fewest points of a part on average
 
 
 def patches_of(points: Float[np.ndarray, "point 3"]) -> Int[np.ndarray, " point"]:

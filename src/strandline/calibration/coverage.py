@@ -21,10 +21,8 @@ from strandline.posterior import Band, Coverage, Weighted, coverage_of, region_c
 LEVELS = (0.5, 0.9)  # probabilities of the intervals whose coverage is counted
 BAND = 0.95  # probability that all ranks stay inside their bands if the posteriors are right
 CERTAIN = 3.0  # standard errors from which a mean z-score shows a shift
-ENOUGH = 100
-"""Replicates from which intervals that are a fifth too narrow or too wide would probably have shown."""
-WIDTH = 0.15
-"""How far the standard deviation of shifted z-scores must exceed 1 to show that the width is wrong too."""
+ENOUGH = 100  # replicates from which intervals that are a fifth too narrow or too wide would probably have shown
+WIDTH = 0.15  # how far the standard deviation of shifted z-scores must exceed 1 to show that the width is wrong too
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,17 +25,13 @@ from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted, systematic_indices
 
 FIRST, DRAWS = 512, 1000  # draws of the prior, and of each mixture
-ENOUGH, ROUNDS = 1500.0, 5
-"""Effective sample size at which sampling ends, and the most mixtures that are drawn from."""
-KEPT, FIELDS = 100, 32
-"""Draws of the posterior at which possible fields are drawn, and number of these fields."""
+ENOUGH, ROUNDS = 1500.0, 5  # effective sample size at which sampling ends, and the most mixtures that are drawn from
+KEPT, FIELDS = 100, 32  # draws of the posterior at which possible fields are drawn, and number of these fields
 TINY = 1e-300  # keeps logarithms of weights finite
 Points = Float[np.ndarray, "point dim"]
 Values = Float[np.ndarray, " point"]
-SCALE = ((1.0, "positive"), (3.0, "strong"), (5.0, "very strong"))
-"""Least |ln B| of each word."""
-ERRORS = 2.0
-"""Smallest |ln B| of a decision, in standard errors of ln B."""
+SCALE = ((1.0, "positive"), (3.0, "strong"), (5.0, "very strong"))  # least |ln B| of each word
+ERRORS = 2.0  # smallest |ln B| of a decision, in standard errors of ln B
 CANNOT_TELL = "cannot tell"
 
 

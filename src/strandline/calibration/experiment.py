@@ -26,12 +26,9 @@ from strandline.posterior import Posterior, Weighted, systematic_indices
 from strandline.surrogate import FieldSurrogate
 
 POINTS = 4096  # draws of the distribution whose predicted interfaces are kept for all replicates
-FEWEST = 100.0
-"""Smallest effective number of draws of a posterior that the surrogate of the interface agrees with."""
-TOLERATED = 0.5
-"""Error of the predicted interface that is tolerated, as a share of the shift that the noise hides."""
-TOLERATED_SHARE = 0.05
-"""Share of the draws at which a larger error is tolerated."""
+FEWEST = 100.0  # smallest effective number of draws of a posterior that the surrogate of the interface agrees with
+TOLERATED = 0.5  # error of the predicted interface that is tolerated, as a share of the shift that the noise hides
+TOLERATED_SHARE = 0.05  # share of the draws at which a larger error is tolerated
 DRAWS = 512
 
 
@@ -271,8 +268,7 @@ class CoordinateErrors:
         return Interface(true.points + self.sd * random.standard_normal(true.points.shape), true.cells)
 
 
-Errors = PointErrors | CoordinateErrors
-"""Errors of the points of an observed interface."""
+Errors = PointErrors | CoordinateErrors  # errors of the points of an observed interface
 
 
 @dataclass(frozen=True, eq=False)

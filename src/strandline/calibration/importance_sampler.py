@@ -22,22 +22,18 @@ from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted
 from strandline.smc import OnHost, SMCResult, sample
 
-ENOUGH = 400.0
-"""Effective sample size at which sampling ends."""
+ENOUGH = 400.0  # effective sample size at which sampling ends
 ROUNDS = 8  # largest number of rounds
 DRAWS, MANY_INPUTS_DRAWS = 1000, 2000  # points of a round, for up to three inputs and for more
-FREEDOM = 5.0
-"""Degrees of freedom of the Student distributions: tails heavier than those of most posteriors."""
+FREEDOM = 5.0  # degrees of freedom of the Student distributions: tails heavier than those of most posteriors
 MOST_PARTS = 4  # largest number of distributions in the mixture
 FITTED, OF_PART = 20.0, 10.0
 """Effective points that a mixture, and each part of it, is fitted to, per number of inputs + 1."""
 STEPS = 10  # steps of expectation maximisation
 FLOOR = 1e-9  # smallest variance of a part, relative to that of the points it is fitted to
 NEGLIGIBLE = 1e-9  # weight, relative to the largest, below which a point is left out of a fit
-PARTICLES = 2000
-"""Particles of the tempered sampler, which takes over where importance sampling does not get there."""
-SCRAMBLE = 0
-"""Seed that scrambles the Sobol sequence of the prior's draws; the plain one begins at a corner."""
+PARTICLES = 2000  # particles of the tempered sampler, which takes over where importance sampling does not get there
+SCRAMBLE = 0  # seed that scrambles the Sobol sequence of the prior's draws; the plain one begins at a corner
 By = Literal["importance", "smc"]
 Points = Float[np.ndarray, "point dim"]
 Values = Float[np.ndarray, " point"]

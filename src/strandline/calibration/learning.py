@@ -30,8 +30,7 @@ from strandline.surrogate import LogLikelihoodSurrogate, fit_log_likelihood, fit
 
 Given = Float[np.ndarray, "run dim"] | Sequence[Mapping[str, float]]
 """The unknown inputs of runs, shape (run, dim), or all inputs of each by name."""
-ROUNDS_INSTEAD = 4
-"""Rounds of refinement that make the second half of an active design's runs if there can be no field."""
+ROUNDS_INSTEAD = 4  # rounds of refinement that make the second half of an active design's runs if there can be no field
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,8 +23,7 @@ model: errors of a picture reach over a few pixels."""
 STRAINED = 4.5
 """Shift, rotation, scale or offset, in its stated standard deviations, from which it is not what was stated."""
 STRAINS = {"shift": "shifted", "rotation": "turned", "scale": "scaled", "offset": "moved along its normals"}
-UNLIKELY = 0.05
-"""Probability of such a shift, rotation, scale or offset below which it is worth a warning."""
+UNLIKELY = 0.05  # probability of such a shift, rotation, scale or offset below which it is worth a warning
 TOWARDS = {
     "above": " (towards larger y)",
     "below": " (towards smaller y)",

@@ -236,8 +236,7 @@ STAGES = {
     "report": "figures and report",
 }
 """Stages whose names in words differ from those in the program."""
-KERNEL = "ZMQInteractiveShell"
-"""Shell of a Jupyter kernel; others have a terminal."""
+KERNEL = "ZMQInteractiveShell"  # shell of a Jupyter kernel; others have a terminal
 
 
 def run_note(state: Progress) -> str:

@@ -16,8 +16,7 @@ from scipy.special import kolmogorov, logsumexp, ndtr
 from strandline.posterior import Posterior, Weighted
 from strandline.smc import SMCResult
 
-LEVEL = 0.01
-"""Probability, corrected for the number of comparisons, below which a difference is not chance."""
+LEVEL = 0.01  # probability, corrected for the number of comparisons, below which a difference is not chance
 RELATED = 4.0
 """Particles that count as one independent draw, since copies of one particle stay related.
 Over seeds, the variance of a mean is 0.4 to 1.5 times sd²/ESS for Gaussian, cut and curved targets in four to seven

@@ -226,8 +226,7 @@ class FieldTarget:
         return np.asarray(values + self.knowledge.log_feasibility(x))
 
 
-Target = LogLikelihoodTarget | FieldTarget
-"""A log-likelihood to sample from."""
+Target = LogLikelihoodTarget | FieldTarget  # a log-likelihood to sample from
 
 
 def _posterior(

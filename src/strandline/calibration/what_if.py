@@ -37,8 +37,7 @@ Values = Float[np.ndarray, " point"]
 FEWEST = 100.0
 """Smallest effective number of draws after weighting: by the surrogate of the interface, or by an alternative."""
 FIRST = 2048  # draws of the prior that sampling begins with
-ENOUGH = 1000.0
-"""Effective draws at which sampling ends."""
+ENOUGH = 1000.0  # effective draws at which sampling ends
 DRAWS = 2000  # equally weighted draws that are kept
 
 
@@ -196,10 +195,8 @@ def interim_posterior(knowledge: Knowledge, space: ParameterSpace, *, seed: int)
     )
 
 
-LEAST_SHIFT = 0.2
-"""Shift of a mean, in present standard deviations, from which an input moves."""
-LEAST_RATIO = 1.25
-"""Ratio of the standard deviations, or its inverse, from which an input moves."""
+LEAST_SHIFT = 0.2  # shift of a mean, in present standard deviations, from which an input moves
+LEAST_RATIO = 1.25  # ratio of the standard deviations, or its inverse, from which an input moves
 WIDEST = 1.3
 """Standard deviation, in those of the draws without weights, up to which reweighting is believed. From 1000 draws of a
 Gaussian it gives widths of one 1.3, 1.5, 2 times as wide up to 10, 15, 29 % too small (1 in 20 of them more), mostly

@@ -42,8 +42,7 @@ from strandline.posterior import Weighted
 
 FEWEST = 30.0
 """Median number of draws that a possible observation must leave with weight; else nested Monte Carlo is not offered."""
-LEAST_LOG_DET = -1e3
-"""Logarithm of the smallest determinant of a covariance; that of equal draws is 0."""
+LEAST_LOG_DET = -1e3  # logarithm of the smallest determinant of a covariance; that of equal draws is 0
 Signals = Float[np.ndarray, "draw signal"]
 BLOCK = 256  # observations that are weighed at the same time
 
@@ -194,8 +193,7 @@ def linear_outlook(
 
 
 CLEAR = 3.0  # ln of the posterior odds from which a model is clearly better, strong evidence
-FEWEST_OF_MODEL = 10.0
-"""Median number of draws of the right model that an observation must leave with weight."""
+FEWEST_OF_MODEL = 10.0  # median number of draws of the right model that an observation must leave with weight
 
 
 @dataclass(frozen=True)
@@ -280,8 +278,7 @@ def _log_densities(
     return logs, left
 
 
-HARDLY = 0.85
-"""Share of the prior's standard deviation above which hardly anything was learnt about a combination."""
+HARDLY = 0.85  # share of the prior's standard deviation above which hardly anything was learnt about a combination
 NAMED = 0.3
 """Inputs with a smaller share of a combination than this, relative to the largest, are left out of its description."""
 ROTATIONS = 200

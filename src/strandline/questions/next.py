@@ -119,8 +119,7 @@ def _require_arguments(source: str | None, draws: int, runs: int, seed: int) -> 
     require_seed(seed, "the next experiment")
 
 
-AGAIN = {"prior": "as planned", "posterior": "the same again"}
-"""Words for an experiment with the study's own settings."""
+AGAIN = {"prior": "as planned", "posterior": "the same again"}  # words for an experiment with the study's own settings
 NOTHING = 0.1  # gain, nats, below which the advice says that an experiment teaches little
 AS_GOOD = 0.05  # difference, nats, within which the advice calls two candidates equally good
 RISKY = 0.2  # probability of failure from which the advice mentions it

@@ -149,8 +149,7 @@ def signals_of(
     return np.asarray(signals @ axes[kept].T) if kept.any() else np.zeros((len(signals), 1))
 
 
-Nodes = Mapping[str, Float[np.ndarray, "_ _ _"]]
-"""Nodes of simulated interfaces by condition, one interface a row, mm."""
+Nodes = Mapping[str, Float[np.ndarray, "_ _ _"]]  # nodes of simulated interfaces by condition, one interface a row, mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,10 +302,8 @@ def slopes_of_field(
     return np.concatenate(rows)
 
 
-SLOPE_SD, OFFSET_SD = 50.0, 50.0
-"""Standard deviations of the prior of the logistic function's slope and offset."""
-PRIOR_RUNS, RARE = 2.0, 0.05
-"""Runs that the base rate of failures begins with, and the share of these that fail."""
+SLOPE_SD, OFFSET_SD = 50.0, 50.0  # standard deviations of the prior of the logistic function's slope and offset
+PRIOR_RUNS, RARE = 2.0, 0.05  # runs that the base rate of failures begins with, and the share of these that fail
 MOST_CHECKED = 200  # interfaces that are checked for crossing themselves
 
 

@@ -169,8 +169,7 @@ def matched(of: Float[np.ndarray, "dim dim"], wanted: Float[np.ndarray, "dim dim
 
 
 LAST = 2048  # draws of the last round, whose mean is the most accurate
-LED = 150.0
-"""Effective sample size to reach with the likelihood nearby: enough to fit a mixture for the last round."""
+LED = 150.0  # effective sample size to reach with the likelihood nearby: enough to fit a mixture for the last round
 SPECIMEN_DRAWS = 64  # equally weighted draws that are kept of each posterior
 
 By = Literal["importance", "smc"]
@@ -366,8 +365,7 @@ def _few_draws(found: Weighted, random: np.random.Generator, space: ParameterSpa
     return np.asarray(np.where(inside, moved, draws))
 
 
-OF_EACH, MOST = 8, 400
-"""Largest number of draws of each posterior, and of all together, that are considered."""
+OF_EACH, MOST = 8, 400  # largest number of draws of each posterior, and of all together, that are considered
 LEAST_FEASIBLE = 0.5  # least probability that a run succeeds, relative to the safest one
 
 

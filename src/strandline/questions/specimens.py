@@ -175,8 +175,7 @@ def _with_population(found: SpecimensFound, seed: int) -> SpecimensFound:
         return replace(found, population=population, shrunk=shrunk(population, names, seed=seed))
 
 
-PAUSE = 0.1
-"""Seconds between two looks at the folder; a file that did not change from one to the next is complete."""
+PAUSE = 0.1  # seconds between two looks at the folder; a file that did not change from one to the next is complete
 PATIENCE = 2.0  # seconds without a change after which a file that cannot be read is set aside
 
 

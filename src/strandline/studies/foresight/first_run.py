@@ -16,14 +16,10 @@ from strandline.runs import RunRecord
 from strandline.studies.load.observed import noisy, require_plausible
 from strandline.studies.load.study import Study
 
-FAR_APART = 0.05
-"""Share of the interface's length: ends or centres further apart than this are worth a warning."""
-WAY_OFF = 0.2
-"""The same share if the run may have any inputs."""
-SEEN_PART = 0.2
-"""The same share for the ends of the model's interface: an observed one may be shorter."""
-MESH_SHARE = 0.1
-"""Share of the noise above which the difference to the next finer mesh is worth a warning."""
+FAR_APART = 0.05  # share of the interface's length: ends or centres further apart than this are worth a warning
+WAY_OFF = 0.2  # the same share if the run may have any inputs
+SEEN_PART = 0.2  # the same share for the ends of the model's interface: an observed one may be shorter
+MESH_SHARE = 0.1  # share of the noise above which the difference to the next finer mesh is worth a warning
 
 
 @dataclass(frozen=True)

@@ -15,28 +15,20 @@ from strandline.runs import RunRecord
 from strandline.studies.foresight.first_run import observations_of
 from strandline.studies.load.study import Study
 
-MOST_SCATTER = 10.0
-"""Scatter of the measurement lines' directions, degrees, above which it is worth a warning."""
-STEADY = 3.0
-"""Scatter that the suggested option leaves, degrees."""
-PIECE = 4.0
-"""Shortest piece of outline that is suggested, in spacings of the observed points."""
-GAP = 5.0
-"""Longest distance of neighbouring points, in their median, that is no gap."""
+MOST_SCATTER = 10.0  # scatter of the measurement lines' directions, degrees, above which it is worth a warning
+STEADY = 3.0  # scatter that the suggested option leaves, degrees
+PIECE = 4.0  # shortest piece of outline that is suggested, in spacings of the observed points
+GAP = 5.0  # longest distance of neighbouring points, in their median, that is no gap
 ALONE, FEWEST = 8.0, 20
 """Distance of one observed point from all others, in the next largest such distance, that shows a mistake.
 For 20 or more points at random places on a line, it was at most 7.4 in 3,000 draws."""
-TO_POINTS = "to_simulated", "sum"
-"""Direction and weighting of closest_point with which only the observed points count."""
-BEYOND = 3.0
-"""Spacings by which the simulated interface may reach beyond the observed one."""
-LONG = 0.1
-"""Correlation length, as a share of the observed interface, from which the noise is overstated."""
+TO_POINTS = "to_simulated", "sum"  # direction and weighting of closest_point with which only the observed points count
+BEYOND = 3.0  # spacings by which the simulated interface may reach beyond the observed one
+LONG = 0.1  # correlation length, as a share of the observed interface, from which the noise is overstated
 LEAST_SHARE = {"scale": 1.0, "rotation": 0.3}
 """Share of the motion by a wrong scale or angle that the stated shift must allow; sizes are known less than angles."""
 TO_UM = 1e3
-_END = 0.1
-"""Share of the observed points that show in which direction an end points."""
+_END = 0.1  # share of the observed points that show in which direction an end points
 
 
 def measure_lines(study: Study, record: RunRecord) -> Iterator[str]:
@@ -190,12 +182,9 @@ def _beyond(path: Float[np.ndarray, "point 2"], seen: Interface, tip: Float[np.n
     return max(float((tip - end) @ along) / float(np.linalg.norm(along)), 0.0)
 
 
-SHARE = 4 / 45
-"""Mean square of a parabola about its mean, in squares of its height."""
-MOST = 1.0
-"""Change of d² from which the nodes are too few."""
-CORNER = 0.3
-"""Turn of the polyline, radians, from which it counts as a corner of the shape itself."""
+SHARE = 4 / 45  # mean square of a parabola about its mean, in squares of its height
+MOST = 1.0  # change of d² from which the nodes are too few
+CORNER = 0.3  # turn of the polyline, radians, from which it counts as a corner of the shape itself
 
 
 def node_lines(study: Study, record: RunRecord) -> Iterator[str]:

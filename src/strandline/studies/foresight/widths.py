@@ -25,10 +25,8 @@ from strandline.runs import RunRecord
 from strandline.studies.load.study import Study
 from strandline.surrogate import FieldTraining, fit_field
 
-HARDLY = 0.8
-"""Share of the prior's sd above which the data barely constrain an input."""
-STEP = 0.05
-"""Step of the further runs, in widths of the box."""
+HARDLY = 0.8  # share of the prior's sd above which the data barely constrain an input
+STEP = 0.05  # step of the further runs, in widths of the box
 _OfInputs = Float[np.ndarray, " dim"]
 Slopes = Mapping[str, Float[np.ndarray, "point xyz dim"]]
 
@@ -162,8 +160,7 @@ def _prior_sd(space: ParameterSpace) -> Float[np.ndarray, " dim"]:
     return np.asarray(0.5 * (high - low))
 
 
-SURROGATE_STEP = 1e-3
-"""Step of the differences, in widths of the box."""
+SURROGATE_STEP = 1e-3  # step of the differences, in widths of the box
 
 
 def predicted_at(
@@ -186,8 +183,7 @@ def predicted_at(
     return field.interfaces(at), slopes
 
 
-NEAREST = 8
-"""Runs near the posterior that give the slopes, for each input and for the mean."""
+NEAREST = 8  # runs near the posterior that give the slopes, for each input and for the mean
 
 
 def outline_effect(study: Study, records: Sequence[RunRecord], posterior: Posterior) -> dict[str, Any] | None:

@@ -27,8 +27,7 @@ RESULTS = {value for key, value in globals().copy().items() if key.isupper() and
 """Names of result files, and that of the study file."""
 RESULT_FOLDERS = frozenset({"figures", "runs", "slurm", "comparison", "__pycache__"})
 RESULT_SUFFIXES = (".lock", "-wal", "-shm", ".html", ".log", ".sqlite")
-OF_STUDY = "study_sha256"
-"""Key by which each answer to a question, a JSON file, says of which study.yaml it is."""
+OF_STUDY = "study_sha256"  # key by which each answer to a question, a JSON file, says of which study.yaml it is
 
 
 def is_result(path: Path) -> bool:

@@ -104,8 +104,7 @@ class StackFile(_Picture):
     """standard deviation of the Gaussian that smooths the stack, in sides of a voxel; default: 1, up to 2 if noisy"""
 
 
-ONE, SEVERAL = "[one]", "[several]"
-"""Branches of `observation`, as pydantic names them in the location of an error."""
+ONE, SEVERAL = "[one]", "[several]"  # branches of `observation`, as pydantic names them in the location of an error
 
 
 class ObservationNoise(Section):

@@ -24,10 +24,8 @@ from strandline.foundations import decimal, is_label, is_name
 MOST = 1_000_000
 """Largest count of runs, particles, workers and so on: more than anybody needs, and few enough for memory."""
 MOST_RETRIES = 1000
-MOST_VALUES = 10_000
-"""Values of the nuisance inputs; the sampler runs once for each."""
-VARIANCES = 1e-30, 1e30
-"""Smallest and largest σ_N²; beyond them, likelihoods overflow."""
+MOST_VALUES = 10_000  # values of the nuisance inputs; the sampler runs once for each
+VARIANCES = 1e-30, 1e30  # smallest and largest σ_N²; beyond them, likelihoods overflow
 
 
 def _number(value: Any) -> Any:
@@ -66,8 +64,7 @@ def _label(value: str) -> str:
 Number = Annotated[float, BeforeValidator(_number), Field(allow_inf_nan=False)]
 Whole = Annotated[int, BeforeValidator(_whole)]
 Count = Annotated[Whole, Field(ge=1, le=MOST)]
-Size = Annotated[Whole, Field(le=MOST)]
-"""A count whose smallest value is checked elsewhere."""
+Size = Annotated[Whole, Field(le=MOST)]  # a count whose smallest value is checked elsewhere
 Seed = Annotated[Whole, Field(ge=0, lt=2**32)]
 Name = Annotated[str, AfterValidator(_name)]
 Unit = Annotated[str, AfterValidator(_label)]
@@ -85,10 +82,8 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
 
-READ = "read"
-"""In the metadata of a field: function that turns a value of the study file into one of the field."""
-PRESETS = "PRESETS"
-"""Attribute of a class with objects that the study file may name."""
+READ = "read"  # in the metadata of a field: function that turns a value of the study file into one of the field
+PRESETS = "PRESETS"  # attribute of a class with objects that the study file may name
 PLAIN: dict[Any, Any] = {float: Number, int: Whole, str: Annotated[str, Field(strict=True)], bool: Switch}
 """Types of fields → types of values in the study file."""
 BOUNDED: dict[Any, Any] = {**PLAIN, int: Size, str: Text}

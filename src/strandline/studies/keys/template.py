@@ -25,8 +25,7 @@ noise: {noise}
 """
 
 
-OF_SEVERAL_FILES = (".pvd", ".pvtu", ".pvtp", ".xdmf", ".xmf")
-"""Suffixes of files that refer to others beside them."""
+OF_SEVERAL_FILES = (".pvd", ".pvtu", ".pvtp", ".xdmf", ".xmf")  # suffixes of files that refer to others beside them
 
 
 @dataclass(frozen=True)
@@ -99,10 +98,8 @@ EXAMPLES = {
     "creep": "A creep test: stiffness and relaxation time of a biofilm.",
 }
 """Name of each example and what it shows."""
-OWN = ("biofilm", "python", "command")
-"""Examples of a simulator whose observed interface may be replaced."""
-FOLDERS = {"python": "strip", "oct": "oct-biofilm"}
-"""Folders of the examples that are not called by their names."""
+OWN = ("biofilm", "python", "command")  # examples of a simulator whose observed interface may be replaced
+FOLDERS = {"python": "strip", "oct": "oct-biofilm"}  # folders of the examples that are not called by their names
 PACKAGE = Path(__file__).parents[2]
 OF_OBSERVATION = ("observed.csv", "make_observation.py")
 OWN_TITLE = """\

@@ -10,12 +10,9 @@ import yaml
 from strandline.foundations import InvalidStudy
 from strandline.studies.keys.folder import STUDY
 
-DEEPEST = 40
-"""Largest depth of nested lists and mappings."""
-LARGEST = 100_000
-"""Largest number of values; those that an alias repeats count each time."""
-DIGITS = 300
-"""Most digits of a number; a float has no more before the point."""
+DEEPEST = 40  # largest depth of nested lists and mappings
+LARGEST = 100_000  # largest number of values; those that an alias repeats count each time
+DIGITS = 300  # most digits of a number; a float has no more before the point
 CORE = {f"tag:yaml.org,2002:{kind}" for kind in ("null", "bool", "int", "float", "str", "seq", "map", "merge")}
 DATE = "tag:yaml.org,2002:timestamp"
 FLOAT = "tag:yaml.org,2002:float"
@@ -124,10 +121,8 @@ def _rules() -> dict[Any, Any]:
 _Loader.yaml_implicit_resolvers = _rules()
 
 
-Changes = Mapping[tuple[str, ...], Any]
-"""Keys from the top of the file down to a value → its new value."""
-REMOVED: Any = object()
-"""New value of a key that is removed."""
+Changes = Mapping[tuple[str, ...], Any]  # keys from the top of the file down to a value → its new value
+REMOVED: Any = object()  # new value of a key that is removed
 
 
 class _CannotEdit(Exception):

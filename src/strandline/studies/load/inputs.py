@@ -17,8 +17,7 @@ from strandline.studies.keys.parse import entry, made, open_entry, refused_at, r
 from strandline.studies.keys.study_file import Input, Next, Quantity, StudyFile
 from strandline.studies.load.observed import require_condition
 
-MASS_CUT_ACCEPTED = 0.5
-"""Largest share of an unbounded prior's mass that may lie outside the box."""
+MASS_CUT_ACCEPTED = 0.5  # largest share of an unbounded prior's mass that may lie outside the box
 
 
 def build_space(inputs: Mapping[str, Input], model: ForwardModel) -> ParameterSpace:
@@ -166,8 +165,7 @@ def _refused(place: str, value: str, expected: str) -> InvalidStudy:
     return InvalidStudy(place, value=value, expected=expected, remedy="Check the prior with strandline.testing.priors.")
 
 
-MOST_CANDIDATES = 500
-"""Largest number of candidates."""
+MOST_CANDIDATES = 500  # largest number of candidates
 
 
 def read_candidates(

@@ -131,8 +131,7 @@ def _reused_ledger(folder: Path, other: str) -> Path:
 FEW_INPUTS = 3
 """Largest number of inputs with one length scale for all in a surrogate of the log-likelihood made for comparison."""
 
-SLURM = "slurm"
-"""Folder in the study that holds the batches of SLURM arrays."""
+SLURM = "slurm"  # folder in the study that holds the batches of SLURM arrays
 
 
 def build_settings(content: StudyFile, model: ForwardModel) -> Settings:

@@ -89,15 +89,12 @@ def differentiating(model: ForwardModel) -> ForwardModel | None:
     return asked
 
 
-COST = 0.3
-"""Cost of a run of the cheaper model if the study states none: that of the built-in model on its coarse mesh."""
-TOLERATED = 2.0
-"""Multiple of the stated cost from which a check warns."""
+COST = 0.3  # cost of a run of the cheaper model if the study states none: that of the built-in model on its coarse mesh
+TOLERATED = 2.0  # multiple of the stated cost from which a check warns
 EXAMPLES = {"command": "{templates: {coarse.inp.j2: deck.inp}, cost: 0.1}"}
 EXAMPLE = "{model: {python: {function: 'own_model:cheaper'}}, cost: 0.1}"
 """Cheaper models by the kind of the model, and for any other kind."""
-FAR = 0.5
-"""Share of the interface's extent from which a check warns that the cheaper model's is off by too much."""
+FAR = 0.5  # share of the interface's extent from which a check warns that the cheaper model's is off by too much
 
 
 class _Cheaper(Section):

@@ -18,8 +18,7 @@ from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
 from strandline.studies.keys.observation import ConditionFile, ImageFile, ObservationFile
 from strandline.studies.keys.parse import checked, made, refused_at
 
-UNDEFORMED = "undeformed"
-"""Name, in files and results, of the picture that gives the model its outline."""
+UNDEFORMED = "undeformed"  # name, in files and results, of the picture that gives the model its outline
 
 
 def frame_note(frame: imaging.Frame | imaging.StackFrame, options: object, origin: str = "the study") -> str:
@@ -37,11 +36,9 @@ def frame_note(frame: imaging.Frame | imaging.StackFrame, options: object, origi
 
 
 PLACE = "observation.image"
-SAME_PLACE = 0.5
-"""Distance in pixels up to which a marked origin is the stated one."""
+SAME_PLACE = 0.5  # distance in pixels up to which a marked origin is the stated one
 IGNORED = ", not the marked "
-MODEL = "model"
-"""The path of a picture whose first path is the model's own outline."""
+MODEL = "model"  # the path of a picture whose first path is the model's own outline
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,8 +297,7 @@ def _path(
     return found.points, found.closed or given.closed
 
 
-IMAGE = "image"
-"""Option of an outline that names a picture instead of points."""
+IMAGE = "image"  # option of an outline that names a picture instead of points
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,11 +20,9 @@ if TYPE_CHECKING:
 
 
 Results = Literal["none", "current", "outdated"]
-RATE_RUNS = 50
-"""Number of runs, the last to end, that give the pace."""
+RATE_RUNS = 50  # number of runs, the last to end, that give the pace
 LOG_LINES = 2
-_Ended = tuple[str, Attempt]
-"""The key of a run, and how it ended."""
+_Ended = tuple[str, Attempt]  # the key of a run, and how it ended
 
 
 @dataclass(frozen=True)

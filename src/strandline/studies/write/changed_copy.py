@@ -16,8 +16,7 @@ from strandline.studies.keys.parse import parse_study, parsed
 from strandline.studies.keys.text import Changes, changed_text, flow, load_yaml
 from strandline.studies.load.load import load_study, study_of
 
-LONGEST = 63
-"""Most characters in the name of a folder that is made up from settings."""
+LONGEST = 63  # most characters in the name of a folder that is made up from settings
 
 
 def changed_study(folder: Path, settings: Sequence[str], into: Path | None = None) -> Path:

@@ -42,12 +42,9 @@ def read_lines(study: Study) -> Iterator[str]:
         yield f"{of}{one['file']}: {'; '.join(one['notes'])}; sha256 {one['sha256'][:12]}…"
 
 
-DARKEST = 0.5, 99.5
-"""Percentiles of the grey values that are shown black and white."""
-MOST_PIXELS, MOST_IN_PAGE = 1600, 1000
-"""Longest side of a picture on the live page and in a report, pixels."""
-QUALITY = 80
-"""Quality of the JPEG in a report."""
+DARKEST = 0.5, 99.5  # percentiles of the grey values that are shown black and white
+MOST_PIXELS, MOST_IN_PAGE = 1600, 1000  # longest side of a picture on the live page and in a report, pixels
+QUALITY = 80  # quality of the JPEG in a report
 
 
 def picture_behind(study: Study, condition: str, source: str) -> dict[str, Any] | None:
@@ -104,8 +101,7 @@ def _saved(image: Image.Image, kind: str, **options: Any) -> bytes:
 
 
 ERRORS = ("sd", "length", "shift", "rotation", "scale", "offset")
-IMAGE = "image"
-"""Folder, in the study's, of what is written."""
+IMAGE = "image"  # folder, in the study's, of what is written
 
 
 @dataclass(frozen=True)
@@ -241,8 +237,7 @@ def _variance(measure: Discrepancy, seen: Interface, errors: PointErrors) -> tup
     return closed, None if closed is not None else "no closed form holds, a run of the study computes it"
 
 
-TRIANGLE = 5
-"""VTK's number of the kind of a cell."""
+TRIANGLE = 5  # VTK's number of the kind of a cell
 
 
 def described_stack(one: Scanned, measures: Mapping[str, Discrepancy]) -> dict[str, Any]:

@@ -253,8 +253,7 @@ def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 TO_MICROMETRES = 1e3
-LEVELS = {"q05": 0.05, "median": 0.5, "q95": 0.95}
-"""Quantiles of inferred noise and of an error of the model."""
+LEVELS = {"q05": 0.05, "median": 0.5, "q95": 0.95}  # quantiles of inferred noise and of an error of the model
 
 
 def field_surrogate(calibration: Calibration, found: FieldOutcome) -> dict[str, Any]:
