@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from strandline import posterior as posteriors
 from strandline.calibration.misfit import Misfit
 from strandline.calibration.sampler_check import SamplerCheck
 from strandline.design import Active, BatchReport, FieldOutcome, Refinement, Round, SetAside
@@ -20,14 +21,6 @@ from strandline.foundations import html_table, require
 from strandline.interface import Observation
 from strandline.models import ForwardModel
 from strandline.parameters import ParameterSpace
-from strandline.posterior import (
-    GaussianApproximation,
-    LaplaceApproximation,
-    Posterior,
-    QuadratureResult,
-    SobolIndices,
-    UnderUncertainty,
-)
 from strandline.runs import FailurePolicy, Progress, RunRecord
 from strandline.smc import SMCResult, SMCSettings, StepInfo
 from strandline.surrogate import LogLikelihoodSurrogate, fit_named, kernel_named
@@ -142,15 +135,15 @@ class Calibration:
     log_likelihoods: Mapping[str, Float[np.ndarray, " run"]]
     surrogates: Mapping[str, LogLikelihoodSurrogate]
     sampling: SMCResult
-    posterior: Posterior
-    gaussian: GaussianApproximation
-    laplace: LaplaceApproximation
-    quadrature: QuadratureResult | None
+    posterior: posteriors.Posterior
+    gaussian: posteriors.GaussianApproximation
+    laplace: posteriors.LaplaceApproximation
+    quadrature: posteriors.QuadratureResult | None
     seconds: Mapping[str, float]
-    under_uncertainty: UnderUncertainty | None = None
-    cut_quadrature: tuple[QuadratureResult, ...] | None = None
+    under_uncertainty: posteriors.UnderUncertainty | None = None
+    cut_quadrature: tuple[posteriors.QuadratureResult, ...] | None = None
     rounds: tuple[Round, ...] = ()
-    sensitivity: SobolIndices | None = None
+    sensitivity: posteriors.SobolIndices | None = None
     field: FieldOutcome | None = None
     no_field: str | None = None
     set_aside: tuple[SetAside, ...] = ()

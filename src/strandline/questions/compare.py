@@ -14,15 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from strandline.calibration import (
-    Evidence,
-    ModelComparison,
-    Observer,
-    averaged,
-    log_evidence,
-    observer_or_default,
-    require_odds,
-)
+from strandline import calibration
 from strandline.foundations import InvalidInput, InvalidStudy, one_thread, read_json, require, use_double
 from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
 from strandline.likelihood import adapted
@@ -59,7 +51,7 @@ class Comparison:
         averaged: Draws of these inputs, averaged over the models; None if there are none.
     """
 
-    models: ModelComparison
+    models: calibration.ModelComparison
     shared: tuple[str, ...]
     averaged: Weighted | None
 
@@ -72,7 +64,7 @@ def compare(
     seed: int = 1,
     separate: bool = False,
     executor: Executor | None = None,
-    observer: Observer | None = None,
+    observer: calibration.Observer | None = None,
 ) -> Answer[Comparison]:
     """Compare finished studies of the same data: evidences, Bayes factors, predictions, and the averaged posterior.
 
@@ -108,7 +100,7 @@ def compare(
     folder = Path(to)
     _require_free(folder)
     use_double()
-    tell = observer_or_default(observer)
+    tell = calibration.observer_or_default(observer)
     tell.stage("surrogate")
     with one_thread():
         known = {name: field_knowledge(study, purpose="a comparison") for name, study in named.items()}
@@ -121,7 +113,7 @@ def compare(
     found, widened = _found(compared, odds, seed), not_flat(compared, shared)
     flat = _found(compared, odds, seed, widened) if widened else None
     parts = [Weighted(one.columns(shared), one.weights) for one in posteriors.values()]
-    together = averaged(parts, [found.probabilities[name] for name in posteriors]) if shared else None
+    together = calibration.averaged(parts, [found.probabilities[name] for name in posteriors]) if shared else None
     shown = shown_by_models(named, wanted, seed=seed, executor=executor, tell=tell) if wanted else ()
     tell.stage("report")
     with one_thread():
@@ -135,7 +127,7 @@ def _named(studies: Sequence[Study], odds: Sequence[float] | None) -> dict[str, 
     """Return the studies by name, once they can be compared."""
     require_several(studies)
     if odds is not None:
-        require_odds(odds, len(studies))
+        calibration.require_odds(odds, len(studies))
     named = dict(zip(labels_of(studies), studies, strict=True))
     for study in studies:
         if not observations_of(study):  # synthetic, and its run is not made
@@ -186,22 +178,22 @@ def _require_free(folder: Path) -> None:
 
 def _found(
     compared: Mapping[str, ComparedStudy], odds: Sequence[float] | None, seed: int, flat: Sequence[str] = ()
-) -> ModelComparison:
+) -> calibration.ModelComparison:
     """Return the comparison; the inputs `flat` have uniform priors on their boxes."""
     evidences = {name: _evidence(one, seed, flat) for name, one in compared.items()}
-    return ModelComparison(evidences, None if odds is None else dict(zip(compared, odds, strict=True)))
+    return calibration.ModelComparison(evidences, None if odds is None else dict(zip(compared, odds, strict=True)))
 
 
-def _evidence(one: ComparedStudy, seed: int, flat: Sequence[str]) -> Evidence:
+def _evidence(one: ComparedStudy, seed: int, flat: Sequence[str]) -> calibration.Evidence:
     draws = Weighted(one.posterior.draws, one.posterior.weights)
     space = ParameterSpace(
         tuple(replace(p, prior=Uniform(*p.interval)) if p.name in flat else p for p in one.study.space)
     )
-    found = log_evidence(one.knowledge, space, draws, np.random.default_rng(seed))
+    found = calibration.log_evidence(one.knowledge, space, draws, np.random.default_rng(seed))
     return replace(found, log=found.log + one.constant)
 
 
-def _separation(found: ModelComparison, shown: CandidateSignals, seed: int) -> Discrimination | None:
+def _separation(found: calibration.ModelComparison, shown: CandidateSignals, seed: int) -> Discrimination | None:
     """Return what a candidate is expected to tell about the models; hopeless ones count with a tiny probability."""
     if shown.problem:
         return None

@@ -32,16 +32,7 @@ from strandline.calibration import (
 from strandline.foundations import InvalidStudy, one_thread, require, use_double
 from strandline.interface import Noise, PointErrors, UnknownErrors
 from strandline.posterior import Band, Coverage, Posterior
-from strandline.questions.answer import (
-    TO_MICROMETRES,
-    Answer,
-    LineFile,
-    Part,
-    Table,
-    digits,
-    facts_of_surrogate,
-    label_and_unit,
-)
+from strandline.questions import answer
 from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require_seed
 from strandline.report import Captioned, plots
 from strandline.runs import Progress
@@ -69,7 +60,7 @@ def coverage(
     seed: int = 1,
     measure: str | None = None,
     observer: Observer | None = None,
-) -> Answer[CoverageFound]:
+) -> answer.Answer[CoverageFound]:
     """Repeat the experiment of a finished study at other true inputs, and count how often its intervals contain them.
 
     The surrogate of the interface, learnt from the study's runs, takes the place of the simulator. Replicate k depends
@@ -107,7 +98,7 @@ def coverage(
         _require_good(quality, source)
         experiment = repeatable(origin)
         tell.stage("replicates")
-        file, key = LineFile(study.folder / studies.REPLICATES), _key(study, name, seed, posterior)
+        file, key = answer.LineFile(study.folder / studies.REPLICATES), _key(study, name, seed, posterior)
         with file.held("strandline coverage", "replicates"), studies.told_if_unwritable(study.folder):
             made = tuple(_replicates(experiment, origin, file, key, replicates, seed, tell))
         found = CoverageFound(study.space.names, made)
@@ -117,7 +108,7 @@ def coverage(
 
 
 def _replicates(
-    experiment: Experiment, source: Source, file: LineFile, key: str, number: int, seed: int, tell: Observer
+    experiment: Experiment, source: Source, file: answer.LineFile, key: str, number: int, seed: int, tell: Observer
 ) -> Iterator[Replicate]:
     """Yield the replicates in their order; only those are made that are not known."""
     known = {int(one["number"]): _replicate(one) for one in file.entries() if one.get("of") == key}
@@ -142,7 +133,7 @@ def _require_arguments(replicates: int, source: str, seed: int) -> None:
 
 
 def _require_good(quality: FieldQuality, source: str) -> None:
-    hidden, median, left_out = (TO_MICROMETRES * mm for mm in (quality.hidden, quality.median, quality.left_out))
+    hidden, median, left_out = (answer.TO_MICROMETRES * mm for mm in (quality.hidden, quality.median, quality.left_out))
     what = f"the surrogate of the interface is not accurate enough over the {source}"
     value = f"errors above {TOLERATED * hidden:.3g} µm at {100 * quality.beyond:.0f} % of the draws"
     value = f"{value} (median {median:.3g} µm; at left-out runs {left_out:.3g} µm)"
@@ -188,8 +179,8 @@ def _described(
         "measure": measure,
         "noise": _noise(study, experiment),
         "surrogate": {
-            **facts_of_surrogate(experiment.surrogate.runs, quality),
-            "left_out_error_um": TO_MICROMETRES * quality.left_out,
+            **answer.facts_of_surrogate(experiment.surrogate.runs, quality),
+            "left_out_error_um": answer.TO_MICROMETRES * quality.left_out,
         },
         "calibrated": found.calibrated,
         "remarks": list(found.remarks),
@@ -251,7 +242,7 @@ def _noise(study: studies.Study, experiment: Experiment) -> list[dict[str, Any]]
 
 
 def _in_words(errors: PointErrors | CoordinateErrors, noise: Noise | PointErrors | UnknownErrors) -> str:
-    sd = f"{TO_MICROMETRES * errors.sd:.3g} µm"
+    sd = f"{answer.TO_MICROMETRES * errors.sd:.3g} µm"
     if isinstance(errors, CoordinateErrors):
         return f"independent errors of all coordinates, sd {sd}"
     if isinstance(noise, PointErrors):
@@ -261,17 +252,17 @@ def _in_words(errors: PointErrors | CoordinateErrors, noise: Noise | PointErrors
     return f"independent errors of the points along the normals, sd {sd}, for which the stated σ_N² is right"
 
 
-def _answer(content: dict[str, Any], found: CoverageFound, folder: Path) -> Answer[CoverageFound]:
+def _answer(content: dict[str, Any], found: CoverageFound, folder: Path) -> answer.Answer[CoverageFound]:
     sentence, *remarks = content["remarks"]
     noise = [f"{one['condition'] or 'Drawn with'}: {one['in_words']}." for one in content["noise"]]
-    return Answer(
+    return answer.Answer(
         title=f"{content['study']}: coverage",
         lead=f"Would the intervals contain the truth as often as they say? {content['replicates']} replicates, truths "
         f"from the {content['source']}.",
         sentence=sentence,
         remarks=remarks,
         good=content["calibrated"],
-        parts=[_of_inputs(content), Part("How it was tested", lines=noise, notes="how_covered")],
+        parts=[_of_inputs(content), answer.Part("How it was tested", lines=noise, notes="how_covered")],
         content=content,
         found=found,
         page=folder / "coverage.html",
@@ -291,16 +282,16 @@ def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
     yield Captioned.of("coverage_intervals", "coverage", plots.plot_intervals(found))
 
 
-def _of_inputs(content: Mapping[str, Any]) -> Part:
+def _of_inputs(content: Mapping[str, Any]) -> answer.Part:
     head = "input", "unit", "p of the ranks", "50 % intervals", "90 % intervals", "mean z", "sd of z", "mean sd"
     rows = [
         (
-            *label_and_unit(item),
-            digits(item["p_value"], 2),
+            *answer.label_and_unit(item),
+            answer.digits(item["p_value"], 2),
             *(f"{one['found']:.1%} ({one['low']:.1%} to {one['high']:.1%})" for one in item["intervals"]),
             f"{item['z_mean']:+.2f}",
-            *(digits(item[part], 3) for part in ("z_sd", "sd", "of_limit")),
+            *(answer.digits(item[part], 3) for part in ("z_sd", "sd", "of_limit")),
         )
         for item in content["inputs"].values()
     ]
-    return Part("The inputs", Table((*head, "sd / limit"), rows), notes="covered_inputs")
+    return answer.Part("The inputs", answer.Table((*head, "sd / limit"), rows), notes="covered_inputs")

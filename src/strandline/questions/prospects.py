@@ -12,6 +12,7 @@ from strandline.design import Candidate, Knowledge, Look, Setting, key_of, train
 from strandline.foundations import InvalidStudy, NoCommonPoints, require
 from strandline.models import declared_conditions, undeformed_interface
 from strandline.posterior import Weighted, systematic_indices
+from strandline.questions import observing as views
 from strandline.questions.information import (
     Answers,
     CandidateAnswer,
@@ -21,20 +22,6 @@ from strandline.questions.information import (
     scale_of,
 )
 from strandline.questions.knowledge import PointRuns, field_knowledge, problem_of, runs_at, runs_to_learn_from
-from strandline.questions.observing import (
-    Fails,
-    Fields,
-    Observing,
-    View,
-    crossing_share,
-    field_of,
-    learn_failure_by_size,
-    signals_of,
-    slopes_of_field,
-    slopes_of_points,
-    transfer,
-    with_known,
-)
 from strandline.runs import Executor
 from strandline.studies import Study, finished_posterior
 from strandline.surrogate import FieldSurrogate, fit_field
@@ -75,12 +62,12 @@ def prospects_of(
         study,
         wanted,
         STEP * present.now.sd,
-        usable=lambda record: slopes_of_field(surrogate, record.sensitivities, study.space.names) is not None,
+        usable=lambda record: views.slopes_of_field(surrogate, record.sensitivities, study.space.names) is not None,
         executor=executor,
         observer=observer,
     )
     good = [record for one in runs.points for record in (one.run, *one.others) if record.ok]
-    fields = [field_of(surrogate, record.interfaces) for record in good]
+    fields = [views.field_of(surrogate, record.interfaces) for record in good]
     present = replace(present, succeeded=np.array(fields) if fields else None)
     points = iter(runs.points)
     found = {key_of(one): present.prospect(one, next(points) if present.unknown(one) else None) for one in settings}
@@ -93,7 +80,7 @@ class Prospect:
     the draws, mm; the probability that it fails, None if nothing is known about it; and why there is no forecast.
     """
 
-    forecast: Fields | None
+    forecast: views.Fields | None
     fields: Float[np.ndarray, "draw value"]
     failing: float | None
     problem: str = ""
@@ -136,18 +123,18 @@ class AfterExperiment:
         if found is None:
             return None
         try:
-            return field_of(surrogate, dict.fromkeys(surrogate.layouts, found))
+            return views.field_of(surrogate, dict.fromkeys(surrogate.layouts, found))
         except NoCommonPoints:
             return None
 
     @cached_property
-    def by_size(self) -> Fails | None:
+    def by_size(self) -> views.Fails | None:
         """Probability of failure by the size of the displacement."""
         known = self.source.knowledge
         if self.undeformed is None:
             return None
         others = self.undeformed[None, :][:0] if self.succeeded is None else self.succeeded
-        return learn_failure_by_size(self.surrogate, known.x, known.ok, self.undeformed, others)
+        return views.learn_failure_by_size(self.surrogate, known.x, known.ok, self.undeformed, others)
 
     def prospect(self, setting: Setting, runs: PointRuns | None) -> Prospect:
         """Return the fields to expect of an experiment, by its runs or the surrogate, and how likely it fails."""
@@ -157,45 +144,45 @@ class AfterExperiment:
         carried = None if runs is None else self._carried(runs, known)
 
         def forecast(points: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "point value"]:
-            points = with_known(points, known)
+            points = views.with_known(points, known)
             return surrogate.modes.fields(surrogate.mean(points)) if carried is None else carried(points)
 
         fields = forecast(self.now.draws)
         failing = None
         if carried is None:
-            failing = 1 - np.exp(self.source.knowledge.log_feasibility(with_known(self.now.draws, known)))
+            failing = 1 - np.exp(self.source.knowledge.log_feasibility(views.with_known(self.now.draws, known)))
         elif self.by_size is not None:
             failing = self.by_size(fields)
-        crossing = crossing_share(surrogate.by_condition(fields), surrogate.templates)
+        crossing = views.crossing_share(surrogate.by_condition(fields), surrogate.templates)
         if failing is None:
             return Prospect(forecast, fields, crossing if crossing > 0 else None)
         return Prospect(forecast, fields, 1 - (1 - float(self.now.weights @ failing)) * (1 - crossing))
 
-    def _carried(self, runs: PointRuns, known: Mapping[int, float]) -> Fields:
+    def _carried(self, runs: PointRuns, known: Mapping[int, float]) -> views.Fields:
         """Return the field of an experiment, from its sensitivities at a point or from the runs beside it."""
-        surrogate, names, at = self.surrogate, self.study.space.names, with_known(runs.x[None], known)[0]
-        field = field_of(surrogate, runs.run.interfaces)
-        slopes = None if runs.others else slopes_of_field(surrogate, runs.run.sensitivities, names)
+        surrogate, names, at = self.surrogate, self.study.space.names, views.with_known(runs.x[None], known)[0]
+        field = views.field_of(surrogate, runs.run.interfaces)
+        slopes = None if runs.others else views.slopes_of_field(surrogate, runs.run.sensitivities, names)
         if slopes is None:
-            moved = np.array([field_of(surrogate, one.interfaces) for one in runs.others])
+            moved = np.array([views.field_of(surrogate, one.interfaces) for one in runs.others])
             slopes = np.asarray(((moved - field) / np.diag(runs.beside - runs.x)[:, None]).T)
-        return transfer(surrogate, at, field, slopes, self.now.covariance)
+        return views.transfer(surrogate, at, field, slopes, self.now.covariance)
 
-    def _whole(self, name: str, nodes: Float[np.ndarray, "node xyz"]) -> View:
+    def _whole(self, name: str, nodes: Float[np.ndarray, "node xyz"]) -> views.View:
         """Return how a condition is observed; of one that was not observed yet, all nodes are."""
         experiment = self.experiment
         if name in experiment.footprints:
-            return View(experiment.footprints[name], experiment.errors[name])
+            return views.View(experiment.footprints[name], experiment.errors[name])
         simulated = self.surrogate.layouts[name].with_points(nodes)
         measure = self.study.measure
         errors = errors_behind(self.study.observation(simulated, name), measure, len(nodes))
-        return View(footprint(simulated, simulated), errors)
+        return views.View(footprint(simulated, simulated), errors)
 
-    def observing(self, field: Float[np.ndarray, " value"], look: Look) -> Observing:
+    def observing(self, field: Float[np.ndarray, " value"], look: Look) -> views.Observing:
         """Return how the whole interfaces near this field, mm, are observed in the conditions of a look."""
         reference = {name: one[0] for name, one in self.surrogate.by_condition(field[None]).items()}
         names = look.conditions or self.experiment.footprints
-        return Observing({name: self._whole(name, reference[name]) for name in names}, reference)
+        return views.Observing({name: self._whole(name, reference[name]) for name in names}, reference)
 
 
 def _surrogate(study: Study, knowledge: Knowledge, conditions: Collection[str]) -> FieldSurrogate:
@@ -247,7 +234,7 @@ def _after(present: AfterExperiment, candidate: Candidate, made: Sequence[Prospe
 
     def information(one: Prospect, x: Float[np.ndarray, " dim"]) -> Float[np.ndarray, "dim dim"]:
         assert one.forecast is not None
-        slopes = slopes_of_points(one.forecast, x, present.surrogate)
+        slopes = views.slopes_of_points(one.forecast, x, present.surrogate)
         return present.observing(one.forecast(x[None])[0], look).focused(look).fisher(slopes)
 
     def informations() -> list[Float[np.ndarray, "dim dim"]]:
@@ -364,7 +351,7 @@ def _signals(
             moves = seen.views[name].points(nodes[name]) - reference.points
             rows.append(view.along(reference, moves))
         blocks.append(np.hstack(rows))
-    signals = signals_of(np.vstack(blocks), first.information)
+    signals = views.signals_of(np.vstack(blocks), first.information)
     return np.split(signals, np.cumsum([len(one) for one in blocks])[:-1])
 
 

@@ -9,21 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from strandline import studies
-from strandline.calibration import (
-    LEAST_RATIO,
-    LEAST_SHIFT,
-    Alternative,
-    AlternativePosterior,
-    Baseline,
-    Kind,
-    Observer,
-    baseline,
-    observer_or_default,
-    reweight_or_resample,
-)
-from strandline.calibration import facts_of as noise_in_words
-from strandline.calibration.usual_alternatives import prior_in_words, usual_alternatives, with_prior
+from strandline import calibration, studies
+from strandline.calibration.usual_alternatives import usual_alternatives
 from strandline.foundations import InvalidStudy, figure_text, listed, one_thread, require, use_double
 from strandline.interface import Observation
 from strandline.likelihood import FieldLikelihood
@@ -43,8 +30,8 @@ def what_if(
     alternatives: Sequence[Mapping[str, Any]] | None = None,
     *,
     seed: int = 1,
-    observer: Observer | None = None,
-) -> Answer[tuple[AlternativePosterior, ...]]:
+    observer: calibration.Observer | None = None,
+) -> Answer[tuple[calibration.AlternativePosterior, ...]]:
     """Return how the posterior of a finished study changes with its assumptions, without a forward run.
 
     Writes what-if.json, what-if.html and a figure.
@@ -71,8 +58,8 @@ def what_if(
     studies.require_writable(study.folder)
     use_double()
     for one in asked:  # refused before anything is computed
-        alternative_of(one, study, baseline(posterior, None))
-    tell = observer_or_default(observer)
+        alternative_of(one, study, calibration.baseline(posterior, None))
+    tell = calibration.observer_or_default(observer)
     with one_thread():
         tell.stage("surrogate")
         now = baseline_of(study, posterior, purpose="what-if")
@@ -85,14 +72,16 @@ def what_if(
     return _answer(_described(study, now, answers, seed), answers, study.folder).written(draft=study.settings.draft)
 
 
-def _answers(now: Baseline, tried: Sequence[Alternative], seed: int, tell: Observer) -> Iterator[AlternativePosterior]:
+def _answers(
+    now: calibration.Baseline, tried: Sequence[calibration.Alternative], seed: int, tell: calibration.Observer
+) -> Iterator[calibration.AlternativePosterior]:
     begun = time.monotonic()
     for number, one in enumerate(tried, start=1):
-        yield reweight_or_resample(now, one, seed=seed)
+        yield calibration.reweight_or_resample(now, one, seed=seed)
         tell.part(Progress(len(tried), number, number, 0, 0, time.monotonic() - begun))
 
 
-def alternative_of(asked: studies.WhatIf, study: studies.Study, now: Baseline) -> Alternative:
+def alternative_of(asked: studies.WhatIf, study: studies.Study, now: calibration.Baseline) -> calibration.Alternative:
     """Return the alternative that is asked for, to be compared with the present posterior; it must fit the study."""
     priors = {name: studies.build_prior(given, f"{PLACE}.prior.{name}") for name, given in asked.prior.items()}
     for name in (*priors, *asked.fix):
@@ -103,15 +92,15 @@ def alternative_of(asked: studies.WhatIf, study: studies.Study, now: Baseline) -
         low, high = study.space[name].interval
         _require(low <= value <= high, f"fix.{name}", value, f"a value in its box, [{low:g}, {high:g}]")
     with studies.refused_at(f"{PLACE}.prior"):
-        space = with_prior(now.space, priors)
+        space = calibration.with_prior(now.space, priors)
     parts = list(_parts(asked))
     other = _changed(asked, study)
     likelihood = None if now.knowledge is None else _likelihood(asked, other, now.knowledge.likelihood)
-    details = [f"{name}: {prior_in_words(prior)}" for name, prior in priors.items()]
+    details = [f"{name}: {calibration.prior_in_words(prior)}" for name, prior in priors.items()]
     if likelihood is not None and asked.noise is not None:
-        details.append(noise_in_words(likelihood))
+        details.append(calibration.facts_of(likelihood))
     with studies.refused_at(f"{PLACE}.fix"):
-        return Alternative(
+        return calibration.Alternative(
             name=asked.name or ", ".join(name for _, name, _ in parts),
             kind=parts[0][0] if len(parts) == 1 else "several",
             about=listed([about for _, _, about in parts]),
@@ -123,9 +112,9 @@ def alternative_of(asked: studies.WhatIf, study: studies.Study, now: Baseline) -
         )
 
 
-def _parts(asked: studies.WhatIf) -> list[tuple[Kind, str, str]]:
+def _parts(asked: studies.WhatIf) -> list[tuple[calibration.Kind, str, str]]:
     """Return the kind, the name and the subject of each change."""
-    out: list[tuple[Kind, str, str]] = []
+    out: list[tuple[calibration.Kind, str, str]] = []
     out += [("prior", f"another prior of {name}", f"the prior of {name}") for name in asked.prior]
     out += [("fix", f"{name} known to be {value:g}", f"what is known of {name}") for name, value in asked.fix.items()]
     if asked.noise is not None:
@@ -192,20 +181,20 @@ LARGE = 0.05
 """Distance between the stored posterior and that of the surrogate of the interface, in sd, from which it is said."""
 
 
-def in_order(answers: Sequence[AlternativePosterior]) -> tuple[AlternativePosterior, ...]:
+def in_order(answers: Sequence[calibration.AlternativePosterior]) -> tuple[calibration.AlternativePosterior, ...]:
     """Return the answers that move, the largest first, then the questions without an answer, then the others."""
     return tuple(sorted(answers, key=lambda one: (0 if one.moves else 1 if one.by is None else 2, -one.size)))
 
 
 def _described(
-    study: studies.Study, now: Baseline, answers: Sequence[AlternativePosterior], seed: int
+    study: studies.Study, now: calibration.Baseline, answers: Sequence[calibration.AlternativePosterior], seed: int
 ) -> dict[str, Any]:
     """Return the content of what-if.json."""
     return {
         **studies.facts_of(study, seed),
         "conclusion": _conclusion(answers),
         "remarks": list(_remarks(study, now, answers)),
-        "limits": {"shift": LEAST_SHIFT, "sd_ratio": LEAST_RATIO},
+        "limits": {"shift": calibration.LEAST_SHIFT, "sd_ratio": calibration.LEAST_RATIO},
         "surrogate": _surrogate(now),
         "present": {
             "log_evidence": now.log_evidence,
@@ -219,14 +208,14 @@ def _described(
     }
 
 
-def _conclusion(answers: Sequence[AlternativePosterior]) -> str:
+def _conclusion(answers: Sequence[calibration.AlternativePosterior]) -> str:
     if all(one.by is None for one in answers):
         return "None of the alternatives can be computed without new runs."
     subjects = list(dict.fromkeys(one.alternative.about for one in answers if one.moves))
     if not subjects:
         return (
-            f"The posterior depends on nothing that was tried: no mean moves by more than {LEAST_SHIFT:g} sd, and no "
-            f"sd changes by more than a factor of {LEAST_RATIO:g}."
+            "The posterior depends on nothing that was tried: no mean moves by more than "
+            f"{calibration.LEAST_SHIFT:g} sd, and no sd changes by more than a factor of {calibration.LEAST_RATIO:g}."
         )
     words = listed(_with_priors_together(subjects))
     comma = "," if " and " in words else ""
@@ -242,7 +231,9 @@ def _with_priors_together(subjects: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(together if one.removeprefix(PRIOR) in names else one for one in subjects))
 
 
-def _remarks(study: studies.Study, now: Baseline, answers: Sequence[AlternativePosterior]) -> Iterator[str]:
+def _remarks(
+    study: studies.Study, now: calibration.Baseline, answers: Sequence[calibration.AlternativePosterior]
+) -> Iterator[str]:
     number = sum(one.by is None for one in answers)
     if number:
         yield remark("new_runs", number=number, of=len(answers), folder=study.folder.resolve().name)
@@ -254,14 +245,14 @@ def _remarks(study: studies.Study, now: Baseline, answers: Sequence[AlternativeP
         yield remark("joint")
 
 
-def _surrogate(now: Baseline) -> dict[str, Any] | None:
+def _surrogate(now: calibration.Baseline) -> dict[str, Any] | None:
     """Return how good the surrogate of the interface is at the present posterior; None if it was not used."""
     if now.knowledge is None or now.quality is None:
         return None
     return {**facts_of_surrogate(now.knowledge.surrogate.runs, now.quality), "shift": now.shift}
 
 
-def _alternative(one: AlternativePosterior) -> dict[str, Any]:
+def _alternative(one: calibration.AlternativePosterior) -> dict[str, Any]:
     asked = one.alternative
     cut = {parameter.name: parameter.mass_cut for parameter in asked.space if parameter.mass_cut > CUT}
     return {
@@ -281,7 +272,7 @@ def _alternative(one: AlternativePosterior) -> dict[str, Any]:
     }
 
 
-def _inputs(one: AlternativePosterior, draws: Weighted) -> dict[str, Any]:
+def _inputs(one: calibration.AlternativePosterior, draws: Weighted) -> dict[str, Any]:
     return {
         name: {
             **moments(draws, i, LEVELS),
@@ -296,8 +287,8 @@ def _inputs(one: AlternativePosterior, draws: Weighted) -> dict[str, Any]:
 
 
 def _answer(
-    content: dict[str, Any], found: tuple[AlternativePosterior, ...], folder: Path
-) -> Answer[tuple[AlternativePosterior, ...]]:
+    content: dict[str, Any], found: tuple[calibration.AlternativePosterior, ...], folder: Path
+) -> Answer[tuple[calibration.AlternativePosterior, ...]]:
     some, inputs = content["alternatives"], content["present"]["inputs"]
     symbols = [Symbol(item["label"]) for item in inputs.values()]
     table = Table(

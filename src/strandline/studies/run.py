@@ -13,32 +13,15 @@ from typing import Any
 
 from xarray import DataTree
 
+from strandline import foundations
+from strandline import report as pages
 from strandline.calibration import Calibration, Observer, Problem, Settings, calibrate, observer_or_default
 from strandline.design import BatchReport, Refinement
 from strandline.discrepancy import Discrepancy
-from strandline.foundations import (
-    InvalidInput,
-    InvalidStudy,
-    NumericsError,
-    ResultsNotWritten,
-    __version__,
-    read_json,
-    write_json,
-)
 from strandline.interface import GaussianNoise, Interface, Noise, PointErrors, UnknownErrors
 from strandline.likelihood import compared
 from strandline.models import is_cheaper, prepare_runs
 from strandline.posterior import Posterior, to_datatree, write
-from strandline.report import (
-    FIGURES,
-    PosteriorPlots,
-    nearest_runs,
-    nothing_near,
-    of_other_pages,
-    remove_report,
-    template,
-    write_report,
-)
 from strandline.runs import Executor, FailurePolicy, InProcess, Ledger, Progress, RunRecord, run_campaign
 from strandline.studies.foresight.check import finished_posterior, read_check
 from strandline.studies.foresight.first_run import observations_of, require_ok, require_same_axes, require_same_size
@@ -145,17 +128,17 @@ def _told_if_nothing_near(study: Study, problem: Problem, ledger: Ledger) -> Ite
     """Name the cause of an analysis that fails because no run comes near the observation."""
     try:
         yield
-    except InvalidStudy:
+    except foundations.InvalidStudy:
         raise
-    except (NumericsError, ArithmeticError, ValueError) as error:
+    except (foundations.NumericsError, ArithmeticError, ValueError) as error:
         known = ledger.latest(study.runs.design_keys)
         records = [record for record in known.values() if record.ok]
         if not records:
             raise
-        message = nothing_near(nearest_runs(problem, records))
+        message = pages.nothing_near(pages.nearest_runs(problem, records))
         if message is None:
             raise
-        raise NumericsError(f"{message} The analysis failed: {error}") from error
+        raise foundations.NumericsError(f"{message} The analysis failed: {error}") from error
 
 
 def _noting_rounds(observer: Observer, study: Study, ledger: Ledger) -> Observer:
@@ -177,7 +160,7 @@ def _noting_rounds(observer: Observer, study: Study, ledger: Ledger) -> Observer
 
 def _checking_sizes(observer: Observer, study: Study) -> Observer:
     """Return an observer that ends the study if none of its first runs has size and axes of the observation."""
-    found: list[InvalidStudy | None] = []
+    found: list[foundations.InvalidStudy | None] = []
 
     def run(record: RunRecord, progress: Progress) -> None:
         observer.run(record, progress)
@@ -186,7 +169,7 @@ def _checking_sizes(observer: Observer, study: Study) -> Observer:
                 require_same_size(study, record)
                 require_same_axes(study, record)
                 found.append(None)
-            except InvalidStudy as error:
+            except foundations.InvalidStudy as error:
                 found.append(error)  # a single run of another size is set aside later
                 if len(found) == TELLING_RUNS and None not in found:
                     raise
@@ -221,9 +204,9 @@ def _write_results(study: Study, calibration: Calibration, new_runs: int, observ
         write(_tree(study, calibration), study.folder / POSTERIOR)
     with results.writing(REPORT):
         if report is None:
-            remove_report(study.folder)
+            pages.remove_report(study.folder)
         else:
-            write_report(
+            pages.write_report(
                 calibration,
                 summary | {"warnings": [*results.warnings(), *summary["warnings"]]},
                 study_text=study.text,
@@ -236,10 +219,10 @@ def _write_results(study: Study, calibration: Calibration, new_runs: int, observ
     summary |= {"missing": dict(results.missing), "warnings": [*results.warnings(), *summary["warnings"]]}
     summary["seconds"]["report"] = time.perf_counter() - begun
     with results.writing(SUMMARY):
-        write_json(study.folder / SUMMARY, summary)
+        foundations.write_json(study.folder / SUMMARY, summary)
     outcome = Outcome(calibration, summary, report)
     if results.missing:
-        raise ResultsNotWritten(study.folder, results.missing, outcome) from results.first
+        raise foundations.ResultsNotWritten(study.folder, results.missing, outcome) from results.first
     return outcome
 
 
@@ -248,7 +231,7 @@ def _tree(study: Study, calibration: Calibration) -> DataTree:
     return to_datatree(
         calibration.posterior,
         seed=study.settings.seed,
-        attrs={"study": study.name, "strandline_version": __version__},
+        attrs={"study": study.name, "strandline_version": foundations.__version__},
         observed=calibration.problem.observations,
         cut=None if under_uncertainty is None else under_uncertainty.cut,
     )
@@ -256,8 +239,8 @@ def _tree(study: Study, calibration: Calibration) -> DataTree:
 
 def require_writers() -> None:
     """Refuse to start if the libraries that write posterior.nc, the figures or the report do not work."""
-    figures, page = partial(import_module, "matplotlib.backends.backend_pdf"), partial(template, "report.html.j2")
-    trials: dict[str, Callable[[], object]] = {POSTERIOR: _try_netcdf, FIGURES: figures, REPORT: page}
+    figures, page = partial(import_module, "matplotlib.backends.backend_pdf"), partial(pages.template, "report.html.j2")
+    trials: dict[str, Callable[[], object]] = {POSTERIOR: _try_netcdf, pages.FIGURES: figures, REPORT: page}
     for name, trial in trials.items():
         try:
             trial()
@@ -265,7 +248,7 @@ def require_writers() -> None:
             what = f"{name} could not be written at the end"
             expected = "the libraries that strandline is installed with"
             remedy = "Install strandline again with its dependencies (`pip install --force-reinstall strandline`)."
-            raise InvalidInput(what, value=reason(error), expected=expected, remedy=remedy) from error
+            raise foundations.InvalidInput(what, value=reason(error), expected=expected, remedy=remedy) from error
 
 
 class Results:
@@ -290,13 +273,13 @@ class Results:
         self.first = self.first or error
         with suppress(OSError):
             (self.folder / name).unlink(missing_ok=True)
-        if name == FIGURES:
-            old = set((self.folder / FIGURES).glob("*"))
-            for figure in old - of_other_pages(self.folder / FIGURES):
+        if name == pages.FIGURES:
+            old = set((self.folder / pages.FIGURES).glob("*"))
+            for figure in old - pages.of_other_pages(self.folder / pages.FIGURES):
                 with suppress(OSError):
                     figure.unlink()
             with suppress(OSError):
-                (self.folder / FIGURES).rmdir()
+                (self.folder / pages.FIGURES).rmdir()
 
     def warnings(self) -> list[str]:
         return [f"{name} could not be written: {why}" for name, why in self.missing.items()]
@@ -330,9 +313,9 @@ class Result:
         return self.posterior._repr_html_()
 
     @property
-    def plot(self) -> PosteriorPlots:
+    def plot(self) -> pages.PosteriorPlots:
         """Figures of the posterior: ``result.plot.joint(ax=ax)``."""
-        return PosteriorPlots(self.posterior)
+        return pages.PosteriorPlots(self.posterior)
 
     def with_noise(
         self, noise: float | Noise | PointErrors | UnknownErrors, measure: Discrepancy | None = None
@@ -369,4 +352,4 @@ def load_result(folder: Path | str) -> Result:
     study = load_study(folder)
     study.runs.require_finished()
     posterior = finished_posterior(study, purpose="load")
-    return Result(study, posterior, read_json(study.folder / SUMMARY))
+    return Result(study, posterior, foundations.read_json(study.folder / SUMMARY))

@@ -12,7 +12,7 @@ from tests.study.questions.conftest import content_of, line_by_line
 import strandline as sl
 from strandline.cli import main
 from strandline.foundations import InvalidInput, InvalidStudy
-from strandline.questions import prospects
+from strandline.questions import observing
 from strandline.testing.models import TwoLoads
 from strandline.testing.studies import TWO_LOADS_STUDY, write_study
 from strandline.testing.studies import beam as true_beam
@@ -99,9 +99,9 @@ def test_the_command_makes_no_run_twice_and_a_seed_decides_the_gains(folder, ans
     ask(folder, {"load": [2e-5, 3e-5]})
     other = by_loads(asked(folder, seed=2))[(2e-5,)]["gain"]
     assert 0 < abs(by_loads(first)[(2e-5,)]["gain"] - other) < 0.15
-    transfer = prospects.transfer
+    transfer = observing.transfer
     half = lambda s, at, field, slopes, c: transfer(s, at, field, 0.5 * slopes, c)  # noqa: E731
-    monkeypatch.setattr(prospects, "transfer", half)
+    monkeypatch.setattr(observing, "transfer", half)
     assert by_loads(asked(folder))[(3e-5,)]["gain"] < by_loads(first)[(3e-5,)]["gain"] - 0.2
 
 

@@ -99,14 +99,14 @@ def test_a_study_changed_in_memory_alone_is_refused_and_leaves_the_folder_as_it_
 
 def test_an_analysis_that_fails_far_from_the_observation_says_so(beam, copy_of, monkeypatch):
     monkeypatch.setattr("strandline.studies.run.calibrate", Mock(side_effect=NumericsError("singular")))
-    monkeypatch.setattr("strandline.studies.run.nothing_near", lambda found: f"{len(found)} run is far away.")
+    monkeypatch.setattr("strandline.studies.run.pages.nothing_near", lambda found: f"{len(found)} run is far away.")
     with pytest.raises(NumericsError, match=r"1 run is far away\. The analysis failed: singular"):
         rerun(copy_of(beam))
 
 
 BROKEN = {
     "posterior.nc": ("strandline.studies.run.write", ImportError("No module named 'h5py'")),
-    "summary.json": ("strandline.studies.run.write_json", OSError(28, "No space left on device")),
+    "summary.json": ("strandline.studies.run.foundations.write_json", OSError(28, "No space left on device")),
 }
 
 

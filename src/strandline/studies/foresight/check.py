@@ -16,25 +16,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from strandline import posterior as posteriors
 from strandline.calibration import Observer, observer_or_default
 from strandline.foundations import InvalidInput, InvalidStudy, TooFewRuns, read_json, write_json
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
 from strandline.models import ForwardModel, undeformed_interface
-from strandline.posterior import (
-    Posterior,
-    Reweighting,
-    Verdict,
-    from_datatree,
-    interface_band,
-    normal_offsets,
-    observed_offsets,
-    read,
-    reliability_threshold,
-    reweight,
-    subset,
-    verdict_on,
-)
 from strandline.report import add_check
 from strandline.runs import Executor, Ledger, RunRecord, run_campaign, run_key
 from strandline.studies.foresight.first_run import observations_of, turned_like
@@ -47,7 +34,7 @@ from strandline.studies.load.study import Study, settled
 SHIFT_SHOWN, RATIO_SHOWN = 0.25, 0.2
 """A remark reports a mean off by more than this, in standard deviations, or an sd off by more than this share."""
 MOMENTS = ("mean", "sd", "reweighted_mean", "reweighted_sd", "shift", "shift_error", "sd_ratio")
-VERDICTS: dict[Verdict, str] = {
+VERDICTS: dict[posteriors.Verdict, str] = {
     "good": "The weights can be trusted, and so can the reweighted figures.",
     "usable": "The surrogate is off where the posterior lies, but the reweighted figures can be used.",
     "bad": "DO NOT TRUST THE SURROGATE where the posterior lies, nor the reweighted figures.",
@@ -61,12 +48,12 @@ class CheckedDraws:
     That by the true model is -inf if the run failed. `result` are the reweighted moments.
     """
 
-    posterior: Posterior
+    posterior: posteriors.Posterior
     chosen: Int[np.ndarray, " draw"]
     records: tuple[RunRecord, ...]
     true: Float[np.ndarray, " draw"]
     surrogate: Float[np.ndarray, " draw"]
-    result: Reweighting
+    result: posteriors.Reweighting
 
     @property
     def failed(self) -> list[RunRecord]:
@@ -86,8 +73,8 @@ def describe(
         "draws": number,
         "runs": outcomes(found.records) | {"new": new_runs, "reused": distinct - new_runs},
         "k_hat": smoothed.k_hat,
-        "threshold": reliability_threshold(number),
-        "verdict": verdict_on(smoothed),
+        "threshold": posteriors.reliability_threshold(number),
+        "verdict": posteriors.verdict_on(smoothed),
         "remarks": list(_remarks(study, found)),
         "ess": smoothed.ess,
         "log_likelihood": {"mean_difference": float(difference.mean()), "rms_difference": float(difference.std())},
@@ -109,13 +96,13 @@ def outcomes(records: Sequence[RunRecord]) -> dict[str, Any]:
     return {"ok": len(records) - len(failed), "failed": len(failed), "by_kind": kinds}
 
 
-def read_check(folder: Path, posterior: Posterior) -> dict[str, Any] | None:
+def read_check(folder: Path, posterior: posteriors.Posterior) -> dict[str, Any] | None:
     """Return the check of `posterior` in `folder`; None if there is none, or only that of another posterior."""
     content = read_json(folder / CHECK)
     return content if content.get("posterior_sha256") == posterior_digest(posterior) else None
 
 
-def posterior_digest(posterior: Posterior) -> str:
+def posterior_digest(posterior: posteriors.Posterior) -> str:
     """Return a digest of the particles; posteriors that differ in one bit have different digests."""
     parts = (posterior.draws, posterior.log_weights, posterior.log_likelihood)
     return hashlib.sha256(b"".join(np.ascontiguousarray(part, float).tobytes() for part in parts)).hexdigest()
@@ -129,7 +116,7 @@ def _inputs(found: CheckedDraws) -> dict[str, dict[str, Any]]:
 
 
 def _remarks(study: Study, found: CheckedDraws) -> Iterator[str]:
-    verdict = verdict_on(found.result.smoothed)
+    verdict = posteriors.verdict_on(found.result.smoothed)
     yield VERDICTS[verdict]
     if verdict != "good":
         coarse = getattr(study.measure, "quadrature", None) == "centre"
@@ -165,7 +152,7 @@ def _interfaces(study: Study, observation: Observation, records: Sequence[RunRec
         note = f"no band: the interfaces of the draws have from {min(shapes)[0]} to {max(shapes)[0]} points"
         return {"condition": observation.condition, "points": None, "note": note, "displacement": None, "offset": None}
     points = np.stack([interface.points for interface in interfaces])
-    band = interface_band(points)
+    band = posteriors.interface_band(points)
     origin, reference, undeformed = "median", band.median, undeformed_interface(study.model)
     if undeformed is not None and undeformed.points.shape == band.median.shape:
         origin, reference = "undeformed", undeformed.points
@@ -193,7 +180,7 @@ def offset_band(
     """
     if points.shape[2] != 2:
         return None
-    nodes, seen = normal_offsets(points, centre), observed_offsets(observed, centre)
+    nodes, seen = posteriors.normal_offsets(points, centre), posteriors.observed_offsets(observed, centre)
     low, median, high = np.quantile(nodes.offset, (0.05, 0.5, 0.95), axis=0)
     return {
         "arc_length": nodes.arc_length.tolist(),
@@ -242,7 +229,7 @@ def check_posterior(
     tell, begun = observer_or_default(observer), time.perf_counter()
     observations = study.observations(observations_of(study))
     require_stated((seen.noise for seen in observations), "strandline posterior check")
-    chosen = subset(posterior.weights, draws, study.settings.seed)
+    chosen = posteriors.subset(posterior.weights, draws, study.settings.seed)
     positions, surrogate = posterior.draws[chosen], posterior.log_likelihood[chosen]
     tell.stage("draws")
     records, new_runs = _run(study, positions, executor or study.executor, tell)
@@ -260,7 +247,7 @@ def check_posterior(
             remedy="Look at the failures; the surrogate knows nothing of where the posterior lies. "
             f"E.g. {first.failure_kind or first.state}: {reason}",
         )
-    found = CheckedDraws(posterior, chosen, records, true, surrogate, reweight(positions, true - surrogate))
+    found = CheckedDraws(posterior, chosen, records, true, surrogate, posteriors.reweight(positions, true - surrogate))
     content = describe(study, found, observations, new_runs=new_runs)
     with told_if_unwritable(study.folder):
         add_check(content, study.folder, draft=study.settings.draft)
@@ -269,7 +256,7 @@ def check_posterior(
     return PosteriorCheck(content, study.folder / CHECK)
 
 
-def finished_posterior(study: Study, *, purpose: str = "check") -> Posterior:
+def finished_posterior(study: Study, *, purpose: str = "check") -> posteriors.Posterior:
     """Return the posterior of a study that has results for its present study.yaml."""
     results, path = results_of(study), study.folder / POSTERIOR
     if results != "current" or not path.is_file():
@@ -282,7 +269,7 @@ def finished_posterior(study: Study, *, purpose: str = "check") -> Posterior:
         )
     study.runs.require_finished()
     try:
-        return from_datatree(read(path), study.space)
+        return posteriors.from_datatree(posteriors.read(path), study.space)
     except (OSError, KeyError, ValueError) as error:
         expected, remedy = "the posterior of this study", f"Make it again: strandline report {study.folder}"
         raise InvalidStudy(f"{POSTERIOR} cannot be read", value=str(error), expected=expected, remedy=remedy) from error

@@ -7,15 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from strandline import discrepancy
 from strandline.calibration import footprint
-from strandline.discrepancy import (
-    Discrepancy,
-    JointErrors,
-    NormalOffset,
-    shared_errors,
-    signed_distances,
-    squared_discrepancies,
-)
 from strandline.foundations import InvalidInput, NumericsError
 from strandline.interface import Interface, Observation, UnknownErrors
 from strandline.likelihood import compared, differences, noise_length, second_differences
@@ -91,8 +84,8 @@ def _information(
     seen = [_seen(study, name, interfaces[name], observed.get(name)) for name in observed or interfaces]
     steps = {one.condition: _steps(one, measure, slopes[one.condition]) for one in seen}
     errors = [found for one in seen if (found := one.errors) is not None]
-    if isinstance(measure, NormalOffset) and len(errors) == len(seen):
-        model = (shared_errors(seen, measure) or JointErrors(tuple(seen), tuple(errors))).model
+    if isinstance(measure, discrepancy.NormalOffset) and len(errors) == len(seen):
+        model = (discrepancy.shared_errors(seen, measure) or discrepancy.JointErrors(tuple(seen), tuple(errors))).model
         of_distances = [
             _slopes_of_distances(one.interface, interfaces[one.condition], slopes[one.condition], steps[one.condition])
             for one in seen
@@ -103,7 +96,7 @@ def _information(
         template, step = interfaces[one.condition], steps[one.condition]
         with_noise = compared(one, measure, len(template.points))
         moved = _moved(template, slopes[one.condition], step * differences(dim))
-        squares = squared_discrepancies(with_noise.measure, moved, template, one.interface)
+        squares = discrepancy.squared_discrepancies(with_noise.measure, moved, template, one.interface)
         information += _curvature(-2 * with_noise.noise.log_density(squares), step)
     return information
 
@@ -113,7 +106,10 @@ def _slopes_of_distances(
 ) -> Float[np.ndarray, "seen dim"]:
     """Return d(signed distance of an observed point)/d(input), mm per unit of the input, by central differences."""
     both = [
-        [signed_distances(seen.points, Interface(points, template.cells)) for points in _moved(template, slope, moves)]
+        [
+            discrepancy.signed_distances(seen.points, Interface(points, template.cells))
+            for points in _moved(template, slope, moves)
+        ]
         for moves in (np.diag(steps), np.diag(-steps))
     ]
     return np.asarray((np.array(both[0]) - np.array(both[1])).T / (2 * steps))
@@ -127,7 +123,7 @@ def _seen(study: Study, condition: str, simulated: Interface, observed: Interfac
     return study.observation(seen, condition)
 
 
-def _steps(seen: Observation, measure: Discrepancy, slope: Float[np.ndarray, "point xyz dim"]) -> _OfInputs:
+def _steps(seen: Observation, measure: discrepancy.Discrepancy, slope: Float[np.ndarray, "point xyz dim"]) -> _OfInputs:
     """Return the change of each input that moves the interface by as much as the noise hides."""
     return np.asarray(noise_length(seen, measure) / np.maximum(np.linalg.norm(slope, axis=1).max(axis=0), 1e-300))
 

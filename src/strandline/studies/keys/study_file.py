@@ -11,42 +11,27 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, field_v
 from strandline.design import FEWEST_POINTS, Active, Refinement
 from strandline.runs import DaskCluster, InProcess, LocalProcesses, SlurmArray
 from strandline.smc import SMCSettings
+from strandline.studies.keys import schema
 from strandline.studies.keys.observation import Observed, StudyNoise
-from strandline.studies.keys.schema import (
-    MOST,
-    MOST_RETRIES,
-    MOST_VALUES,
-    Choice,
-    Count,
-    Name,
-    Number,
-    Options,
-    Section,
-    Seed,
-    Switch,
-    Text,
-    Unit,
-    Whole,
-)
 
-Particles = Annotated[Whole, Field(ge=10, le=MOST, description="at least 10")]
+Particles = Annotated[schema.Whole, Field(ge=10, le=schema.MOST, description="at least 10")]
 
 
-class Sobol(Section):
+class Sobol(schema.Section):
     """Consecutive points of one Sobol sequence."""
 
-    runs: Count
+    runs: schema.Count
     """forward runs, at least two more than inputs"""
-    scramble: Seed | None = None
+    scramble: schema.Seed | None = None
     """seed of an Owen scrambling; default: none"""
 
 
-REFINE = Options(Refinement, also={"rounds": (Count, 3), "runs": (Count, ...)})
-Scramble = Annotated[Seed | None, Field(description="seed of their Owen scrambling; default: none")]
-ACTIVE = Options(Active, also={"scramble": (Scramble, None)})
+REFINE = schema.Options(Refinement, also={"rounds": (schema.Count, 3), "runs": (schema.Count, ...)})
+Scramble = Annotated[schema.Seed | None, Field(description="seed of their Owen scrambling; default: none")]
+ACTIVE = schema.Options(Active, also={"scramble": (Scramble, None)})
 
 
-class Design(Section):
+class Design(schema.Section):
     """The design of experiments."""
 
     sobol: Sobol | None = None
@@ -62,7 +47,7 @@ class Design(Section):
         return self
 
 
-class LogLikelihood(Section):
+class LogLikelihood(schema.Section):
     """A Gaussian process of the log-likelihood."""
 
     kernel: str | None = None
@@ -79,11 +64,11 @@ class LogLikelihood(Section):
         return self
 
 
-class InterfaceField(Section):
+class InterfaceField(schema.Section):
     """A surrogate of the interface as a field."""
 
 
-class Surrogate(Section):
+class Surrogate(schema.Section):
     """The surrogate: one of the two; by default the one that fits the design."""
 
     log_likelihood: LogLikelihood | None = None
@@ -97,18 +82,18 @@ class Surrogate(Section):
         return self
 
 
-SMC = Options(SMCSettings, without=("resample_below", "maximum_steps"), also={"particles": (Particles, 5000)})
+SMC = schema.Options(SMCSettings, without=("resample_below", "maximum_steps"), also={"particles": (Particles, 5000)})
 
 
-class CutReading(Section):
+class CutReading(schema.Section):
     """The cut reading of the posterior under uncertainty."""
 
-    values: Annotated[Whole, Field(ge=2, le=MOST_VALUES)] = 32
+    values: Annotated[schema.Whole, Field(ge=2, le=schema.MOST_VALUES)] = 32
     """nuisance values in the [cut reading](../how-to/experiment.md#an-uncertain-quantity), representing their prior, at
     least 2"""
 
 
-class Sampler(Section):
+class Sampler(schema.Section):
     """The sampler."""
 
     smc: Annotated[Mapping[str, Any], SMC] = Field(default_factory=dict, validate_default=True)
@@ -122,42 +107,44 @@ def _quoted(value: Any) -> Any:
     return value
 
 
-Walltime = Annotated[Text, BeforeValidator(_quoted)]
+Walltime = Annotated[schema.Text, BeforeValidator(_quoted)]
 
 
-class DaskJobs(Section):
+class DaskJobs(schema.Section):
     """The jobs that are the workers of a Dask cluster."""
 
-    cores: Count = 1
+    cores: schema.Count = 1
     """simultaneous runs per job"""
-    memory: Text
+    memory: schema.Text
     """per job, `16GB`"""
     walltime: Walltime
     """per job, `"HH:MM:SS"` or `"D-HH:MM:SS"`, in quotes"""
-    queue: Text | None = None
+    queue: schema.Text | None = None
     """queue or partition"""
-    account: Text | None = None
+    account: schema.Text | None = None
     """account to charge"""
-    interface: Text | None = None
+    interface: schema.Text | None = None
     """network interface between nodes and driver"""
-    extra: list[Text] = []
+    extra: list[schema.Text] = []
     """further job directives, `["--qos=long"]`"""
-    prologue: list[Text] = []
+    prologue: list[schema.Text] = []
     """shell lines before the worker starts, `["module load gcc"]`"""
 
 
-DASK = Options(DaskCluster, also={"jobs": (DaskJobs | None, None)})
-SLURM_ARRAY = Options(SlurmArray, without=("folder", "command", "detach"), also={"walltime": (Walltime | None, None)})
+DASK = schema.Options(DaskCluster, also={"jobs": (DaskJobs | None, None)})
+SLURM_ARRAY = schema.Options(
+    SlurmArray, without=("folder", "command", "detach"), also={"walltime": (Walltime | None, None)}
+)
 
 
-class ExecutorChoice(Section):
+class ExecutorChoice(schema.Section):
     """Where forward runs are made: one place; or an executor ``module:name`` with its options."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, dict[str, Any] | None]
-    in_process: Annotated[Mapping[str, Any], Options(InProcess)] | None = None
+    in_process: Annotated[Mapping[str, Any], schema.Options(InProcess)] | None = None
     """one run after the other, in the process of strandline; it has no options"""
-    local: Annotated[Mapping[str, Any], Options(LocalProcesses)] | None = None
+    local: Annotated[Mapping[str, Any], schema.Options(LocalProcesses)] | None = None
     dask: Annotated[Mapping[str, Any], DASK] | None = None
     slurm_array: Annotated[Mapping[str, Any], SLURM_ARRAY] | None = None
 
@@ -172,21 +159,21 @@ def _action(value: Any) -> Any:
     if value in ("continue", "abort"):
         return value
     times = value.get("retry") if isinstance(value, dict) and len(value) == 1 else None
-    if isinstance(times, int) and not isinstance(times, bool) and 1 <= times <= MOST_RETRIES:
+    if isinstance(times, int) and not isinstance(times, bool) and 1 <= times <= schema.MOST_RETRIES:
         return times
-    raise ValueError(f"continue, abort, or {{retry: N}} with N from 1 to {MOST_RETRIES}")
+    raise ValueError(f"continue, abort, or {{retry: N}} with N from 1 to {schema.MOST_RETRIES}")
 
 
-class Stop(Section):
+class Stop(schema.Section):
     """When a campaign is stopped because nearly all of its runs fail."""
 
-    share: Annotated[Number, Field(gt=0, le=1)] = 0.95
+    share: Annotated[schema.Number, Field(gt=0, le=1)] = 0.95
     """share of failed runs that stops the study, above 0, at most 1; never: `failures: {stop: never}`"""
-    after: Count = 20
+    after: schema.Count = 20
     """… once this many are done"""
 
 
-class Failures(Section):
+class Failures(schema.Section):
     """What is done about forward runs that fail, by kind or state."""
 
     kinds: dict[str, Annotated[str | int, BeforeValidator(_action)]] = {}
@@ -194,7 +181,7 @@ class Failures(Section):
     stop: Stop | Literal["never"] = Stop()
 
 
-class SpecimensFile(Section):
+class SpecimensFile(schema.Section):
     """Outlines of many specimens."""
 
     files: Annotated[str, Field(min_length=1)]
@@ -215,8 +202,8 @@ class SpecimensFile(Section):
 CHANGES = ("prior", "noise", "measure", "fix", "without")
 
 
-Share = Annotated[Number, Field(ge=0, le=1)]
-Points = Annotated[Whole, Field(ge=FEWEST_POINTS, le=MOST)]
+Share = Annotated[schema.Number, Field(ge=0, le=1)]
+Points = Annotated[schema.Whole, Field(ge=FEWEST_POINTS, le=schema.MOST)]
 
 
 def _ordered(part: tuple[float, float]) -> tuple[float, float]:
@@ -225,11 +212,11 @@ def _ordered(part: tuple[float, float]) -> tuple[float, float]:
     return part
 
 
-class Next(Section):
+class Next(schema.Section):
     """Candidates for the next experiment: values of quantities, each a key, and what of the interface is observed."""
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, Annotated[list[Number], Field(min_length=1)]]
+    __pydantic_extra__: dict[str, Annotated[list[schema.Number], Field(min_length=1)]]
     condition: Annotated[list[str | list[str]], Field(min_length=1)] | None = None
     """of the [candidates for the next experiment](../how-to/next.md), which also list values of known
     quantities by name: conditions to observe, `[slow, fast]`, or `[[slow, fast]]` for both"""
@@ -237,11 +224,11 @@ class Next(Section):
     """where on the interface to look, as shares of the observed length: `[[0, 0.5], [0.5, 1]]`"""
     points: Annotated[list[Points | None], Field(min_length=1)] | None = None
     """how many points to observe, at equal distances: `[20, 100]`"""
-    sd: Annotated[list[Annotated[Number, Field(gt=0)] | None], Field(min_length=1)] | None = None
+    sd: Annotated[list[Annotated[schema.Number, Field(gt=0)] | None], Field(min_length=1)] | None = None
     """standard deviation of each point, in `next.unit`"""
     unit: Literal["mm", "um", "µm", "m"] | None = None
     """of `next.sd`"""
-    together: Annotated[Whole, Field(ge=1, le=3)] = 1
+    together: Annotated[schema.Whole, Field(ge=1, le=3)] = 1
     """how many experiments may be made together, up to 3"""
 
     @model_validator(mode="after")
@@ -251,18 +238,18 @@ class Next(Section):
         return self
 
 
-class WhatIf(Section):
+class WhatIf(schema.Section):
     """Another assumption: one change of the study, or several together."""
 
-    name: Unit | None = None
+    name: schema.Unit | None = None
     """of an [alternative](../how-to/what-if.md): what it is called in the table; default: what it changes"""
-    prior: dict[Name, Annotated[dict[str, list[Number]], Field(min_length=1, max_length=1)]] = {}
+    prior: dict[schema.Name, Annotated[dict[str, list[schema.Number]], Field(min_length=1, max_length=1)]] = {}
     """other [priors](#priors) by input, in the same box"""
     noise: dict[str, Any] | None = None
     """another `noise`, with the keys of that section"""
-    measure: Annotated[str, Field(min_length=1)] | Choice | None = None
+    measure: Annotated[str, Field(min_length=1)] | schema.Choice | None = None
     """another [measure](#measures) with its options, or the name of one"""
-    fix: dict[Name, Number] = {}
+    fix: dict[schema.Name, schema.Number] = {}
     """values of inputs that are taken as known"""
     without: list[str] = []
     """conditions that are left out"""
@@ -277,12 +264,12 @@ class WhatIf(Section):
 SCHEMA_VERSION = 1
 
 
-class Quantity(Section):
+class Quantity(schema.Section):
     """A known input with its unit."""
 
-    value: Number
+    value: schema.Number
     """or as `{value: …, unit: …}`: the number"""
-    unit: Unit
+    unit: schema.Unit
     """its unit, which is checked"""
 
 
@@ -293,39 +280,39 @@ def _symbol(value: str) -> str:
     return value.strip()
 
 
-class Input(Section):
+class Input(schema.Section):
     """An unknown input."""
 
-    prior: Annotated[dict[str, list[Number]], Field(min_length=1, max_length=1)]
+    prior: Annotated[dict[str, list[schema.Number]], Field(min_length=1, max_length=1)]
     """a [distribution](#priors) with its numbers"""
-    unit: Unit | None = None
+    unit: schema.Unit | None = None
     """the model's unit, a label: nothing is converted; omit for a pure number"""
-    box: tuple[Number, Number] | None = None
+    box: tuple[schema.Number, schema.Number] | None = None
     """[low, high] of forward runs; default: prior's support"""
-    nuisance: Switch = False
+    nuisance: schema.Switch = False
     """[uncertain, but not calibrated](../how-to/experiment.md#an-uncertain-quantity): the result is averaged over it"""
     label: Annotated[str, AfterValidator(_symbol)] | None = None
     """symbol in figures, report and tables, e.g. `V̇_in`: one line of up to 30 characters; an underscore starts a
     subscript; default: the name"""
 
 
-class StudyFile(Section):
+class StudyFile(schema.Section):
     """The whole of study.yaml."""
 
     version: Literal[1]
     """1"""
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=100)]
     """letters, digits, `_`, `.`, `-`; starts with a letter or digit"""
-    model: Choice
+    model: schema.Choice
     """a [simulator](#models) with its options"""
     fidelities: Annotated[list[str | dict[str, Any]], Field(min_length=1, max_length=1)] = []
     """[a cheaper model](../how-to/cheaper-model.md), for most runs of an active design: the options in which it differs
     from `model`, with `cost`, or the name of its mesh"""
-    fixed: dict[Name, Number | Quantity] = {}
+    fixed: dict[schema.Name, schema.Number | Quantity] = {}
     """a known input: a number in the model's unit"""
-    inputs: Annotated[dict[Name, Input], Field(min_length=1)]
+    inputs: Annotated[dict[schema.Name, Input], Field(min_length=1)]
     observation: Observed
-    discrepancy: Choice | Annotated[list[Choice], Field(min_length=1)]
+    discrepancy: schema.Choice | Annotated[list[schema.Choice], Field(min_length=1)]
     """a [measure](#measures) with its options, or a list of them"""
     noise: StudyNoise
     design: Design
@@ -333,16 +320,16 @@ class StudyFile(Section):
     sampler: Sampler = Sampler()
     executor: ExecutorChoice = ExecutorChoice()  # type: ignore[call-arg]
     failures: Failures = Failures()
-    sensitivities: Switch = False
+    sensitivities: schema.Switch = False
     """runs also return d(interface)/d(input), kept in the ledger"""
     reuse: list[str] = []
     """other studies' folders, relative to this one, to reuse fitting runs"""
-    draft: Switch = False
+    draft: schema.Switch = False
     """a first look: few draws judge the fit, an active design carries few particles, figures are coarse, and there are
     no sensitivity indices; the report says so"""
     report: Literal["full", "none"] = "full"
     """`none`: no figures and no page"""
-    seed: Seed = 1
+    seed: schema.Seed = 1
     """for every random number after the design"""
     next: Next | None = None
     specimens: SpecimensFile | None = None

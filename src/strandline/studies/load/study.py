@@ -8,20 +8,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from strandline import models
 from strandline.calibration import Settings
 from strandline.design import Candidate, sobol
 from strandline.discrepancy import Discrepancy
 from strandline.foundations import InvalidInput, InvalidStudy, html_table, html_text, read_json, write_json
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
-from strandline.models import (
-    CHEAPER,
-    ForwardModel,
-    asks_sensitivities,
-    declared_failure_kinds,
-    fingerprint,
-    first_runs,
-    run_identity,
-)
 from strandline.parameters import ParameterSpace
 from strandline.runs import ATTEMPTS, COMMON_KINDS, ENDS, EXCLUDED, Executor, Ledger, Plan, RunRecord, run_key
 from strandline.studies.keys.folder import LEDGER, REFINEMENT, digest_of
@@ -46,7 +38,7 @@ class Study:
     folder: Path
     name: str
     text: str
-    model: ForwardModel
+    model: models.ForwardModel
     space: ParameterSpace
     fixed: Mapping[str, float]
     discrepancies: Mapping[str, Discrepancy]
@@ -109,7 +101,7 @@ class Study:
 
     @property
     def sensitivities(self) -> bool:
-        return asks_sensitivities(self.model)
+        return models.asks_sensitivities(self.model)
 
 
 def require_study(given: object) -> None:
@@ -132,10 +124,10 @@ class StudyRuns:
     @cached_property
     def identity(self) -> str:
         """Fingerprint of the model; ledgers of another model are refused."""
-        return fingerprint(self.study.model)
+        return models.fingerprint(self.study.model)
 
     def key(self, inputs: Mapping[str, float]) -> str:
-        return run_key(run_identity(self.study.model, self.identity, inputs), inputs)
+        return run_key(models.run_identity(self.study.model, self.identity, inputs), inputs)
 
     @property
     def design(self) -> list[dict[str, float]]:
@@ -145,7 +137,7 @@ class StudyRuns:
             return given
         points = sobol(study.settings.runs, study.space.dim, scramble=study.settings.scramble)
         inputs = [{**study.fixed, **study.space.as_mapping(x)} for x in study.space.to_physical(points)]
-        return first_runs(study.model, inputs)
+        return models.first_runs(study.model, inputs)
 
     @property
     def design_keys(self) -> list[str]:
@@ -309,7 +301,7 @@ class StudyRuns:
 
     def _belongs(self, record: RunRecord) -> bool:
         study, names = self.study, {*self.study.fixed, *self.study.space.names}
-        if set(record.inputs) - {CHEAPER} != names or record.key != self.key(record.inputs):
+        if set(record.inputs) - {models.CHEAPER} != names or record.key != self.key(record.inputs):
             return False
         known = all(record.inputs[name] == value for name, value in study.fixed.items())
         box = zip(study.space.names, study.space.low, study.space.high, strict=True)
@@ -332,7 +324,7 @@ def settled(ledger: Ledger, keys: Iterable[str], *, sensitivities: bool = False)
     ]
 
 
-def failure_words(model: ForwardModel) -> tuple[str, ...]:
+def failure_words(model: models.ForwardModel) -> tuple[str, ...]:
     """Return the known words for failed runs of `model`: states, its own kinds, kinds of any model."""
     states = (state for state in ENDS if state != "ok")
-    return tuple(dict.fromkeys([*states, *(declared_failure_kinds(model) or ()), *COMMON_KINDS]))
+    return tuple(dict.fromkeys([*states, *(models.declared_failure_kinds(model) or ()), *COMMON_KINDS]))
