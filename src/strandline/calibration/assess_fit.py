@@ -248,7 +248,6 @@ def _notes(residuals: Residuals, prediction: Prediction, conditions: Sequence[Co
 
 
 def _removed(one: ConditionMisfit) -> str:
-    """Return which global errors of an observation were removed, and their sizes."""
     shift, offset = (", ".join(f"{1e3 * v:.3g}" for v in one.removed.get(name, ())) for name in ("shift", "offset"))
     said = {
         "shift": f"shift ({shift}) µm",

@@ -186,7 +186,6 @@ class CoverageFound:
         return tuple(self._faults()) or (self._right(),)
 
     def _right(self) -> str:
-        """Return what the replicates show if the ranks of all inputs stay inside their bands."""
         if len(self.replicates) < ENOUGH:
             return (
                 f"Nothing speaks against the posterior, but {len(self.replicates)} replicates show only gross errors; "
@@ -202,7 +201,6 @@ class CoverageFound:
             yield self._fault_of_fit()
 
     def _fault_of_fit(self) -> str:
-        """Return what the ranks of the log-likelihood show: a truth that fits worse than draws do, or better."""
         for one in reversed(self.regions):
             often = f"the truth is among the {100 * one.level:.0f} % of its draws that fit best in"
             often = f"{often} {100 * one.found[0]:.3g} % of the replicates."
@@ -213,7 +211,6 @@ class CoverageFound:
         return f"The posterior is not calibrated: ranks of the log-likelihood leave the {100 * BAND:.0f} % band."
 
     def _fault(self, i: int, name: str) -> str:
-        """Return what is wrong with the intervals of an input: their width, their place, or something else."""
         z = self.z[:, i]
         shifted = abs(z.mean()) > CERTAIN * z.std() / np.sqrt(len(z))
         for one in reversed(self.intervals):

@@ -125,7 +125,6 @@ class Learning:
         return TrainedSurrogate(learnt, knowledge=knowledge, certificate=certificate, set_aside=aside)
 
     def _begin(self, given: Given | None) -> tuple[Float[np.ndarray, "run dim"], list[dict[str, float]]]:
-        """Return the unknown inputs of the first runs, each once, and all inputs of these runs."""
         if given is None:
             begin = self._first(self.settings.runs)
             return begin, first_runs(self.problem.model, self._inputs(begin))

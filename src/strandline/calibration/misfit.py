@@ -220,7 +220,6 @@ def _strain(conditions: Sequence[ConditionMisfit]) -> str:
 
 
 def _of_kind(name: str, value: float) -> str:
-    """Return the size of a shift, rotation, scale or offset with its unit."""
     if name in ("shift", "offset"):
         return _length(value)
     return f"{_short(value)}°" if name == "rotation" else f"{_short(100 * value)} %"
@@ -249,7 +248,6 @@ def _reason(conditions: Sequence[ConditionMisfit], ratio: float, least: float, *
 
 
 def _where(condition: str, region: Region, *, everywhere: bool) -> str:
-    """Return where a model is wrong, and by how much beside the noise."""
     of, times = f" of condition {condition}" if condition else "", _short(region.excess)
     lies = f"lies {_length(abs(region.mean))} {region.side} the prediction{TOWARDS.get(region.side, '')}"
     if not region.side:

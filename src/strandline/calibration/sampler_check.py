@@ -175,7 +175,6 @@ def compare_halves(sampling: SMCResult, posterior: Posterior) -> SamplerCheck | 
 
 
 def _reweighted(half: SMCResult, log_likelihood: PerHalf) -> tuple[PerHalf, float]:
-    """Return the weights of a half by the posterior's likelihood, and its log-evidence."""
     alive = ~np.isneginf(half.log_weights)
     log_weights = np.full(len(alive), -np.inf)
     log_weights[alive] = half.log_weights[alive] + log_likelihood[alive] - half.log_likelihood[alive]

@@ -100,7 +100,6 @@ class _GivenOnHost:
 
 
 def _given(space: ParameterSpace, log_likelihood: Any) -> Any:
-    """Return log L as a function of the calibrated inputs and of one value of the nuisance inputs."""
     order = np.argsort([*space.calibrated, *space.nuisance])
     if is_on_host(log_likelihood):
         return _GivenOnHost(log_likelihood, tuple(order.tolist()))
@@ -247,7 +246,6 @@ def quadrature(space: ParameterSpace, log_likelihood: Callable[[Any], Any]) -> Q
 
 
 def _moments_by(log_likelihood: Callable[[Points], Values], space: ParameterSpace, seed: int) -> dict[str, Point]:
-    """Return mean and standard deviations of the posterior of another log-likelihood."""
     initial = space.prior_quantiles(np.random.default_rng(seed).random((COMPARED, space.dim)))
     found = sample(jax.random.key(seed), OnHost(log_likelihood), space.log_prior, initial, settings=SAMPLING)
     moments = Weighted(found.positions, np.exp(found.log_weights))

@@ -155,7 +155,6 @@ def _other_noise(likelihood: FieldLikelihood) -> Iterator[tuple[str, Kind, str, 
 def _other_data(
     likelihood: FieldLikelihood, measures: Mapping[str, Discrepancy]
 ) -> Iterator[tuple[str, Kind, str, FieldLikelihood]]:
-    """Yield the other measures, and each condition left out if there are several; likewise."""
     seen = likelihood.observations
     inferred = any(one.unknown for one in seen)
     for name, measure in list(measures.items())[1:]:

@@ -201,7 +201,6 @@ class LineFile:
 
 
 def _parsed(line: bytes) -> dict[str, Any]:
-    """Return the content of a line; empty if it is not one of ours."""
     try:
         found = json.loads(line)
     except ValueError:

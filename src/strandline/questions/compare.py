@@ -124,7 +124,6 @@ def compare(
 
 
 def _named(studies: Sequence[Study], odds: Sequence[float] | None) -> dict[str, Study]:
-    """Return the studies by name, once they can be compared."""
     require_several(studies)
     if odds is not None:
         calibration.require_odds(odds, len(studies))
@@ -165,7 +164,6 @@ def _constants(studies: Mapping[str, Study], summaries: Mapping[str, Mapping[str
 
 
 def _require_free(folder: Path) -> None:
-    """Refuse a folder that cannot hold the result; nothing is created yet."""
     there = next(one for one in (folder, *folder.absolute().parents) if one.exists())
     for wrong, value, expected in (
         ((folder / STUDY).exists(), f"{folder}, which is a study", "one that is no study: a comparison has several"),

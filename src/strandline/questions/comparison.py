@@ -102,7 +102,6 @@ def describe_comparison(
 
 
 def _separation(shown: CandidateSignals, one: Discrimination | None) -> dict[str, Any]:
-    """Return what a candidate is expected to tell; nulls if a run of it failed."""
     return {
         "candidate": shown.label,
         "nats": None if one is None else one.nats,
@@ -166,7 +165,6 @@ def _factor(one: BayesFactor, compared: Mapping[str, ComparedStudy], flat: Model
 
 
 def _averaged(together: Weighted, compared: Mapping[str, ComparedStudy], shared: Sequence[str]) -> dict[str, Any]:
-    """Return moments, quantiles and histograms of the shared inputs, for the average and for each model."""
     space = next(iter(compared.values())).study.space
     out = {}
     for k, name in enumerate(shared):
@@ -192,7 +190,6 @@ def _averaged(together: Weighted, compared: Mapping[str, ComparedStudy], shared:
 
 
 def _histogram(one: Weighted, edges: Float[np.ndarray, " edge"]) -> list[float]:
-    """Return the density in each bin."""
     mass, _ = np.histogram(one.draws[:, 0], bins=edges, weights=one.weights)
     return [float(density) for density in mass / np.diff(edges)]
 
@@ -208,7 +205,6 @@ def _band(one: ComparedStudy, condition: str) -> dict[str, Any] | None:
 
 
 def _remarks(found: ModelComparison, compared: Mapping[str, ComparedStudy], shared: Sequence[str]) -> Iterator[str]:
-    """Yield sentences on what the verdict depends on."""
     if (misfit := compared[found.order[0]].summary["misfit"]) is not None and misfit["flagged"]:
         yield remark("none_explains", best=found.order[0])
     for name, one in compared.items():
@@ -260,7 +256,6 @@ def answer_of(content: dict[str, Any], found: Found, folder: Path) -> Answer[Fou
 
 
 def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
-    """Yield the figure of the inputs shared by the models of compare.json, and that of predictions of polylines."""
     if content["averaged"]:
         yield Captioned.of("compare_marginals", "compare", plots.plot_averaged(content["averaged"]))
     bands = {

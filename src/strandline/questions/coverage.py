@@ -171,7 +171,6 @@ def _described(
     seed: int,
     measure: str,
 ) -> dict[str, Any]:
-    """Return the content of coverage.json."""
     return {
         **studies.facts_of(study, seed),
         "source": source,
@@ -271,7 +270,6 @@ def _answer(content: dict[str, Any], found: CoverageFound, folder: Path) -> answ
 
 
 def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
-    """Yield the figure of the ranks of coverage.json, and that of the intervals."""
     ranked = {**content["inputs"], "log-likelihood": content["log_likelihood"]}
     bands = {
         name: Band(**{key: np.array(values, float) for key, values in item["band"].items()}, p_value=item["p_value"])

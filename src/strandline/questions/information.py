@@ -350,7 +350,6 @@ def _varimax(axes: Float[np.ndarray, "dim axis"]) -> Float[np.ndarray, "dim axis
 
 
 def _signed(vector: Float[np.ndarray, " dim"]) -> Float[np.ndarray, " dim"]:
-    """Return the vector, or its opposite, with a positive largest element."""
     return np.asarray(vector * np.sign(vector[np.argmax(np.abs(vector))]))
 
 

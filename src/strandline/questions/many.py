@@ -97,7 +97,6 @@ def _by_helpers(packed: bytes, tasks: Sequence[Task], number: int) -> Iterator[S
 
 
 def _launched() -> Any:
-    """Return a process with pipes to its input and from its output."""
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     environment = {**os.environ, **threads, "JAX_NUM_CPU_DEVICES": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
     command = [sys.executable, "-c", "from strandline.questions.many import serve; serve()"]

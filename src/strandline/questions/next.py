@@ -128,7 +128,6 @@ UNKNOWN, PARTLY = 0.85, 0.5
 
 
 def _described(study: studies.Study, found: Answers, *, seed: int, seconds: float) -> dict[str, Any]:
-    """Return the content of next.json; candidates come in the order of their worth, single experiments first."""
     answers, sd = ranked(found.answers), found.now.sd
     together = groupby(answers, key=lambda one: len(one.candidate.settings))
     return {
@@ -199,7 +198,6 @@ def _candidate(study: studies.Study, one: CandidateAnswer, again: str, sd: np.nd
 
 
 def _identifiability(study: studies.Study, found: Answers) -> list[str]:
-    """Return which combinations of the inputs the picture cannot determine, in words."""
     picture, leaves, determines, cannot = (
         ("The picture", "leaves", "determines", "cannot determine")
         if found.source == "posterior"
@@ -218,7 +216,6 @@ def _identifiability(study: studies.Study, found: Answers) -> list[str]:
 
 
 def _best(study: studies.Study, found: Answers, answers: Sequence[CandidateAnswer], number: int) -> str:
-    """Return the best of candidates with the same number of experiments, in words."""
     again, best = AGAIN[found.source], answers[0]
     of = f"Of {number} experiments together: " if number > 1 else ""
     if best.outlook is None:
@@ -278,7 +275,6 @@ MOST_CANDIDATES = 20  # candidates that are drawn
 
 
 def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
-    """Yield the figure of the candidates of next.json, and that of the combinations of the inputs."""
     drawn = [one for one in content["candidates"] if one["gain"] is not None][:MOST_CANDIDATES]
     names = {name: item["label"] for name, item in content["inputs"].items()}
     if drawn:

@@ -152,7 +152,6 @@ def _source(content: studies.StudyFile, said: studies.SpecimensFile) -> studies.
 
 
 def _table(study: studies.Study, name: str) -> tuple[tuple[str, ...], dict[str, dict[str, float | None]]]:
-    """Return the names of the known inputs, and their values by specimen."""
     try:
         with (study.folder / name).open(encoding="utf-8-sig", newline="") as file:
             rows = list(csv.DictReader(file, skipinitialspace=True))
@@ -282,7 +281,6 @@ class Specimens:
         return Task(name, (seen,), given), sha256(json.dumps(facts).encode()).hexdigest()
 
     def _observation(self, interface: Interface, noise: Noise | PointErrors | UnknownErrors, name: str) -> Observation:
-        """Return an outline in the direction of the runs."""
         template = self.begin.knowledge.surrogate.layouts[""].template
         found, expected = f"{interface.dim} dimensions", f"{template.dim}, as the runs have"
         require(interface.dim == template.dim, f"outline of {name}", found, expected, "Check the file.")

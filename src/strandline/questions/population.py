@@ -315,7 +315,6 @@ def shrunk(population: Population, names: tuple[str, ...], *, seed: int = 1) -> 
 
 
 def _chosen(share: Float[np.ndarray, "specimen part"], random: np.random.Generator) -> np.ndarray:
-    """Return one part of each specimen, drawn with these probabilities."""
     below = np.cumsum(share, axis=1)
     return np.asarray((random.random((len(share), 1)) * below[:, -1:] > below).sum(axis=1))
 

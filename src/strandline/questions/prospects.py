@@ -312,7 +312,6 @@ def require_settable(studies: Mapping[str, Study], candidates: Sequence[Candidat
 
 
 def _problem(study: Study, quantity: str, value: float) -> str:
-    """Return why a study cannot set a quantity; empty if it can."""
     if quantity in study.fixed:
         return ""
     if quantity not in study.space.names:
@@ -356,7 +355,6 @@ def _signals(
 
 
 def _alike(presents: Sequence[AfterExperiment], candidate: Candidate, several: Sequence[Prospect]) -> bool:
-    """Return whether the whole interfaces of all models have corresponding points."""
     pairs = zip(presents, several, strict=True)
     seen = [present.observing(present.now.weights @ one.fields, candidate.look).seen for present, one in pairs]
     return all(len({one[name].points.shape for one in seen}) == 1 for name in seen[0])

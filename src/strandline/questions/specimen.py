@@ -272,7 +272,6 @@ class _Target:
 
 
 def _sampled(target: _Target, random: np.random.Generator) -> tuple[Weighted, By]:
-    """Return weighted draws of the posterior, and how they were made."""
     near = target.likelihood.nearby
     if near is not None:
         led = calibration.followed(*_begun(replace(target, near=near)), random, enough=LED)

@@ -145,7 +145,6 @@ def _refined(
     processes: int | None,
     tell: Observer,
 ) -> tuple[Specimens, int]:
-    """Make further runs for the specimens that need them; return the study opened again, and the number of runs."""
     made, open_ones = 0, [one for one in found.posteriors if not one.certified.good]
     by_name, study = {opened.files.name(path): path for path in paths}, opened.study
     path, text = study.folder / studies.SPECIMENS_LEDGER, f"{study.name}, further runs for specimens"

@@ -175,7 +175,6 @@ def answer_of(content: dict[str, Any], found: SpecimensFound, folder: Path) -> A
 
 
 def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
-    """Yield the intervals of each input of specimens.json, and its density in the population."""
     specimens, population = content["specimens"], content["population"]
     for name, item in content["inputs"].items() if specimens else ():
         axes, facts = plots.plot_caterpillar(specimens, name, axis_label(item)), {"of": name, "label": item["label"]}

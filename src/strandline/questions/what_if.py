@@ -189,7 +189,6 @@ def in_order(answers: Sequence[calibration.AlternativePosterior]) -> tuple[calib
 def _described(
     study: studies.Study, now: calibration.Baseline, answers: Sequence[calibration.AlternativePosterior], seed: int
 ) -> dict[str, Any]:
-    """Return the content of what-if.json."""
     return {
         **studies.facts_of(study, seed),
         "conclusion": _conclusion(answers),
@@ -246,7 +245,6 @@ def _remarks(
 
 
 def _surrogate(now: calibration.Baseline) -> dict[str, Any] | None:
-    """Return how good the surrogate of the interface is at the present posterior; None if it was not used."""
     if now.knowledge is None or now.quality is None:
         return None
     return {**facts_of_surrogate(now.knowledge.surrogate.runs, now.quality), "shift": now.shift}
@@ -314,7 +312,6 @@ def _answer(
 
 
 def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
-    """Yield the figure of the intervals of what-if.json."""
     inputs = content["present"]["inputs"]
     alternatives = [
         (figure_text(one["name"]), [one["inputs"].get(name) for name in inputs])

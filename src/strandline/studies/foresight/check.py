@@ -145,7 +145,6 @@ def _differences(found: CheckedDraws) -> Iterator[str]:
 
 
 def _interfaces(study: Study, observation: Observation, records: Sequence[RunRecord]) -> dict[str, Any]:
-    """Return the quantiles of the interfaces of one condition over the successful draws."""
     interfaces = [record.interfaces[observation.condition] for record in records if record.ok]
     shapes = {interface.points.shape for interface in interfaces}
     if len(shapes) > 1:

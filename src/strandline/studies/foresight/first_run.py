@@ -269,5 +269,4 @@ def mesh_lines(study: Study, record: RunRecord) -> Iterator[str]:
 
 
 def _length(mm: float) -> str:
-    """Return a length in µm, or in mm from 1 mm up."""
     return f"{mm:.3g} mm" if mm >= 1 else f"{1e3 * mm:.3g} µm"

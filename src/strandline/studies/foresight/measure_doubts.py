@@ -100,7 +100,6 @@ def _alone(seen: Interface, of: str) -> Iterator[str]:
 
 
 def _long(observation: Observation, of: str) -> Iterator[str]:
-    """Yield a warning for a correlation length that is no longer short beside the interface."""
     noise, whole = observation.noise, float(observation.interface.lengths.sum())
     if isinstance(noise, PointErrors) and noise.length > LONG * whole:
         yield (
@@ -111,7 +110,6 @@ def _long(observation: Observation, of: str) -> Iterator[str]:
 
 
 def _gap(measure: Discrepancy, seen: Interface, of: str) -> Iterator[str]:
-    """Yield a warning for a gap that the measure takes for a straight piece of the observed interface."""
     points_only = isinstance(measure, NormalOffset)
     points_only |= isinstance(measure, ClosestPoint) and (measure.direction, measure.weighting) == TO_POINTS
     longest = float(seen.lengths.max())
@@ -156,7 +154,6 @@ def _unseen(measure: ClosestPoint, seen: Interface, run: Interface, of: str) -> 
 
 
 def _past_the_end(seen: Interface, run: Interface, of: str) -> Iterator[str]:
-    """Yield a warning for observed points past the end of the simulated interface, which goes on straight a little."""
     if seen.closed or run.closed:
         return
     past = _overhang(seen, run)

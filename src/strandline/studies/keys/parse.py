@@ -117,7 +117,6 @@ def _place(location: tuple[int | str, ...]) -> str:
 
 
 def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """Return the keys allowed at `location` by following nested models by name."""
     current: Any = model
     for part in location:
         if part == SEVERAL:

@@ -274,7 +274,6 @@ class Quantity(schema.Section):
 
 
 def _symbol(value: str) -> str:
-    """Refuse a label that does not fit on a line of a figure."""
     if not value.strip() or len(value) > 30 or not value.isprintable():
         raise ValueError("a symbol of 1 to 30 characters on one line, e.g. ν")
     return value.strip()

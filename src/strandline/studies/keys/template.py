@@ -134,7 +134,6 @@ def write_example(name: str, folder: Path, observed: Observed | None = None) -> 
 
 
 def _observing(text: str, observed: Observed, folder: Path) -> str:
-    """Return the text of an example with another observed interface, its measure and its noise."""
     text = re.sub(r"^(?:#.*\n)*(?:discrepancy|noise): .*\n\n?", "", text, flags=re.MULTILINE)
     section = observed.section(folder)
     return re.sub(r"^(?:#.*\n)*observation: .*\n\n?", lambda _: f"{section}\n", text, flags=re.MULTILINE)

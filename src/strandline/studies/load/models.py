@@ -53,7 +53,6 @@ def build_model(
 
 
 def _with_points(name: str, value: Any, folder: Path) -> Any:
-    """Return an option, with its file of points read if it names one."""
     if not isinstance(value, Mapping) or "file" not in value:
         return value
     unit = str(value.get("unit", "nothing"))

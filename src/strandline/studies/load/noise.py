@@ -58,7 +58,6 @@ def build_noise(
 
 
 def _shown(given: ConditionNoise, found: Found | None) -> PointErrors:
-    """Return the errors that the picture shows, lengths in mm."""
     seen = None if found is None else found.errors
     if seen is None:
         expected = "an observation that comes from a picture or a stack of them"

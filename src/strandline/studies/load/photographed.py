@@ -139,7 +139,6 @@ def _repeated(
     edge: imaging.Edge,
     exclude: Sequence[Float[np.ndarray, "_ 2"]],
 ) -> tuple[imaging.FrameErrors | None, tuple[str, ...]]:
-    """Return the errors that several frames of one state show, or why they show none."""
     if picture.frames == 1:
         return None, ()
     frames = imaging.read_frames([folder / name for name in given.files], _reading(given, clicks))
@@ -230,7 +229,6 @@ def _reading(given: ImageFile, clicks: imaging.Clicks | None, name: str | None =
 def _placed(
     folder: Path, given: ImageFile, clicks: imaging.Clicks | None, picture: imaging.Picture
 ) -> tuple[imaging.Frame, imaging.Registration | None, str]:
-    """Return where the model lies in the picture, the registration, if any, and a sentence on who said so."""
     how = given.registration
     if how is None:
         frame, origin = _frame(given, clicks, picture, str(given.path))

@@ -154,7 +154,6 @@ def _progress(folder: Path, plan: Plan) -> StudyProgress:
 
 
 def _counted(plan: Plan, ledger: Overview, *, detached: bool) -> StudyProgress:
-    """Return the counts of the planned runs that were started, with examples from the ledger."""
     wanted, driver = frozenset(plan.keys), ledger.driver()
     runs = [run for run in ledger.runs() if run.key in wanted]
     session = None if driver is None or driver.at_work is False else driver.session
@@ -195,7 +194,6 @@ def _counted(plan: Plan, ledger: Overview, *, detached: bool) -> StudyProgress:
 
 
 def _shown(one: _Ended, plan: Plan, ledger: Overview | None = None) -> RunReported:
-    """Return a run to show, with its message and log if the ledger is given."""
     key, attempt = one
     known, message, log = json.loads(attempt.inputs), "", list[str]()
     if ledger is not None:

@@ -55,7 +55,6 @@ def _facts(seen: Observation) -> tuple[str, str, str]:
 
 
 def _same(one: object, other: object) -> bool:
-    """Return whether two values are the same object or equal; False if they cannot be compared."""
     if one is other:
         return True
     try:

@@ -143,7 +143,6 @@ def _named(name: str, changes: Changes) -> str:
 
 
 def _require_same(present: Path, target: Path, text: str) -> None:
-    """Refuse a folder that does not hold the study that would be written there."""
     differing = next(_differing(present, target, text), None)
     if differing is not None:
         what = "there is another study already"

@@ -53,7 +53,6 @@ def write_netcdf(path: Path, runs: Sequence[Run], ledger: Overview) -> str:
 
 
 def _dataset(runs: Sequence[Run], ledger: Overview) -> tuple["xr.Dataset", list[str]]:
-    """Return the runs as one data set, and the conditions whose interfaces do not fit into one array."""
     import numpy as np
     import xarray as xr
 
@@ -104,7 +103,6 @@ def _with_interfaces(content: "xr.Dataset", runs: Sequence[Run], ledger: Path) -
 def _interfaces(
     condition: str, runs: Sequence[Run], found: Mapping[str, "Interface"]
 ) -> Iterator[tuple[str, tuple[Any, ...]]]:
-    """Yield the points of one condition, and the cells if they are the same in all runs."""
     import numpy as np
 
     end, first = f"_{condition}" if condition else "", next(iter(found.values()))
@@ -118,7 +116,6 @@ def _interfaces(
 
 
 def _facts(runs: Sequence[Run], ledger: Overview) -> tuple[list[str], list[Mapping[str, float]]]:
-    """Return the first line of each run's message, and its diagnostics."""
     details, none = ledger.details(run.last.number for run in runs), Details("", "", {})
     found = [details.get(run.last.number, none) for run in runs]
     return [next(iter(one.message.splitlines()), "") for one in found], [one.diagnostics for one in found]

@@ -144,7 +144,6 @@ def _write_surface(target: Path, condition: str, one: Scanned, measures: Mapping
 
 
 def _write_shown(target: Path, stem: str, figure: Any, content: Mapping[str, Any]) -> tuple[str, str]:
-    """Write a figure and the numbers beside it; return their names."""
     with whole_file(target / f"{stem}.png") as path:
         figure.savefig(path, dpi=DOTS_PER_INCH, format="png", metadata={"Software": None})
     write_json(target / f"{stem}.json", content)
@@ -152,7 +151,6 @@ def _write_shown(target: Path, stem: str, figure: Any, content: Mapping[str, Any
 
 
 def _write_outline(target: Path, undeformed: Undeformed) -> PictureFiles:
-    """Write the edge in the picture of the undeformed outline, and the smooth outline."""
     written, outline = _write_edge(target, UNDEFORMED, undeformed.picture, {}), undeformed.outline
     name = f"{UNDEFORMED}-outline.csv"
     with whole_file(target / name) as path:
@@ -208,7 +206,6 @@ def _of_frames(found: FrameErrors) -> dict[str, Any]:
 
 
 def _along(one: Photographed) -> tuple[np.ndarray, np.ndarray]:
-    """Return standard deviations and arc lengths in the order of the interface."""
     turned = not one.frame.mirrors
     sds, arc = one.edge.sds, one.edge.arc
     return (sds[::-1], arc[-1] - arc[::-1]) if turned else (sds, arc - arc[0])

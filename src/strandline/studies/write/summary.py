@@ -116,7 +116,6 @@ def _compared(names: Sequence[str], sampled: Posterior | MarginalPosterior, exac
 
 
 def _under_uncertainty(calibration: Calibration) -> dict[str, Any] | None:
-    """Return both readings of the posterior of the calibrated inputs; None without nuisance inputs."""
     found = calibration.under_uncertainty
     if found is None:
         return None
@@ -146,7 +145,6 @@ def _reading(reading: MarginalPosterior) -> dict[str, Any]:
 
 
 def _moments(found: Posterior | MarginalPosterior) -> list[dict[str, float]]:
-    """Return mean, standard deviation, quantiles and mode of each input."""
     q05, median, q95 = found.quantiles(QUANTILES)
     columns = {"mean": found.mean, "sd": found.sd, "median": median, "q05": q05, "q95": q95, "map": found.map_estimate}
     return [dict(zip(columns, row, strict=True)) for row in np.column_stack([*columns.values()]).tolist()]
@@ -188,7 +186,6 @@ def _inputs(calibration: Calibration) -> dict[str, Any]:
 
 
 def _likelihood(calibration: Calibration) -> dict[str, Any]:
-    """Return the measure, the noise of the first condition and of each, and the constant left out of the likelihood."""
     name, discrepancy = next(iter(calibration.problem.discrepancies.items()))
     observations = calibration.problem.observations
     likelihood = InterfaceLikelihood(observations, discrepancy)
@@ -244,7 +241,6 @@ def _sensitivity(calibration: Calibration) -> dict[str, Any] | None:
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the plain values among `values`, which JSON can hold."""
     return {
         key: value.item() if isinstance(value, np.generic) else value
         for key, value in values.items()
