@@ -151,10 +151,7 @@ class Learning:
         return TrainedSurrogate(learnt, rounds, set_aside=self.judge.set_aside(learnt.records))
 
     def _instead(self, asked: Float[np.ndarray, "run dim"]) -> TrainedSurrogate:
-        """Learn the log-likelihood from the runs `asked` for so far and those that an active design may still make.
-
-        Half of all runs are spread over the box; the others are made where the posterior lies.
-        """
+        """Learn the log-likelihood from the runs `asked` for so far and others: half of all are spread over the box."""
         most = len(asked) if self.settings.active is None else max(self.settings.active.runs, len(asked))
         more = max(most - ROUNDS_INSTEAD * (most // (2 * ROUNDS_INSTEAD)) - len(asked), 0)
         if more:
@@ -181,10 +178,7 @@ class Learning:
     def _by_field(
         self, first: Sequence[Mapping[str, float]], choosing: design.ActiveRuns | None
     ) -> tuple[design.Learnt, design.Knowledge]:
-        """Run the model at `first` and where the active design chooses; learn the field.
-
-        The surrogates of the log-likelihood are also trained, for comparison, if possible.
-        """
+        """Run the model at `first` and where the active design chooses; learn the field, and log L for comparison."""
         space = self.problem.space
         with self.watch("forward", self.tell):
             records = self._run(first, choosing)

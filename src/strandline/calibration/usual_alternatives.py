@@ -135,10 +135,7 @@ def _fixed(space: parameters.ParameterSpace) -> Iterator[Alternative]:
 
 
 def _other_noise(likelihood: FieldLikelihood) -> Iterator[tuple[str, Kind, str, FieldLikelihood]]:
-    """Yield the noise, and each error that all points of an observation share, half and twice as large; no model error.
-
-    Each with its name, the kind of the alternative, and what the posterior depends on if it moves.
-    """
+    """Yield the noise, and each error that all points share, half and twice as large, with words; no model error."""
     common = [name for name in GLOBAL if any(getattr(o.noise, name, 0.0) > 0 for o in likelihood.observations)]
     changes: list[tuple[str, Callable[..., Errors | None]]] = [("noise", scaled_noise)]
     changes += [(f"unknown {name}", partial(_scaled_common, name)) for name in common]

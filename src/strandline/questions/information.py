@@ -115,10 +115,7 @@ _Weighed = tuple[Float[np.ndarray, " _"], Float[np.ndarray, " _"], Float[np.ndar
 def _weighed(
     now: Weighted, signals: Signals, noise: Signals, columns: Int[np.ndarray, " interest"]
 ) -> Iterator[_Weighed]:
-    """Yield what follows from the observation of each draw, a block of them at a time.
-
-    This is log p(s), the effective number of draws, the posterior's sds, and log det of the covariance of `columns`.
-    """
+    """Yield log p(s), the effective number of draws, the sds, and log det of the covariance of `columns`, by blocks."""
     squares, log_weights, dim = 0.5 * (signals**2).sum(axis=1), np.log(now.weights), now.draws.shape[1]
     scaled = (now.draws - now.mean) / np.maximum(now.sd, 1e-300)
     moments = np.hstack([scaled, (scaled[:, :, None] * scaled[:, None, :]).reshape(len(scaled), -1)])

@@ -91,11 +91,7 @@ def _finished(study: Study) -> tuple[RunRecord, ...]:
 
 
 def _thinned(study: Study, records: tuple[RunRecord, ...]) -> tuple[RunRecord, ...]:
-    """Return all runs if the study learns the interface, else at most as many as its surrogate can use quickly.
-
-    The first ones of a design are spread over the box, and so are the last ones, unless these are where the posterior
-    lies.
-    """
+    """Return all runs if the study learns the interface, else the first and last ones, few enough to learn quickly."""
     rows = 1 + (study.space.dim if study.sensitivities else 0)
     most = max(MOST_ROWS // rows, FEWEST_RUNS)
     if study.settings.surrogate == "field" or len(records) <= most:

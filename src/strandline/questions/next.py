@@ -367,10 +367,7 @@ def answers_from_prior(
 def _experiments(
     study: studies.Study, errors: Mapping[str, Errors], points: Sequence[PointRuns], look: Look
 ) -> Iterator[_Experiment]:
-    """Yield how the experiment is observed at each point whose runs succeeded, and its Fisher information.
-
-    It is observed at the places of the study's observation if there is one; the errors of the points are by condition.
-    """
+    """Yield how the experiment is observed at each point whose runs succeeded, and its Fisher information."""
     for one in points:
         if one.failed is not None:
             continue

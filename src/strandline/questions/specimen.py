@@ -241,11 +241,7 @@ def posterior_of(
 
 @dataclass(frozen=True, eq=False)
 class _Target:
-    """The posterior density of a specimen.
-
-    `near`, the likelihood nearby at the mean field alone, takes the place of the measure: a fraction of the time, and
-    close enough to lead the last round.
-    """
+    """The posterior density of a specimen; `near` is a quick likelihood at the mean field that leads to it."""
 
     begin: Start
     likelihood: FieldLikelihood
@@ -350,10 +346,7 @@ def _quantiles(found: Weighted) -> Float[np.ndarray, "three dim"]:
 
 
 def _few_draws(found: Weighted, random: np.random.Generator, space: ParameterSpace) -> Float[np.ndarray, "draw dim"]:
-    """Return a few draws, spread along the longest axis of the posterior, moved to its mean and covariance.
-
-    The move is left out where it would leave the box.
-    """
+    """Return a few draws, spread along the longest axis, moved to the posterior's moments unless they leave the box."""
     scale = np.maximum(found.sd, 1e-300)
     vectors = np.linalg.eigh(found.covariance / np.outer(scale, scale))[1]
     order = np.argsort((found.draws / scale) @ vectors[:, -1], kind="stable")

@@ -190,10 +190,7 @@ def _observe(study: Study, ledger: Ledger, executor: Executor, observer: Observe
 
 
 def _write_results(study: Study, calibration: Calibration, new_runs: int, observer: Observer) -> Outcome:
-    """Write every result whole or not at all; one that fails does not keep the others from being written.
-
-    The summary comes last: if it exists, everything that it does not name as missing exists too and belongs to it.
-    """
+    """Write every result, the summary last: what it does not name as missing exists too and belongs to it."""
     observer.stage("report")
     begun = time.perf_counter()
     summary = summarise(study, calibration, new_runs=new_runs, reused_runs=len(calibration.all_runs) - new_runs)

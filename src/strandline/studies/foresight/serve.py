@@ -42,8 +42,7 @@ class Solver:
         self._lock = threading.Lock()
 
     def __call__(self, inputs: Mapping[str, float]) -> RunRecord:
-        """Return the record of the run: made now, being made, or remembered; InvalidInput if the model cannot be
-        loaded."""
+        """Return the record of the run, made now or remembered; InvalidInput if the model cannot be loaded."""
         request = RunRequest(run_key("", inputs), dict(inputs))
         with self._lock:
             if request.key not in self._known:

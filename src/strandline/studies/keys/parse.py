@@ -102,10 +102,7 @@ def first_problem(error: ValidationError, schema: Any = StudyFile, within: str =
 
 
 def _of_one_place(findings: Sequence[Mapping[str, Any]], first: Mapping[str, Any]) -> list[Any]:
-    """Return the findings at the place of the first one, or at the deepest place inside it.
-
-    Where several forms are allowed, pydantic reports what is wrong with each; the deepest is the one that was meant.
-    """
+    """Return the findings at the deepest place within that of the first: of several forms, the one that was meant."""
     place = _place(first["loc"])
     inside = [one for one in findings if f"{_place(one['loc'])}.".startswith(f"{place}.")]
     deepest = max(inside, key=lambda one: _place(one["loc"]).count("."))

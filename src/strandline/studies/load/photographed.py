@@ -211,8 +211,7 @@ def read_only_picture(folder: Path, given: ImageFile) -> tuple[imaging.Picture, 
 def _reading(given: ImageFile, clicks: imaging.Clicks | None, name: str | None = None) -> imaging.PictureReading:
     """Return how to read the picture, with the size of a pixel from a scale bar if the study states none.
 
-    A bar shows the size along itself only: pixels are taken as square, and the note says so. It says too if the study
-    states another size than the bar, which does not count then.
+    A bar shows the size along itself only. The note says if pixels are taken as square, and if the bar does not count.
     """
     how = picture_reading(given.reading)
     size = None if clicks is None else clicks.pixel_mm
@@ -254,10 +253,7 @@ def _placed(
 def _frame(
     given: ImageFile, clicks: imaging.Clicks | None, picture: imaging.Picture, marks: str
 ) -> tuple[imaging.Frame, str]:
-    """Return where the model lies in the picture, and what gives the origin: the marks if the study states none.
-
-    It says too if the marks have another origin than the study, which does not count then.
-    """
+    """Return where the model lies in the picture, and what gives the origin: the marks if the study states none."""
     options: Mapping[str, Any] | Any = {} if given.frame is None else given.frame
     marked = None if clicks is None or clicks.origin is None else list(clicks.origin)
     if isinstance(options, Mapping) and "origin" not in options and marked is not None:
