@@ -362,12 +362,10 @@ def errors_behind(seen: Observation, measure: Discrepancy, nodes: int) -> Errors
     try:
         return stated_errors(seen, measure, nodes).errors
     except InvalidInput as error:
-        raise InvalidInput(
-            "noise of repeated observations",
-            value=f"σ_N² = {one.noise.scale:.3g}, for which no independent errors of the points were found",
-            expected="a σ_N² that follows from errors of the points",
-            remedy="State these errors, e.g. noise: {sd: 3, unit: um}, or use the measure normal_offset.",
-        ) from error
+        value = f"σ_N² = {one.noise.scale:.3g}, for which no independent errors of the points were found"
+        expected = "a σ_N² that follows from errors of the points"
+        remedy = "State these errors, e.g. noise: {sd: 3, unit: um}, or use the measure normal_offset."
+        raise InvalidInput("noise of repeated observations", value=value, expected=expected, remedy=remedy) from error
 
 
 def _drawn_together(joint: JointErrors, random: np.random.Generator) -> dict[str, Interface]:

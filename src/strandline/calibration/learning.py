@@ -293,12 +293,9 @@ def _require_enough(succeeded: int, records: Sequence[RunRecord], dim: int) -> N
     shown = counted(dict(kinds.most_common(3))) or "none failed"
     last = next((record.message for record in records if record.message), "")
     look = f", or look at the failures with `strandline status`{'; e.g. ' + last.splitlines()[0] if last else '.'}"
-    raise TooFewRuns(
-        "every forward run failed" if succeeded == 0 else "too few successful forward runs",
-        value=f"{succeeded} of {len(records)} ({shown})",
-        expected=f"at least {dim + 2} for {dim} input{'s' * (dim > 1)}",
-        remedy=f"Enlarge the design{look if kinds else '.'}",
-    )
+    what = "every forward run failed" if succeeded == 0 else "too few successful forward runs"
+    value, expected = f"{succeeded} of {len(records)} ({shown})", f"at least {dim + 2} for {dim} input{'s' * (dim > 1)}"
+    raise TooFewRuns(what, value=value, expected=expected, remedy=f"Enlarge the design{look if kinds else '.'}")
 
 
 ALIKE = 0.5

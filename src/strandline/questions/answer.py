@@ -188,12 +188,9 @@ class LineFile:
             try:
                 lock.acquire(timeout=0)
             except Timeout:
-                raise InvalidStudy(
-                    f"{self.path} is in use",
-                    value=f"another `{command}` of this study",
-                    expected="one at a time",
-                    remedy=f"Wait for the other one to end, or stop it; its {results} are kept.",
-                ) from None
+                what, value = f"{self.path} is in use", f"another `{command}` of this study"
+                remedy = f"Wait for the other one to end, or stop it; its {results} are kept."
+                raise InvalidStudy(what, value=value, expected="one at a time", remedy=remedy) from None
         try:
             yield
         finally:

@@ -59,12 +59,10 @@ def field_knowledge(
     try:
         return known_field(points, records, judge, study.space)[0]
     except NoCommonPoints as error:
-        raise InvalidStudy(
-            f"{purpose} needs a surrogate of the interface",
-            value=str(error.value),
-            expected="runs whose interfaces can be brought to common points",
-            remedy="Let the simulator return interfaces of the same kind, best with the same nodes in all runs.",
-        ) from error
+        what, value = f"{purpose} needs a surrogate of the interface", str(error.value)
+        expected = "runs whose interfaces can be brought to common points"
+        remedy = "Let the simulator return interfaces of the same kind, best with the same nodes in all runs."
+        raise InvalidStudy(what, value=value, expected=expected, remedy=remedy) from error
 
 
 def baseline_of(study: Study, posterior: Posterior, *, purpose: str) -> Baseline:

@@ -101,14 +101,12 @@ def _candidates(study: studies.Study, *, after: bool) -> tuple[Candidate, ...]:
     if study.candidates or not after:
         return study.candidates
     known = next(iter(study.fixed), None)
-    raise InvalidStudy(
-        "study.yaml lists no candidates for the next experiment",
-        value=None,
-        expected=f"e.g. `next: {{{known}: [{study.fixed[known]:g}, {2 * study.fixed[known]:g}]}}`"
-        if known
-        else "e.g. `next: {part: [[0, 0.5], [0.5, 1]]}`",
-        remedy="Add them; the results of the study stay as they are.",
-    )
+    what = "study.yaml lists no candidates for the next experiment"
+    expected = "e.g. `next: {part: [[0, 0.5], [0.5, 1]]}`"
+    if known:
+        expected = f"e.g. `next: {{{known}: [{study.fixed[known]:g}, {2 * study.fixed[known]:g}]}}`"
+    remedy = "Add them; the results of the study stay as they are."
+    raise InvalidStudy(what, value=None, expected=expected, remedy=remedy)
 
 
 def _require_arguments(source: str | None, draws: int, runs: int, seed: int) -> None:

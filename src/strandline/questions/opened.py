@@ -64,9 +64,8 @@ class SpecimenFiles:
             found = Path(pattern.anchor or self.study.folder).glob(str(pattern.relative_to(pattern.anchor)))
             return sorted(path for path in found if path.is_file() and path.resolve() not in apart)
         except (ValueError, NotImplementedError) as error:
-            raise InvalidStudy(
-                "specimens.files", value=self.pattern, expected=f"a pattern of files: {error}", remedy="Correct it."
-            ) from None
+            expected = f"a pattern of files: {error}"
+            raise InvalidStudy("specimens.files", value=self.pattern, expected=expected, remedy="Correct it.") from None
 
     def name(self, path: Path) -> str:
         base = self.base.absolute()
@@ -156,9 +155,8 @@ def _table(study: studies.Study, name: str) -> tuple[tuple[str, ...], dict[str, 
         with (study.folder / name).open(encoding="utf-8-sig", newline="") as file:
             rows = list(csv.DictReader(file, skipinitialspace=True))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InvalidStudy(
-            "specimens.given", value=f"{name}: {error}", expected="a readable table", remedy="Correct the path."
-        ) from None
+        words: Any = {"expected": "a readable table", "remedy": "Correct the path."}
+        raise InvalidStudy("specimens.given", value=f"{name}: {error}", **words) from None
     heads = [str(head).strip() for head in rows[0]] if rows else []
     known = tuple(head for head in heads if head in study.space.names)
     right = sorted(heads) == sorted([FILE, *known]) and 0 < len(known) < study.space.dim

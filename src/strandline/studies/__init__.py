@@ -55,8 +55,13 @@ if TYPE_CHECKING:
     from strandline.studies.load.inputs import build_prior, check_complete
     from strandline.studies.load.load import load_study, study_of
     from strandline.studies.load.models import cheaper_dropped, cheaper_lines, differentiating
-    from strandline.studies.load.noise import build_noise, require_fits
-    from strandline.studies.load.observed import read_observation, read_points, require_plausible
+    from strandline.studies.load.observed import (
+        build_noise,
+        read_observation,
+        read_points,
+        require_fits,
+        require_plausible,
+    )
     from strandline.studies.load.photographed import (
         UNDEFORMED,
         picture_of,

@@ -50,11 +50,8 @@ def examine(folder: Path) -> list[Finding]:
 def _ledgers(folder: Path) -> Iterator[Finding]:
     for name in LEDGERS:
         if (folder / name).is_file():
-            for what in unsound(folder / name):
-                yield Finding(
-                    f"{name}: {what}",
-                    f"Restore {name} from a backup (`strandline backup` makes one), or move it away and run again.",
-                )
+            remedy = f"Restore {name} from a backup (`strandline backup` makes one), or move it away and run again."
+            yield from (Finding(f"{name}: {what}", remedy) for what in unsound(folder / name))
 
 
 def _other_ledgers(study: Study) -> Iterator[Finding]:
@@ -72,10 +69,8 @@ def _gaps(study: Study, state: StudyProgress) -> Iterator[Finding]:
     missing = state.planned - state.done
     if missing > 0 and not at_work:
         lost = f"; {state.lost} of them were started and lost with their driver" if state.lost else ""
-        yield Finding(
-            f"{missing} of {state.planned} planned runs have no outcome{lost}",
-            f"Make them: strandline run {study.folder}",
-        )
+        what = f"{missing} of {state.planned} planned runs have no outcome{lost}"
+        yield Finding(what, f"Make them: strandline run {study.folder}")
 
 
 def _files(folder: Path, *, at_work: bool) -> Iterator[Finding]:
@@ -87,10 +82,8 @@ def _files(folder: Path, *, at_work: bool) -> Iterator[Finding]:
         yield Finding(f"left by a process that was killed: {', '.join(left)}", "Delete them.")
     for name in LEDGERS:
         if (folder / f"{name}-wal").exists() and (folder / f"{name}-wal").stat().st_size > 0:
-            yield Finding(
-                f"{name}-wal: the last driver of {name} did not end by itself",
-                f"Leave it where it is, next to {name}: the next command that opens it recovers its content.",
-            )
+            remedy = f"Leave it where it is, next to {name}: the next command that opens it recovers its content."
+            yield Finding(f"{name}-wal: the last driver of {name} did not end by itself", remedy)
     if any((folder / "slurm").glob("*/batch.json")):
         yield Finding("results of a SLURM array are not collected", f"Collect them: strandline run {folder}")
 
@@ -102,9 +95,8 @@ def _results(study: Study) -> Iterator[Finding]:
     if not summary:
         there = [name for name in (files.POSTERIOR, "report.html") if (study.folder / name).exists()]
         if there:
-            yield Finding(
-                f"{', '.join(there)} without a readable {files.SUMMARY}: the last analysis did not end", report
-            )
+            what = f"{', '.join(there)} without a readable {files.SUMMARY}: the last analysis did not end"
+            yield Finding(what, report)
         return
     if summary.get("study_sha256") != study.text_digest:
         yield Finding("the results are of another study.yaml", f"Make them again: strandline run {study.folder}")
@@ -130,10 +122,8 @@ def _environment(summary: Mapping[str, Any], report: str) -> Iterator[Finding]:
     names = [name for name in dict.fromkeys([*then, *now]) if then.get(name) != now.get(name)]
     if names:
         changes = ", ".join(f"{name} {then.get(name) or 'none'} → {now.get(name) or 'none'}" for name in names)
-        yield Finding(
-            f"the results were made with other versions: {changes}",
-            f"Install those to get the same bits, or leave the results as they are. {report}",
-        )
+        remedy = f"Install those to get the same bits, or leave the results as they are. {report}"
+        yield Finding(f"the results were made with other versions: {changes}", remedy)
 
 
 def _line(error: Exception) -> str:

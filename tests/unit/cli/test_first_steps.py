@@ -22,7 +22,7 @@ from strandline.studies import load_study
 from strandline.studies.keys.folder import is_result
 from strandline.studies.keys.observation import StudyNoise
 from strandline.studies.keys.template import EXAMPLES, FOLDERS
-from strandline.studies.load.noise import build_noise
+from strandline.studies.load.observed import build_noise
 from strandline.testing.studies import beam, undeclared_beam, write_study
 
 ROOT = Path(__file__).parents[3]

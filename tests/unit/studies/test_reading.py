@@ -26,8 +26,7 @@ from strandline.studies.keys.parse import parse_study
 from strandline.studies.keys.study_file import ExecutorChoice
 from strandline.studies.keys.text import _not_yaml
 from strandline.studies.load.inputs import require_prior
-from strandline.studies.load.noise import require_stated
-from strandline.studies.load.observed import SyntheticNoise, noisy, read_points, require_plausible
+from strandline.studies.load.observed import SyntheticNoise, noisy, read_points, require_plausible, require_stated
 from strandline.testing.models import TwoLoads
 from strandline.testing.studies import BEAM_STUDY, TWO_LOADS_STUDY, write_study
 

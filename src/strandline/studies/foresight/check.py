@@ -26,7 +26,7 @@ from strandline.report import add_check
 from strandline.runs import Executor, Ledger, RunRecord, run_campaign, run_key
 from strandline.studies.foresight.first_run import observations_of, turned_like
 from strandline.studies.keys.folder import CHECK, CHECK_LEDGER, POSTERIOR, require_writable, told_if_unwritable
-from strandline.studies.load.noise import require_stated
+from strandline.studies.load.observed import require_stated
 from strandline.studies.load.progress import results_of
 from strandline.studies.load.provenance import facts_of
 from strandline.studies.load.study import Study, settled
@@ -239,13 +239,10 @@ def check_posterior(
     if not any(record.ok for record in records):
         first = records[0]
         reason = (first.message or "no message").splitlines()[0]
-        raise TooFewRuns(
-            "the true model failed at every draw of the posterior",
-            value=f"0 of {len(records)}",
-            expected="a posterior where the simulator runs",
-            remedy="Look at the failures; the surrogate knows nothing of where the posterior lies. "
-            f"E.g. {first.failure_kind or first.state}: {reason}",
-        )
+        what, expected = "the true model failed at every draw of the posterior", "a posterior where the simulator runs"
+        remedy = "Look at the failures; the surrogate knows nothing of where the posterior lies."
+        remedy = f"{remedy} E.g. {first.failure_kind or first.state}: {reason}"
+        raise TooFewRuns(what, value=f"0 of {len(records)}", expected=expected, remedy=remedy)
     found = CheckedDraws(posterior, chosen, records, true, surrogate, posteriors.reweight(positions, true - surrogate))
     content = describe(study, found, observations, new_runs=new_runs)
     with told_if_unwritable(study.folder):
@@ -259,13 +256,10 @@ def finished_posterior(study: Study, *, purpose: str = "check") -> posteriors.Po
     """Return the posterior of a study that has results for its present study.yaml."""
     results, path = results_of(study), study.folder / POSTERIOR
     if results != "current" or not path.is_file():
-        outdated = results == "outdated"
-        raise InvalidStudy(
-            f"the study has no posterior to {purpose}",
-            value="results of an earlier study.yaml" if outdated else "a study that is not finished",
-            expected=f"{POSTERIOR}, made from study.yaml as it is",
-            remedy=f"Run it first: strandline run {study.folder}",
-        )
+        what, expected = f"the study has no posterior to {purpose}", f"{POSTERIOR}, made from study.yaml as it is"
+        value = "results of an earlier study.yaml" if results == "outdated" else "a study that is not finished"
+        remedy = f"Run it first: strandline run {study.folder}"
+        raise InvalidStudy(what, value=value, expected=expected, remedy=remedy)
     study.runs.require_finished()
     try:
         return posteriors.from_datatree(posteriors.read(path), study.space)

@@ -62,24 +62,19 @@ def require_ok(record: RunRecord, what: str, remedy: str = "") -> RunRecord:
         return record
     shown = ", ".join(f"{name} = {value:.6g}" for name, value in record.inputs.items())
     said = (record.message or "no message").partition("\n")[0]
-    raise InvalidStudy(
-        f"the forward run {what} failed",
-        value=f"{record.failure_kind or record.state} at {shown}",
-        expected="a run that ends with an interface",
-        remedy=f"{remedy or 'Look at the simulator, or move the priors to where it runs.'} It says: {said}",
-    )
+    value, expected = f"{record.failure_kind or record.state} at {shown}", "a run that ends with an interface"
+    remedy = f"{remedy or 'Look at the simulator, or move the priors to where it runs.'} It says: {said}"
+    raise InvalidStudy(f"the forward run {what} failed", value=value, expected=expected, remedy=remedy)
 
 
 def require_same_axes(study: Study, record: RunRecord) -> None:
     """Refuse an observed interface that lies far from that of the run and would not with other axes."""
     for condition, observed in study.observed.items():
         if found := axes_mistake(observed, record.interfaces[condition]):
-            raise InvalidStudy(
-                f"axes of the observation{f' ({condition})' if condition else ''}",
-                value="points far from every one of the first runs",
-                expected="x and y as the model has them",
-                remedy=f"{found} Correct the observation or the model.",
-            )
+            what = f"axes of the observation{f' ({condition})' if condition else ''}"
+            value, expected = "points far from every one of the first runs", "x and y as the model has them"
+            remedy = f"{found} Correct the observation or the model."
+            raise InvalidStudy(what, value=value, expected=expected, remedy=remedy)
 
 
 def require_same_size(study: Study, record: RunRecord) -> None:

@@ -19,8 +19,7 @@ from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord, RunRequest, WorkerSlot, ended, packed_model, run_key
 from strandline.studies.foresight.first_run import require_ok, turned_like
 from strandline.studies.load.inputs import check_values
-from strandline.studies.load.noise import require_stated
-from strandline.studies.load.observed import noisy
+from strandline.studies.load.observed import noisy, require_stated
 from strandline.studies.load.study import Study
 
 REMEMBERED = 64

@@ -72,12 +72,10 @@ def told_if_unwritable(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InvalidStudy(
-            "the results cannot be written",
-            value=f"{error.filename or folder}: {error.strerror or error}",
-            expected="a folder with write permission and room on the disk",
-            remedy="Fix that and run again: finished forward runs are kept.",
-        ) from error
+        value = f"{error.filename or folder}: {error.strerror or error}"
+        expected = "a folder with write permission and room on the disk"
+        remedy = "Fix that and run again: finished forward runs are kept."
+        raise InvalidStudy("the results cannot be written", value=value, expected=expected, remedy=remedy) from error
 
 
 QUESTIONS = frozenset({"next", "what_if", "specimens"})

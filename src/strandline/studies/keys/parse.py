@@ -42,15 +42,11 @@ def parse_study(folder: Path) -> tuple[StudyFile, str]:
     try:
         text = (folder / STUDY).read_text(encoding="utf-8")
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
-        is_file = folder.is_file()
-        raise InvalidStudy(
-            "not a study folder",
-            value=str(folder),
-            expected=f"a folder with a file {STUDY}",
-            remedy=f"Give the folder that it is in, `{folder.parent}`, not a file"
-            if is_file
-            else "Make one with `strandline init FOLDER`, or correct the path.",
-        ) from None
+        expected = f"a folder with a file {STUDY}"
+        remedy = "Make one with `strandline init FOLDER`, or correct the path."
+        if folder.is_file():
+            remedy = f"Give the folder that it is in, `{folder.parent}`, not a file"
+        raise InvalidStudy("not a study folder", value=str(folder), expected=expected, remedy=remedy) from None
     except (OSError, UnicodeDecodeError) as error:
         expected, remedy = "a readable text file in UTF-8", "Check its permissions and encoding."
         raise InvalidStudy(f"{STUDY} cannot be read", value=str(error), expected=expected, remedy=remedy) from None
@@ -62,12 +58,9 @@ def parsed(text: str) -> StudyFile:
     content = load_yaml(text)
     version = content.get("version") if isinstance(content, dict) else SCHEMA_VERSION
     if type(version) is not int or version != SCHEMA_VERSION:
-        raise InvalidStudy(
-            f"{STUDY}: version",
-            value=repr(version) if isinstance(version, str) else version,
-            expected=f"version: {SCHEMA_VERSION}",
-            remedy=f"Put `version: {SCHEMA_VERSION}` on its first line, or use a matching strandline.",
-        )
+        value, expected = repr(version) if isinstance(version, str) else version, f"version: {SCHEMA_VERSION}"
+        remedy = f"Put `{expected}` on its first line, or use a matching strandline."
+        raise InvalidStudy(f"{STUDY}: version", value=value, expected=expected, remedy=remedy)
     return checked(StudyFile, content)
 
 

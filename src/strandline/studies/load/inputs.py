@@ -107,24 +107,19 @@ def _check_prior_in_box(parameter: Parameter) -> None:
     support, box = parameter.prior.support, parameter.interval
     sticks_out = np.isfinite(support).all() and (support[0] < box[0] or support[1] > box[1])
     if sticks_out or parameter.mass_cut > MASS_CUT_ACCEPTED:
-        raise InvalidStudy(
-            f"the prior of {parameter.name} reaches beyond its design box",
-            value=f"support [{support[0]:g}, {support[1]:g}], box [{box[0]:g}, {box[1]:g}], "
-            f"{parameter.mass_cut:.0%} of its mass outside",
-            expected="a bounded prior within the box, or at most half of an unbounded prior's mass outside",
-            remedy="Widen the box or narrow the prior.",
-        )
+        what = f"the prior of {parameter.name} reaches beyond its design box"
+        value = f"support [{support[0]:g}, {support[1]:g}], box [{box[0]:g}, {box[1]:g}]"
+        value = f"{value}, {parameter.mass_cut:.0%} of its mass outside"
+        expected = "a bounded prior within the box, or at most half of an unbounded prior's mass outside"
+        raise InvalidStudy(what, value=value, expected=expected, remedy="Widen the box or narrow the prior.")
 
 
 def _require_unit(unit: str | None, declared: ModelInput | None, place: str, remedy: str) -> None:
     """Refuse another unit than the model's: nothing is converted."""
     if declared is not None and _plain(unit or "1") != _plain(declared.unit):
-        raise InvalidStudy(
-            f"unit of {place}",
-            value=unit,
-            expected=f"{declared.unit}, the unit the model takes",
-            remedy=f"Write `unit: {declared.unit}` there and {remedy}.",
-        )
+        expected = f"{declared.unit}, the unit the model takes"
+        remedy = f"Write `unit: {declared.unit}` there and {remedy}."
+        raise InvalidStudy(f"unit of {place}", value=unit, expected=expected, remedy=remedy)
 
 
 def _check_name(name: str, declared: Mapping[str, Any], place: str) -> None:

@@ -19,10 +19,9 @@ from strandline.studies.keys.folder import LEDGER
 from strandline.studies.keys.observation import COLUMN, IMAGE, ConditionNoise
 from strandline.studies.keys.parse import entry, made, open_entry, parse_study, refused_at, require_parts
 from strandline.studies.keys.study_file import ExecutorChoice, Failures, StudyFile
-from strandline.studies.load import noise as noise_keys
+from strandline.studies.load import observed as observing
 from strandline.studies.load.inputs import build_fixed, build_space, check_complete, read_candidates
 from strandline.studies.load.models import build_discrepancies, build_model, with_cheaper
-from strandline.studies.load.observed import Found, SyntheticNoise, read_observations, require_condition
 from strandline.studies.load.photographed import undeformed_in, with_errors_of
 from strandline.studies.load.study import Study, failure_words
 
@@ -50,8 +49,8 @@ def study_of(folder: Path, content: StudyFile, text: str) -> Study:
         check_complete(truth, (*space.names, *fixed), model, "observation.synthetic")
         if disturbed is not None:
             seed = content.seed if disturbed.seed is None else disturbed.seed
-            synthetic_noise = SyntheticNoise(disturbed.sd, seed)
-    read = {} if truth is not None else read_observations(folder, content.observation, model)
+            synthetic_noise = observing.SyntheticNoise(disturbed.sd, seed)
+    read = {} if truth is not None else observing.read_observations(folder, content.observation, model)
     observed = {condition: one.interface for condition, one in read.items()}
     noise, noises = _noises(content, model, read)
     if undeformed is not None:
@@ -82,42 +81,39 @@ def study_of(folder: Path, content: StudyFile, text: str) -> Study:
         with_report=content.report == "full",
     )
     for condition, seen in observed.items():
-        noise_keys.require_fits(study.noise_of(condition), seen)
+        observing.require_fits(study.noise_of(condition), seen)
     stated = {name: study.noise_of(name) for name in observed or declared_conditions(model)}
-    noise_keys.require_shared(stated)
+    observing.require_shared(stated)
     for given in (content.noise, *content.noise.conditions.values()):
-        noise_keys.require_unit(given, study.discrepancies.values())
-    noise_keys.require_inferable([*stated.values()], study.measure, by_field=study.settings.surrogate == "field")
+        observing.require_unit(given, study.discrepancies.values())
+    observing.require_inferable([*stated.values()], study.measure, by_field=study.settings.surrogate == "field")
     return replace(study, as_loaded=study)
 
 
 def _noises(
-    content: StudyFile, model: ForwardModel, read: Mapping[str, Found]
+    content: StudyFile, model: ForwardModel, read: Mapping[str, observing.Found]
 ) -> tuple[Noise | PointErrors | UnknownErrors, dict[str, Noise | PointErrors | UnknownErrors]]:
     for condition in content.noise.conditions:
-        require_condition(condition, declared_conditions(model), "noise.conditions")
+        observing.require_condition(condition, declared_conditions(model), "noise.conditions")
     names, stated = tuple(content.inputs), dict[str, ConditionNoise](content.noise.conditions)
     if content.noise.sd in (COLUMN, IMAGE):
         stated = {**dict.fromkeys(read, content.noise), **stated}
     for name, one in read.items():
         _require_taken(stated.get(name, content.noise), one, name)
-    noises = {name: noise_keys.build_noise(given, names, read.get(name)) for name, given in stated.items()}
+    noises = {name: observing.build_noise(given, names, read.get(name)) for name, given in stated.items()}
     told = [one for one in read.values() if one.sds is not None or one.errors is not None]
-    noise = noise_keys.build_noise(content.noise, names, next(iter([*told, *read.values()]), None))
+    noise = observing.build_noise(content.noise, names, next(iter([*told, *read.values()]), None))
     return noise, noises
 
 
-def _require_taken(given: ConditionNoise, one: Found, condition: str) -> None:
+def _require_taken(given: ConditionNoise, one: observing.Found, condition: str) -> None:
     """Refuse standard deviations of points that the noise leaves aside, and a picture's edge without an offset."""
     if one.sds is not None and given.sd != COLUMN:
-        raise InvalidStudy(
-            "observation.sd: the noise does not take it",
-            value=f"condition {condition}" if condition else f"noise.sd: {given.sd}",
-            expected=f"`noise: {{sd: {COLUMN}, unit: um}}`",
-            remedy="Write that, or remove observation.sd.",
-        )
+        what, expected = "observation.sd: the noise does not take it", f"`noise: {{sd: {COLUMN}, unit: um}}`"
+        value = f"condition {condition}" if condition else f"noise.sd: {given.sd}"
+        raise InvalidStudy(what, value=value, expected=expected, remedy="Write that, or remove observation.sd.")
     if one.errors is not None:
-        noise_keys.require_offset(given)
+        observing.require_offset(given)
 
 
 def _reused_ledger(folder: Path, other: str) -> Path:

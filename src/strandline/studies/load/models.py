@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import ConfigDict
 
 from strandline.discrepancy import DISCREPANCIES, Discrepancy, apart
-from strandline.foundations import InvalidInput, InvalidStudy, read_json
+from strandline.foundations import InvalidInput, InvalidStudy, read_json, require
 from strandline.models import CHEAPER, MODELS, ForwardModel, UsesNames, WithCheaper, by_cheaper, with_sensitivities
 from strandline.runs import RunRecord
 from strandline.studies.keys.folder import SUMMARY
@@ -34,16 +34,14 @@ def build_model(
     `undeformed`, by default the outline in that picture.
     """
     (name, options) = next(iter(choice.items()))
-    if "sensitivities" in (options or {}):
-        what = f"model.{name}: sensitivities is not an option of the model"
-        expected = "`sensitivities: true` as a key of the study"
-        remedy = "Move the key to the top level of study.yaml."
-        raise InvalidStudy(what, value=(options or {})["sensitivities"], expected=expected, remedy=remedy)
+    given, what = options or {}, f"model.{name}: sensitivities is not an option of the model"
+    words = "`sensitivities: true` as a key of the study", "Move the key to the top level of study.yaml."
+    require("sensitivities" not in given, what, given.get("sensitivities"), *words, InvalidStudy)
     factory, place = open_entry(MODELS, name, "model", "a forward model"), f"model.{name}"
     if any(one.name == "folder" and one.init for one in dataclasses.fields(factory)):
         model: ForwardModel = made(factory, options, place, folder=folder)
     else:
-        options = {key: _with_points(key, value, folder) for key, value in (options or {}).items()}
+        options = {key: _with_points(key, value, folder) for key, value in given.items()}
         undeformed = undeformed or undeformed_in(choice, folder)
         if undeformed is not None:
             options["outline"] = undeformed.options(options["outline"])
@@ -68,10 +66,8 @@ def build_discrepancies(
     result: dict[str, Discrepancy] = {}
     for item in choice if isinstance(choice, list) else [choice]:
         (name, options) = next(iter(item.items()))
-        if name in result:
-            raise InvalidStudy(
-                "discrepancy", value=name, expected="each measure once", remedy=f"Remove the second {name}."
-            )
+        words = "each measure once", f"Remove the second {name}."
+        require(name not in result, "discrepancy", name, *words, InvalidStudy)
         kind = open_entry(DISCREPANCIES, name, "discrepancy", "a discrepancy")
         measure = made(kind, options, f"discrepancy.{name}")
         require_parts(measure, ("__call__",), f"discrepancy.{name}")
@@ -116,10 +112,8 @@ def with_cheaper(
         expected = "the options in which the cheaper model differs: only a model with meshes has names for them"
         remedy = f"Write e.g. fidelities: [{EXAMPLES.get(next(iter(content.model)), EXAMPLE)}]."
         raise InvalidStudy("fidelities", value=given, expected=expected, remedy=remedy)
-    if CHEAPER in {*content.inputs, *content.fixed}:
-        raise InvalidStudy(
-            "an input of a study with fidelities", value=CHEAPER, expected="another name", remedy="Rename it."
-        )
+    free = CHEAPER not in {*content.inputs, *content.fixed}
+    require(free, "an input of a study with fidelities", CHEAPER, "another name", "Rename it.", InvalidStudy)
     choice, differing = stated.model or content.model, stated.model_extra or {}
     if stated.model is None:
         ((name, own),) = content.model.items()

@@ -182,12 +182,9 @@ def reference_of(given: ImageFile) -> ImageFile:
     """Return the section of the picture to which a picture is registered, its marks as the path."""
     how = given.registration
     if how is None:
-        raise InvalidStudy(
-            "--reference",
-            value=f"{', '.join(given.files)}, without `registration`",
-            expected="a picture that is registered to another",
-            remedy="Leave --reference out, or add `registration: {to: FILE, marks: FILE.path.json}`.",
-        )
+        value, expected = f"{', '.join(given.files)}, without `registration`", "a picture that is registered to another"
+        remedy = "Leave --reference out, or add `registration: {to: FILE, marks: FILE.path.json}`."
+        raise InvalidStudy("--reference", value=value, expected=expected, remedy=remedy)
     marks = how.marks or f"{Path(how.files[0]).stem}.path.json"
     return given.model_copy(update={"file": how.to, "path": marks, "registration": None})
 
@@ -238,12 +235,10 @@ def _placed(
         marks.require_picture(other.sha256, (other.values.shape[1], other.values.shape[0]))
     regions = [*(np.array(one, float) for one in how.fixed), *(marks.fixed if marks is not None else ())]
     if not regions:
-        raise InvalidStudy(
-            f"{PLACE}.registration",
-            value=f"{how.marks}, without a fixed region" if how.marks else "neither marks nor fixed",
-            expected="a region that does not move with the specimen",
-            remedy="Mark one: `strandline image STUDY --edit --reference`, or give `fixed`.",
-        )
+        value = f"{how.marks}, without a fixed region" if how.marks else "neither marks nor fixed"
+        expected = "a region that does not move with the specimen"
+        remedy = "Mark one: `strandline image STUDY --edit --reference`, or give `fixed`."
+        raise InvalidStudy(f"{PLACE}.registration", value=value, expected=expected, remedy=remedy)
     speckle = isinstance(imaging.edge_method(given.edge, f"{PLACE}.edge"), imaging.MarkovPath)
     found = imaging.registered(other.values, picture.values, regions, pixel=picture.pixel, speckle=speckle)
     frame, origin = _frame(given, marks, other, str(how.marks))

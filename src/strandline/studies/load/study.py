@@ -242,12 +242,9 @@ class StudyRuns:
             with self.reading() as ledger:
                 done = len(settled(ledger, keys, sensitivities=study.sensitivities))
         if done < needed:
-            raise InvalidStudy(
-                "the study is not finished",
-                value=f"{done} of {needed} forward runs done{', the synthetic one included' if study.truth else ''}",
-                expected="all runs done before results are made",
-                remedy=f"Run it first: strandline run {study.folder}",
-            )
+            value = f"{done} of {needed} forward runs done{', the synthetic one included' if study.truth else ''}"
+            expected, remedy = "all runs done before results are made", f"Run it first: strandline run {study.folder}"
+            raise InvalidStudy("the study is not finished", value=value, expected=expected, remedy=remedy)
 
     def take_over(self, ledger: Ledger) -> None:
         """Copy runs of other studies that this one needs and has not made itself."""

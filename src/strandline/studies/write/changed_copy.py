@@ -10,7 +10,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from strandline.foundations import InvalidInput, InvalidStudy
+from strandline.foundations import InvalidInput, InvalidStudy, require
 from strandline.studies.keys.folder import STUDY, is_result, study_name, told_if_unwritable
 from strandline.studies.keys.parse import parse_study, parsed
 from strandline.studies.keys.text import Changes, changed_text, flow, load_yaml
@@ -29,10 +29,8 @@ def changed_study(folder: Path, settings: Sequence[str], into: Path | None = Non
     present, raw = folder.resolve(), load_yaml(text)
     changes = _changes(settings, raw)
     target = (present.parent / _named(present.name, changes) if into is None else into).resolve()
-    if present == target or present in target.parents or target in present.parents:
-        raise InvalidStudy(
-            "--into", value=str(into), expected="a folder apart from the study's", remedy="Choose another one."
-        )
+    apart = present != target and present not in target.parents and target not in present.parents
+    require(apart, "--into", str(into), "a folder apart from the study's", error=InvalidStudy)
     if _same_model(present, changes, text):
         reuse = reuse_from(present, target, changes.get(("reuse",), raw.get("reuse")))
     else:
@@ -103,8 +101,7 @@ def _changes(settings: Sequence[str], content: dict[Any, Any]) -> dict[tuple[str
             remedy = "Write the keys of study.yaml with dots between them, = and the value."
             raise InvalidStudy("--set", value=setting, expected=expected, remedy=remedy)
         keys = _keys(name, content)
-        if keys in found:
-            raise InvalidStudy("--set", value=name, expected="each key once", remedy="Remove one of them.")
+        require(keys not in found, "--set", name, "each key once", "Remove one of them.", InvalidStudy)
         found[keys] = _value(name, value)
     return dict(sorted(found.items()))
 
