@@ -8,7 +8,7 @@ behind the posterior is compared with posterior-predictive draws.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -33,16 +33,6 @@ Drawn = Float[np.ndarray, "draw point"]
 _ONE_SIDE = 0.5  # least length of the mean unit normal of a part of an arc that lies on one side of the prediction
 
 
-@dataclass(frozen=True, eq=False)
-class PredictiveShares:
-    """Shares of posterior draws at which a drawn observation is as far from the prediction as the true one: by the sum
-    over all observations, in units of log-likelihood, and by each alone.
-    """
-
-    whole: float
-    conditions: tuple[float, ...]
-
-
 def predictive_shares(
     residuals: Residuals,
     fit: BestFit,
@@ -50,7 +40,7 @@ def predictive_shares(
     posterior: Posterior,
     random: np.random.Generator,
     most: int,
-) -> PredictiveShares:
+) -> tuple[float, tuple[float, ...]]:
     """Return the posterior-predictive p-values of d², of all observations and of each, from at most `most` draws.
 
     At each draw θ of the posterior, d² of the observation is compared with d² of one drawn at θ (Gelman, Meng and Stern
@@ -79,7 +69,7 @@ def predictive_shares(
     if shared is not None:
         both = shared.many(points, templates), shared.model.square(noise + fields)
     each = (float(fits.tail(others, true)) for true, others in zip(observed, drawn, strict=True))
-    return PredictiveShares(float(fits.tail(both[1], both[0])), tuple(each))
+    return float(fits.tail(both[1], both[0])), tuple(each)
 
 
 def _drawn(
@@ -142,21 +132,21 @@ def misfit_of(
         parts = replace(parts, waves=fits.beyond(parts.waves, fit.by_inputs, fit.with_modes(residuals.model)))
         seen = fits.observed_statistics(residuals, fit, parts)
         drawn = fits.drawn_statistics(residuals, fit, parts, random, effort)
-        predictive, failed = PredictiveShares(1.0, (1.0,) * len(observations)), []
+        predictive, of_each, failed = 1.0, (1.0,) * len(observations), list[str]()
         try:
-            predictive = predictive_shares(residuals, fit, prediction, posterior, random, effort.predictive)
+            predictive, of_each = predictive_shares(residuals, fit, prediction, posterior, random, effort.predictive)
         except FAILURES as error:
             failed = [f"d² of drawn observations could not be computed: {' '.join(str(error).split())}"]
-        conditions = _conditions(residuals, fit, parts, seen, drawn, None if failed else predictive)
+        conditions = _conditions(residuals, fit, parts, seen, drawn, None if failed else of_each)
         p_value, smooth_p = float(fits.tail(drawn.whole, seen.whole)), fits.waves_p(drawn.waves, seen.waves)
-        shares = p_value, predictive.whole, 1.0 if smooth_p is None else smooth_p
+        shares = p_value, predictive, 1.0 if smooth_p is None else smooth_p
         verdict = verdict_on(*shares, conditions, run_alone=prediction.run_alone)
         if fitted:
             verdict = with_fitted_noise(verdict, observations)
         notes, text = (*_notes(residuals, prediction, conditions), *failed, unseen), verdict.text
         if _model_errs(residuals, explained):
             text = f"With an error of the model allowed for, {text[0].lower()}{text[1:]}"
-        return Misfit(text, verdict.flagged, p_value, None if failed else predictive.whole, smooth_p, conditions, notes)
+        return Misfit(text, verdict.flagged, p_value, None if failed else predictive, smooth_p, conditions, notes)
     except FAILURES as error:
         why = " ".join(str(error).split())
         return Misfit(f"Whether the model explains the observation was not computed: {why}", None, notes=(unseen,))
@@ -168,7 +158,7 @@ def _conditions(
     parts: ArcParts,
     seen: Statistics,
     drawn: Statistics,
-    predictive: PredictiveShares | None,
+    predictive: Sequence[float] | None,
 ) -> tuple[ConditionMisfit, ...]:
     """Return the residuals of each observation, global errors and errors of the surrogate removed: D (C + FFᵀ)⁻¹ r."""
     weighted = fit.with_modes(residuals.model).solved(fit.residuals)
@@ -188,7 +178,7 @@ def _conditions(
                 expected=stated.noise_along(interface),
                 found=noise_of_residuals(mine, interface) if line else noise_on_surface(mine, interface),
                 p_value=float(shares[k]),
-                predictive_p=None if predictive is None else predictive.conditions[k],
+                predictive_p=None if predictive is None else predictive[k],
                 regions=tuple(r for r, span in zip(regions, parts.spans, strict=True) if span.observation == k),
                 removed=removed[k],
                 surface=not line,

@@ -34,11 +34,9 @@ def other_priors(parameter: parameters.Parameter) -> Iterator[tuple[str, paramet
     """Yield other priors of an input, with what they are in words: narrower, wider, flat, flat in the logarithm."""
     low, high = parameter.interval
     prior = parameter.prior
-    narrower, wider = _scaled(prior, 0.5), _scaled(prior, 2.0)
-    if narrower is not None:
-        yield "half as wide", narrower
-    if wider is not None:
-        yield "twice as wide", wider
+    for words, factor in (("half as wide", 0.5), ("twice as wide", 2.0)):
+        if (other := _scaled(prior, factor)) is not None:
+            yield words, other
     if prior != parameters.Uniform(low, high):
         yield "flat in its box", parameters.Uniform(low, high)
     if low > 0 and prior != parameters.LogUniform(low, high):

@@ -18,12 +18,13 @@ from strandline.questions.answer import Answer, Found, Part, Table, digits, labe
 from strandline.questions.information import CLEAR, Discrimination
 from strandline.questions.prospects import CandidateSignals
 from strandline.report import Captioned, plots
-from strandline.studies import Study, in_words, offset_band, posterior_digest, versions
+from strandline.studies import Study, in_words, named, offset_band, posterior_digest, versions
 
 QUANTILES = {"median": 0.5, "q05": 0.05, "q95": 0.95}
 PREDICTED = 200  # draws of each posterior whose interfaces are predicted
 BINS = 25
 OF_MISFIT = ("verdict", "flagged", "p", "region_p", "smooth_p")
+FLAGGED = {None: "not judged", True: "noticed", False: "none"}
 OUTSIDE = 0.001  # share of the draws left out at either end of a histogram
 NARROWED = math.log(2.0)
 """Logarithm of the factor by which the data narrow inputs of one model alone, from which a remark is made."""
@@ -102,12 +103,10 @@ def describe_comparison(
 
 
 def _separation(shown: CandidateSignals, one: Discrimination | None) -> dict[str, Any]:
+    figures = [None] * 4 if one is None else [one.nats, one.error, one.clear, one.wrong]
     return {
         "candidate": shown.label,
-        "nats": None if one is None else one.nats,
-        "error": None if one is None else one.error,
-        "clearly_right": None if one is None else one.clear,
-        "clearly_wrong": None if one is None else one.wrong,
+        **dict(zip(("nats", "error", "clearly_right", "clearly_wrong"), figures, strict=True)),
         "clear_from": CLEAR,
         "reliable": one is not None and one.reliable,
         "problem": shown.problem,
@@ -159,8 +158,7 @@ def _factor(one: BayesFactor, compared: Mapping[str, ComparedStudy], flat: Model
         "flat_error": None if wide is None else wide.error,
         "flat_words": None if wide is None else wide.words,
         **vars(one),
-        "words": one.words,
-        "decided": one.decided,
+        **named(one, "words", "decided"),
     }
 
 
@@ -294,11 +292,7 @@ def _models(content: Mapping[str, Any]) -> Part:
             f"{one['best_log_likelihood']:.2f}",
             digits(one["information"], 3),
             f"{one['probability']:.1%}",
-            "not judged"
-            if one["misfit"] is None or one["misfit"]["flagged"] is None
-            else "noticed"
-            if one["misfit"]["flagged"]
-            else "none",
+            FLAGGED[one["misfit"] and one["misfit"]["flagged"]],
         )
         for name, one in content["models"].items()
     ]

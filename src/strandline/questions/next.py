@@ -174,9 +174,7 @@ def _candidate(study: studies.Study, one: CandidateAnswer, again: str, sd: np.nd
     gained: dict[str, Any] = {"gain": None, "error": None, "by": None, "sd": None, "sd_ratio": None}
     if outlook is not None:
         gained = {
-            "gain": outlook.gain,
-            "error": outlook.error,
-            "by": outlook.by,
+            **studies.named(outlook, "gain", "error", "by"),
             "sd": dict(zip(names, outlook.sd.tolist(), strict=True)),
             "sd_ratio": dict(zip(names, (outlook.sd / sd).tolist(), strict=True)),
         }

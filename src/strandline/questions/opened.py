@@ -263,11 +263,11 @@ class Specimens:
             InvalidInput: The outline cannot be compared, or a known input lies outside its box.
         """
         stated = self.study.observation(interface, "").noise if noise is None else noise
-        task = Task(name, (self._observation(interface, stated, name),), given or {})
+        seen = self._observation(interface, stated, name)
         use_double()
         with one_thread():
-            begin = self.begin.with_given(task.given)
-            return posterior_of(begin, task.observations, self.discrepancy, name=name, seed=self.seed)
+            begin = self.begin.with_given(given or {})
+            return posterior_of(begin, (seen,), self.discrepancy, name=name, seed=self.seed)
 
     def task(self, path: Path) -> tuple[Task, str]:
         """Return the specimen in a file, and the digest of all that its posterior depends on."""

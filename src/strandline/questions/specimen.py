@@ -208,11 +208,6 @@ class SpecimenPosterior:
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
-def random_of(seed: int, name: str) -> np.random.Generator:
-    """Return the random numbers of a specimen: they depend on the seed and its name alone."""
-    return np.random.default_rng([seed, *sha256(name.encode()).digest()])
-
-
 def posterior_of(
     begin: Start, observations: tuple[Observation, ...], measure: Discrepancy, *, name: str = "", seed: int = 1
 ) -> SpecimenPosterior:
@@ -221,7 +216,7 @@ def posterior_of(
 
     The name of the specimen, with the seed, 0 or above, decides all random numbers.
     """
-    random = random_of(seed, name)
+    random = np.random.default_rng([seed, *sha256(name.encode()).digest()])
     likelihood = FieldLikelihood(begin.knowledge.surrogate, observations, measure)
     found, by = _sampled(_Target(begin, likelihood), random)
     draws = _few_draws(found, random, begin.unknown)

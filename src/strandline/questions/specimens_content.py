@@ -17,7 +17,7 @@ from strandline.questions.opened import Specimens
 from strandline.questions.population import FEWEST_SPECIMENS, Population, Shrunk
 from strandline.questions.specimen import TOLERATED_SHIFT, SpecimenPosterior
 from strandline.report import Captioned, axis_label, plots
-from strandline.studies import facts_of
+from strandline.studies import facts_of, named
 
 QUANTILES = ("q05", "q50", "q95")
 PLACES = 200
@@ -80,10 +80,8 @@ def _specimen(one: SpecimenPosterior, lifted: Shrunk | None, i: int) -> dict[str
         "specimen": one.name,
         "given": dict(one.given),
         "certificate": one.certified.verdict,
-        "shift": one.certified.shift,
-        "surprise": one.certified.surprise,
-        "effective": one.effective,
-        "by": one.by,
+        **vars(one.certified),
+        **named(one, "effective", "by"),
         "inputs": inputs,
         "correlation": (one.covariance / np.outer(one.sd, one.sd)).tolist(),
     }

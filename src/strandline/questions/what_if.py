@@ -67,7 +67,7 @@ def what_if(
         if alternatives is None:
             tried += usual_alternatives(now, study.discrepancies)
         tell.stage("alternatives")
-        answers = in_order(tuple(_answers(now, tried, seed, tell)))
+        answers = tuple(sorted(_answers(now, tried, seed, tell), key=_rank))
     tell.stage("report")
     return _answer(_described(study, now, answers, seed), answers, study.folder).written(draft=study.settings.draft)
 
@@ -181,9 +181,9 @@ LARGE = 0.05
 """Distance between the stored posterior and that of the surrogate of the interface, in sd, from which it is said."""
 
 
-def in_order(answers: Sequence[calibration.AlternativePosterior]) -> tuple[calibration.AlternativePosterior, ...]:
-    """Return the answers that move, the largest first, then the questions without an answer, then the others."""
-    return tuple(sorted(answers, key=lambda one: (0 if one.moves else 1 if one.by is None else 2, -one.size)))
+def _rank(one: calibration.AlternativePosterior) -> tuple[int, float]:
+    """Return the rank of an answer: those that move come first, the largest before others, then those without one."""
+    return (0 if one.moves else 1 if one.by is None else 2), -one.size
 
 
 def _described(
@@ -254,18 +254,13 @@ def _alternative(one: calibration.AlternativePosterior) -> dict[str, Any]:
     asked = one.alternative
     cut = {parameter.name: parameter.mass_cut for parameter in asked.space if parameter.mass_cut > CUT}
     return {
-        "name": asked.name,
-        "kind": asked.kind,
-        "about": asked.about,
-        "detail": asked.detail,
+        **studies.named(asked, "name", "kind", "about", "detail"),
         "mass_cut": cut,
         "by": one.by,
         "k_hat": one.k_hat if math.isfinite(one.k_hat) else None,
-        "effective": one.effective,
-        "log_evidence_change": one.log_evidence_change,
+        **studies.named(one, "effective", "log_evidence_change"),
         "beyond": None if one.quality is None else one.quality.beyond,
-        "moves": one.moves,
-        "why_not": one.why_not,
+        **studies.named(one, "moves", "why_not"),
         "inputs": {} if one.draws is None else _inputs(one, one.draws),
     }
 
@@ -300,10 +295,7 @@ def _answer(
         sentence=content["conclusion"],
         remarks=content["remarks"],
         good=not any(one["moves"] for one in some),
-        parts=[
-            Part("The alternatives", table, notes="alternatives"),
-            Part("How it was computed", notes="how_changed"),
-        ],
+        parts=[Part("The alternatives", table, notes="alternatives"), Part("How it was computed", notes="how_changed")],
         content=content,
         found=found,
         page=folder / "what-if.html",

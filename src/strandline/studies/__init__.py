@@ -76,7 +76,7 @@ if TYPE_CHECKING:
         progress_in,
         results_of,
     )
-    from strandline.studies.load.provenance import facts_of, points_digest, results_at_hand, versions
+    from strandline.studies.load.provenance import facts_of, named, points_digest, results_at_hand, versions
     from strandline.studies.load.study import Study, require_study, settled
     from strandline.studies.run import Outcome, Result, load_result, run_study, submit_study
     from strandline.studies.write.changed_copy import changed_study, reuse_from, write_copy

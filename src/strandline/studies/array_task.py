@@ -3,7 +3,6 @@
 import sys
 from pathlib import Path
 
-from strandline.models import ForwardModel
 from strandline.runs import run_task
 from strandline.studies.keys.parse import parse_study
 from strandline.studies.load.models import build_model
@@ -12,13 +11,8 @@ from strandline.studies.load.models import build_model
 def main(arguments: list[str]) -> None:
     """Make run NUMBER of the batch in the folder BATCH with the model of the study in the folder STUDY."""
     study, folder, number = arguments
-    run_task(Path(folder), int(number), lambda: _model(Path(study)))
-
-
-def _model(study: Path) -> ForwardModel:
-    """Return the model that study.yaml names; `run_task` checks that it is the model of the batch."""
-    content, _ = parse_study(study)
-    return build_model(content.model, study)
+    home = Path(study)
+    run_task(Path(folder), int(number), lambda: build_model(parse_study(home)[0].model, home))
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ def examine(folder: Path) -> list[Finding]:
     except StrandlineError as error:
         if not (folder / files.STUDY).exists():
             raise
-        return [*found, Finding(f"study.yaml cannot be used: {_line(error)}", "Correct it.")]
+        return [*found, Finding(f"study.yaml cannot be used: {' '.join(str(error).split())}", "Correct it.")]
     if damaged:
         return [*found, *_files(folder, at_work=False)]
     try:
@@ -43,7 +43,7 @@ def examine(folder: Path) -> list[Finding]:
         found += [*_gaps(study, state), *_files(folder, at_work=bool(state.driver and state.driver.at_work))]
         found += _results(study)
     except StrandlineError as error:
-        found.append(Finding(_line(error), "Do what it says; the other checks come after that."))
+        found.append(Finding(" ".join(str(error).split()), "Do what it says; the other checks come after that."))
     return found
 
 
@@ -124,7 +124,3 @@ def _environment(summary: Mapping[str, Any], report: str) -> Iterator[Finding]:
         changes = ", ".join(f"{name} {then.get(name) or 'none'} → {now.get(name) or 'none'}" for name in names)
         remedy = f"Install those to get the same bits, or leave the results as they are. {report}"
         yield Finding(f"the results were made with other versions: {changes}", remedy)
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())

@@ -194,19 +194,14 @@ def outline_effect(study: Study, records: Sequence[RunRecord], posterior: Poster
     found = study.undeformed
     if found is None:
         return None
-    of: dict[str, Any] = {
-        "sd_um": 1e3 * found.errors.sd,
-        "length_um": 1e3 * found.errors.length,
-        "offset_um": 1e3 * found.errors.offset,
-    }
-    names, noises = study.space.names, [*study.noises.values()]
+    names, noises, errors = study.space.names, [*study.noises.values()], found.errors
+    of: dict[str, Any] = {f"{name}_um": 1e3 * getattr(errors, name) for name in ("sd", "length", "offset")}
     ok = [record for record in records if record.ok]
     if not ok or any(isinstance(one, UnknownErrors) for one in noises):
         return of
     x = np.array([[record.inputs[name] for name in names] for record in ok], float)
     away = (((x - posterior.mean) / posterior.sd) ** 2).sum(axis=1)
-    dim = len(names)
-    near = [ok[i] for i in np.argsort(away)[: NEAREST * (dim + 1)]]
+    near = [ok[i] for i in np.argsort(away)[: NEAREST * (len(names) + 1)]]
     predicted = predicted_at(near, study.space, posterior.mean)
     if predicted is None:
         return of

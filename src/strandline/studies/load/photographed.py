@@ -117,18 +117,8 @@ def photographed(folder: Path, given: ImageFile, undeformed: Interface | None) -
         edge = edge if repeated is None else repeated.put_into(edge)
         points = frame.to_mm(edge.points)
         interface = Interface.polyline(points if frame.mirrors else points[::-1], closed=edge.closed)
-    return Photographed(
-        picture,
-        frame,
-        path,
-        edge,
-        interface,
-        registration,
-        repeated,
-        doubts,
-        placed,
-        trim=0.0 if edge.closed else given.trim,
-    )
+    trim = 0.0 if edge.closed else given.trim
+    return Photographed(picture, frame, path, edge, interface, registration, repeated, doubts, placed, trim)
 
 
 def _repeated(

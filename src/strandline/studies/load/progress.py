@@ -86,10 +86,8 @@ class StudyProgress:
         """Return everything that the status shows, in types that JSON has."""
         content = asdict(self) | {"done": self.done, "to_do": self.to_do}
         content["runs_per_minute"] = content.pop("rate")
-        if self.driver is not None:
-            driver = self.driver
-            stated = {"pid": driver.pid, "host": driver.host, "since": driver.opened_at, "at_work": driver.at_work}
-            content["driver"] = stated
+        if (one := self.driver) is not None:
+            content["driver"] = {"pid": one.pid, "host": one.host, "since": one.opened_at, "at_work": one.at_work}
         return content
 
 

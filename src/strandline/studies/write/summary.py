@@ -107,8 +107,7 @@ def sampler_check(calibration: Calibration) -> dict[str, Any] | None:
 
 
 def _compared(names: Sequence[str], sampled: Posterior | MarginalPosterior, exact: QuadratureResult) -> dict[str, Any]:
-    per_input = {n: {"mean": float(m), "sd": float(s)} for n, m, s in zip(names, exact.mean, exact.sd, strict=True)}
-    return per_input | {
+    return dict(zip(names, _rows(mean=exact.mean, sd=exact.sd), strict=True)) | {
         "max_mean_error_sd": float(np.max(np.abs(sampled.mean - exact.mean) / exact.sd)),
         "max_sd_ratio_error": float(np.max(np.abs(sampled.sd / exact.sd - 1.0))),
         **named(exact, "log_evidence", "converged", "evaluations"),
@@ -146,7 +145,10 @@ def _reading(reading: MarginalPosterior) -> dict[str, Any]:
 
 def _moments(found: Posterior | MarginalPosterior) -> list[dict[str, float]]:
     q05, median, q95 = found.quantiles(QUANTILES)
-    columns = {"mean": found.mean, "sd": found.sd, "median": median, "q05": q05, "q95": q95, "map": found.map_estimate}
+    return _rows(mean=found.mean, sd=found.sd, median=median, q05=q05, q95=q95, map=found.map_estimate)
+
+
+def _rows(**columns: Float[np.ndarray, " input"]) -> list[dict[str, float]]:
     return [dict(zip(columns, row, strict=True)) for row in np.column_stack([*columns.values()]).tolist()]
 
 
@@ -231,11 +233,10 @@ def _sensitivity(calibration: Calibration) -> dict[str, Any] | None:
     indices = calibration.sensitivity
     if indices is None:
         return None
-    kinds = ("first", "first_low", "first_high", "total", "total_low", "total_high")
-    names = calibration.problem.space.names
+    rows = _rows(**named(indices, "first", "first_low", "first_high", "total", "total_low", "total_high"))
     return {
         "of": "log-likelihood",
-        "inputs": {name: {kind: float(getattr(indices, kind)[i]) for kind in kinds} for i, name in enumerate(names)},
+        "inputs": dict(zip(calibration.problem.space.names, rows, strict=True)),
         "evaluations": indices.evaluations,
     }
 
@@ -304,10 +305,7 @@ def inferred_noise(calibration: Calibration) -> dict[str, Any]:
         }
     without = None if calibration.field is None else calibration.field.without_error
     if without is not None:
-        of["without_model_error"] = {
-            name: {"mean": float(without["mean"][i]), "sd": float(without["sd"][i])}
-            for i, name in enumerate(calibration.problem.space.names)
-        }
+        of["without_model_error"] = dict(zip(calibration.problem.space.names, _rows(**without), strict=True))
     return {"inferred_noise": of}
 
 
@@ -363,8 +361,7 @@ def _fidelities(found: FidelityReport) -> dict[str, Any]:
         "cost": found.cost,
         "cheaper_runs": found.cheaper,
         "model_runs": found.model,
-        "equivalents": found.equivalents,
-        "pairs": found.pairs,
+        **named(found, "equivalents", "pairs"),
         "error_um": None if found.error is None else TO_MICROMETRES * found.error,
         "hidden_um": TO_MICROMETRES * found.hidden,
         **named(found, "dropped", "statement"),
@@ -377,17 +374,9 @@ def comparison(calibration: Calibration) -> dict[str, Any] | None:
     if found is None or found.compared is None:
         return None
     posterior, other = calibration.posterior, found.compared
-    return {
-        "inputs": {
-            name: {
-                "mean": float(other["mean"][i]),
-                "sd": float(other["sd"][i]),
-                "shift_sd": float((other["mean"][i] - posterior.mean[i]) / posterior.sd[i]),
-                "sd_ratio": float(other["sd"][i] / posterior.sd[i]),
-            }
-            for i, name in enumerate(posterior.space.names)
-        }
-    }
+    shift, ratio = (other["mean"] - posterior.mean) / posterior.sd, other["sd"] / posterior.sd
+    rows = _rows(mean=other["mean"], sd=other["sd"], shift_sd=shift, sd_ratio=ratio)
+    return {"inputs": dict(zip(posterior.space.names, rows, strict=True))}
 
 
 def _check(found: BatchCheck, step: Step | None, names: tuple[str, ...]) -> dict[str, Any]:
