@@ -290,13 +290,11 @@ def cell_observer(show: Callable[[str], None]) -> Observer:
             lines[-1][1] = text
             refresh()
 
-    def run(record: RunRecord, state: Progress) -> None:
-        noted(f"{state.finished}/{state.total}: {run_note(state)}")
-
-    def step(info: StepInfo) -> None:
-        noted(step_note(info))
-
-    def part(state: Progress) -> None:
-        noted(part_note(state))
-
-    return Observer(stage=stage, run=run, step=step, part=part, batch=lambda report: noted(report.line), note=noted)
+    return Observer(
+        stage=stage,
+        run=lambda record, state: noted(f"{state.finished}/{state.total}: {run_note(state)}"),
+        step=lambda info: noted(step_note(info)),
+        part=lambda state: noted(part_note(state)),
+        batch=lambda report: noted(report.line),
+        note=noted,
+    )

@@ -275,10 +275,8 @@ class AlternativePosterior:
 
 def reweight_or_resample(now: Baseline, alternative: Alternative, *, seed: int) -> AlternativePosterior:
     """Return the posterior under an alternative; the seed is for draws, if it is sampled again."""
-    k_hat, effective = math.nan, 0.0
-    if now.knowledge is None and not alternative.by_prior_alone:
-        return AlternativePosterior(alternative, now, None, None, k_hat, effective, why_not=now.why_not)
-    if not alternative.fixed and _covered(now, alternative):
+    k_hat, effective, known = math.nan, 0.0, now.knowledge is not None or alternative.by_prior_alone
+    if known and not alternative.fixed and _covered(now, alternative):
         found = reweighted(now, alternative)
         enough = found.k_hat < reliability_threshold(len(now.draws)) and found.effective >= FEWEST
         if enough and found.draws is not None and (found.draws.sd <= WIDEST * np.std(now.draws, axis=0)).all():

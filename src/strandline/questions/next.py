@@ -239,6 +239,8 @@ def _words(candidate: Candidate, again: str) -> str:
 
 def _answer(content: dict[str, Any], found: Answers, folder: Path) -> Answer[Answers]:
     after, runs = content["source"] == "posterior", content["runs"]
+    determines = "the picture determines" if after else "the planned picture would determine"
+    noise = [f"{one['condition'] or 'Noise'}: {one['in_words']}." for one in content["noise"]]
     made = f"{runs['new']} new forward runs, {runs['reused']} known; {digits(content['seconds'], 3)} s"
     return Answer(
         title=f"{content['study']}: the next experiment",
@@ -250,15 +252,8 @@ def _answer(content: dict[str, Any], found: Answers, folder: Path) -> Answer[Ans
         good=True,
         parts=[
             _of_candidates(content),
-            Part(
-                f"What {'the picture determines' if after else 'the planned picture would determine'}",
-                lines=content["identifiability"],
-            ),
-            Part(
-                "How it was computed",
-                lines=[*(f"{one['condition'] or 'Noise'}: {one['in_words']}." for one in content["noise"]), made],
-                notes="how_planned",
-            ),
+            Part(f"What {determines}", lines=content["identifiability"]),
+            Part("How it was computed", lines=[*noise, made], notes="how_planned"),
         ],
         content=content,
         found=found,
@@ -408,9 +403,8 @@ def _before(
         return CandidateAnswer(candidate, None, failing, None, problem_of(failed))
     found = [[*_experiments(study, errors, [points[k] for k in good], candidate.look)] for points in several]
     if not all(len(one) == len(good) for one in found):
-        return CandidateAnswer(
-            candidate, None, failing, None, "the runs have different nodes, so that they give no slopes"
-        )
+        why = "the runs have different nodes, so that they give no slopes"
+        return CandidateAnswer(candidate, None, failing, None, why)
     informations = [np.sum([one[k][1] for one in found], axis=0) for k in range(len(good))]
     rest = undeformed_interface(study.model)
     sizes = [

@@ -228,7 +228,7 @@ def posterior_of(
         covariance=found.covariance,
         quantiles=_quantiles(found),
         draws=draws,
-        effective=float(1 / np.sum(found.weights**2)),
+        effective=found.ess,
         by=by,
         certified=certify(begin, likelihood, draws),
     )

@@ -7,8 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from strandline import calibration, studies
 from strandline.calibration.usual_alternatives import usual_alternatives
 from strandline.foundations import InvalidStudy, figure_text, listed, one_thread, require, use_double
@@ -197,7 +195,7 @@ def _described(
         "surrogate": _surrogate(now),
         "present": {
             "log_evidence": now.log_evidence,
-            "effective": float(1 / np.sum(now.weighted.weights**2)),
+            "effective": now.weighted.ess,
             "inputs": {
                 one.name: {"label": one.shown, "unit": one.unit, **moments(now.weighted, i, LEVELS)}
                 for i, one in enumerate(now.space)
@@ -284,10 +282,8 @@ def _answer(
 ) -> Answer[tuple[calibration.AlternativePosterior, ...]]:
     some, inputs = content["alternatives"], content["present"]["inputs"]
     symbols = [Symbol(item["label"]) for item in inputs.values()]
-    table = Table(
-        ("what changed", *symbols, "log-evidence", "by", "k̂", "effective draws", "moves"),
-        [_row(one, list(inputs)) for one in some],
-    )
+    head = "what changed", *symbols, "log-evidence", "by", "k̂", "effective draws", "moves"
+    table = Table(head, [_row(one, list(inputs)) for one in some])
     return Answer(
         title=f"{content['study']}: what if",
         lead=f"How would the posterior change with other assumptions? {len(some)} alternative{'s' * (len(some) != 1)}, "

@@ -133,9 +133,7 @@ def _told_if_nothing_near(study: Study, problem: Problem, ledger: Ledger) -> Ite
     except (foundations.NumericsError, ArithmeticError, ValueError) as error:
         known = ledger.latest(study.runs.design_keys)
         records = [record for record in known.values() if record.ok]
-        if not records:
-            raise
-        message = pages.nothing_near(pages.nearest_runs(problem, records))
+        message = pages.nothing_near(pages.nearest_runs(problem, records)) if records else None
         if message is None:
             raise
         raise foundations.NumericsError(f"{message} The analysis failed: {error}") from error

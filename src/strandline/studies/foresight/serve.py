@@ -10,12 +10,11 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from strandline.foundations import ForwardModelError, InvalidInput
+from strandline.foundations import ForwardModelError, require
 from strandline.interface import Interface
 from strandline.likelihood import InterfaceLikelihood
 from strandline.models import ForwardModel
 from strandline.models.umbridge import Blocks, ServedModel, flattened
-from strandline.parameters import ParameterSpace
 from strandline.runs import RunRecord, RunRequest, WorkerSlot, ended, packed_model, run_key
 from strandline.studies.foresight.first_run import require_ok, turned_like
 from strandline.studies.load.inputs import check_values
@@ -124,8 +123,11 @@ class _Served:
     def _run(self, blocks: Blocks, solve: Solve) -> RunRecord:
         values = dict(zip(self.study.space.names, blocks[0], strict=True))
         check_values(values, self.study.model, "input")
-        if not self.outside:
-            _check_box(values, self.study.space)
+        for parameter in () if self.outside else self.study.space:
+            value, (low, high) = values[parameter.name], parameter.interval
+            expected = f"a number from {low:g} to {high:g}, the box of its prior"
+            remedy = "Stay within it, or start the server with `serve --outside`."
+            require(low <= value <= high, f"input.{parameter.name}", value, expected, remedy)
         record = solve({**self.study.fixed, **values})
         if not record.ok:
             raise ForwardModelError(record.failure_kind or record.state, record.message or "no message")
@@ -155,13 +157,3 @@ def served_models(
     require_stated((seen.noise for seen in observations), "strandline serve")
     likelihood = InterfaceLikelihood(observations, study.measure)
     return tuple(_Served(study, solve, differentiate, likelihood, outside).models(example))
-
-
-def _check_box(values: Mapping[str, float], space: ParameterSpace) -> None:
-    for parameter in space:
-        low, high = parameter.interval
-        if not low <= values[parameter.name] <= high:
-            what = f"input.{parameter.name}"
-            expected = f"a number from {low:g} to {high:g}, the box of its prior"
-            remedy = "Stay within it, or start the server with `serve --outside`."
-            raise InvalidInput(what, value=values[parameter.name], expected=expected, remedy=remedy)

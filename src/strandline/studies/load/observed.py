@@ -131,15 +131,6 @@ def read_points(
         return read_interface(path, reading, name=f"{what} {path.name}")
 
 
-def read_sds(path: Path, unit: str, *, options: Mapping[str, Any]) -> Float[np.ndarray, " point"] | None:
-    """Return the standard deviations of observed points, mm; None if `options` name no column with them."""
-    if options.get("sd") is None:
-        return None
-    reading = made(Reading, {**options, "file": path.name, "unit": unit}, "observation")
-    with refused_at():
-        return read_point_sds(path, reading, name=f"observation {path.name}")
-
-
 def require_plausible(name: str, observed: Interface, simulated: Interface, *, unit: str = "") -> None:
     """Refuse an interface ten times larger or smaller than the model's, deformed or not: a wrong unit."""
     ratio = extent_ratio(observed, simulated)
@@ -202,7 +193,11 @@ def read_observation(folder: Path, source: keys.ObservationFile, model: ForwardM
         found, name, unit = Found(stack.interface, stack=stack), f"surface in {stack.name}", ""
     else:
         path, name, unit = folder / str(source.file), f"observation {source.file}", str(source.unit)
-        sds = read_sds(path, unit, options=source.reading)
+        sds = None
+        if "sd" in source.reading:
+            reading = made(Reading, {**source.reading, "file": path.name, "unit": unit}, "observation")
+            with refused_at():
+                sds = read_point_sds(path, reading, name=f"observation {path.name}")
         found = Found(read_points(path, unit, options=source.reading), sds=sds)
     if undeformed is None:
         return found

@@ -32,7 +32,7 @@ QUANTILES = (0.05, 0.5, 0.95)
 
 def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_runs: int) -> dict[str, Any]:
     """Return the summary as plain numbers, texts, lists and dicts."""
-    sampling, nearest = calibration.sampling, _nearest(calibration)
+    sampling, field, nearest = calibration.sampling, calibration.field, _nearest(calibration)
     posterior, exact, laplace = calibration.posterior, calibration.quadrature, calibration.laplace
     return {
         **facts_of(study, study.settings.seed),
@@ -57,9 +57,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "likelihood": _likelihood(calibration),
         "pictures": read_how(study),
         "undeformed_outline": outline_effect(study, calibration.records, posterior),
-        "surrogate": _surrogate(calibration.surrogate)
-        if calibration.field is None
-        else field_surrogate(calibration, calibration.field),
+        "surrogate": _surrogate(calibration.surrogate) if field is None else field_surrogate(calibration, field),
         "no_field": calibration.no_field,
         "certificate": certificate(calibration),
         "comparison": comparison(calibration),
@@ -69,7 +67,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
             **named(study.settings.smc, "rejuvenation_steps", "zeta"),
             "tempering_steps": len(sampling.steps),
             "likelihood_evaluations": sampling.likelihood_evaluations,
-            "ess": sampling.ess if calibration.field is None else posterior.ess,
+            "ess": sampling.ess if field is None else posterior.ess,
         },
         "gaussian": {"covariance": calibration.gaussian.covariance.tolist()},
         "laplace": {
