@@ -205,13 +205,8 @@ def _of_specimens(content: Mapping[str, Any]) -> Part:
     given, inputs, together = content["given"], content["inputs"], content["population"] is not None
     all_of = ["given all"] * together
     columns = [(Symbol(item["label"]), *all_of) for item in inputs.values()]
-    head = (
-        "specimen",
-        *(Symbol(f"known {name}") for name in given),
-        "certificate",
-        *chain(*columns),
-        *["p"] * together,
-    )
+    labels = [Symbol(f"known {name}") for name in given]
+    head = ("specimen", *labels, "certificate", *chain(*columns), *["p"] * together)
     rows = []
     for one in content["specimens"]:
         items = [one["inputs"][name] for name in inputs]
