@@ -84,11 +84,8 @@ def _drawn(
         return measure.model(seen).square(noise + fields)
     if isinstance(measure, discrepancy.NormalOffset):
         return np.asarray(((noise + fields) ** 2).sum(axis=1))
-    without = (
-        predicted
-        if isinstance(measure, discrepancy.TrackedPoints)
-        else discrepancy.closest_points(seen.points, predicted)
-    )
+    tracked = isinstance(measure, discrepancy.TrackedPoints)
+    without = predicted if tracked else discrepancy.closest_points(seen.points, predicted)
     points = without.points + _displacements(seen, stated, len(noise), random)
     if fields.any():
         points += fields[..., None] * steady_normals(seen)

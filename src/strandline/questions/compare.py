@@ -152,14 +152,10 @@ def _constants(studies: Mapping[str, Study], summaries: Mapping[str, Mapping[str
         return dict.fromkeys(studies, 0.0)
     found = {name: summary["likelihood"]["gaussian_constant"] for name, summary in summaries.items()}
     unknown = [name for name, constant in found.items() if constant is None]
-    require(
-        not unknown,
-        "studies with and without an error of the model cannot be compared",
-        f"a likelihood of unknown normalisation in {', '.join(unknown)}",
-        "residuals of a fixed number, with stated errors of the points",
-        "Use the measure normal_offset in all studies.",
-        InvalidStudy,
-    )
+    what = "studies with and without an error of the model cannot be compared"
+    value = f"a likelihood of unknown normalisation in {', '.join(unknown)}"
+    expected = "residuals of a fixed number, with stated errors of the points"
+    require(not unknown, what, value, expected, "Use the measure normal_offset in all studies.", InvalidStudy)
     return found
 
 

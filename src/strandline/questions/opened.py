@@ -127,14 +127,8 @@ def specimen_files(study: studies.Study) -> SpecimenFiles:
 def require_one_condition(study: studies.Study) -> None:
     """Refuse a model with named conditions: a specimen has one outline."""
     names = declared_conditions(study.model)
-    require(
-        not any(names),
-        "specimens of a model with several conditions",
-        ", ".join(names),
-        "a model with a single outline",
-        "Make a study for each specimen, or let the model return one interface.",
-        InvalidStudy,
-    )
+    words = "a model with a single outline", "Make a study for each specimen, or let the model return one interface."
+    require(not any(names), "specimens of a model with several conditions", ", ".join(names), *words, InvalidStudy)
 
 
 def _source(content: studies.StudyFile, said: studies.SpecimensFile) -> studies.ObservationFile:

@@ -266,14 +266,9 @@ class CandidateSignals:
 def candidates_of(studies: Sequence[Study]) -> tuple[Candidate, ...]:
     """Return the candidates of the first study that lists some; refuse studies without any."""
     found = next((one.candidates for one in studies if one.candidates), ())
-    require(
-        bool(found),
-        "none of the studies lists candidates for the next experiment",
-        ", ".join(one.name for one in studies),
-        "the key `next` in the study.yaml of one of them",
-        "Add it; the results of the study stay as they are.",
-        InvalidStudy,
-    )
+    what, names = "none of the studies lists candidates for the next experiment", ", ".join(one.name for one in studies)
+    words = "the key `next` in the study.yaml of one of them", "Add it; the results of the study stay as they are."
+    require(found, what, names, *words, InvalidStudy)
     return found
 
 
@@ -301,14 +296,9 @@ def require_settable(studies: Mapping[str, Study], candidates: Sequence[Candidat
             problems = [_problem(study, quantity, value) for quantity, value in quantities]
             missing = [one for one in candidate.look.conditions if one not in declared_conditions(study.model)]
             problems += [f"condition {one}, which its model does not have" for one in missing]
-            require(
-                not any(problems),
-                f"the candidates under next do not fit {name}",
-                next(filter(None, problems), ""),
-                "quantities that are fixed or a nuisance input in all studies, and conditions of all models",
-                "Remove the candidate, or change the study.",
-                InvalidStudy,
-            )
+            what, value = f"the candidates under next do not fit {name}", next(filter(None, problems), "")
+            expected = "quantities that are fixed or a nuisance input in all studies, and conditions of all models"
+            require(not value, what, value, expected, "Remove the candidate, or change the study.", InvalidStudy)
 
 
 def _problem(study: Study, quantity: str, value: float) -> str:

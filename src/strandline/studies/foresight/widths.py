@@ -105,14 +105,12 @@ def _slopes_of_distances(
     seen: Interface, template: Interface, slope: Float[np.ndarray, "point xyz dim"], steps: _OfInputs
 ) -> Float[np.ndarray, "seen dim"]:
     """Return d(signed distance of an observed point)/d(input), mm per unit of the input, by central differences."""
-    both = [
-        [
-            discrepancy.signed_distances(seen.points, Interface(points, template.cells))
-            for points in _moved(template, slope, moves)
-        ]
-        for moves in (np.diag(steps), np.diag(-steps))
-    ]
-    return np.asarray((np.array(both[0]) - np.array(both[1])).T / (2 * steps))
+
+    def distances(moves: Float[np.ndarray, "move dim"]) -> Float[np.ndarray, "move seen"]:
+        moved = (Interface(points, template.cells) for points in _moved(template, slope, moves))
+        return np.array([discrepancy.signed_distances(seen.points, one) for one in moved])
+
+    return np.asarray((distances(np.diag(steps)) - distances(np.diag(-steps))).T / (2 * steps))
 
 
 def _seen(study: Study, condition: str, simulated: Interface, observed: Interface | None) -> Observation:
