@@ -290,8 +290,7 @@ def waves_p(drawn: Float[np.ndarray, "row wave"], observed: Float[np.ndarray, "1
     """Return the probability that a right model leaves waves as large; None without waves.
 
     A sum of squares over all points spreads its power over as many directions as there are points, this one over a few:
-    it is Neyman's smooth test (1937) for residuals. The waves are first made independent, with the covariance of the
-    drawn ones.
+    it is Neyman's smooth test (1937) for residuals. The covariance of drawn waves first makes them independent.
     """
     values, vectors = np.linalg.eigh(drawn.T @ drawn / len(drawn))
     kept = values > EXPLAINED * values.max(initial=0.0)
@@ -304,9 +303,7 @@ def waves_p(drawn: Float[np.ndarray, "row wave"], observed: Float[np.ndarray, "1
 
 @dataclass(frozen=True)
 class Span:
-    """A part of the arc of an observed interface from `begin` to `end`, mm, or a patch of a surface with this mean
-    point.
-    """
+    """A part of an observed arc from `begin` to `end`, mm, or a patch of a surface with this mean point."""
 
     observation: int
     begin: float

@@ -30,8 +30,7 @@ class Replicate:
     """One repetition of the experiment; its number and the seed decide all its random numbers.
 
     `ranks` are posterior probabilities below the truth in each input, `fit_rank` that of inputs whose log-likelihood is
-    below that of the truth. `limit` are standard deviations at the Cramér–Rao limit of the errors with the prior as a
-    Gaussian.
+    below that of the truth. `limit` are sds at the Cramér–Rao limit of the errors with the prior as a Gaussian.
     """
 
     number: int

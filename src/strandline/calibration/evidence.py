@@ -124,9 +124,7 @@ def in_words(ln: float, error: float) -> str:
 
 @dataclass(frozen=True)
 class BayesFactor:
-    """The ratio of the evidences of two models, that of the larger one first: its logarithm, at least 0, and error, in
-    nats.
-    """
+    """The ratio of two models' evidences, the larger one first: its logarithm, at least 0, and error, in nats."""
 
     of: str
     over: str
@@ -222,11 +220,7 @@ class ModelComparison:
 
 
 def require_odds(odds: Sequence[float], number: int) -> None:
-    """Refuse prior odds that are not numbers above 0, one for each model.
-
-    Raises:
-        InvalidInput: They are not.
-    """
+    """Refuse with InvalidInput prior odds that are not numbers above 0, one for each model."""
     right = len(odds) == number and all(math.isfinite(one) and one > 0 for one in odds)
     value, expected = ":".join(f"{one:g}" for one in odds), f"{number} numbers above 0, one for each model"
     require(right, "prior odds of the models", value, expected, "Give them in the order of the models, e.g. 2:1.")

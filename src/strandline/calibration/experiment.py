@@ -273,9 +273,7 @@ Errors = PointErrors | CoordinateErrors  # errors of the points of an observed i
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """Where on the simulated interfaces the observed points lie, the errors they are drawn with, and the noise and the
-    measure of the analysis, by condition.
-    """
+    """Places of the observed points on simulated interfaces, their errors, and noise and measure of the analysis."""
 
     surrogate: FieldSurrogate
     footprints: Mapping[str, Footprint]

@@ -103,8 +103,7 @@ class Pool:
     """All points drawn so far: the first sample, then those of each mixture, with the number of its draws.
 
     `log_counts` are logarithms of how many draws each point stands for; -inf leaves it out. `log_first` is the
-    normalised log density of the distribution that the first sample represents, as `number` draws; `log_target` has an
-    unknown constant.
+    normalised log density of what the first sample, `number` draws, represents; `log_target` is not normalised.
     """
 
     x: Points

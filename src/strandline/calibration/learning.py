@@ -38,8 +38,7 @@ class TrainedSurrogate:
     """What was learnt from all forward runs.
 
     With a field, `knowledge`, the surrogates of the log-likelihood in `learnt` are for comparison; else it is None, and
-    `no_field` says why if the settings ask for one. `certificate` is that of an active design, `set_aside` are runs
-    that ended ok and were not used.
+    `no_field` says why if the settings ask for one. `certificate` is an active design's, `set_aside` are unused runs.
     """
 
     learnt: design.Learnt
@@ -245,8 +244,7 @@ class Learning:
 def known_field(
     points: Float[np.ndarray, "run dim"], records: Sequence[RunRecord], judge: design.RunFilter, space: ParameterSpace
 ) -> tuple[design.Knowledge, tuple[RunRecord, ...]]:
-    """Learn the field for the judge's first measure; also return the records, those that it was not learnt from as
-    invalid.
+    """Learn the field for the judge's first measure; also return the records, the unused ones as invalid.
 
     Raises:
         TooFewRuns: Too few runs can be used.

@@ -36,8 +36,7 @@ LEAST = 0.001  # smallest p-value that is given as a number
 
 @dataclass(frozen=True)
 class Region:
-    """A part of the arc of an observed interface from `begin` to `end`, mm, or a patch of a surface with a mean point
-    `centre`, mm.
+    """A part of an observed arc from `begin` to `end`, mm, or a patch of a surface with a mean point `centre`, mm.
 
     Its residuals have this mean and root mean square, mm, positive on the side of the normals. `side` is where the
     observed interface lies if the mean has one sign: ``above``, ``to the left of`` and the like; on a surface
@@ -103,8 +102,7 @@ class ConditionMisfit:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Misfit:
-    """Whether the model explains the observations within the noise: the answer in one sentence, `flagged` if it does
-    not; None if that is not known.
+    """Whether the model explains the observations within the noise, in a sentence; `flagged` if not, None if unknown.
 
     `p_value` is the probability that a right model leaves residuals as large as those of the best fit; under a right
     model all its values are equally likely. `predictive_p` is the posterior-predictive p-value of d², conservative,
@@ -140,8 +138,7 @@ class FitVerdict:
 def verdict_on(
     p_value: float, predictive_p: float, smooth_p: float, conditions: Sequence[ConditionMisfit], *, run_alone: bool
 ) -> FitVerdict:
-    """Return the verdict on residuals, from the p-values of the best fit's residuals, of d², and of slow waves along
-    the arc.
+    """Return the verdict from the p-values of the best fit's residuals, of d², and of slow waves along the arc.
 
     With `run_alone`, a single run stands for all inputs; then large residuals prove nothing.
     """

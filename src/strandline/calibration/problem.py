@@ -180,8 +180,7 @@ class Observer:
     """Functions to call as the work goes on; by default they do nothing.
 
     `draws` receives the inputs of each round of refinement before they are run, `batch` the posterior after each batch
-    of an active design, `part` how many parts of a stage without runs are done, `note` anything that a person should
-    know.
+    of an active design, `part` how many parts of a stage without runs are done, `note` what a person should know.
     """
 
     stage: Callable[[str], None] = lambda name: None

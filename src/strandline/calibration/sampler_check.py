@@ -34,9 +34,7 @@ LIKELIHOOD = "log-likelihood"
 
 @dataclass(frozen=True)
 class Split:
-    """The two sides of a value of an input, or of the log-likelihood: the share of the mass at or below it in each
-    half.
-    """
+    """A value `at` of an input, or of the log-likelihood, and the share of the mass up to it in each half."""
 
     of: str
     at: float
@@ -137,9 +135,7 @@ class SamplerCheck:
 
 
 def compare_halves(sampling: SMCResult, posterior: Posterior) -> SamplerCheck | None:
-    """Return how the halves of the sampler agree, with the weights of the posterior's likelihood; None if it ran as
-    one.
-    """
+    """Return how the halves of the sampler agree, with the posterior's likelihood; None if it ran as one."""
     if sampling.halves is None:
         return None
     names, draws, number = posterior.space.names, posterior.draws, len(sampling.halves[0].positions)

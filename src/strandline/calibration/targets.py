@@ -55,8 +55,7 @@ _STEP = 0.1  # step of finite differences, in the given scales
 def under_uncertainty(posterior: Posterior, log_likelihood: BatchedLogDensity, settings: Settings) -> UnderUncertainty:
     """Return both readings of the posterior of the calibrated inputs: joint and cut.
 
-    For the cut reading, p(x | θ, Y) is sampled for values θ that represent p(θ), with tempering steps that may be
-    longer, and the draws are pooled.
+    For the cut reading, p(x | θ, Y) is sampled, in longer steps, for values θ that represent p(θ), and pooled.
     """
     space = posterior.space
     theta, calibrated = nuisance_values(space, settings.nuisance_values), space.calibrated_space

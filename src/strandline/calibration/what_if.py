@@ -47,8 +47,7 @@ class Alternative:
     if it moves, e.g. ``the prior of E``.
 
     `likelihood` is None for the one of the study, `fixed` has values of inputs that are taken as known, `detail` the
-    assumption in numbers unless the name has them. With `by_prior_alone`, data, noise and measure are those of the
-    study.
+    assumption in numbers unless the name has them. With `by_prior_alone`, data, noise and measure stay.
     """
 
     name: str
@@ -88,12 +87,10 @@ class Alternative:
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """A posterior as weighted draws, with the likelihood through the surrogate of the interface by which alternatives
-    differ.
+    """A posterior as weighted draws, with the likelihood through the surrogate by which alternatives differ.
 
     Without a surrogate, `knowledge` and `quality`, how good it is at the draws, are None: only priors can be changed,
-    and `why_not` says why. `shift` is the largest difference of a mean from the stored posterior, in standard
-    deviations.
+    and `why_not` says why. `shift` is the largest difference of a mean from the stored posterior, in sd.
     """
 
     space: ParameterSpace

@@ -177,8 +177,7 @@ class LineFile:
 
     @contextmanager
     def held(self, command: str, results: str) -> Iterator[None]:
-        """Keep other commands from writing to the file, one by `command`, e.g. `strandline coverage`, with these
-        `results`.
+        """Keep others from writing to the file, one by `command`, e.g. `strandline coverage`, with these `results`.
 
         Raises:
             InvalidStudy: Another command holds the file, or its folder cannot be written to.

@@ -217,8 +217,7 @@ def _posterior(entry: Mapping[str, Any], space: ParameterSpace) -> SpecimenPoste
 @dataclass(frozen=True, eq=False)
 class Specimens:
     """A study that is ready to analyse outlines, without a forward run: `begin` is the surrogate of the interface with
-    draws of the prior; it was learnt from `further` runs too, made for specimens. The seed is that of all random
-    numbers.
+    draws of the prior; it was learnt from `further` runs too, made for specimens. All random numbers have one seed.
     """
 
     study: studies.Study
@@ -248,8 +247,7 @@ class Specimens:
         noise: Noise | PointErrors | UnknownErrors | None = None,
         name: str = "specimen",
     ) -> SpecimenPosterior:
-        """Return the posterior of the inputs for one outline, mm, with the noise of the study unless another one is
-        given.
+        """Return the posterior of the inputs for one outline, mm, by default with the noise of the study.
 
         `given` has known inputs by name. The name of the specimen, with the seed, decides all random numbers.
 

@@ -89,8 +89,8 @@ class Prospect:
 @dataclass(frozen=True, eq=False)
 class AfterExperiment:
     """What is known after the experiment of the study: its posterior with draws `now`, a surrogate of the interface in
-    all conditions that a candidate observes, places and errors of the observed points, and fields of candidates' runs
-    that `succeeded`, mm.
+    all conditions that a candidate observes, places and errors of the observed points, and fields, mm, of candidates'
+    runs that `succeeded`.
     """
 
     study: Study

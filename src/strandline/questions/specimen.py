@@ -211,8 +211,7 @@ class SpecimenPosterior:
 def posterior_of(
     begin: Start, observations: tuple[Observation, ...], measure: Discrepancy, *, name: str = "", seed: int = 1
 ) -> SpecimenPosterior:
-    """Return the posterior of one specimen from its outline with its noise, one for each condition; no forward run is
-    made.
+    """Return the posterior of one specimen from its outline with its noise, one for each condition, without any run.
 
     The name of the specimen, with the seed, 0 or above, decides all random numbers.
     """

@@ -25,9 +25,7 @@ PLACES = 200
 
 @dataclass(frozen=True, eq=False)
 class SpecimensFound:
-    """The specimens of a study in the order of their names, those set aside, and the population with each specimen
-    given all others; without these for fewer than three specimens.
-    """
+    """The specimens of a study by name, those set aside, and of three or more the population with each given all."""
 
     posteriors: tuple[SpecimenPosterior, ...]
     refused: tuple[RefusedSpecimen, ...]

@@ -318,8 +318,7 @@ class Result:
         """Return the posterior under another noise, from the existing runs; nothing is written.
 
         The noise is a variance σ_N² in the unit of d² [mm² or mm], or a model of it, or errors of the observed points;
-        it takes the place of all that the study says of its noise, shared errors too. The measure is the study's by
-        default.
+        it takes the place of all that the study says of its noise, shared errors too. By default, the measure stays.
 
         Raises:
             InvalidInput: The variance is not above 0.

@@ -57,8 +57,7 @@ def measure_lines(study: Study, record: RunRecord) -> Iterator[str]:
 def contradictions(study: Study) -> Iterator[str]:
     """Yield the errors of outlines in pictures that contradict each other: too small a shift beside scale or rotation.
 
-    Scale and rotation act about the middle of the observed points. About the origin of the frame, a click, they also
-    move it.
+    Scale and rotation about the origin of the frame, a click, also move the middle of the observed points.
     """
     for condition in study.pictures:
         errors, of = study.noise_of(condition), f" ({condition})" if condition else ""

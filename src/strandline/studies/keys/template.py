@@ -32,9 +32,8 @@ OF_SEVERAL_FILES = (".pvd", ".pvtu", ".pvtp", ".xdmf", ".xmf")  # suffixes of fi
 class Observed:
     """An observed interface and how far its points may be off.
 
-    The standard deviations of a point, of the position of the whole interface and of a common offset along the normals,
-    and the correlation length are in µm, the first and the last None to infer them; that of the rotation is in degrees,
-    of the scale a share.
+    The standard deviations of a point, of the whole interface's position and of a common offset along the normals, and
+    the correlation length are in µm, the first and the last None to infer them; `rotation` in degrees, `scale` a share.
     """
 
     file: Path

@@ -27,8 +27,7 @@ PLACE = "observation.stack"
 class Scanned:
     """A stack, the surface in it, and where it lies in the model's coordinates.
 
-    The surface is in voxels, its errors in mm, as is the `interface`. `placed` says where the model lies in it, and who
-    said so.
+    The surface is in voxels, its errors and the `interface` in mm. `placed` says where the model lies, and who said so.
     """
 
     stack: imaging.Stack

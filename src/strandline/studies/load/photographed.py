@@ -22,8 +22,7 @@ UNDEFORMED = "undeformed"  # name, in files and results, of the picture that giv
 
 
 def frame_note(frame: imaging.Frame | imaging.StackFrame, options: object, origin: str = "the study") -> str:
-    """Return a sentence that says where the model lies in a picture; what the key `frame`, `options`, lacks is a
-    default."""
+    """Return a sentence on where the model lies in a picture; what `options`, the key `frame`, lack is a default."""
     given = options if isinstance(options, Mapping) else {}
     at = ", ".join(f"{value:.6g}" for value in frame.origin)
     none = ", ".join("0" for _ in frame.origin)
@@ -329,8 +328,7 @@ def with_errors_of(
 
     An error of the undeformed outline moves the simulated interface by nearly as much: variances add, and so do the
     integrals s²ℓ of the covariances. The outline is the same in all conditions; since each is compared on its own, its
-    variances count as many times as there are conditions, so that these make it no better known. A noise of the measure
-    stays as it is.
+    variances count as many times as there are conditions, so that these make it no better known. Other noise stays.
     """
     if undeformed is None or not isinstance(noise, PointErrors | UnknownErrors):
         return noise

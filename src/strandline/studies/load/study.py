@@ -31,8 +31,7 @@ class Study:
     makes them, at the inputs `truth` and with `synthetic_noise`. The observed points of the conditions `turned` were in
     the opposite direction. Observed interfaces may come from pictures or stacks, the undeformed outline from a picture.
     `reuse` are ledgers of other studies whose runs are taken over if they fit, `candidates` those for the next
-    experiment. `as_loaded` is the study as loaded, to notice fields replaced since; None for a study made in another
-    way.
+    experiment. `as_loaded` is the study as loaded, to notice fields replaced since; None for one made in another way.
     """
 
     folder: Path

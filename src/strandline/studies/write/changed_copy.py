@@ -22,8 +22,7 @@ LONGEST = 63  # most characters in the name of a folder that is made up from set
 def changed_study(folder: Path, settings: Sequence[str], into: Path | None = None) -> Path:
     """Return the folder of the study in `folder` with other values; it is written unless it is there already.
 
-    The values are ``KEY=VALUE``, with dotted keys and values in YAML. By default, the copy lies beside `folder`, named
-    after both.
+    The values are ``KEY=VALUE``, with dotted keys and values in YAML. By default, the copy lies beside `folder`.
     """
     content, text = parse_study(folder)
     present, raw = folder.resolve(), load_yaml(text)

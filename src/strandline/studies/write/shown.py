@@ -48,8 +48,7 @@ QUALITY = 80  # quality of the JPEG in a report
 
 
 def picture_behind(study: Study, condition: str, source: str) -> dict[str, Any] | None:
-    """Return size, place and address of a condition's picture, or None; m in mm lies at the pixel `matrix` m +
-    `origin`."""
+    """Return size, place and address of a condition's picture, or None; m, mm, is at pixel `matrix` m + `origin`."""
     found = study.pictures.get(condition)
     if found is None:
         return None
