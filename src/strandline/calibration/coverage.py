@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from strandline.calibration.experiment import Experiment, Source, experiment_behind
+from strandline.calibration.experiment import Experiment, Matrix, Source, experiment_behind
 from strandline.calibration.importance_sampler import By, Points, Pool, Sampled, Values, importance_or_smc, only_inside
 from strandline.likelihood import FieldLikelihood
 from strandline.posterior import Band, Coverage, Weighted, coverage_of, region_coverage_of, uniformity, weighted_ranks
@@ -107,9 +107,7 @@ def _posterior(
     return found, float(of_truth)
 
 
-def _limit(
-    information: Float[np.ndarray, "dim dim"], covariance: Float[np.ndarray, "dim dim"]
-) -> Float[np.ndarray, " dim"]:
+def _limit(information: Matrix, covariance: Matrix) -> Float[np.ndarray, " dim"]:
     """Return the standard deviations for this information and a Gaussian prior, in scaled inputs."""
     scale = np.sqrt(np.diag(covariance))
     before = np.linalg.inv(covariance / np.outer(scale, scale))

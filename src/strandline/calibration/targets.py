@@ -36,6 +36,7 @@ from strandline.smc import BatchedLogDensity, OnHost, SMCResult, is_on_host, sam
 from strandline.surrogate import HasHessian, Predictor
 
 Point = Float[np.ndarray, " dim"]
+Matrix = Float[np.ndarray, "dim dim"]
 Points = Float[np.ndarray, "point dim"]
 Values = Float[np.ndarray, " point"]
 ZETA = 0.5  # share of the effective sample size that a tempering step keeps: enough for moments
@@ -251,9 +252,7 @@ def _moments_by(log_likelihood: Callable[[Points], Values], space: ParameterSpac
     return {"mean": moments.mean, "sd": moments.sd}
 
 
-def central_hessian(
-    values: Callable[[Points], Values], x: Point, step: Point, low: Point, high: Point
-) -> Float[np.ndarray, "dim dim"]:
+def central_hessian(values: Callable[[Points], Values], x: Point, step: Point, low: Point, high: Point) -> Matrix:
     """Return second derivatives by central differences around a point, which is moved inside if x is at the edge."""
     step = np.minimum(step, (high - low) / 4)
     points = np.clip(x, low + step, high - step) + step * differences(len(x))

@@ -43,6 +43,8 @@ from strandline.posterior import Weighted
 FEWEST = 30.0
 """Median number of draws that a possible observation must leave with weight; else nested Monte Carlo is not offered."""
 LEAST_LOG_DET = -1e3  # logarithm of the smallest determinant of a covariance; that of equal draws is 0
+Matrix = Float[np.ndarray, "dim dim"]
+Informations = Sequence[Matrix]
 Signals = Float[np.ndarray, "draw signal"]
 BLOCK = 256  # observations that are weighed at the same time
 
@@ -135,9 +137,7 @@ def _weighed(
         yield total - np.log1p(-now.weights[rows]), 1.0 / (weights**2).sum(axis=1), sds, log_dets
 
 
-def _left(
-    covariance: Float[np.ndarray, "dim dim"], information: Float[np.ndarray, "dim dim"]
-) -> Float[np.ndarray, "dim dim"]:
+def _left(covariance: Matrix, information: Matrix) -> Matrix:
     """Return (Σ⁻¹ + F)⁻¹, in inputs scaled by their standard deviations."""
     sd = np.sqrt(np.diag(covariance))
     before = np.linalg.inv(covariance / np.outer(sd, sd))
@@ -145,7 +145,6 @@ def _left(
 
 
 By = Literal["nested Monte Carlo", "linearised"]
-_Informations = Sequence[Float[np.ndarray, "dim dim"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +160,7 @@ class Outlook:
 
 
 def expected_outlook(
-    now: Weighted, signals: Signals, informations: Callable[[], _Informations], *, interest: Sequence[int], seed: int
+    now: Weighted, signals: Signals, informations: Callable[[], Informations], *, interest: Sequence[int], seed: int
 ) -> Outlook:
     """Return the outlook by nested Monte Carlo; linearised if too few draws are left for that.
 
@@ -175,9 +174,7 @@ def expected_outlook(
     return Outlook(found.nats if everything else found.of_interest, found.error, found.sd, "nested Monte Carlo")
 
 
-def linear_outlook(
-    covariance: Float[np.ndarray, "dim dim"], informations: _Informations, *, interest: Sequence[int]
-) -> Outlook:
+def linear_outlook(covariance: Matrix, informations: Informations, *, interest: Sequence[int]) -> Outlook:
     """Return the outlook from Fisher informations F at draws of the inputs; `interest` are columns of the inputs.
 
     The gain is the mean of ½ log |Σ| / |(Σ⁻¹ + F)⁻¹|, or of its parts of interest: exact for a normal distribution of
@@ -315,7 +312,7 @@ class Direction:
 
 
 def directions_left(
-    scale: Scale, x: Float[np.ndarray, "draw dim"], informations: Sequence[Float[np.ndarray, "dim dim"]]
+    scale: Scale, x: Float[np.ndarray, "draw dim"], informations: Informations
 ) -> tuple[Direction, ...]:
     """Return the combinations of the inputs, from the least to the best known after the experiment.
 
@@ -327,7 +324,7 @@ def directions_left(
     return directions_of(np.asarray(np.mean(left, axis=0)))
 
 
-def directions_of(covariance: Float[np.ndarray, "dim dim"]) -> tuple[Direction, ...]:
+def directions_of(covariance: Matrix) -> tuple[Direction, ...]:
     """Return the principal axes of a covariance of scaled inputs, the widest first; the unknown ones rotated."""
     values, vectors = np.linalg.eigh(covariance)
     unknown = values > HARDLY**2

@@ -20,6 +20,7 @@ from strandline.runs import Progress
 
 __all__ = ["what_if"]
 
+Tried = tuple[calibration.AlternativePosterior, ...]
 PLACE = "what_if"  # the key of study.yaml
 
 
@@ -29,7 +30,7 @@ def what_if(
     *,
     seed: int = 1,
     observer: calibration.Observer | None = None,
-) -> Answer[tuple[calibration.AlternativePosterior, ...]]:
+) -> Answer[Tried]:
     """Return how the posterior of a finished study changes with its assumptions, without a forward run.
 
     Writes what-if.json, what-if.html and a figure.
@@ -184,9 +185,7 @@ def _rank(one: calibration.AlternativePosterior) -> tuple[int, float]:
     return (0 if one.moves else 1 if one.by is None else 2), -one.size
 
 
-def _described(
-    study: studies.Study, now: calibration.Baseline, answers: Sequence[calibration.AlternativePosterior], seed: int
-) -> dict[str, Any]:
+def _described(study: studies.Study, now: calibration.Baseline, answers: Tried, seed: int) -> dict[str, Any]:
     return {
         **studies.facts_of(study, seed),
         "conclusion": _conclusion(answers),
@@ -205,7 +204,7 @@ def _described(
     }
 
 
-def _conclusion(answers: Sequence[calibration.AlternativePosterior]) -> str:
+def _conclusion(answers: Tried) -> str:
     if all(one.by is None for one in answers):
         return "None of the alternatives can be computed without new runs."
     subjects = list(dict.fromkeys(one.alternative.about for one in answers if one.moves))
@@ -228,9 +227,7 @@ def _with_priors_together(subjects: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(together if one.removeprefix(PRIOR) in names else one for one in subjects))
 
 
-def _remarks(
-    study: studies.Study, now: calibration.Baseline, answers: Sequence[calibration.AlternativePosterior]
-) -> Iterator[str]:
+def _remarks(study: studies.Study, now: calibration.Baseline, answers: Tried) -> Iterator[str]:
     number = sum(one.by is None for one in answers)
     if number:
         yield remark("new_runs", number=number, of=len(answers), folder=study.folder.resolve().name)
@@ -277,9 +274,7 @@ def _inputs(one: calibration.AlternativePosterior, draws: Weighted) -> dict[str,
     }
 
 
-def _answer(
-    content: dict[str, Any], found: tuple[calibration.AlternativePosterior, ...], folder: Path
-) -> Answer[tuple[calibration.AlternativePosterior, ...]]:
+def _answer(content: dict[str, Any], found: Tried, folder: Path) -> Answer[Tried]:
     some, inputs = content["alternatives"], content["present"]["inputs"]
     symbols = [Symbol(item["label"]) for item in inputs.values()]
     head = "what changed", *symbols, "log-evidence", "by", "k̂", "effective draws", "moves"

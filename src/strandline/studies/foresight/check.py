@@ -60,9 +60,7 @@ class CheckedDraws:
         return [record for record in self.records if not record.ok]
 
 
-def describe(
-    study: Study, found: CheckedDraws, observations: Sequence[Observation], *, new_runs: int
-) -> dict[str, Any]:
+def describe(study: Study, found: CheckedDraws, seen: Sequence[Observation], *, new_runs: int) -> dict[str, Any]:
     """Return the content of check.json except the seconds."""
     smoothed, number = found.result.smoothed, len(found.records)
     distinct = len({record.key for record in found.records})
@@ -85,7 +83,7 @@ def describe(
             "surrogate": found.surrogate.tolist(),
             "log_weight": smoothed.log_weights.tolist(),
         },
-        "interfaces": [_interfaces(study, o, found.records) for o in observations],
+        "interfaces": [_interfaces(study, o, found.records) for o in seen],
     }
 
 

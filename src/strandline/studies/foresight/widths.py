@@ -21,6 +21,7 @@ from strandline.surrogate import FieldTraining, fit_field
 HARDLY = 0.8  # share of the prior's sd above which the data barely constrain an input
 STEP = 0.05  # step of the further runs, in widths of the box
 _OfInputs = Float[np.ndarray, " dim"]
+Interfaces = Mapping[str, Interface]
 Slopes = Mapping[str, Float[np.ndarray, "point xyz dim"]]
 
 
@@ -52,9 +53,7 @@ def slopes_by_differences(
     return out
 
 
-def expected_sd(
-    study: Study, interfaces: Mapping[str, Interface], slopes: Slopes, observed: Mapping[str, Interface]
-) -> Float[np.ndarray, " dim"]:
+def expected_sd(study: Study, interfaces: Interfaces, slopes: Slopes, observed: Interfaces) -> _OfInputs:
     """Return the posterior's standard deviation of each input if the interface is linear in them.
 
     The observation is taken to be the part of the simulated interface that was observed. Of the observed interfaces, if
@@ -77,7 +76,7 @@ def expected_sd(
 
 
 def _information(
-    study: Study, interfaces: Mapping[str, Interface], slopes: Slopes, observed: Mapping[str, Interface]
+    study: Study, interfaces: Interfaces, slopes: Slopes, observed: Interfaces
 ) -> Float[np.ndarray, "dim dim"]:
     """Return what the observations add to the prior's precision; errors that they share count once."""
     measure, dim = study.measure, study.space.dim
