@@ -4,7 +4,7 @@ Last the undeformed outline of the flow cell from a picture, and what its errors
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -94,7 +94,8 @@ def photographed(folder: Path, given: ImageFile, undeformed: Interface | None) -
     """Return the edge in a picture of a study."""
     with refused_at():
         clicks = clicked(folder, given)
-        picture = imaging.read_picture([folder / name for name in given.files], _reading(given, clicks))
+        paths, how = [folder / name for name in given.files], _reading(given, clicks)
+        picture = imaging.read_picture(paths, how)
         size = picture.values.shape[1], picture.values.shape[0]
         if clicks is not None:
             clicks.require_picture(picture.sha256, size)
@@ -112,29 +113,19 @@ def photographed(folder: Path, given: ImageFile, undeformed: Interface | None) -
             pixel=picture.pixel,
             trim=given.trim,
         )
-        repeated, doubts = _repeated(folder, given, clicks, picture, edge, exclude)
+        repeated: imaging.FrameErrors | None = None
+        doubts: tuple[str, ...] = ()
+        if picture.frames > 1:
+            frames = imaging.read_frames(paths, how)
+            try:
+                repeated = imaging.errors_from_frames(frames, edge, number=picture.frames, exclude=exclude)
+            except InvalidInput as error:
+                doubts = (f"no errors from the frames, for {error.what}: {error.value}",)
         edge = edge if repeated is None else repeated.put_into(edge)
         points = frame.to_mm(edge.points)
         interface = Interface.polyline(points if frame.mirrors else points[::-1], closed=edge.closed)
     trim = 0.0 if edge.closed else given.trim
     return Photographed(picture, frame, path, edge, interface, registration, repeated, doubts, placed, trim)
-
-
-def _repeated(
-    folder: Path,
-    given: ImageFile,
-    clicks: imaging.Clicks | None,
-    picture: imaging.Picture,
-    edge: imaging.Edge,
-    exclude: Sequence[Float[np.ndarray, "_ 2"]],
-) -> tuple[imaging.FrameErrors | None, tuple[str, ...]]:
-    if picture.frames == 1:
-        return None, ()
-    frames = imaging.read_frames([folder / name for name in given.files], _reading(given, clicks))
-    try:
-        return imaging.errors_from_frames(frames, edge, number=picture.frames, exclude=exclude), ()
-    except InvalidInput as error:
-        return None, (f"no errors from the frames, for {error.what}: {error.value}",)
 
 
 def picture_reading(options: Mapping[str, Any], place: str = PLACE) -> imaging.PictureReading:
@@ -189,9 +180,8 @@ def read_only_picture(folder: Path, given: ImageFile) -> tuple[imaging.Picture, 
         if how.pixel is not None:
             raise
         with refused_at():
-            return imaging.read_picture(
-                paths, replace(how, pixel=imaging.PixelSize(1.0, 1.0, source="nothing yet"))
-            ), False
+            unknown = replace(how, pixel=imaging.PixelSize(1.0, 1.0, source="nothing yet"))
+            return imaging.read_picture(paths, unknown), False
 
 
 def _reading(given: ImageFile, clicks: imaging.Clicks | None, name: str | None = None) -> imaging.PictureReading:
