@@ -11,8 +11,6 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from xarray import DataTree
-
 from strandline import foundations
 from strandline import report as pages
 from strandline.calibration import Calibration, Observer, Problem, Settings, calibrate, observer_or_default
@@ -195,8 +193,12 @@ def _write_results(study: Study, calibration: Calibration, new_runs: int, observ
     results, report = Results(study.folder), study.folder / REPORT if study.with_report else None
     with suppress(OSError):
         (study.folder / SUMMARY).unlink(missing_ok=True)
+    both, seen = calibration.under_uncertainty, calibration.problem.observations
+    attrs = {"study": study.name, "strandline_version": foundations.__version__}
+    cut = None if both is None else both.cut
     with results.writing(POSTERIOR):
-        write(_tree(study, calibration), study.folder / POSTERIOR)
+        tree = to_datatree(calibration.posterior, seed=study.settings.seed, attrs=attrs, observed=seen, cut=cut)
+        write(tree, study.folder / POSTERIOR)
     with results.writing(REPORT):
         if report is None:
             pages.remove_report(study.folder)
@@ -219,17 +221,6 @@ def _write_results(study: Study, calibration: Calibration, new_runs: int, observ
     if results.missing:
         raise foundations.ResultsNotWritten(study.folder, results.missing, outcome) from results.first
     return outcome
-
-
-def _tree(study: Study, calibration: Calibration) -> DataTree:
-    under_uncertainty = calibration.under_uncertainty
-    return to_datatree(
-        calibration.posterior,
-        seed=study.settings.seed,
-        attrs={"study": study.name, "strandline_version": foundations.__version__},
-        observed=calibration.problem.observations,
-        cut=None if under_uncertainty is None else under_uncertainty.cut,
-    )
 
 
 def require_writers() -> None:
