@@ -238,8 +238,7 @@ WAVES, FEWEST_FOR_WAVE = 6, 4  # waves along an arc, the first one constant, and
 TOGETHER = 0.01
 """Squared change of all residuals, in their standard deviations, by a combination of inputs over its prior, below which
 these inputs only act together: differences cannot tell such a change, and it hardly moves a wave."""
-EXPLAINED = 1e-6
-"""Variance of a combination of waves, relative to the largest one, below which inputs or global errors explain it."""
+EXPLAINED = 1e-6  # variance of waves, relative to the largest, below which inputs or global errors explain them
 BLOCK = 500  # draws processed together; this bounds the memory
 PARTS, FEWEST_POINTS = 6, 4  # parts of the arc of an interface, and the fewest points of a part on average
 

@@ -27,8 +27,7 @@ ROUNDS = 8  # largest number of rounds
 DRAWS, MANY_INPUTS_DRAWS = 1000, 2000  # points of a round, for up to three inputs and for more
 FREEDOM = 5.0  # degrees of freedom of the Student distributions: tails heavier than those of most posteriors
 MOST_PARTS = 4  # largest number of distributions in the mixture
-FITTED, OF_PART = 20.0, 10.0
-"""Effective points that a mixture, and each part of it, is fitted to, per number of inputs + 1."""
+FITTED, OF_PART = 20.0, 10.0  # effective points that a mixture, and each part, is fitted to, per number of inputs + 1
 STEPS = 10  # steps of expectation maximisation
 FLOOR = 1e-9  # smallest variance of a part, relative to that of the points it is fitted to
 NEGLIGIBLE = 1e-9  # weight, relative to the largest, below which a point is left out of a fit

@@ -296,8 +296,7 @@ def _require_enough(succeeded: int, records: Sequence[RunRecord], dim: int) -> N
     raise TooFewRuns(what, value=value, expected=expected, remedy=f"Enlarge the design{look if kinds else '.'}")
 
 
-ALIKE = 0.5
-"""Share of the values of a run that other runs must meet too. Of smooth outputs, hardly any; 1 where few steps are."""
+ALIKE = 0.5  # share of a run's values that other runs must meet too: of smooth outputs hardly any, 1 for few steps
 ROUNDING = 1e-9  # share of their range by which equal values may differ
 SMOOTH = 0.1
 """Residual of quadratics of the inputs, in steps, below which values are not rounded: rounding leaves 0.29. The inputs

@@ -11,8 +11,7 @@ from scipy.stats import chi2
 from strandline.interface import Observation
 from strandline.likelihood import ResidualNoise, StatedErrors
 
-FAMILIES = 4
-"""Kinds of p-values: of all residuals, parts of an arc, waves along it, d². The least is corrected for their number."""
+FAMILIES = 4  # kinds of p-values, for whose number the least is corrected: all residuals, parts of an arc, waves, d²
 LEVEL = 0.01  # a model whose residuals are less likely than this is flagged
 DOUBTFUL, RATIO = 0.05, 4.0
 """So is one whose residuals are less likely than this and have more than this many times the s²ℓ that was stated."""
@@ -20,8 +19,7 @@ SMALL = 0.995  # a p-value above this means residuals that are small for the sta
 SMOOTH = 0.08
 """Correlation length, as a share of the observed interface, from which what was taken for noise is an error of the
 model: errors of a picture reach over a few pixels."""
-STRAINED = 4.5
-"""Shift, rotation, scale or offset, in its stated standard deviations, from which it is not what was stated."""
+STRAINED = 4.5  # shift, rotation, scale or offset, in stated sds, from which it is not what was stated
 STRAINS = {"shift": "shifted", "rotation": "turned", "scale": "scaled", "offset": "moved along its normals"}
 UNLIKELY = 0.05  # probability of such a shift, rotation, scale or offset below which it is worth a warning
 TOWARDS = {

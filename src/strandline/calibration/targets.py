@@ -40,11 +40,9 @@ Matrix = Float[np.ndarray, "dim dim"]
 Points = Float[np.ndarray, "point dim"]
 Values = Float[np.ndarray, " point"]
 ZETA = 0.5  # share of the effective sample size that a tempering step keeps: enough for moments
-FEWEST_PARTICLES = 250
-"""Fewest particles for each value of the nuisance inputs: 150 gave errors of 5 % of a standard deviation."""
+FEWEST_PARTICLES = 250  # fewest particles for each value of the nuisance inputs: 150 gave errors of 5 % of an sd
 STREAM = 2  # keeps these random numbers apart from the two streams of the joint reading
-LARGEST_DIM = 3
-"""Largest number of inputs, including nuisance inputs, for which posteriors are also integrated directly."""
+LARGEST_DIM = 3  # largest number of inputs, nuisance ones included, for which posteriors are also integrated directly
 COMPARED = 2000  # particles of the posterior that is reported for comparison
 SCATTERED = 64  # draws of the posterior that show what the simulator's own scatter does there
 LEAST_LEFT = 10.0

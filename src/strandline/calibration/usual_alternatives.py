@@ -12,8 +12,7 @@ from strandline.interface import GLOBAL, GaussianNoise, Noise, Observation, Poin
 from strandline.likelihood import FieldLikelihood, InferredNoise
 
 LEAST_SHAPE_SUM = 1.0  # a + b of a beta distribution below which it piles up at both ends
-LEVELS = (0.1587, 0.5, 0.8413)
-"""Probabilities at which a normal distribution has its mean and one standard deviation on either side."""
+LEVELS = (0.1587, 0.5, 0.8413)  # probabilities at a normal distribution's mean and one sd on either side
 LENGTHS = ("point_sd", "least_point_sd", "largest_point_sd", "correlation_length", "shift_sd", "offset_sd")
 """Parameters of the noise that are lengths, mm."""
 Errors = Noise | PointErrors | UnknownErrors

@@ -34,8 +34,7 @@ from strandline.posterior import (
 Kind = Literal["prior", "fix", "noise", "measure", "without", "model_error", "several"]
 Points = Float[np.ndarray, "point dim"]
 Values = Float[np.ndarray, " point"]
-FEWEST = 100.0
-"""Smallest effective number of draws after weighting: by the surrogate of the interface, or by an alternative."""
+FEWEST = 100.0  # smallest effective number of draws after weighting: by the surrogate, or by an alternative
 FIRST = 2048  # draws of the prior that sampling begins with
 ENOUGH = 1000.0  # effective draws at which sampling ends
 DRAWS = 2000  # equally weighted draws that are kept
@@ -198,8 +197,7 @@ WIDEST = 1.3
 """Standard deviation, in those of the draws without weights, up to which reweighting is believed. From 1000 draws of a
 Gaussian it gives widths of one 1.3, 1.5, 2 times as wide up to 10, 15, 29 % too small (1 in 20 of them more), mostly
 with a k̂ that passes."""
-COUNTS = 0.99
-"""Share of the weight, on the draws with the largest ones, that gets the likelihood expected over possible fields."""
+COUNTS = 0.99  # share of the weight, on the largest ones, that gets the likelihood expected over possible fields
 By = Literal["reweighting", "importance", "smc"]
 
 

@@ -26,8 +26,7 @@ BINS = 25
 OF_MISFIT = ("verdict", "flagged", "p", "region_p", "smooth_p")
 FLAGGED = {None: "not judged", True: "noticed", False: "none"}
 OUTSIDE = 0.001  # share of the draws left out at either end of a histogram
-NARROWED = math.log(2.0)
-"""Logarithm of the factor by which the data narrow inputs of one model alone, from which a remark is made."""
+NARROWED = math.log(2.0)  # log of the factor by which the data narrow inputs of one model alone, for a remark
 OFF = 3.0  # errors by which two values of a log-evidence may differ; at least `TOLERATED` nats
 TOLERATED = 0.1
 

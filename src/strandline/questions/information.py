@@ -40,8 +40,7 @@ from strandline.design import Candidate
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted
 
-FEWEST = 30.0
-"""Median number of draws that a possible observation must leave with weight; else nested Monte Carlo is not offered."""
+FEWEST = 30.0  # median number of draws that an observation must leave with weight; else no nested Monte Carlo
 LEAST_LOG_DET = -1e3  # logarithm of the smallest determinant of a covariance; that of equal draws is 0
 Matrix = Float[np.ndarray, "dim dim"]
 Informations = Sequence[Matrix]
@@ -273,8 +272,7 @@ def _log_densities(
 
 
 HARDLY = 0.85  # share of the prior's standard deviation above which hardly anything was learnt about a combination
-NAMED = 0.3
-"""Inputs with a smaller share of a combination than this, relative to the largest, are left out of its description."""
+NAMED = 0.3  # inputs with a smaller share of a combination than this, relative to the largest, are not named
 ROTATIONS = 200
 QUANTILES = 1000
 

@@ -121,8 +121,7 @@ AGAIN = {"prior": "as planned", "posterior": "the same again"}  # words for an e
 NOTHING = 0.1  # gain, nats, below which the advice says that an experiment teaches little
 AS_GOOD = 0.05  # difference, nats, within which the advice calls two candidates equally good
 RISKY = 0.2  # probability of failure from which the advice mentions it
-UNKNOWN, PARTLY = 0.85, 0.5
-"""Shares of the prior's standard deviation above which a direction is not determined, or only roughly."""
+UNKNOWN, PARTLY = 0.85, 0.5  # shares of the prior's sd above which a direction is not determined, or only roughly
 
 
 def _described(study: studies.Study, found: Answers, *, seed: int, seconds: float) -> dict[str, Any]:

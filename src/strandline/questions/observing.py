@@ -223,10 +223,8 @@ WEAK = 1e-3
 their slopes alone."""
 
 
-Fields = Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, "point value"]]
-"""A field as a function of the inputs, mm."""
-Fails = Callable[[Float[np.ndarray, "draw value"]], Float[np.ndarray, " draw"]]
-"""The probability that the run of a field fails."""
+Fields = Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, "point value"]]  # a field, mm, by inputs
+Fails = Callable[[Float[np.ndarray, "draw value"]], Float[np.ndarray, " draw"]]  # probability that a field's run fails
 
 
 def transfer(

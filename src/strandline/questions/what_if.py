@@ -176,8 +176,7 @@ def _require(right: bool, key: str, value: Any, expected: str, remedy: str = "Ch
 LEVELS = {"low": 0.05, "high": 0.95}  # probabilities below the ends of the 90 % intervals
 CUT = 1e-3  # prior probability outside the box from which it is reported
 PRIOR = "the prior of "
-LARGE = 0.05
-"""Distance between the stored posterior and that of the surrogate of the interface, in sd, from which it is said."""
+LARGE = 0.05  # distance of the stored posterior from that of the surrogate, in sd, from which it is said
 
 
 def _rank(one: calibration.AlternativePosterior) -> tuple[int, float]:

@@ -31,8 +31,7 @@ from strandline.studies.load.progress import results_of
 from strandline.studies.load.provenance import facts_of
 from strandline.studies.load.study import Study, settled
 
-SHIFT_SHOWN, RATIO_SHOWN = 0.25, 0.2
-"""A remark reports a mean off by more than this, in standard deviations, or an sd off by more than this share."""
+SHIFT_SHOWN, RATIO_SHOWN = 0.25, 0.2  # a remark reports a mean off by more sds, or an sd off by a larger share
 MOMENTS = ("mean", "sd", "reweighted_mean", "reweighted_sd", "shift", "shift_error", "sd_ratio")
 VERDICTS: dict[posteriors.Verdict, str] = {
     "good": "The weights can be trusted, and so can the reweighted figures.",

@@ -78,8 +78,7 @@ def told_if_unwritable(folder: Path) -> Iterator[None]:
         raise InvalidStudy("the results cannot be written", value=value, expected=expected, remedy=remedy) from error
 
 
-QUESTIONS = frozenset({"next", "what_if", "specimens"})
-"""Keys of study.yaml that no forward run and no posterior depends on."""
+QUESTIONS = frozenset({"next", "what_if", "specimens"})  # keys of study.yaml that no run and no posterior depends on
 QUESTION = re.compile(
     rf"""(?:^[^\S\n]*\n)*(?:^\#.*\n)*                                     # blank lines and comments above its key
     ^['"]?(?:{"|".join(sorted(QUESTIONS))})['"]?\s*:.*(?:\n|\Z)

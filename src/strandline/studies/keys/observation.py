@@ -197,8 +197,7 @@ Observed = Annotated[
 
 
 NotNegative = Annotated[Number, Field(ge=0)]
-COLUMN, IMAGE = "column", "image"
-"""Words for `noise.sd`: the standard deviations in a table, and those that a picture shows."""
+COLUMN, IMAGE = "column", "image"  # words for `noise.sd`: the sds in a table, and those that a picture shows
 Range = tuple[Number, Number]
 Sd = Annotated[Number, Field(gt=0)] | Literal["unknown", "column", "image"] | Range
 Length = NotNegative | Literal["unknown"] | Range

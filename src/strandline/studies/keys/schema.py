@@ -21,8 +21,7 @@ from pydantic_core import CoreSchema, PydanticUseDefault, core_schema
 
 from strandline.foundations import decimal, is_label, is_name
 
-MOST = 1_000_000
-"""Largest count of runs, particles, workers and so on: more than anybody needs, and few enough for memory."""
+MOST = 1_000_000  # largest count of runs, particles and so on: more than anybody needs, and few enough for memory
 MOST_RETRIES = 1000
 MOST_VALUES = 10_000  # values of the nuisance inputs; the sampler runs once for each
 VARIANCES = 1e-30, 1e30  # smallest and largest σ_N²; beyond them, likelihoods overflow

@@ -124,8 +124,7 @@ def _reused_ledger(folder: Path, other: str) -> Path:
     return target / LEDGER
 
 
-FEW_INPUTS = 3
-"""Largest number of inputs with one length scale for all in a surrogate of the log-likelihood made for comparison."""
+FEW_INPUTS = 3  # most inputs with one length scale for all in a surrogate of the log-likelihood for comparison
 
 SLURM = "slurm"  # folder in the study that holds the batches of SLURM arrays
 
