@@ -123,7 +123,7 @@ class _Served:
     def _run(self, blocks: Blocks, solve: Solve) -> RunRecord:
         values = dict(zip(self.study.space.names, blocks[0], strict=True))
         check_values(values, self.study.model, "input")
-        for parameter in () if self.outside else self.study.space:
+        for parameter in () if self.outside else self.study.space.parameters:
             value, (low, high) = values[parameter.name], parameter.interval
             expected = f"a number from {low:g} to {high:g}, the box of its prior"
             remedy = "Stay within it, or start the server with `serve --outside`."
