@@ -126,8 +126,5 @@ def _named(tree: ast.AST, package: str) -> Iterator[str]:
         elif isinstance(node, ast.ImportFrom):
             kept = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
             origin = ".".join([*kept, *([node.module] if node.module else [])])
-            yield from (
-                (origin, *(f"{origin}.{alias.name}" for alias in node.names))
-                if origin
-                else (alias.name for alias in node.names)
-            )
+            names = [alias.name for alias in node.names]
+            yield from [origin, *(f"{origin}.{name}" for name in names)] if origin else names

@@ -17,27 +17,11 @@ from strandline.foundations import unfit
 from strandline.interface import Interface
 
 __all__ = [
-    "DrawsFields",
-    "ForwardModel",
-    "KeepsFolders",
-    "KnowsUndeformed",
-    "ModelInput",
-    "PreparesRuns",
-    "Sensitivities",
-    "Simulation",
-    "SolvesOnFinerMesh",
-    "UsesNames",
-    "asks_sensitivities",
-    "declared_conditions",
-    "declared_failure_kinds",
-    "declared_inputs",
-    "prepare_runs",
-    "require_conditions",
-    "the_only_interface",
-    "undeformed_interface",
-    "with_sensitivities",
-    "without_failure_budget",
-]
+    "DrawsFields", "ForwardModel", "KeepsFolders", "KnowsUndeformed", "ModelInput", "PreparesRuns", "Sensitivities",
+    "Simulation", "SolvesOnFinerMesh", "UsesNames", "asks_sensitivities", "declared_conditions",
+    "declared_failure_kinds", "declared_inputs", "prepare_runs", "require_conditions", "the_only_interface",
+    "undeformed_interface", "with_sensitivities", "without_failure_budget",
+]  # fmt: skip
 
 Sensitivities = Mapping[str, Mapping[str, Float[np.ndarray, "point xyz"]]]
 """Condition → name of an input → d(points of its interface)/d(input), in mm per unit of the input."""

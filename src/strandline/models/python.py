@@ -193,7 +193,6 @@ def _polyline(points: Any) -> Any:
     if closed := repeats_first(array):
         array = array[:-1]
     elif np.isfinite(array).all():
-        require_clear_ends(
-            array, "the array of points", "Return strandline.Interface.polyline(points, closed=True) or closed=False."
-        )
+        remedy = "Return strandline.Interface.polyline(points, closed=True) or closed=False."
+        require_clear_ends(array, "the array of points", remedy)
     return Interface.polyline(array, closed=closed)

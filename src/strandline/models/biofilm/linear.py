@@ -81,10 +81,8 @@ class Factorisation:
 
     def __init__(self, matrix: Any, size: int, *, own_analysis: bool = False) -> None:
         try:
-            by_pardiso = linear_solver() == "pardiso"
-            self._lu: _Pardiso | _Umfpack = (
-                _Pardiso(matrix, size, own_analysis) if by_pardiso else _Umfpack(matrix, size)
-            )
+            self._lu: _Pardiso | _Umfpack
+            self._lu = _Pardiso(matrix, size, own_analysis) if linear_solver() == "pardiso" else _Umfpack(matrix, size)
         except Exception as error:
             raise ForwardModelError("linear_solve", f"the Jacobian could not be factorised: {error}") from error
 

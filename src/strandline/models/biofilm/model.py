@@ -14,16 +14,7 @@ import numpy as np
 from strandline.foundations import ForwardModelError, imported, unfit
 from strandline.interface import Interface
 from strandline.models.biofilm import options
-from strandline.models.biofilm.cells.anchors import (
-    AnchoredCell,
-    Box,
-    Ranges,
-    anchors_file,
-    as_ranges,
-    check_ranges,
-    load_anchors,
-    save_anchors,
-)
+from strandline.models.biofilm.cells.anchors import AnchoredCell, Box, Ranges, as_ranges, check_ranges
 from strandline.models.biofilm.cells.cell import FlowCell, Setting, Solution
 from strandline.models.biofilm.cells.creeping_cell import CreepingCell
 from strandline.models.biofilm.cells.fields import FlowFields, flow_fields
@@ -308,13 +299,8 @@ def _flow_cell(model: Biofilm, solid_density: float | None = None, *, creeps: bo
 
 @lru_cache(maxsize=2)
 def _anchored_cell(model: Biofilm, box: Box) -> AnchoredCell:
-    """Return the cell with anchors, from disk if they are there; a model reduced to its geometry."""
-    path = anchors_file(model.fingerprint, box)
-    kept = load_anchors(path)
-    anchored = AnchoredCell(_flow_cell(model), box, model._setting, kept)
-    if kept is None:
-        save_anchors(anchored.states, path)
-    return anchored
+    """Return the cell with anchors; a model reduced to its geometry."""
+    return AnchoredCell.kept(_flow_cell(model), box, model._setting, model.fingerprint)
 
 
 def _new_cell(model: Biofilm, size: MeshSize, solid_density: float | None, *, creeps: bool) -> FlowCell:

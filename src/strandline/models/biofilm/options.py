@@ -101,10 +101,9 @@ def check_loads(rates: Sequence[tuple[str, float]], drops: Sequence[tuple[str, f
         ("pressure_drops", drops, "inflow_rates", inflow == PRESSURE),
     ):
         if loads and not fits:
-            expected = (
-                f"{'a profile of the inflow' if other == 'pressure_drops' else f'inflow: {PRESSURE}'}, or no {option}"
-            )
-            raise _refused(option, f"inflow: {inflow}", expected, f"Change `inflow`, or give `{other}` by condition.")
+            fitting = "a profile of the inflow" if other == "pressure_drops" else f"inflow: {PRESSURE}"
+            remedy = f"Change `inflow`, or give `{other}` by condition."
+            raise _refused(option, f"inflow: {inflow}", f"{fitting}, or no {option}", remedy)
         for name, load in loads:
             _load(option, name, load)
 

@@ -135,46 +135,37 @@ class CommandModel:
 
     def require_names(self, unknown: Iterable[str], fixed: Iterable[str]) -> None:
         """Refuse templates with variables that are not inputs, and unknown inputs that no template uses."""
-        unknown = list(unknown)
-        known = {*unknown, *fixed, PYTHON}
-        for template in self._parts.every_template():
-            template.require_known(known)
-        used = frozenset[str]().union(*(template.names for template in self._parts.every_template()))
+        unknown, templates = list(unknown), list(self._parts.every_template())
+        for template in templates:
+            template.require_known({*unknown, *fixed, PYTHON})
         for name in unknown:
-            if name not in used:
-                what, expected = (
-                    f"the input {name} is used in no template and no command",
-                    f"{{{{ {name} }}}} somewhere",
-                )
-                raise unfit(what, "an input without effect", expected, f"Put it there, or remove {name} from inputs.")
+            if not any(name in template.names for template in templates):
+                what = f"the input {name} is used in no template and no command"
+                expected, remedy = f"{{{{ {name} }}}} somewhere", f"Put it there, or remove {name} from inputs."
+                raise unfit(what, "an input without effect", expected, remedy)
 
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
         """Run the command in `workdir`; return its interfaces; a failure has kind, state and the last lines printed."""
         values: dict[str, Any] = {name: float(value) for name, value in inputs.items()} | {PYTHON: sys.executable}
         parts = self._parts
         self._fill(workdir, values)
-        environment = {**os.environ, **{name: item.rendered(values) for name, item in parts.environment.items()}}
+        own = {**os.environ, **{name: item.rendered(values) for name, item in parts.environment.items()}}
         started = _now(workdir)
         deadline = None if self.timeout is None else time.monotonic() + self.timeout
         log = ""
         try:
             for number, command in enumerate(parts.commands):
                 arguments = [item.rendered(values) for item in command]
-                ended = supervised(
-                    ["/bin/sh", "-c", *arguments] if self.shell and number == 0 else arguments,
-                    folder=workdir,
-                    environment=environment,
-                    timeout=None if deadline is None else max(0.0, deadline - time.monotonic()),
-                    grace=self.grace,
-                    log=workdir / (LOG if number == 0 else f"post-{number}.log"),
-                )
+                run = ["/bin/sh", "-c", *arguments] if self.shell and number == 0 else arguments
+                left = None if deadline is None else max(0.0, deadline - time.monotonic())
+                output = workdir / (LOG if number == 0 else f"post-{number}.log")
+                ended = supervised(run, folder=workdir, environment=own, timeout=left, grace=self.grace, log=output)
                 log = ended.tail or log
                 self._require_success(ended, arguments[0])
             if self.success is not None:
                 self.success.require(workdir, workdir / LOG)
-            return Simulation(
-                {name: options.read_result(one, workdir, started) for name, one in parts.readings.items()}
-            )
+            found = {name: options.read_result(one, workdir, started) for name, one in parts.readings.items()}
+            return Simulation(found)
         except ForwardModelError as error:
             error.log = error.log or log
             raise options.named_by(self.errors, workdir, error) from None
@@ -296,14 +287,8 @@ def supervised(
     later, by SIGKILL. The file `log` gets its output, at most twice `LOG_LIMIT` bytes. Raises ForwardModelError:
     ``supervisor_died`` or ``out_of_memory``, both with the state ``killed``; ``processes_left``.
     """
-    asked = {
-        "arguments": list(arguments),
-        "environment": dict(environment),
-        "timeout": timeout,
-        "grace": grace,
-        "log": str(log),
-        "log_limit": LOG_LIMIT,
-    }
+    asked = {"arguments": list(arguments), "environment": dict(environment), "timeout": timeout, "grace": grace}
+    asked |= {"log": str(log), "log_limit": LOG_LIMIT}
     process = _started(folder, environment)
     assert process.stdin is not None
     assert process.stdout is not None
@@ -322,15 +307,9 @@ def supervised(
 
 def _started(folder: Path, environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
     """Return a supervisor that waits for its request."""
+    command, pipe, own = [sys.executable, "-I", "-S", str(SUPERVISOR)], subprocess.PIPE, dict(environment)
     try:
-        return subprocess.Popen(
-            [sys.executable, "-I", "-S", str(SUPERVISOR)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            cwd=folder,
-            env=dict(environment),
-            start_new_session=True,
-        )
+        return subprocess.Popen(command, stdin=pipe, stdout=pipe, cwd=folder, env=own, start_new_session=True)
     except OSError as error:
         if error.errno in SHORT_OF_MEMORY:
             raise _no_room(error.strerror or str(error)) from None

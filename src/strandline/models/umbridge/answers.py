@@ -34,12 +34,8 @@ class ServedModel:
     @property
     def support(self) -> dict[str, bool]:
         """Whether clients may ask for each of UM-Bridge's operations."""
-        return {
-            "Evaluate": True,
-            "Gradient": self.gradient is not None,
-            "ApplyJacobian": self.apply_jacobian is not None,
-            "ApplyHessian": False,
-        }
+        derivatives = {"Gradient": self.gradient is not None, "ApplyJacobian": self.apply_jacobian is not None}
+        return {"Evaluate": True, **derivatives, "ApplyHessian": False}
 
 
 @dataclass(frozen=True)
@@ -51,15 +47,11 @@ class Reply:
 
 
 class Rejected(Exception):
-    """A request that is answered with an error of the protocol."""
+    """A request that is answered with an error of the protocol, `answer`."""
 
     def __init__(self, kind: str, message: str, status: int = 400) -> None:
-        self.kind, self.status = kind, status
+        self.answer = Reply(status, {"error": {"type": kind, "message": message}})
         super().__init__(message)
-
-    @property
-    def answer(self) -> Reply:
-        return Reply(self.status, {"error": {"type": self.kind, "message": str(self)}})
 
 
 def answer(models: Sequence[ServedModel], method: str, path: str, body: bytes) -> Reply:
@@ -91,9 +83,8 @@ def _answered(models: Sequence[ServedModel], method: str, path: str, body: bytes
     if not model.support.get(path[1:], True):
         raise Rejected("UnsupportedFeature", f"{model.name} does not support {path[1:]}")
     if asked.get("config") not in (None, {}):
-        raise Rejected(
-            "InvalidInput", f"config: got {shortened(asked['config'])}; expected none: the study sets it all"
-        )
+        found = shortened(asked["config"])
+        raise Rejected("InvalidInput", f"config: got {found}; expected none: the study sets it all")
     return ENDPOINTS[path](model, asked)
 
 

@@ -89,11 +89,8 @@ class Client:
         support = self._mapping("ModelInfo", {}).get("support")
         if not isinstance(support, dict) or support.get("Evaluate") is not True:
             raise self._breach(f"says that {self.name!r} cannot be evaluated: support is {shortened(support)}")
-        return Description(
-            self._sizes("InputSizes", "inputSizes"),
-            self._sizes("OutputSizes", "outputSizes"),
-            {str(feature): offered is True for feature, offered in support.items()},
-        )
+        sizes = self._sizes("InputSizes", "inputSizes"), self._sizes("OutputSizes", "outputSizes")
+        return Description(*sizes, {str(feature): offered is True for feature, offered in support.items()})
 
     def evaluate(self, blocks: Sequence[Sequence[float]], sizes: Sequence[int]) -> list[Vector]:
         """Return the output blocks, with the `sizes` that the server declared."""
@@ -177,9 +174,8 @@ class Client:
 
     def _body(self, response: "httpx.Response", endpoint: str) -> bytes:
         if response.has_redirect_location:
-            raise self._breach(
-                f"redirects {endpoint} to {shortened(response.headers['location'])}, which is not followed"
-            )
+            place = shortened(response.headers["location"])
+            raise self._breach(f"redirects {endpoint} to {place}, which is not followed")
         chunks, size = [], 0
         for chunk in response.iter_bytes():
             chunks.append(chunk)

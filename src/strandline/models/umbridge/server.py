@@ -81,10 +81,8 @@ class Access:
         if len(hosts) != 1 or not self.is_called(hosts[0]):
             found = ", ".join(hosts) or "none"
             expected = "this machine's numeric address or name" if self.any_address else "localhost or 127.0.0.1"
-            told = (
-                f"Host: got {shortened(found)}; expected {expected}. Allow a further name by `serve --allow-host NAME`."
-            )
-            raise Rejected("Forbidden", told, 403)
+            told = f"Host: got {shortened(found)}; expected {expected}."
+            raise Rejected("Forbidden", f"{told} Allow a further name by `serve --allow-host NAME`.", 403)
         if origin is not None and origin not in self.origins:
             told = f"Origin: got {shortened(origin)}; web pages may not send requests. See `serve --allow-origin`."
             raise Rejected("Forbidden", told, 403)

@@ -83,7 +83,7 @@ def status(door, **headers):
     try:
         door.check("POST", message)
     except Rejected as refused:
-        return refused.status if TOKEN not in str(refused) else None
+        return refused.answer.status if TOKEN not in str(refused) else None
     return 200
 
 

@@ -283,6 +283,18 @@ class AnchoredCell:
         self._factors: dict[int, Factorisation] = {}
         self._kept = _spread(box, self.states.anchors)
 
+    @classmethod
+    def kept(
+        cls, cell: FlowCell, box: Box, setting: Callable[[Mapping[str, float]], Setting], geometry: str
+    ) -> "AnchoredCell":
+        """Return the cell with the anchors on disk, or with new ones, which are written there."""
+        path = anchors_file(geometry, box)
+        states = load_anchors(path)
+        made = cls(cell, box, setting, states)
+        if states is None:
+            save_anchors(made.states, path)
+        return made
+
     def solve(self, inputs: Mapping[str, float], budget: int) -> Solution:
         """Return the steady state, which depends on `inputs` alone, as `FlowCell.solve`; that is called if anchors do
         not serve."""

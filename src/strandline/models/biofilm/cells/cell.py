@@ -47,12 +47,8 @@ class Solution:
 
     def diagnostics(self) -> dict[str, float]:
         """Return the figures that go into a run's record; displacements in mm."""
-        return {
-            "max_displacement": float(np.linalg.norm(self.displacement, axis=1).max()),
-            **self.bounds,
-            "newton_jacobians": float(self.jacobians),
-            **self.figures,
-        }
+        largest = float(np.linalg.norm(self.displacement, axis=1).max())
+        return {"max_displacement": largest, **self.bounds, "newton_jacobians": float(self.jacobians), **self.figures}
 
 
 @dataclass(frozen=True)
@@ -102,15 +98,10 @@ class FlowCell:
         self.is_solid = self.part > 0
         self.fluid, self.flow = fluid.at({}), flow.Flow(channel, inflow, fluid)
         viscosity, density, *_ = self.fluid.values()
-        self.system = self.coupled(
-            self.mesh,
-            _boundaries(channel, pressure_driven=self.flow.pressure is not None, sliding=bool(clamped)),
-            viscosity=viscosity / flow.VISCOSITY_SCALE,
-            density=density / flow.DENSITY_SCALE,
-            law=law,
-            solids=tuple(self.parts),
-            loads=self.flow.loads,
-        )
+        boundaries = _boundaries(channel, pressure_driven=self.flow.pressure is not None, sliding=bool(clamped))
+        scaled = {"viscosity": viscosity / flow.VISCOSITY_SCALE, "density": density / flow.DENSITY_SCALE}
+        solids, loads = tuple(self.parts), self.flow.loads
+        self.system = self.coupled(self.mesh, boundaries, **scaled, law=law, solids=solids, loads=loads)
         self.vertices = _vertices_at(self.mesh, outline)
         self.weights = np.empty(len(self.system.free))
         for component in range(3 + len(self.parts)):
@@ -267,11 +258,8 @@ class FlowCell:
 
     def _flow_past_rigid_body(self) -> Vector:
         """Return velocity and pressure at V_in = 100 mm²/s past a body so stiff that it does not move."""
-        parts = len(self.parts)
-        further = (typical_value(item) for item in further_parameters(self.system.law))
-        self.system.set_material(
-            [1e8 / flow.STRESS_SCALE] * parts, [0.3] * parts, *([value] * parts for value in further)
-        )
+        rigid = (1e8 / flow.STRESS_SCALE, 0.3, *map(typical_value, further_parameters(self.system.law)))
+        self.system.set_material(*([value] * len(self.parts) for value in rigid))
         reference = 1.0 if self.flow.pressure is None else self.flow.developed_drop(self.fluid)
         self.set_loads(reference * self.flow.scale, replace(self.fluid, force_x=0.0, force_y=0.0))
         self._apply(reference)

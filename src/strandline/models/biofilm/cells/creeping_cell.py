@@ -192,12 +192,11 @@ class QuasiStatic:
         return np.asarray(change * self.rate / self.cell.flow.scale * self.cell.rigid_flow)
 
 
-_NONE_FOLLOWS = ("time_step", "no state that follows from the last was found")
-
-
 def _at(error: ForwardModelError, time: float) -> ForwardModelError:
     """Return a failure that states the time it happened."""
-    kind, message = ("inverted_elements", error.message) if error.kind == "inverted_elements" else _NONE_FOLLOWS
+    kind, message = error.kind, error.message
+    if kind != "inverted_elements":
+        kind, message = "time_step", "no state that follows from the last was found"
     return ForwardModelError(kind, f"{message}, after {time:.4g} s", {**error.evidence, "time": time})
 
 

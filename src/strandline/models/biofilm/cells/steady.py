@@ -204,18 +204,11 @@ class Path:
         raise self._failure(*reason)
 
     def _fold(self, before: PathPoint, point: PathPoint, strain: Strain) -> ForwardModelError:
-        loads = _between(before, point, strain, SHARES, LOAD)
-        return self._failure(
-            "limit_point",
-            "the load path turns back: there is no steady state beyond",
-            {
-                "limit_load": max(float(loads.max()), self.reached),
-                "load_slope": 1.0 / float(strain.functional @ point.tangent),
-                "critical_strain": float(strain.functional @ point.x),
-                "critical_x": strain.place[0],
-                "critical_y": strain.place[1],
-            },
-        )
+        limit = max(float(_between(before, point, strain, SHARES, LOAD).max()), self.reached)
+        evidence = {"limit_load": limit, "load_slope": 1.0 / float(strain.functional @ point.tangent)}
+        evidence["critical_strain"] = float(strain.functional @ point.x)
+        evidence["critical_x"], evidence["critical_y"] = strain.place
+        return self._failure("limit_point", "the load path turns back: there is no steady state beyond", evidence)
 
     def _failure(self, kind: str, message: str, evidence: dict[str, float] | None = None) -> ForwardModelError:
         spent = {"load_reached": self.reached, "jacobians": float(self.jacobians)}

@@ -233,11 +233,6 @@ def _steps(course: Course) -> tuple[StepSettings, tuple[float, ...]]:
     met = {time for _, time in course.times} | {time for time, _ in course.inflow if time < end}
     times = np.array(sorted(met | {course.start})) / TIME_SCALE
     stretches = np.diff(times) if len(times) > 1 else np.ones(1)
-    settings = StepSettings(
-        FIRST_STEP * float(stretches.min()),
-        tolerance=course.tolerance,
-        largest=float(stretches.max()) / LEAST_STEPS,
-        smallest=SMALLEST_STEP,
-        floors=FLOORS,
-    )
+    first, largest = FIRST_STEP * float(stretches.min()), float(stretches.max()) / LEAST_STEPS
+    settings = StepSettings(first, course.tolerance, largest, smallest=SMALLEST_STEP, floors=FLOORS)
     return settings, tuple(times.tolist())

@@ -189,9 +189,8 @@ class Flow:
     def developed_drop(self, fluid: Fluid) -> float:
         """Return the scaled pressure drop of the empty channel at V_in = 100 mm²/s."""
         viscosity = next(fluid.values()) / VISCOSITY_SCALE
-        return (
-            (3.0 if self.channel.is_frictionless else 12.0) * viscosity * self.channel.length / self.channel.height**3
-        )
+        factor = 3.0 if self.channel.is_frictionless else 12.0
+        return factor * viscosity * self.channel.length / self.channel.height**3
 
 
 def inlet_bottom(outline: Interface, channel: Channel) -> float:

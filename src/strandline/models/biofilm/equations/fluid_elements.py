@@ -1,4 +1,4 @@
-"""Residual and Jacobian of the fluid's balances in all elements at once, differentiated by hand.
+"""Residual and Jacobian of the fluid's balances in all elements at once, by hand; at the end, fields on triangles.
 
 An element with the deformed map x(ξ) = X(ξ) + d(ξ) is integrated in the coordinates ξ of the reference triangle. With
 ∇ = ∂/∂ξ, M = ∇x, C = cof M, J = det M, g = ∇v M⁻¹ = ∇v Cᵀ/J and τ = μ (g + gᵀ) - p I, the balances of momentum and
@@ -14,7 +14,8 @@ Source of the balances: Hron and Turek, A monolithic FEM/multigrid solver for an
 interaction (2006).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -22,11 +23,11 @@ import ngsolve as ng
 import numpy as np
 from jaxtyping import Float, Int
 
-from strandline.models.biofilm.mesh.triangles import AtPoints, Numbers, Rule, map_at_rest, numbers_of, places_of
-
 ORDER = 6
 """Order of the quadrature rule: exact for all terms but the viscous one, which is rational."""
 
+AtPoints = Float[np.ndarray, "point element"]
+Numbers = Int[np.ndarray, " entry"]
 Values = Float[np.ndarray, " dof"]
 Vector = list[AtPoints]
 Tensor = list[list[AtPoints]]
@@ -93,8 +94,7 @@ class FluidElements:
         mass = [(self._p[0], columns) for columns in (*self._v, *self._d)]
         few = self._loading
         loads = [(rows[:, few], columns[:, few]) for rows in self._d for columns in unknowns]
-        pairs = [places_of(rows, columns) for rows, columns in (*momentum, *mass, *loads)]
-        return np.concatenate([rows for rows, _ in pairs]), np.concatenate([columns for _, columns in pairs])
+        return placed([*momentum, *mass, *loads])
 
     @cached_property
     def _rows(self) -> Numbers:
@@ -171,3 +171,96 @@ class _Fields:
 
 def _cofactor(A: Tensor) -> Tensor:
     return [[A[1][1], -A[1][0]], [-A[0][1], A[0][0]]]
+
+
+@dataclass(frozen=True, eq=False)
+class Rule:
+    """Constant matrices, in the coordinates of the reference triangle, for quadratic and linear fields.
+
+    They give fields at the points from coefficients, and integrals over an element from values there.
+
+    Args:
+        number: Number of points.
+        velocity: Value and slopes of a quadratic field, (3 point, 6).
+        pressure: Value of a linear field, (point, 3).
+        momentum: Integrals of values and slopes of the quadratic test functions, (6, 3 point).
+        mass: Integrals of values of the linear test functions, (3, point).
+        by_velocity: Integrals of test times trial functions, (36, 7 point), for the coefficients in `_Fields`.
+        by_displacement: The same for slopes of the trial functions alone, (36, 6 point).
+        by_pressure: The same for slopes of the test functions and values of linear trial functions, (18, 2 point).
+        mass_by_slopes: The same for values of linear test functions and slopes of trial functions, (18, 2 point).
+        mass_by_values: The same for values of linear test and trial functions, (9, point).
+    """
+
+    number: int
+    velocity: Float[np.ndarray, "value 6"]
+    pressure: Float[np.ndarray, "point 3"]
+    momentum: Float[np.ndarray, "6 value"]
+    mass: Float[np.ndarray, "3 point"]
+    by_velocity: Float[np.ndarray, "36 coefficient"]
+    by_displacement: Float[np.ndarray, "36 fewer"]
+    by_pressure: Float[np.ndarray, "18 slope"]
+    mass_by_slopes: Float[np.ndarray, "18 slope"]
+    mass_by_values: Float[np.ndarray, "9 point"]
+
+    @property
+    def slopes(self) -> Float[np.ndarray, "slope 6"]:
+        """Slopes of a quadratic field, (2 point, 6)."""
+        return self.velocity[self.number :]
+
+    @classmethod
+    def of(cls, space: Any, rule: Any) -> "Rule":
+        """Return the matrices for the shape functions of `space` and a quadrature rule."""
+        points, weights = np.array([point[:2] for point in rule.points]), np.array(rule.weights)
+        first = ng.ElementId(ng.VOL, 0)
+        quadratic, linear = (ng.H1(space.mesh, order=order).GetFE(first) for order in (2, 1))
+        value = np.array([list(quadratic.CalcShape(x, y)) for x, y in points])
+        slope = np.array([np.array(quadratic.CalcDShape(x, y)) for x, y in points])
+        plain = np.array([list(linear.CalcShape(x, y)) for x, y in points])
+        N = np.stack([value, slope[:, :, 0], slope[:, :, 1]])
+
+        def integrals(test: Any, trial: Any) -> Any:
+            return np.einsum("aqi,bqj,q->ijabq", test, trial, weights).reshape(test.shape[2] * trial.shape[2], -1)
+
+        return cls(
+            number=len(weights),
+            velocity=N.reshape(-1, 6),
+            pressure=plain,
+            momentum=np.ascontiguousarray((N * weights[:, None]).reshape(-1, 6).T),
+            mass=np.ascontiguousarray((plain * weights[:, None]).T),
+            by_velocity=np.hstack([integrals(N[:1], N), integrals(N[1:], N[1:])]),
+            by_displacement=np.hstack([integrals(N[:1], N[1:]), integrals(N[1:], N[1:])]),
+            by_pressure=integrals(N[1:], plain[None]),
+            mass_by_slopes=integrals(plain[None], N[1:]),
+            mass_by_values=integrals(plain[None], plain[None]),
+        )
+
+
+def numbers_of(space: Any, component: int, cells: Int[np.ndarray, " element"]) -> Int[np.ndarray, "axis node element"]:
+    """Return the numbers of a field's coefficients, one block for each axis; fields 0 and 2, v and d, are quadratic."""
+    start, part = space.Range(component).start, space.components[component]
+    found = np.array([part.GetDofNrs(ng.ElementId(ng.VOL, int(cell))) for cell in cells]) + start
+    return np.ascontiguousarray(found.reshape(len(cells), -1, 6 if component in (0, 2) else 3).transpose(1, 2, 0))
+
+
+def map_at_rest(
+    mesh: Any, cells: Int[np.ndarray, " element"], rule: Any
+) -> Float[np.ndarray, "axis slope point element"]:
+    """Return ∂X/∂ξ at the points of each element."""
+
+    def slopes(cell: int) -> Float[np.ndarray, "point 2 2"]:
+        at_rest = mesh.GetTrafo(ng.ElementId(ng.VOL, cell))
+        points = [at_rest(*point.point[:2]) for point in rule]  # the map must outlive them, and they their slopes
+        return np.array([np.array(point.jacobi) for point in points])
+
+    maps = np.stack([slopes(int(cell)) for cell in cells], axis=-1)
+    return np.ascontiguousarray(maps.transpose(1, 2, 0, 3))
+
+
+def placed(
+    blocks: Sequence[tuple[Int[np.ndarray, "row element"], Int[np.ndarray, "column element"]]],
+) -> tuple[Numbers, Numbers]:
+    """Return row and column of each entry of blocks (row × column, element), of which these are the numbers."""
+    found = [np.broadcast_arrays(rows[:, None], columns[None]) for rows, columns in blocks]
+    rows, columns = (np.concatenate([pair[k].ravel() for pair in found]) for k in (0, 1))
+    return rows, columns

@@ -80,9 +80,8 @@ def add_loads(form: Any, system: Any, *, derivative_by: Any = None) -> None:
     beside_interface = {"definedonelements": fluid_beside_interface(system.mesh)}
     for load in system.loads:
         for test, where in ((w, {}), (phi, beside_interface)) if any(load.force) else ():
-            force = _or_derivative(
-                load.parameter * body_force(d, test, ng.CF(load.force)), load.parameter, derivative_by
-            )
+            loaded = load.parameter * body_force(d, test, ng.CF(load.force))
+            force = _or_derivative(loaded, load.parameter, derivative_by)
             if force is not None:
                 form += force.Compile() * ng.dx("fluid", bonus_intorder=2, **where)
         if load.boundary:

@@ -24,13 +24,10 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.models.biofilm.equations import system
-from strandline.models.biofilm.equations.fluid_elements import Entries, FluidElements, Values
-from strandline.models.biofilm.mesh.triangles import AtPoints, Numbers, places_of
+from strandline.models.biofilm.equations.fluid_elements import AtPoints, Entries, FluidElements, Numbers, Values, placed
 
 LARGEST_RATIO = 1.8
 """Largest ratio of a step to the one before, below the bound for stability, 1 + √2."""
-
-Vector = Float[np.ndarray, " unknown"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,9 +130,8 @@ class FluidInertia(FluidElements):
     def places(self) -> tuple[Numbers, Numbers]:
         few = self._loading
         blocks = [(i, self._v[i]) for i in (0, 1)] + [(i, columns) for i in (0, 1) for columns in self._d]
-        pairs = [places_of(self._v[i], columns) for i, columns in blocks]
-        pairs += [places_of(self._d[i][:, few], columns[:, few]) for i, columns in blocks]
-        return np.concatenate([rows for rows, _ in pairs]), np.concatenate([columns for _, columns in pairs])
+        loads = [(self._d[i][:, few], columns[:, few]) for i, columns in blocks]
+        return placed([*((self._v[i], columns) for i, columns in blocks), *loads])
 
     def _residual(self, state: Any, viscosity: float, density: float) -> Values:
         at = _Moving(self, state, density)
@@ -234,7 +230,7 @@ class MovingSystem(system.CoupledSystem):
         target[self._follows] = self._leads
         self.__dict__["_places"] = rows, target[columns]
 
-    def set_unknowns(self, x: Vector) -> None:
+    def set_unknowns(self, x: system.Vector) -> None:
         """Write the unknowns into the state, and the velocity on the interface that follows from them."""
         super().set_unknowns(x)
         values = self.values

@@ -19,9 +19,9 @@ import ngsolve as ng
 import numpy as np
 from jaxtyping import Float, Int
 
+from strandline.models.biofilm.equations.fluid_elements import AtPoints, Numbers, Rule, map_at_rest, numbers_of, placed
 from strandline.models.biofilm.materials.isotropic import IsotropicLaw, Jet
 from strandline.models.biofilm.materials.law import compliance, shear_modulus
-from strandline.models.biofilm.mesh.triangles import AtPoints, Numbers, Rule, map_at_rest, numbers_of, places_of
 
 ORDER = 6
 """Order of the quadrature rule, that of the symbolic forms: exact for Saint-Venant and Kirchhoff's law."""
@@ -99,8 +99,7 @@ class SolidElements:
     def places(self) -> tuple[Numbers, Numbers]:
         """Return row and column of each entry of `jacobian`."""
         unknowns = (*self._d, self._p)
-        found = [places_of(rows, columns) for rows in unknowns for columns in unknowns]
-        return np.concatenate([rows for rows, _ in found]), np.concatenate([columns for _, columns in found])
+        return placed([(rows, columns) for rows in unknowns for columns in unknowns])
 
     @cached_property
     def _rows(self) -> Numbers:

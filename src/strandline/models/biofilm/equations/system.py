@@ -19,13 +19,11 @@ from scipy.sparse import csr_array
 
 from strandline.foundations import ForwardModelError
 from strandline.models.biofilm.equations import forms
-from strandline.models.biofilm.equations.fluid_elements import Entries, FluidElements, Values
+from strandline.models.biofilm.equations.fluid_elements import Entries, FluidElements, Numbers, Values
 from strandline.models.biofilm.equations.memory import Memory
 from strandline.models.biofilm.equations.solid_elements import SolidElements
 from strandline.models.biofilm.linear import Factorisation, Vector
 from strandline.models.biofilm.materials import LAWS, IsotropicLaw, Law, further_parameters, typical_value
-
-Numbers = Int[np.ndarray, " entry"]
 
 
 @runtime_checkable
@@ -103,18 +101,16 @@ class Pattern:
 
         def codes(at: tuple[Numbers, Numbers], kept: Bool[np.ndarray, " entry"]) -> Numbers:
             """Return a number for each place in the reduced matrix; -1 for entries that are left out."""
-            rows, columns = (number[part] for part in at)
-            return np.where(kept & (rows >= 0) & (columns >= 0), rows * count + columns, -1)
+            row, column = (number[part] for part in at)
+            return np.where(kept & (row >= 0) & (column >= 0), row * count + column, -1)
 
         fixed = constant.tocoo()
         of_parts = codes(places, ~is_constant[places[0]])
         of_constants = codes((np.flatnonzero(is_constant)[fixed.row], fixed.col), fixed.data != 0.0)
         distinct = np.unique(np.concatenate([of_parts[used], of_constants]))
         distinct = distinct[distinct >= 0]
-        ones = np.ones(len(distinct))
-        matrix = la.SparseMatrixd.CreateFromCOO(
-            (distinct // count).tolist(), (distinct % count).tolist(), ones.tolist(), count, count
-        )
+        rows, columns = (part.tolist() for part in np.divmod(distinct, count))
+        matrix = la.SparseMatrixd.CreateFromCOO(rows, columns, [1.0] * len(distinct), count, count)
         found = np.minimum(np.searchsorted(distinct, of_parts), len(distinct) - 1)
         slots = np.where(distinct[found] == of_parts, found, len(distinct))
         kept, constants = of_constants >= 0, np.zeros(len(distinct))
@@ -169,7 +165,7 @@ class CoupledSystem:
     ) -> None:
         self.mesh, self.solids = mesh, solids
         self.memory = Memory(mesh) if remembers else None
-        starts = (1.0, 0.25, *(typical_value(item) for item in further_parameters(law)))
+        starts = (1.0, 0.25, *map(typical_value, further_parameters(law)))
         self.material = tuple(tuple(ng.Parameter(start) for _ in solids) for start in starts)
         self.space = _spaces(mesh, boundaries, self.ORDER, solids)
         self.state = ng.GridFunction(self.space)
@@ -270,7 +266,7 @@ class CoupledSystem:
         return self._entries
 
     @cached_property
-    def _places(self) -> tuple[Int[np.ndarray, " entry"], Int[np.ndarray, " entry"]]:
+    def _places(self) -> tuple[Numbers, Numbers]:
         """Row and column of each entry that `_assemble` returns."""
         places = [part.places() for part in self._parts]
         return np.concatenate([rows for rows, _ in places]), np.concatenate([columns for _, columns in places])
@@ -281,7 +277,7 @@ class CoupledSystem:
         kept = np.array(self.values)
         material = [[p.Get() for p in group] for group in self.material]
         self.values[:] = np.random.default_rng(0).uniform(-1e-3, 1e-3, len(kept))
-        generic = (1.0, 0.23, *(typical_value(item) for item in further_parameters(self.law)))
+        generic = (1.0, 0.23, *map(typical_value, further_parameters(self.law)))
         self.set_material(*([value] * len(self.solids) for value in generic))
         used = self._assemble() != 0.0
         pattern = Pattern.find(self._places, used, self._motion, self.is_motion, self.free)
@@ -292,18 +288,20 @@ class CoupledSystem:
 
 def _spaces(mesh: Any, names: BoundaryNames, order: int, solids: tuple[str, ...]) -> Any:
     """Return v × p × d × pₛ: the solid's pressure jumps between regions of different stiffness, so each has its own."""
-    stuck = "|".join([names.no_slip, names.inlet, "interface"])
-    velocity = ng.VectorH1(
-        mesh, order=order, definedon="fluid", dirichlet=stuck, dirichlety=names.vertical_velocity_zero
-    )
+    stuck, level = "|".join([names.no_slip, names.inlet, "interface"]), names.vertical_velocity_zero
+    velocity = ng.VectorH1(mesh, order=order, definedon="fluid", dirichlet=stuck, dirichlety=level)
     displacement = ng.VectorH1(mesh, order=order, dirichlet=names.fixed, dirichlety=names.sliding)
     pressure, *solid_pressures = (ng.H1(mesh, order=order - 1, definedon=region) for region in ("fluid", *solids))
     return ng.FESpace([velocity, pressure, displacement, *solid_pressures])
 
 
+def _cells(mesh: Any, region: str) -> Int[np.ndarray, " element"]:
+    return np.array([element.nr for element in mesh.Elements(ng.VOL) if element.mat == region], dtype=int)
+
+
 def fluid_cells(mesh: Any) -> tuple[Int[np.ndarray, " element"], Int[np.ndarray, " marked"]]:
     """Return the numbers of the fluid's elements, and which of these touch the interface."""
-    cells = np.array([element.nr for element in mesh.Elements(ng.VOL) if element.mat == "fluid"], dtype=int)
+    cells = _cells(mesh, "fluid")
     beside = np.array([bool(bit) for bit in forms.fluid_beside_interface(mesh)], dtype=bool)
     return cells, np.flatnonzero(beside[cells])
 
@@ -312,10 +310,7 @@ def _solid_elements(system: CoupledSystem) -> SolidElements | None:
     """Return the solid's elements, unless there are none, or its stress is no function of the present strain alone."""
     if not isinstance(system.law, IsotropicLaw) or system.memory is not None or not system.solids:
         return None
-    cells = [
-        np.array([element.nr for element in system.mesh.Elements(ng.VOL) if element.mat == region], dtype=int)
-        for region in system.solids
-    ]
+    cells = [_cells(system.mesh, region) for region in system.solids]
     return SolidElements(system.space, system.law, cells, material=system.material, body_force=system.body_force)
 
 

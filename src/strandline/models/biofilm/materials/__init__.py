@@ -22,15 +22,9 @@ from strandline.models.biofilm.materials.law import (
 from strandline.models.protocol import ModelInput
 
 __all__ = [
-    "LAWS",
-    "IsotropicLaw",
-    "Law",
-    "MixedStress",
-    "deformation_gradient",
-    "further_parameters",
-    "law_named",
+    "LAWS", "IsotropicLaw", "Law", "MixedStress", "deformation_gradient", "further_parameters", "law_named",
     "typical_value",
-]
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -138,12 +132,10 @@ def law_named(name: str) -> Law:
     law: Any = _made(name, found) if isinstance(found, type) else found
     parameters = further_parameters(law) if callable(law) else ()
     if not callable(law) or not all(_is_parameter(item) for item in parameters):
-        raise _refused(
-            name,
-            ", ".join(str(getattr(item, "name", repr(item))) for item in parameters) if callable(law) else law,
-            "an IsotropicLaw or a function of NGSolve forms; `parameters`, if any, are a tuple of ModelInput in Pa or "
-            "of unit 1, whose names are words without digits, not E, nu or V_in",
-        )
+        found = ", ".join(str(getattr(item, "name", repr(item))) for item in parameters) if callable(law) else law
+        expected = "an IsotropicLaw or a function of NGSolve forms; `parameters`, if any, are a tuple of ModelInput in "
+        expected += "Pa or of unit 1, whose names are words without digits, not E, nu or V_in"
+        raise _refused(name, found, expected)
     if isinstance(law, IsotropicLaw) and (wrong := flaw(law)):
         raise _refused(name, wrong, "coefficients of a solid without stress at rest, with E and nu at small strains")
     return cast(Law, law)
@@ -162,9 +154,6 @@ def _refused(name: str, value: Any, expected: str) -> InvalidInput:
 
 
 def _is_parameter(item: object) -> bool:
-    return (
-        isinstance(item, ModelInput)
-        and item.unit in ("1", "Pa")
-        and re.fullmatch("[A-Za-z_]+", item.name) is not None
-        and item.name not in ("E", "nu", "V_in")
-    )
+    if not isinstance(item, ModelInput) or item.unit not in ("1", "Pa") or item.name in ("E", "nu", "V_in"):
+        return False
+    return re.fullmatch("[A-Za-z_]+", item.name) is not None

@@ -184,12 +184,9 @@ class Subdivision:
     def rename(self, names: list[str], markers: tuple[Point, ...], prefix: str) -> list[str]:
         """Name the polygons prefix1, prefix2, … by the marker that lies in each."""
         if len(markers) != len(names):
-            raise unfit(
-                "markers of the partition",
-                f"{len(markers)} markers",
-                f"{len(names)}, one in each part that the lines make of this outline",
-                "Add or remove markers, or correct the lines. `three_parts` is made for the study's outline.",
-            )
+            expected = f"{len(names)}, one in each part that the lines make of this outline"
+            remedy = "Add or remove markers, or correct the lines. `three_parts` is made for the study's outline."
+            raise unfit("markers of the partition", f"{len(markers)} markers", expected, remedy)
         found = [[name for name in names if self.contains(name, marker)] for marker in markers]
         for marker, inside in zip(markers, found, strict=True):
             if len(inside) != 1 or found.count(inside) > 1:
@@ -281,10 +278,8 @@ def subdivide(
     before, after = ([c] if c not in of_solid else [] for c in (origin, right))
     fluid = [*before, *along, *after, top_right, top_left]
     solids = [list(reversed(along[body])) for body in bodies(interface.points)]
+    solids[-1] = [*(c for c in of_solid if c == right), *solids[-1]]
     solids[0] = [*(c for c in of_solid if c == origin), *solids[0]]
-    solids[-1] = (
-        [*(c for c in of_solid if c == right), *solids[-1]] if len(solids) > 1 else [*of_solid, *reversed(along)]
-    )
     names = ["solid", *(f"solid@{k}" for k in range(2, len(solids) + 1))]
     figure = Subdivision([*outline, *corners], {FLUID: fluid} | dict(zip(names, solids, strict=True)))
     parts = names
@@ -322,13 +317,10 @@ def mesh_flow_cell(
     ids = [geometry.AppendPoint(x, y) for x, y in figure.vertices]
     for edge in sorted(figure.edges(), key=lambda e: _place(e, figure, channel)):
         name = _name(edge, figure, channel, clamped)
-        geometry.Append(
-            ["line", ids[edge.start], ids[edge.end]],
-            leftdomain=number[edge.left],
-            rightdomain=number[edge.right] if edge.right else 0,
-            bc=name,
-            maxh=along[min(edge.start, edge.end)] if name == "interface" else _size(name, size),
-        )
+        largest = 2 * size.interface if name in ("base", "loose", "inner") else size.far
+        largest = along[min(edge.start, edge.end)] if name == "interface" else largest
+        sides = {"leftdomain": number[edge.left], "rightdomain": number[edge.right] if edge.right else 0}
+        geometry.Append(["line", ids[edge.start], ids[edge.end]], bc=name, maxh=largest, **sides)
     for name, k in number.items():
         geometry.SetMaterial(k, name.partition("@")[0])
     parameters = MeshingParameters(maxh=size.far, grading=size.grading)
@@ -365,8 +357,3 @@ def _name(edge: PolygonEdge, figure: Subdivision, channel: Channel, clamped: Pai
         return "side"
     at_left = x0 == x1 == 0
     return "inlet" if at_left == (channel.inlet == "left") else "outlet"
-
-
-def _size(name: str, size: MeshSize) -> float:
-    """Return the largest element edge off the interface."""
-    return 2 * size.interface if name in ("base", "loose", "inner") else size.far

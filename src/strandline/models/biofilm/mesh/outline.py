@@ -19,20 +19,9 @@ ON_WALL = 1e-9
 
 Pairs = tuple[tuple[float, float], ...]
 CONTROL_POINTS = (
-    (0.540, 0.000),
-    (0.582, 0.085),
-    (0.582, 0.190),
-    (0.598, 0.304),
-    (0.672, 0.408),
-    (0.803, 0.465),
-    (0.950, 0.465),
-    (1.092, 0.428),
-    (1.202, 0.347),
-    (1.244, 0.238),
-    (1.254, 0.133),
-    (1.302, 0.052),
-    (1.391, 0.000),
-)
+    (0.540, 0.000), (0.582, 0.085), (0.582, 0.190), (0.598, 0.304), (0.672, 0.408), (0.803, 0.465), (0.950, 0.465),
+    (1.092, 0.428), (1.202, 0.347), (1.244, 0.238), (1.254, 0.133), (1.302, 0.052), (1.391, 0.000),
+)  # fmt: skip
 """Points (x, y) in mm from the upstream to the downstream foot; the outline of the study is not published in text."""
 NODES = 66
 """Interface nodes of the study (its n_in)."""
@@ -107,13 +96,10 @@ def check_inside(points: Sequence[tuple[float, float]] | Float[np.ndarray, "poin
     inner = inner[~_between_bodies(inner, channel)]
     inside = (inner[:, 0] > 0) & (inner[:, 0] < channel.length) & (inner[:, 1] > 0) & (inner[:, 1] < channel.height)
     if not inside.all():
-        raise unfit(
-            "outline outside the channel",
-            _place(inner[np.argmin(inside)]),
-            f"points inside [0, {channel.length:g}] × [0, {channel.height:g}] mm",
-            "Correct the point or the channel. A spline may overshoot: add points, or `spline: false`. Two bodies need"
-            " two neighbouring points on the floor between them.",
-        )
+        expected = f"points inside [0, {channel.length:g}] × [0, {channel.height:g}] mm"
+        remedy = "Correct the point or the channel. A spline may overshoot: add points, or `spline: false`."
+        remedy += " Two bodies need two neighbouring points on the floor between them."
+        raise unfit("outline outside the channel", _place(inner[np.argmin(inside)]), expected, remedy)
 
 
 def _between_bodies(inner: Float[np.ndarray, "point 2"], channel: Channel) -> Bool[np.ndarray, " point"]:
