@@ -22,12 +22,4 @@ if TYPE_CHECKING:
 else:
     __getattr__ = door(__name__, __file__)
 
-__all__ = [
-    "FIGURES",
-    "PANELS",
-    "add_check",
-    "remove_report",
-    "template",
-    "write_answer",
-    "write_report",
-]
+__all__ = ["FIGURES", "PANELS", "add_check", "remove_report", "template", "write_answer", "write_report"]

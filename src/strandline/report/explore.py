@@ -59,10 +59,8 @@ def conditions_as_json(
     rest = undeformed_interface(model)
     flat = None if rest is None or rest.dim != 2 else _few(outline(rest), MOST_POINTS)
     shown = {name: None if seen is None else _few(outline(seen), MOST_OBSERVED) for name, seen in observed.items()}
-    return [
-        {"name": name, "observed": line, "undeformed": flat, "picture": pictures.get(name)}
-        for name, line in shown.items()
-    ]
+    own = {name: {"name": name, "observed": line, "undeformed": flat} for name, line in shown.items()}
+    return [{**one, "picture": pictures.get(name)} for name, one in own.items()]
 
 
 def by_name(space: ParameterSpace, values: Float[np.ndarray, " dim"]) -> dict[str, float | None]:
@@ -277,11 +275,6 @@ def _bands(calibration: Calibration, draws: Float[np.ndarray, "draw dim"]) -> di
         prediction = by_runs(calibration.training, good, values, *known)
     if prediction.run_alone:
         return {}
-    few = np.random.default_rng(0).permutation(draws)[:BAND_DRAWS]
-    return {
-        name: {
-            "line": _few(one["line"], MOST_POINTS),
-            "band": None if one["band"] is None else _few(one["band"], 2 * MOST_POINTS),
-        }
-        for name, one in predictive_band(prediction, calibration.posterior.mean, few).items()
-    }
+    few, most = np.random.default_rng(0).permutation(draws)[:BAND_DRAWS], {"line": MOST_POINTS, "band": 2 * MOST_POINTS}
+    drawn = predictive_band(prediction, calibration.posterior.mean, few).items()
+    return {name: {part: line and _few(line, most[part]) for part, line in one.items()} for name, one in drawn}

@@ -168,12 +168,9 @@ def failed_runs(calibration: Calibration) -> Iterator[Captioned]:
 
 def _sampler(calibration: Calibration) -> Iterator[Captioned]:
     steps, halves = calibration.sampling.steps, calibration.sampling.halves
-    figure = plots.plot_tempering(
-        [s.temperature for s in steps],
-        [s.ess for s in steps],
-        [s.acceptance for s in steps],
-        particles=calibration.settings.particles if halves is None else len(halves[0].positions),
-    )
+    course = ([getattr(step, name) for step in steps] for name in ("temperature", "ess", "acceptance"))
+    particles = calibration.settings.particles if halves is None else len(halves[0].positions)
+    figure = plots.plot_tempering(*course, particles=particles)
     yield Captioned.of("tempering", "sampler", figure, halves=halves is not None)
 
 
@@ -273,15 +270,10 @@ def _grid(
     space = calibration.problem.space
     x, y = (np.linspace(*interval, GRID) for interval in part or [parameter.interval for parameter in space])
     points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-    return plots.FieldGrid(
-        x=space.parameters[0],
-        y=space.parameters[1],
-        x_values=x,
-        y_values=y,
-        values=np.asarray(function(points)).reshape(GRID, GRID),
-        failed=_failed(calibration),
-        truth=None if truth is None else np.array([truth[name] for name in space.names]),
-    )
+    values = np.asarray(function(points)).reshape(GRID, GRID)
+    at = None if truth is None else np.array([truth[name] for name in space.names])
+    across, up = space
+    return plots.FieldGrid(across, up, x, y, values, failed=_failed(calibration), truth=at)
 
 
 def _failed(calibration: Calibration) -> Float[np.ndarray, "run dim"]:
@@ -322,14 +314,11 @@ def _history(calibration: Calibration, found: FieldOutcome, truth: Mapping[str, 
     steps, space = () if found.certificate is None else found.certificate.steps, calibration.problem.space
     if len(steps) < 2:
         return
-    figure = plots.plot_run_history(
-        np.array([step.runs for step in steps], float),
-        np.array([step.mean for step in steps]),
-        np.array([step.sd for step in steps]),
-        [parameter.figure_label() for parameter in space],
-        checked=np.array([step.kind == "check" for step in steps]),
-        truth=None if truth is None else [truth[name] for name in space.names],
-    )
+    runs, mean, sd = (np.array([getattr(step, name) for step in steps], float) for name in ("runs", "mean", "sd"))
+    labels = [parameter.figure_label() for parameter in space]
+    checked = np.array([step.kind == "check" for step in steps])
+    at = None if truth is None else [truth[name] for name in space.names]
+    figure = plots.plot_run_history(runs, mean, sd, labels, checked=checked, truth=at)
     yield Captioned.of("run_history", "certificate", figure)
 
 

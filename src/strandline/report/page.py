@@ -16,7 +16,7 @@ from PIL import Image
 
 from strandline.calibration import Calibration
 from strandline.design import KINDS
-from strandline.foundations import InvalidInput
+from strandline.foundations import unfit
 from strandline.imaging import Clicks, as_json
 from strandline.report import plots
 from strandline.report.explore import explore
@@ -84,17 +84,10 @@ def write_report(
     shown = _all_saved(groups, folder / FIGURES, note, draft=calibration.settings.draft)
     shown = fitted(shown, MOST_CHARACTERS - TEXT - (section["size"] if section else 0))
     picture = next((item for item in shown if item["name"] == "check"), None)
-    page = template("report.html.j2").render(
-        s=_without_bad_comparison({**summary, "warnings": [*failed, *summary["warnings"]]}),
-        figures=[item for item in shown if item is not picture],
-        study_text=study_text,
-        methods=methods_paragraph(summary),
-        fit=calibration.settings.fit,
-        check=check,
-        picture=picture,
-        explore=section,
-        batch_kinds=KINDS,
-    )
+    content = _without_bad_comparison({**summary, "warnings": [*failed, *summary["warnings"]]})
+    texts = {"study_text": study_text, "methods": methods_paragraph(summary), "batch_kinds": KINDS}
+    parts = {"figures": [item for item in shown if item is not picture], "picture": picture, "explore": section}
+    page = template("report.html.j2").render(s=content, **texts, **parts, fit=calibration.settings.fit, check=check)
     return save_page(folder / FILE_NAME, page)
 
 
@@ -204,7 +197,7 @@ def click_page(
     }
     folder = Path(__file__).parent / "templates" / "clicks"
     script = '\n"use strict";\n' + "\n".join((folder / part).read_text(encoding="utf-8") for part in SCRIPTS)
-    own = {"given": embedded(given), "script": Markup(script), "script_hash": Markup(script_hash(script))}
+    own = {"given": embedded(given), "script": Markup(script), "policy": Markup(f"'{script_hash(script)}'")}
     return str(template("clicks.html.j2").render(**given, **own))
 
 
@@ -222,21 +215,17 @@ def for_screen(values: Float[np.ndarray, "row column"], *, most_pixels: int = MO
 
 def _shaded(values: Float[np.ndarray, "row column"]) -> Float[np.ndarray, "row column"]:
     """Return brightness from 0 to 1, single precision."""
-    sample = values[:: max(1, math.isqrt(values.size // SAMPLED)), :: max(1, math.isqrt(values.size // SAMPLED))]
+    step = max(1, math.isqrt(values.size // SAMPLED))
+    sample = values[::step, ::step]
     finite = sample[np.isfinite(sample)]
     if finite.size == 0:
-        raise InvalidInput(
-            "values of the picture",
-            value=f"{values.shape[1]} × {values.shape[0]} px without a finite value",
-            expected="numbers",
-            remedy="Look at the picture, its page and its scale.",
-        )
+        found = f"{values.shape[1]} × {values.shape[0]} px without a finite value"
+        raise unfit("values of the picture", found, "numbers", "Look at the picture, its page and its scale.")
     low, middle, high = np.percentile(finite, [ENDS[0], 50, ENDS[1]])
     if not high > low:
         low, high = float(finite.min()), float(finite.max())
-    range_ = (high - low) or 1.0
-    brightness = np.clip((values - low) / range_, 0.0, 1.0).astype(np.float32)
-    median = (middle - low) / range_
+    reach = (high - low) or 1.0
+    brightness, median = np.clip((values - low) / reach, 0.0, 1.0).astype(np.float32), (middle - low) / reach
     if 0 < median < DARK:
         brightness **= max(BRIGHTEST_POWER, math.log(3 * DARK) / math.log(median))
     return np.asarray(np.nan_to_num(brightness, copy=False))

@@ -12,7 +12,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
-from strandline.foundations import InvalidInput
+from strandline.foundations import unfit
 from strandline.interface import Interface
 from strandline.posterior import Offsets
 from strandline.report.plots import style
@@ -41,12 +41,12 @@ def plot_interfaces(
     lines = sum(label.count("\n") + 1 for label in labels.values()) if long else 0
     ax = ax or style.new_axes(style.DOUBLE, 3.9 + 0.14 * lines)
     if reference is not None:
-        _draw(ax, reference, style.GREY, "undeformed", width=1.2, dashes=(0, (4, 2)))
+        _draw(ax, reference, "undeformed", color=style.GREY, linewidth=1.2, linestyle=(0, (4, 2)))
     if observed is not None:
-        _draw(ax, observed, style.GREEN, "observed", width=3.5)
+        _draw(ax, observed, "observed", color=style.GREEN, linewidth=3.5)
     for k, (label, interface) in enumerate((simulated or {}).items()):
         colour, dashes = (style.BLACK, *style.CYCLE)[k % 6], (*style.DASHES, "-")[k % 6]
-        _draw(ax, interface, colour, labels[label], width=1.2, dashes=dashes)
+        _draw(ax, interface, labels[label], color=colour, linewidth=1.2, linestyle=dashes)
     ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
     width, height = ax.dataLim.size
     if 0 < height < _FLAT * width:
@@ -86,25 +86,13 @@ def _wrapped(label: str) -> str:
     return "\n".join(textwrap.wrap(label.replace(" = ", "\u00a0=\u00a0"), 2 * _HALF_LINE))
 
 
-def _draw(
-    ax: Axes,
-    interface: Interface,
-    colour: str,
-    label: str,
-    *,
-    width: float,
-    dashes: str | tuple[int, tuple[int, ...]] = "-",
-) -> None:
+def _draw(ax: Axes, interface: Interface, label: str, **look: Any) -> None:
     if interface.dim != 2:
-        raise InvalidInput(
-            f"interface '{label}'",
-            value=f"{interface.dim} coordinates a point",
-            expected="a polyline in the plane",
-            remedy="Cut the surface by a plane first.",
-        )
+        found, remedy = f"{interface.dim} coordinates a point", "Cut the surface by a plane first."
+        raise unfit(f"interface '{label}'", found, "a polyline in the plane", remedy)
     ends = interface.points[interface.cells[:, 1]]
     chain = np.concatenate([interface.points[interface.cells[:1, 0]], ends])
-    ax.plot(*chain.T, color=colour, linewidth=width, linestyle=dashes, label=label)
+    ax.plot(*chain.T, label=label, **look)
 
 
 @style.drawn(style.DOUBLE, 3.2)
@@ -155,6 +143,9 @@ def plot_residuals(residuals: Mapping[str, ResidualsAlong]) -> Figure:
     return figure
 
 
+Nodal = Float[np.ndarray, " point"]
+
+
 @style.drawn()
 def plot_flow(fields: Any, *, title: str = "") -> Figure:
     """Draw speed and pressure in the fluid and displacement magnitude in the solid, one below the other.
@@ -163,8 +154,7 @@ def plot_flow(fields: Any, *, title: str = "") -> Figure:
     `strandline.models.biofilm.cells.fields.FlowFields`.
     """
     figure = style.new_figure(style.SINGLE, 5.4)
-    speed = np.linalg.norm(fields.velocity, axis=1)
-    length = np.linalg.norm(fields.displacement, axis=1)
+    speed, length = (np.linalg.norm(field, axis=1) for field in (fields.velocity, fields.displacement))
     fluid, solid = fields.cell_part == 0, fields.cell_part > 0
     panels = figure.subplots(3, 1, sharex=True, sharey=True)
     _panel(panels[0], fields, speed, fluid, "velocity magnitude [mm/s]", "viridis")
@@ -186,14 +176,7 @@ def _edges(triangles: Int[np.ndarray, "cell 3"]) -> set[tuple[int, int]]:
     return set(map(tuple, pairs.tolist()))
 
 
-def _panel(
-    ax: Axes,
-    fields: Any,
-    values: Float[np.ndarray, " point"],
-    cells: Bool[np.ndarray, " cell"],
-    label: str,
-    colours: str,
-) -> None:
+def _panel(ax: Axes, fields: Any, values: Nodal, cells: Bool[np.ndarray, " cell"], label: str, colours: str) -> None:
     """Draw nodal `values` on the chosen cells; the others stay pale grey."""
     x, y = fields.points.T
     others = fields.triangles[~cells]

@@ -1,7 +1,7 @@
 """Joint marginal of two inputs with all that the study draws into it (Figs. 9, 14), particles, marginals (9, 13)."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -53,11 +53,17 @@ def plot_joint(
     pair = (posterior.space.names.index(names[0]), posterior.space.names.index(names[1]))
     values, mean = posterior.columns(names), posterior.mean
     main, top, right = _layout(figure)
+
+    def ellipses(gaussian: GaussianApproximation, colour: str, label: str) -> None:
+        look: Any = {"color": colour, "linewidth": 1.2, "label": label, "scalex": False, "scaley": False}
+        for p in percentiles:
+            main.plot(*gaussian.ellipse(p, pair=pair).T, **look)
+
     plot_hexagons(posterior, names, percentiles=percentiles, bins=bins, colour_bar=False, ax=main)
-    _ellipses(main, GaussianApproximation(mean, posterior.covariance), pair, percentiles, style.ORANGE, "Gaussian")
+    ellipses(GaussianApproximation(mean, posterior.covariance), style.ORANGE, "Gaussian")
     style.mark(main, mean[list(pair)], style.ORANGE, "mean")
     if laplace is not None and laplace.definite:
-        _ellipses(main, laplace.gaussian, pair, percentiles, style.GREEN, "Laplace")
+        ellipses(laplace.gaussian, style.GREEN, "Laplace")
     if posterior.space.dim == 2:
         style.mark(main, posterior.map_estimate[list(pair)], style.GREEN, "MAP")
     else:
@@ -116,12 +122,10 @@ def _layout(figure: Figure) -> tuple[Axes, Axes, Axes]:
     return main, top, right
 
 
-def smoothed(
-    posterior: Posterior, names: tuple[str, str], masses: Sequence[float], most: int
-) -> (
-    tuple[Float[np.ndarray, " x"], Float[np.ndarray, " y"], Float[np.ndarray, "y x"], Float[np.ndarray, " level"]]
-    | None
-):
+Smoothed = tuple[Float[np.ndarray, " x"], Float[np.ndarray, " y"], Float[np.ndarray, "y x"], Float[np.ndarray, " n"]]
+
+
+def smoothed(posterior: Posterior, names: tuple[str, str], masses: Sequence[float], most: int) -> Smoothed | None:
     """Return a grid over the shown parts of two inputs, a kernel density estimate on it, and its levels, ascending,
     whose contours enclose these probabilities; None for draws on a line, which have no density in the plane.
 
@@ -139,19 +143,6 @@ def smoothed(
     x, y = (np.linspace(*axis_limits(posterior, name), GRID) for name in names)
     density = estimate.density(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)).reshape(GRID, GRID)
     return x, y, density, np.unique(estimate.percentile_levels(masses))
-
-
-def _ellipses(
-    ax: Axes,
-    gaussian: GaussianApproximation,
-    pair: tuple[int, int],
-    percentiles: Sequence[float],
-    colour: str,
-    label: str,
-) -> None:
-    for p in percentiles:
-        curve = gaussian.ellipse(p, pair=pair)
-        ax.plot(*curve.T, color=colour, linewidth=1.2, label=label, scalex=False, scaley=False)
 
 
 def _legend(figure: Figure, main: Axes, top: Axes, percentiles: Sequence[float], note: str) -> None:
@@ -250,10 +241,8 @@ def draw_marginal(
     """Draw histogram, kernel density estimate and prior of one input; `upright` puts the input on the y axis."""
     inside = (values >= shown[0]) & (values <= shown[1])
     bars = histogram(values[inside], weights[inside], bounds=shown, bins=bins)
-    orientation: Literal["horizontal", "vertical"] = "horizontal" if upright else "vertical"
-    ax.stairs(
-        bars.density, bars.edges, fill=True, color=style.SKY, alpha=0.7, orientation=orientation, label="particles"
-    )
+    look: Any = {"color": style.SKY, "alpha": 0.7, "orientation": "horizontal" if upright else "vertical"}
+    ax.stairs(bars.density, bars.edges, fill=True, label="particles", **look)
     grid = np.linspace(*shown, 301)
     prior = np.exp(np.asarray(parameter.truncated_prior.log_density(grid)))
     prior = np.where(np.isfinite(prior), prior, np.nan)

@@ -15,18 +15,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from strandline.foundations import InvalidInput
+from strandline.foundations import unfit
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior
-from strandline.report.plots import style
-from strandline.report.plots.joint import (
-    axis_limits,
-    plot_hexagons,
-    plot_marginal,
-    plot_marginals,
-    plot_particles,
-    smoothed,
-)
+from strandline.report.plots import joint, style
 
 MASSES = (0.68, 0.95)
 """Probabilities of the two regions."""
@@ -54,7 +46,7 @@ def plot_corner(
             ax.remove()
             continue
         if row == column:
-            plot_marginal(posterior, up, truth=(truth or {}).get(up), legend=False, ax=ax)
+            joint.plot_marginal(posterior, up, truth=(truth or {}).get(up), legend=False, ax=ax)
             ax.set(yticks=[])
         else:
             _regions(ax, posterior, (across, up), truth or {})
@@ -73,7 +65,7 @@ def plot_corner(
 
 def _regions(ax: Axes, posterior: Posterior, pair: tuple[str, str], truth: Mapping[str, float]) -> None:
     """Draw the smallest regions of two inputs that hold 68 and 95 %; the draws themselves if they lie on a line."""
-    found = smoothed(posterior, pair, MASSES, MOST)
+    found = joint.smoothed(posterior, pair, MASSES, MOST)
     if found is None:
         ax.plot(*posterior.columns(pair).T, ".", color=style.BLUE, markersize=2)
     else:
@@ -85,7 +77,7 @@ def _regions(ax: Axes, posterior: Posterior, pair: tuple[str, str], truth: Mappi
     for name, line in zip(pair, (ax.axvline, ax.axhline), strict=True):
         if name in truth:
             line(truth[name], color=style.BLUE, linestyle=":")
-    ax.set(xlim=axis_limits(posterior, pair[0]), ylim=axis_limits(posterior, pair[1]))
+    ax.set(xlim=joint.axis_limits(posterior, pair[0]), ylim=joint.axis_limits(posterior, pair[1]))
 
 
 @dataclass(frozen=True, repr=False)
@@ -103,19 +95,19 @@ class PosteriorPlots:
 
     def joint(self, x: str | None = None, y: str | None = None, *, ax: Any = None, **options: Any) -> Any:
         """Draw the joint density of two inputs, by default the first two; options of `plot_hexagons`."""
-        return plot_hexagons(self.posterior, self._two(x, y), ax=ax, **options)
+        return joint.plot_hexagons(self.posterior, self._two(x, y), ax=ax, **options)
 
     def particles(self, x: str | None = None, y: str | None = None, *, ax: Any = None, **options: Any) -> Any:
         """Draw the weighted particles in the plane of two inputs; options of `plot_particles`."""
-        return plot_particles(self.posterior, self._two(x, y), ax=ax, **options)
+        return joint.plot_particles(self.posterior, self._two(x, y), ax=ax, **options)
 
     def marginal(self, name: str | None = None, *, ax: Any = None, **options: Any) -> Any:
         """Draw the marginal of an input, by default the first, with its prior; options of `plot_marginal`."""
-        return plot_marginal(self.posterior, name or self.posterior.space.names[0], ax=ax, **options)
+        return joint.plot_marginal(self.posterior, name or self.posterior.space.names[0], ax=ax, **options)
 
     def marginals(self, **options: Any) -> Any:
         """Draw the marginals of all inputs; options of `plot_marginals`."""
-        return plot_marginals(self.posterior, **self._known(options))
+        return joint.plot_marginals(self.posterior, **self._known(options))
 
     def _known(self, options: dict[str, Any]) -> dict[str, Any]:
         """Return the options; refuse a truth of inputs that the posterior does not have."""
@@ -126,12 +118,8 @@ class PosteriorPlots:
     def _two(self, x: str | None, y: str | None) -> tuple[str, str]:
         names = self.posterior.space.names
         if len(names) < 2:
-            raise InvalidInput(
-                "joint density of two inputs",
-                value=f"a posterior of {names[0]} alone",
-                expected="a posterior of two inputs or more",
-                remedy="Draw .plot.marginal() instead.",
-            )
+            found, expected = f"a posterior of {names[0]} alone", "a posterior of two inputs or more"
+            raise unfit("joint density of two inputs", found, expected, "Draw .plot.marginal() instead.")
         first = x or next(name for name in names if name != y)
         return first, y or next(name for name in names if name != first)
 
@@ -169,10 +157,8 @@ def plot_parallel(posterior: Posterior, *, truth: Mapping[str, float] | None = N
         if name in ends:
             a, b = ends[name]
             label = "ground truth" if not ax.get_legend_handles_labels()[1] else None
-            ax.plot(
-                [order.index(name)], [(value - a) / (b - a)], "o", color="white", markeredgecolor=style.BLUE,
-                markeredgewidth=2.0, markersize=7, zorder=6, label=label, clip_on=False,
-            )  # fmt: skip
+            dot: Any = {"color": "white", "markeredgecolor": style.BLUE, "markeredgewidth": 2.0, "markersize": 7}
+            ax.plot([order.index(name)], [(value - a) / (b - a)], "o", zorder=6, label=label, clip_on=False, **dot)
     ax.figure.colorbar(ScalarMappable(norm, "turbo"), ax=ax, label=DENSITY, extend="min", pad=0.02, aspect=30)
     if ax.get_legend_handles_labels()[0]:
         ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0))

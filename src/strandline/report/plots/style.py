@@ -16,11 +16,11 @@ from typing import Any, ParamSpec, TypeVar
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import Float
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.legend import Legend
+from numpy.typing import ArrayLike
 from PIL import Image
 
 from strandline.report.html import said
@@ -110,15 +110,7 @@ def new_figure(width: float, height: float) -> Figure:
     return ShownFigure(figsize=(width, height), layout="constrained")
 
 
-def mark(
-    ax: Axes,
-    point: Sequence[float] | Float[np.ndarray, "2"],
-    colour: str,
-    label: str,
-    *,
-    marker: str = "x",
-    size: float = 8.0,
-) -> None:
+def mark(ax: Axes, point: ArrayLike, colour: str, label: str, *, marker: str = "x", size: float = 8.0) -> None:
     """Draw one cross (or another marker) with a white rim, above everything else."""
     rim = [patheffects.withStroke(linewidth=3.6, foreground="white")]
     look: Any = {"color": colour, "markersize": size, "markeredgewidth": 2.0, "linestyle": "none", "fillstyle": "none"}
