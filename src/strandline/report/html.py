@@ -49,14 +49,10 @@ def save_page(path: Path, page: str) -> Path:
 
 @lru_cache(maxsize=4)
 def _environment(package: str) -> Environment:
-    environment = Environment(
-        loader=ChoiceLoader([PackageLoader(package), PackageLoader("strandline.report")]),
-        autoescape=select_autoescape(disabled_extensions=["txt.j2"], default=True, default_for_string=True),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        finalize=numbers,
-    )
+    loader = ChoiceLoader([PackageLoader(package), PackageLoader("strandline.report")])
+    escape = select_autoescape(disabled_extensions=["txt.j2"], default=True, default_for_string=True)
+    options: Any = {"trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined, "finalize": numbers}
+    environment = Environment(loader=loader, autoescape=escape, **options)
     environment.filters |= {
         "g": number,
         "fixed": fixed,

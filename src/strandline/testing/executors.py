@@ -19,11 +19,10 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
-from strandline.interface import Interface
 from strandline.models import fingerprint
 from strandline.runs import NOT_NOW, Executor, RunRecord, RunRequest, run_key
 from strandline.testing import checks_of
@@ -34,11 +33,8 @@ STIFFNESS = (300.0, 400.0, 450.0, 600.0, 350.0, 420.0)
 SICK = 600.0
 
 
-@runtime_checkable
-class ExecutorCheck(Protocol):
-    """One check of the suite."""
-
-    def __call__(self, executor: Executor, *, workers: int) -> None: ...
+ExecutorCheck = Callable[..., None]
+"""One check of the suite, called with an executor and ``workers=``."""
 
 
 def requests_for(model: Any, stiffness: Sequence[float] = STIFFNESS) -> list[RunRequest]:
@@ -128,7 +124,8 @@ def check_stops_when_closed(executor: Executor, *, workers: int) -> None:
 
 def check_gives_each_run_an_empty_folder(executor: Executor, *, workers: int) -> None:
     """Files that one run leaves behind are not there in the next."""
-    states = [record.state for record in executor(*_faulty("dirty", above=0.0))]
+    model = Faulty("dirty", above=0.0)
+    states = [record.state for record in executor(model, requests_for(model))]
     assert states == ["ok"] * len(STIFFNESS), f"a run met a used folder: {states}"
 
 
@@ -204,8 +201,8 @@ def _failure_check(fault: str, state: str, kind: str, *, told: str = "") -> Exec
     """Return a check that `fault` ends the run that it hits, and no other, in `state` and `kind`."""
 
     def check(executor: Executor, *, workers: int) -> None:
-        """Run the faulty model; only the sick run may fail."""
-        model, requests = _faulty(fault)
+        model = Faulty(fault)
+        requests = requests_for(model)
         records = list(executor(model, requests))
         _require_one_each(requests, records)
         for record in records:
@@ -250,11 +247,6 @@ WAITING_CHECKS: dict[str, ExecutorCheck] = checks_of(globals(), "waiting_")
 """What an executor with ``asks_again`` must do with `NOT_NOW`."""
 
 
-def _faulty(fault: str, *, above: float = 500.0) -> tuple[Faulty, list[RunRequest]]:
-    model = Faulty(fault=fault, above=above)
-    return model, requests_for(model)
-
-
 def _noted(requests: Sequence[RunRequest], pulled: list[RunRequest]) -> Iterator[RunRequest]:
     """Yield `requests`, noting each in `pulled` as it is taken."""
     for request in requests:
@@ -263,19 +255,14 @@ def _noted(requests: Sequence[RunRequest], pulled: list[RunRequest]) -> Iterator
 
 
 def _facts(record: RunRecord) -> tuple[object, ...]:
-    shapes = [(name, *_bits(interface)) for name, interface in record.interfaces.items()]
-    slopes = [
-        (condition, name, derivative.shape, derivative.tobytes())
-        for condition, by_input in record.sensitivities.items()
-        for name, derivative in by_input.items()
-    ]
+    shapes = [(name, _bits(one.points), _bits(one.cells)) for name, one in record.interfaces.items()]
+    slopes = [(name, [(of, _bits(one)) for of, one in by.items()]) for name, by in record.sensitivities.items()]
     figures = dict(record.diagnostics)
     return record.key, dict(record.inputs), record.state, shapes, slopes, figures, record.failure_kind
 
 
-def _bits(interface: Interface) -> tuple[object, ...]:
-    points, cells = np.asarray(interface.points), np.asarray(interface.cells)
-    return points.dtype.kind, points.shape, points.tobytes(), cells.shape, cells.tobytes()
+def _bits(values: Any) -> tuple[object, ...]:
+    return np.asarray(values).dtype.kind, np.shape(values), np.asarray(values).tobytes()
 
 
 def _require_one_each(requests: Sequence[RunRequest], records: Sequence[RunRecord]) -> None:

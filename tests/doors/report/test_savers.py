@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 from tests.unit.report.test_report_figures import captioned
 
-from strandline.report.plots.style import saved
-from strandline.report.savers import Savers
+from strandline.report.plots.style import Savers, saved
 
 
 def test_processes_save_what_this_one_would(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -133,7 +133,6 @@ class Biofilm:
 
     @property
     def _drive(self) -> tuple[ModelInput, ...]:
-        """What drives the flow, if it is an input."""
         return () if self._loads else (self._driven_by,)
 
     @property

@@ -192,6 +192,4 @@ class _Search:
         """Return Deuflhard's a-priori damping factor (3.49) from the last step taken and the correction it left."""
         step, simplified = previous
         difference = self._length(simplified - correction) * self._length(correction)
-        if difference == 0.0:
-            return 1.0
-        return float(min(1.0, max(0.1, step * self._length(simplified) / difference)))
+        return 1.0 if difference == 0.0 else float(min(1.0, max(0.1, step * self._length(simplified) / difference)))

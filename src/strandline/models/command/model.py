@@ -240,7 +240,6 @@ class _Parts:
         self.exit_codes = options.exit_codes_of(model.exit_codes)
 
     def every_template(self) -> Iterator[options.InputTemplate]:
-        """Yield all texts that may contain inputs."""
         yield from (template for _, template in self.templates)
         yield from (item for command in self.commands for item in command)
         yield from self.environment.values()
@@ -306,7 +305,6 @@ def supervised(
 
 
 def _started(folder: Path, environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
-    """Return a supervisor that waits for its request."""
     command, pipe, own = [sys.executable, "-I", "-S", str(SUPERVISOR)], subprocess.PIPE, dict(environment)
     try:
         return subprocess.Popen(command, stdin=pipe, stdout=pipe, cwd=folder, env=own, start_new_session=True)

@@ -3,6 +3,7 @@
 import contextlib
 import functools
 import hashlib
+import itertools
 import math
 import os
 import shutil
@@ -209,18 +210,15 @@ def kept_folder(workdir: Path, study: Path, key: str) -> Path:
     """Move the contents of a run's folder into a new folder runs/KEY-ATTEMPT of the study, and return its path."""
     parent = study / RUNS
     parent.mkdir(exist_ok=True)
-    attempt = 1
-    while True:
-        target = parent / f"{key[:12] or 'trial'}-{attempt}"
-        try:
+    for attempt in itertools.count(1):
+        with contextlib.suppress(FileExistsError):
+            target = parent / f"{key[:12] or 'trial'}-{attempt}"
             target.mkdir()
-        except FileExistsError:
-            attempt += 1
-            continue
-        for item in workdir.iterdir():
-            with contextlib.suppress(shutil.SpecialFileError):  # a pipe or a socket, useless without its process
-                shutil.move(item, target / item.name)
-        return target
+            break
+    for item in workdir.iterdir():
+        with contextlib.suppress(shutil.SpecialFileError):  # a pipe or a socket, useless without its process
+            shutil.move(item, target / item.name)
+    return target
 
 
 @dataclass(frozen=True)

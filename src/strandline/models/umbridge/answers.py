@@ -138,7 +138,6 @@ def _inputs(model: ServedModel, asked: Mapping[str, Any]) -> Blocks:
 
 
 def _vector(values: object, size: int, what: str) -> list[float]:
-    """Return `size` finite numbers."""
     expected = f"expected a list of {size} finite number(s)"
     try:
         array = as_vector(values, size)

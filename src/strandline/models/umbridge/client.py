@@ -120,7 +120,6 @@ class Client:
         return tuple(sizes)
 
     def _vector(self, values: object, size: int, endpoint: str) -> Vector:
-        """Return `size` finite numbers."""
         try:
             array = as_vector(values, size)
         except ValueError as error:
@@ -206,7 +205,6 @@ class Client:
 
 
 def _headers() -> dict[bytes, bytes]:
-    """Return the headers of a request, with the server's secret if the environment has one."""
     token = os.environ.get(TOKEN_VARIABLE)
     secret = {b"Authorization": b"Bearer " + token.encode()} if token else {}
     return {b"Accept-Encoding": b"identity", **secret}

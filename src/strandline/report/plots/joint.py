@@ -146,7 +146,6 @@ def smoothed(posterior: Posterior, names: tuple[str, str], masses: Sequence[floa
 
 
 def _legend(figure: Figure, main: Axes, top: Axes, percentiles: Sequence[float], note: str) -> None:
-    """Put one entry for each kind of artist below the figure."""
     entries: dict[str, Any] = {f"KDE {style.percent(percentiles)}": Line2D([], [], color=style.BLACK)}
     for label, handle in style.labelled(main).items():
         entries[f"{label} {style.percent(percentiles)}" if label in ("Gaussian", "Laplace") else label] = handle

@@ -193,7 +193,6 @@ class QuasiStatic:
 
 
 def _at(error: ForwardModelError, time: float) -> ForwardModelError:
-    """Return a failure that states the time it happened."""
     kind, message = error.kind, error.message
     if kind != "inverted_elements":
         kind, message = "time_step", "no state that follows from the last was found"

@@ -202,22 +202,17 @@ def write_vtu(fields: FlowFields, folder: Path) -> Path:
     of the mesh; in the solid velocity and pressure are 0. In the PVD, time 0 is undeformed, time 1 deformed.
     """
     meshio = of_extra("meshio", "vtu", "files for ParaView")
+    nodal = {
+        "velocity [mm/s]": np.pad(fields.velocity, IN_SPACE),
+        "pressure [Pa]": fields.pressure,
+        "displacement [mm]": np.pad(fields.displacement, IN_SPACE),
+    }
+    stress = np.pad(fields.stress[:, [0, 1, 3, 2]], ((0, 0), (0, 2)))
+    by_cell = {"part": [fields.cell_part.astype(np.int8)], "Cauchy stress [Pa]": [stress]}
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, points in (("undeformed", fields.points - fields.displacement), ("deformed", fields.points)):
-            mesh = meshio.Mesh(
-                np.pad(points, IN_SPACE),
-                [("triangle", fields.triangles)],
-                point_data={
-                    "velocity [mm/s]": np.pad(fields.velocity, IN_SPACE),
-                    "pressure [Pa]": fields.pressure,
-                    "displacement [mm]": np.pad(fields.displacement, IN_SPACE),
-                },
-                cell_data={
-                    "part": [fields.cell_part.astype(np.int8)],
-                    "Cauchy stress [Pa]": [np.pad(fields.stress[:, [0, 1, 3, 2]], ((0, 0), (0, 2)))],
-                },
-            )
+            mesh = meshio.Mesh(np.pad(points, IN_SPACE), [("triangle", fields.triangles)], nodal, by_cell)
             mesh.write(folder / f"{name}.vtu")
         (folder / "flow.pvd").write_text(COLLECTION, encoding="utf-8")
     except OSError as error:

@@ -161,7 +161,6 @@ class March:
         self.steps += 1
 
     def _shorten(self, step: float, reason: ForwardModelError | None) -> None:
-        """Repeat with a shorter step, if that is allowed."""
         self.rejected += 1
         self._jacobian = None
         if self.settings.tolerance is None and reason is not None:

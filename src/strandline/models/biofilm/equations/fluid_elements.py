@@ -15,7 +15,6 @@ interaction (2006).
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -55,7 +54,7 @@ class FluidElements:
         self._v, self._p, self._d = (numbers_of(space, component, cells) for component in (0, 1, 2))
         self._loading = loading
         rule = ng.IntegrationRule(ng.TRIG, ORDER)
-        self._rule, self._rest = Rule.of(space, rule), map_at_rest(space.mesh, cells, rule)
+        self._rule, self._rest = Rule(space, rule), map_at_rest(space.mesh, cells, rule)
 
     def residual(self, state: Any) -> Values:
         """Return what the elements add to the residual of each row, from the coefficients in an NGSolve function."""
@@ -173,44 +172,14 @@ def _cofactor(A: Tensor) -> Tensor:
     return [[A[1][1], -A[1][0]], [-A[0][1], A[0][0]]]
 
 
-@dataclass(frozen=True, eq=False)
 class Rule:
     """Constant matrices, in the coordinates of the reference triangle, for quadratic and linear fields.
 
-    They give fields at the points from coefficients, and integrals over an element from values there.
-
-    Args:
-        number: Number of points.
-        velocity: Value and slopes of a quadratic field, (3 point, 6).
-        pressure: Value of a linear field, (point, 3).
-        momentum: Integrals of values and slopes of the quadratic test functions, (6, 3 point).
-        mass: Integrals of values of the linear test functions, (3, point).
-        by_velocity: Integrals of test times trial functions, (36, 7 point), for the coefficients in `_Fields`.
-        by_displacement: The same for slopes of the trial functions alone, (36, 6 point).
-        by_pressure: The same for slopes of the test functions and values of linear trial functions, (18, 2 point).
-        mass_by_slopes: The same for values of linear test functions and slopes of trial functions, (18, 2 point).
-        mass_by_values: The same for values of linear test and trial functions, (9, point).
+    They give fields at the points of a quadrature rule from coefficients for the shape functions of `space`, and
+    integrals over an element from values at these points.
     """
 
-    number: int
-    velocity: Float[np.ndarray, "value 6"]
-    pressure: Float[np.ndarray, "point 3"]
-    momentum: Float[np.ndarray, "6 value"]
-    mass: Float[np.ndarray, "3 point"]
-    by_velocity: Float[np.ndarray, "36 coefficient"]
-    by_displacement: Float[np.ndarray, "36 fewer"]
-    by_pressure: Float[np.ndarray, "18 slope"]
-    mass_by_slopes: Float[np.ndarray, "18 slope"]
-    mass_by_values: Float[np.ndarray, "9 point"]
-
-    @property
-    def slopes(self) -> Float[np.ndarray, "slope 6"]:
-        """Slopes of a quadratic field, (2 point, 6)."""
-        return self.velocity[self.number :]
-
-    @classmethod
-    def of(cls, space: Any, rule: Any) -> "Rule":
-        """Return the matrices for the shape functions of `space` and a quadrature rule."""
+    def __init__(self, space: Any, rule: Any) -> None:
         points, weights = np.array([point[:2] for point in rule.points]), np.array(rule.weights)
         first = ng.ElementId(ng.VOL, 0)
         quadratic, linear = (ng.H1(space.mesh, order=order).GetFE(first) for order in (2, 1))
@@ -222,18 +191,27 @@ class Rule:
         def integrals(test: Any, trial: Any) -> Any:
             return np.einsum("aqi,bqj,q->ijabq", test, trial, weights).reshape(test.shape[2] * trial.shape[2], -1)
 
-        return cls(
-            number=len(weights),
-            velocity=N.reshape(-1, 6),
-            pressure=plain,
-            momentum=np.ascontiguousarray((N * weights[:, None]).reshape(-1, 6).T),
-            mass=np.ascontiguousarray((plain * weights[:, None]).T),
-            by_velocity=np.hstack([integrals(N[:1], N), integrals(N[1:], N[1:])]),
-            by_displacement=np.hstack([integrals(N[:1], N[1:]), integrals(N[1:], N[1:])]),
-            by_pressure=integrals(N[1:], plain[None]),
-            mass_by_slopes=integrals(plain[None], N[1:]),
-            mass_by_values=integrals(plain[None], plain[None]),
-        )
+        self.number = len(weights)
+        self.velocity: Float[np.ndarray, "value 6"] = N.reshape(-1, 6)
+        """Value and slopes of a quadratic field, (3 point, 6)."""
+        self.slopes = self.velocity[self.number :]
+        """Slopes of a quadratic field, (2 point, 6)."""
+        self.pressure: Float[np.ndarray, "point 3"] = plain
+        """Value of a linear field."""
+        self.momentum = np.ascontiguousarray((N * weights[:, None]).reshape(-1, 6).T)
+        """Integrals of values and slopes of the quadratic test functions, (6, 3 point)."""
+        self.mass = np.ascontiguousarray((plain * weights[:, None]).T)
+        """Integrals of values of the linear test functions, (3, point)."""
+        self.by_velocity = np.hstack([integrals(N[:1], N), integrals(N[1:], N[1:])])
+        """Integrals of test times trial functions, (36, 7 point), for the coefficients in `_Fields`."""
+        self.by_displacement = np.hstack([integrals(N[:1], N[1:]), integrals(N[1:], N[1:])])
+        """The same for slopes of the trial functions alone, (36, 6 point)."""
+        self.by_pressure = integrals(N[1:], plain[None])
+        """The same for slopes of the test functions and values of linear trial functions, (18, 2 point)."""
+        self.mass_by_slopes = integrals(plain[None], N[1:])
+        """The same for values of linear test functions and slopes of trial functions, (18, 2 point)."""
+        self.mass_by_values = integrals(plain[None], plain[None])
+        """The same for values of linear test and trial functions, (9, point)."""
 
 
 def numbers_of(space: Any, component: int, cells: Int[np.ndarray, " element"]) -> Int[np.ndarray, "axis node element"]:

@@ -57,7 +57,7 @@ class SolidElements:
         self._d = numbers_of(space, 2, every)
         self._p = np.concatenate([numbers_of(space, 3 + k, part)[0] for k, part in enumerate(cells)], axis=1)
         rule = ng.IntegrationRule(ng.TRIG, ORDER)
-        self._rule = Rule.of(space, rule)
+        self._rule = Rule(space, rule)
         rest = map_at_rest(space.mesh, every, rule)
         self._weight: AtPoints = rest[0][0] * rest[1][1] - rest[0][1] * rest[1][0]
         """det ∂X/∂ξ."""

@@ -63,39 +63,21 @@ def product(places: tuple[Numbers, Numbers], entries: Entries, vector: Values) -
     return np.bincount(rows, weights=entries * vector[columns], minlength=len(vector))
 
 
-@dataclass(frozen=True, eq=False)
 class Pattern:
     """Where the entries of the parts go in the sparse matrix of the free unknowns.
 
-    `slots` has the place of each entry among the matrix's values, behind the last if left out; `constants` are those of
-    constant rows.
+    `used` tells which entries at the `places` are not zero; if only a load is zero now, other entries hold its place.
+    The rows that are constant come from `constant` (constant, dof), not from the parts. `free` numbers the unknowns.
     """
 
-    matrix: Any
-    constants: Float[np.ndarray, " nonzero"]
-    slots: Int[np.ndarray, " entry"]
-
-    def fill(self, entries: Entries) -> Any:
-        """Write the sums of the entries and the constant rows into the matrix; return it."""
-        sums = np.bincount(self.slots, weights=entries, minlength=len(self.constants) + 1)
-        self.matrix.AsVector().FV().NumPy()[:] = sums[:-1] + self.constants
-        return self.matrix
-
-    @classmethod
-    def find(
-        cls,
+    def __init__(
+        self,
         places: tuple[Numbers, Numbers],
         used: Bool[np.ndarray, " entry"],
         constant: csr_array,
         is_constant: Bool[np.ndarray, " dof"],
         free: Int[np.ndarray, " unknown"],
-    ) -> "Pattern":
-        """Return the pattern of the places where some entry is not zero.
-
-        `used` tells which entries of the parts are not zero; if only a load is zero now, other entries hold its place.
-        The rows that are constant come from `constant` (constant, dof), not from the parts. `free` numbers the
-        unknowns.
-        """
+    ) -> None:
         number, count = np.full(len(is_constant), -1), len(free)
         number[free] = np.arange(count)
 
@@ -110,12 +92,18 @@ class Pattern:
         distinct = np.unique(np.concatenate([of_parts[used], of_constants]))
         distinct = distinct[distinct >= 0]
         rows, columns = (part.tolist() for part in np.divmod(distinct, count))
-        matrix = la.SparseMatrixd.CreateFromCOO(rows, columns, [1.0] * len(distinct), count, count)
+        self.matrix = la.SparseMatrixd.CreateFromCOO(rows, columns, [1.0] * len(distinct), count, count)
         found = np.minimum(np.searchsorted(distinct, of_parts), len(distinct) - 1)
-        slots = np.where(distinct[found] == of_parts, found, len(distinct))
-        kept, constants = of_constants >= 0, np.zeros(len(distinct))
-        constants[np.searchsorted(distinct, of_constants[kept])] = fixed.data[kept]
-        return cls(matrix, constants, slots)
+        self.slots: Int[np.ndarray, " entry"] = np.where(distinct[found] == of_parts, found, len(distinct))
+        """The place of each entry among the matrix's values, behind the last if left out."""
+        kept, self.constants = of_constants >= 0, np.zeros(len(distinct))
+        self.constants[np.searchsorted(distinct, of_constants[kept])] = fixed.data[kept]
+
+    def fill(self, entries: Entries) -> Any:
+        """Write the sums of the entries and the constant rows into the matrix; return it."""
+        sums = np.bincount(self.slots, weights=entries, minlength=len(self.constants) + 1)
+        self.matrix.AsVector().FV().NumPy()[:] = sums[:-1] + self.constants
+        return self.matrix
 
 
 def _places(matrix: Any) -> tuple[Numbers, Numbers]:
@@ -280,7 +268,7 @@ class CoupledSystem:
         generic = (1.0, 0.23, *map(typical_value, further_parameters(self.law)))
         self.set_material(*([value] * len(self.solids) for value in generic))
         used = self._assemble() != 0.0
-        pattern = Pattern.find(self._places, used, self._motion, self.is_motion, self.free)
+        pattern = Pattern(self._places, used, self._motion, self.is_motion, self.free)
         self.values[:] = kept
         self.set_material(*material)
         return pattern
