@@ -13,17 +13,16 @@ import numpy as np
 
 from strandline.foundations import ForwardModelError, imported, unfit
 from strandline.interface import Interface
-from strandline.models.biofilm import options
 from strandline.models.biofilm.cells.anchors import AnchoredCell, Box, Ranges, as_ranges, check_ranges
 from strandline.models.biofilm.cells.cell import FlowCell, Setting, Solution
 from strandline.models.biofilm.cells.creeping_cell import CreepingCell
 from strandline.models.biofilm.cells.fields import FlowFields, flow_fields
 from strandline.models.biofilm.cells.transient import TransientCell
 from strandline.models.biofilm.equations import flow
-from strandline.models.biofilm.equations.memory import Branch, branch_inputs
+from strandline.models.biofilm.equations.memory import MOST_BRANCHES, Branch, branch_inputs
 from strandline.models.biofilm.linear import linear_solver
-from strandline.models.biofilm.materials import LAWS, law_named
-from strandline.models.biofilm.mesh.course import Course
+from strandline.models.biofilm.materials import LAWS, SolidInputs, law_named
+from strandline.models.biofilm.mesh.course import QUASI_STATIC, TRANSIENT, Course
 from strandline.models.biofilm.mesh.geometry import FINER, MESHES, MeshSize, Partition, is_adapted, subdivide
 from strandline.models.biofilm.mesh.outline import Channel, Outline, Pairs, check_clamped, check_inside, check_outline
 from strandline.models.identity import fingerprint as fingerprint_of
@@ -37,6 +36,8 @@ SIZES = 1
 """Raised whenever the rule changes that shrinks elements in narrow gaps and at sharp bends of the outline."""
 OF_CELL = ("channel", "partition", "fluid", "inflow", "clamped")
 """Options of the model that its flow cell takes as they are."""
+SMALLEST_BUDGET = 3
+LEAVE_OUT = "Leave one of the two out."
 
 
 @dataclass(frozen=True)
@@ -88,10 +89,10 @@ class Biofilm:
     outline: Outline = Outline()
     partition: Partition = Partition()
     fluid: flow.Fluid = flow.WATER
-    inflow: str | Pairs = field(default=flow.PARABOLA, metadata={"read": options.as_inflow})
+    inflow: str | Pairs = field(default=flow.PARABOLA, metadata={"read": flow.as_inflow})
     clamped: Pairs = ()
-    inflow_rates: tuple[tuple[str, float], ...] = field(default=(), metadata={"read": options.as_inflow_rates})
-    pressure_drops: tuple[tuple[str, float], ...] = field(default=(), metadata={"read": options.as_pressure_drops})
+    inflow_rates: tuple[tuple[str, float], ...] = field(default=(), metadata={"read": flow.as_inflow_rates})
+    pressure_drops: tuple[tuple[str, float], ...] = field(default=(), metadata={"read": flow.as_pressure_drops})
     course: Course | None = None
     branches: int = 0
     sensitivities: bool = False
@@ -106,10 +107,10 @@ class Biofilm:
         if self.mesh not in MESHES:
             raise unfit("mesh of the biofilm model", self.mesh, f"one of {', '.join(MESHES)}")
         law_named(self.material)
-        options.check_budget(self.failure_budget)
-        options.check_loads(self.inflow_rates, self.pressure_drops, self.inflow)
+        _check_budget(self.failure_budget)
+        flow.check_loads(self.inflow_rates, self.pressure_drops, self.inflow)
         several, sensitivities = bool(self._loads), self.sensitivities
-        options.check_course(self.course, several=several, branches=self.branches, sensitivities=sensitivities)
+        _check_course(self.course, several=several, branches=self.branches, sensitivities=sensitivities)
         reference = self.outline.interface()
         check_inside(self.outline.points, self.channel)
         check_outline(reference, self.channel)
@@ -140,8 +141,8 @@ class Biofilm:
         return flow.DROP if self.inflow == flow.PRESSURE else flow.RATE
 
     @property
-    def _solid(self) -> options.SolidInputs:
-        return options.SolidInputs(law_named(self.material), max(1, len(self.partition.markers)))
+    def _solid(self) -> SolidInputs:
+        return SolidInputs(law_named(self.material), max(1, len(self.partition.markers)))
 
     @property
     def conditions(self) -> tuple[str, ...]:
@@ -312,3 +313,30 @@ def _new_cell(model: Biofilm, size: MeshSize, solid_density: float | None, *, cr
 @lru_cache(maxsize=16)
 def _is_adapted(outline: Outline, mesh: str, channel: Channel) -> bool:
     return is_adapted(outline.interface(), MESHES[mesh], channel)
+
+
+def _check_budget(budget: object) -> None:
+    """Refuse a number of Jacobians that is neither 0 nor large enough."""
+    if isinstance(budget, bool) or not isinstance(budget, int) or (budget != 0 and budget < SMALLEST_BUDGET):
+        expected = f"a whole number of Jacobians, at least {SMALLEST_BUDGET}, or 0 for no limit"
+        raise flow.refused("failure_budget", budget, expected)
+
+
+def _check_course(course: Course | None, *, several: bool, branches: object, sensitivities: bool) -> None:
+    """Refuse a course, or Maxwell branches, with what does not go with them, such as loads of `several` experiments."""
+    if isinstance(branches, bool) or branches not in range(MOST_BRANCHES + 1):
+        raise flow.refused("branches", branches, f"a whole number from 0 to {MOST_BRANCHES}")
+    if branches and (course is None or course.is_transient):
+        found = f"branches: {branches} with {'no course' if course is None else f'motion: {TRANSIENT}'}"
+        expected = f"a course with motion: {QUASI_STATIC}, in which the solid creeps"
+        raise flow.refused("branches", found, expected, "Add such a course, or remove the branches.")
+    if branches and sensitivities:
+        expected = "no branches, or no sensitivities: a solid that creeps offers none"
+        raise flow.refused("sensitivities", f"sensitivities with branches: {branches}", expected, LEAVE_OUT)
+    if course is not None and several:
+        found = "a course with inflow_rates or pressure_drops"
+        remedy = "Remove one of the two; V_in or p_drop is an input of a model with a course."
+        raise flow.refused("course", found, "one of the two", remedy)
+    if course is not None and sensitivities and course.is_transient:
+        expected = f"motion: {QUASI_STATIC}, or no sensitivities: a transient run offers none"
+        raise flow.refused("sensitivities", f"sensitivities with motion: {TRANSIENT}", expected, LEAVE_OUT)

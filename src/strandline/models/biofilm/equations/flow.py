@@ -5,8 +5,9 @@ it returns velocities in any unit, since they are scaled to the volume rate. A n
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import ngsolve as ng
@@ -14,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.foundations import InvalidInput, is_finite, lookup, unfit
-from strandline.interface import Interface
+from strandline.interface import Interface, is_condition
 from strandline.models.biofilm.equations.forms import FluidLoad
 from strandline.models.biofilm.equations.system import CoupledSystem
 from strandline.models.biofilm.mesh.outline import Channel, Pairs, pairs_in
@@ -40,6 +41,8 @@ FORCE_SCALE = 1e4
 PARABOLA, PRESSURE = "parabola", "pressure"
 RATE = ModelInput("V_in", "mm^2/s", 0.0, np.inf, high_included=False, meaning="inflow volume rate per depth")
 DROP = ModelInput("p_drop", "Pa", 0.0, np.inf, high_included=False, meaning="pressure drop from inlet to outlet")
+LOADS = {"inflow_rates": ("inflow rate", RATE, "mm^2/s", 50), "pressure_drops": ("pressure drop", DROP, "Pa", 5)}
+"""Option → what it gives for each condition, the input in whose place it is, its unit as text, an example."""
 SAMPLES = 1001
 """Heights at which a profile is evaluated; between them it is linear."""
 PLACE = "inflow of the biofilm model"
@@ -154,8 +157,58 @@ def as_pairs(table: Any) -> Pairs:
     return pairs
 
 
+def as_inflow(value: Any) -> Any:
+    """Return the name of a profile, or the pairs of ``{table: …}`` as tuples."""
+    if isinstance(value, Mapping) and set(value) == {"table"}:
+        return as_pairs(value["table"])
+    if isinstance(value, str | tuple):
+        return value
+    names = ", ".join([*PROFILES, PRESSURE])
+    raise refused("inflow", value, f"one of {names}, module:name, or {{table: [[y, v], …]}} with y in mm")
+
+
+def as_loads(option: str, loads: Any) -> tuple[tuple[str, float], ...]:
+    """Return a mapping name → inflow rate or pressure drop as pairs."""
+    what, _, unit, example = LOADS[option]
+    if not isinstance(loads, Mapping):
+        shown = f"{{slow: {example}, fast: {2 * example}}}"
+        raise refused(option, loads, f"{what}s in {unit} by the name of the condition, e.g. {shown}")
+    return tuple((name, _load(option, name, load)) for name, load in loads.items())
+
+
+as_inflow_rates, as_pressure_drops = partial(as_loads, "inflow_rates"), partial(as_loads, "pressure_drops")
+
+
+def check_loads(rates: Sequence[tuple[str, float]], drops: Sequence[tuple[str, float]], inflow: object) -> None:
+    """Refuse inflow rates [mm²/s] with a given pressure, pressure drops [Pa] without one, and loads below 0."""
+    for option, loads, other, fits in (
+        ("inflow_rates", rates, "pressure_drops", inflow != PRESSURE),
+        ("pressure_drops", drops, "inflow_rates", inflow == PRESSURE),
+    ):
+        if loads and not fits:
+            fitting = "a profile of the inflow" if other == "pressure_drops" else f"inflow: {PRESSURE}"
+            remedy = f"Change `inflow`, or give `{other}` by condition."
+            raise refused(option, f"inflow: {inflow}", f"{fitting}, or no {option}", remedy)
+        for name, load in loads:
+            _load(option, name, load)
+
+
+def _load(option: str, name: object, load: object) -> float:
+    """Return a load; refuse what is no number, 0 or more, with the name of a condition."""
+    what, model_input, unit, example = LOADS[option]
+    if is_finite(load) and model_input.admits(float(load)) and is_condition(name) and name:
+        return float(load)
+    expected = f"the name of a condition with its {what} in {unit}, 0 or more, e.g. slow: {example}"
+    raise refused(f"{what} {name!r}", load, expected)
+
+
+def refused(option: str, value: object, expected: str, remedy: str = "Correct it.") -> InvalidInput:
+    """Return the error for an option that cannot be used."""
+    return unfit(f"{option} of the biofilm model", value, expected, remedy)
+
+
 def _refused(value: object, expected: str) -> InvalidInput:
-    return unfit(PLACE, value, expected, "Correct the inflow.")
+    return refused("inflow", value, expected, "Correct the inflow.")
 
 
 class Flow:

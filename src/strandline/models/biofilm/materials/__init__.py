@@ -5,7 +5,8 @@ any, and returns the second Piola–Kirchhoff stress and the residual of the con
 """
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -22,8 +23,8 @@ from strandline.models.biofilm.materials.law import (
 from strandline.models.protocol import ModelInput
 
 __all__ = [
-    "LAWS", "IsotropicLaw", "Law", "MixedStress", "deformation_gradient", "further_parameters", "law_named",
-    "typical_value",
+    "LAWS", "IsotropicLaw", "Law", "MixedStress", "SolidInputs", "deformation_gradient", "further_parameters",
+    "law_named", "typical_value",
 ]  # fmt: skip
 
 
@@ -122,6 +123,49 @@ LAWS: dict[str, Law] = {
     "fung": Fung(),
 }
 """Names in study files → laws."""
+
+SMALL_STRAIN = (
+    ModelInput("E", "Pa", 0.0, np.inf, low_included=False, high_included=False, meaning="Young's modulus"),
+    ModelInput("nu", "1", -1.0, 0.5, low_included=False, meaning="Poisson's ratio"),
+)
+
+
+@dataclass(frozen=True)
+class SolidInputs:
+    """Inputs of a law: E, nu and its further parameters, or E1, nu1, …, E2, … of several parts."""
+
+    law: Law
+    parts: int
+
+    @property
+    def all(self) -> tuple[ModelInput, ...]:
+        """Inputs, part by part."""
+        return tuple(_of_part(item, number) for number in self._numbers for item in self._parameters)
+
+    @property
+    def names(self) -> list[str]:
+        """Names, parameter by parameter: E1, E2, …, nu1, …, as `FlowCell.sensitivities` orders them."""
+        return [item.name + number for item in self._parameters for number in self._numbers]
+
+    def values(self, inputs: Mapping[str, float]) -> list[list[float]]:
+        """Return Young's moduli, Poisson's ratios and further parameters, each for every part."""
+        return [[float(inputs[item.name + number]) for number in self._numbers] for item in self._parameters]
+
+    @property
+    def _parameters(self) -> tuple[ModelInput, ...]:
+        return (*SMALL_STRAIN, *further_parameters(self.law))
+
+    @property
+    def _numbers(self) -> list[str]:
+        """What names of inputs end with: the number of the part; nothing if there is one."""
+        return [""] if self.parts == 1 else [str(k) for k in range(1, self.parts + 1)]
+
+
+def _of_part(item: ModelInput, number: str) -> ModelInput:
+    """Return a parameter of the law as an input of part `number`; empty if there is one part."""
+    if not number:
+        return item
+    return replace(item, name=item.name + number, meaning=f"{item.meaning} of part {number}")
 
 
 def law_named(name: str) -> Law:
