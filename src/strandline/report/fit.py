@@ -219,8 +219,5 @@ def _outside(seen: Observation, runs: list[RunRecord], least: float) -> bool:
 def as_json(found: list[Nearest]) -> dict[str, Any]:
     """Return the entry of summary.json."""
     keys = ("condition", "run", "inputs", "residual", "distance", "noise", "offset", "extent_ratio", "near")
-    return {
-        "near": all(nearest.near for nearest in found),
-        "message": nothing_near(found),
-        "observations": [{key: getattr(nearest, key) for key in keys} for nearest in found],
-    }
+    each = [{key: getattr(nearest, key) for key in keys} for nearest in found]
+    return {"near": all(nearest.near for nearest in found), "message": nothing_near(found), "observations": each}

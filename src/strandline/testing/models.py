@@ -107,11 +107,9 @@ class TwoLoads:
         """
         loads = dict(zip(self.conditions, (inputs["load"], self.ratio * inputs["load"]), strict=True))
         runs = {name: self.beam({"E": inputs["E"], "load": load}, workdir) for name, load in loads.items()}
-        return Simulation(
-            {name: run.interface for name, run in runs.items()},
-            {f"tip_{name}": run.diagnostics["tip"] for name, run in runs.items()},
-            self._sensitivities(inputs["E"], loads) if self.sensitivities else {},
-        )
+        tips = {f"tip_{name}": run.diagnostics["tip"] for name, run in runs.items()}
+        slopes = self._sensitivities(inputs["E"], loads) if self.sensitivities else {}
+        return Simulation({name: run.interface for name, run in runs.items()}, tips, slopes)
 
     def _sensitivities(self, modulus: float, loads: Mapping[str, float]) -> dict[str, dict[str, Any]]:
         """Return the derivatives from the displacement under a unit force, to avoid a quotient of zeros."""

@@ -42,11 +42,9 @@ def check_a_damaged_file_is_refused(path: Path, how: Reading) -> None:
     content, number = path.read_bytes(), len(read_interface(path, how).points)
     noise = np.random.default_rng(1).bytes(max(len(content), 1000))
     counted = replace(how, count=how.count or number)
-    for what, left, by in (
-        ("an empty file", b"", how),
-        ("a file of random bytes", noise, how),
-        ("half a file, whose points are counted,", content[: len(content) // 2], counted),
-    ):
+    damaged = {"an empty file": (b"", how), "a file of random bytes": (noise, how)}
+    damaged["half a file, whose points are counted,"] = content[: len(content) // 2], counted
+    for what, (left, by) in damaged.items():
         require_refused(what, path.name, left, partial(read_interface, how=by))
 
 

@@ -159,9 +159,8 @@ def check_gradient_and_jacobian_agree(model: ModelUnderTest) -> None:
         backward = _product(model, "Gradient", sens=sens)
         one = math.fsum(s * p for s, p in zip(sens, forward, strict=True))
         other = math.fsum(g * v for g, v in zip(backward, vec, strict=True))
-        assert math.isclose(one, other, rel_tol=1e-8, abs_tol=1e-300), (
-            f"{one!r} by ApplyJacobian, {other!r} by Gradient"
-        )
+        found = f"{one!r} by ApplyJacobian, {other!r} by Gradient"
+        assert math.isclose(one, other, rel_tol=1e-8, abs_tol=1e-300), found
 
 
 def check_unknown_models(model: ModelUnderTest) -> None:
@@ -254,11 +253,8 @@ def strict_large_requests(model: ModelUnderTest) -> None:
 
 def strict_unknown_endpoints(model: ModelUnderTest) -> None:
     """Another path is answered with 404, another method with 405, both with errors of the protocol."""
-    for response, code in (
-        (model.post("Nothing", {}), 404),
-        (model.get("Evaluate"), 405),
-        (model.post("Info", {}), 405),
-    ):
+    wrong = ((model.post("Nothing", {}), 404), (model.get("Evaluate"), 405), (model.post("Info", {}), 405))
+    for response, code in wrong:
         assert response.status_code == code, f"HTTP {response.status_code} instead of {code}"
         assert set(response.json()["error"]) == {"type", "message"}, "not an error of the protocol"
 

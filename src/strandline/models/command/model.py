@@ -230,10 +230,10 @@ class _Parts:
         if not isinstance(model.files, list | tuple):
             raise unfit("files", model.files, "a list of names", "Write `files: [mesh.msh]`.")
         targets = [options.relative_name(target, "templates") for target in model.templates.values()]
-        files = [options.SourceFile.of(model.folder, name, "files") for name in model.files]
+        files = [options.SourceFile(model.folder, name, "files") for name in model.files]
         _require_distinct([*targets, *(options.relative_name(file.name, "files") for file in files)])
-        sources = [(_read(model.folder, name), target) for name, target in zip(model.templates, targets, strict=True)]
-        self.templates, self.files = [(target, template) for template, target in sources], files
+        named = zip(targets, model.templates, strict=True)
+        self.templates, self.files = [(target, _read(model.folder, name)) for target, name in named], files
         self.commands = options.commands_of(model.command, model.post, shell=model.shell)
         self.environment = options.environment_of(model.environment)
         self.readings = options.readings_of(model.result, model.results)

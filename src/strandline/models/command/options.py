@@ -157,18 +157,12 @@ def _unfit(what: str, value: object, expected: str) -> InvalidInput:
     return unfit(what, value, expected, f"Correct `{what.partition('.')[0]}`.")
 
 
-@dataclass(frozen=True)
 class SourceFile:
     """A file in the study folder that is copied for each run; the digest is that when the study was loaded."""
 
-    name: str
-    path: Path
-    digest: str
-
-    @classmethod
-    def of(cls, folder: Path, name: object, place: str) -> "SourceFile":
-        path = file_in(folder, name, place)
-        return cls(str(name), path, _digest(path))
+    def __init__(self, folder: Path, name: object, place: str) -> None:
+        self.name, self.path = str(name), file_in(folder, name, place)
+        self.digest = _digest(self.path)
 
     def require_unchanged(self) -> None:
         """Refuse (``file_changed``) a file that has changed since then: its runs would belong to another model."""

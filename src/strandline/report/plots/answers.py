@@ -157,10 +157,8 @@ def plot_caterpillar(specimens: Sequence[Mapping[str, Any]], name: str, label: s
     odd = np.array([bool(one.get("outlier")) for one in specimens])[order]
     places, many = np.arange(len(order)), len(order) > MOST_NAMED
     apart, width, size = (0.0, 0.6, 2) if many else (0.15, 1.2, 4)
-    for values, shift, colour, words in (
-        (own, -apart, style.GREY, "own outline alone"),
-        (given_all, apart, style.BLUE, "given all specimens"),
-    ):
+    kinds = (own, -apart, style.GREY, "own outline alone"), (given_all, apart, style.BLUE, "given all specimens")
+    for values, shift, colour, words in kinds:
         if len(values):
             low, median, high = values[order].T
             ax.vlines(places + shift, low, high, color=colour, linewidth=width, label=words)

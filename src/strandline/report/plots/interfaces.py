@@ -191,12 +191,9 @@ def _panel(ax: Axes, fields: Any, values: Nodal, cells: Bool[np.ndarray, " cell"
         ax.figure.colorbar(drawn, ax=ax, label=label, shrink=0.95, pad=0.02)
     interface = _edges_above(fields, 0)
     inner = set[tuple[int, int]]().union(*(_edges_above(fields, k) for k in range(1, int(fields.cell_part.max()) + 1)))
-    rest = fields.points - fields.displacement
-    for edges, points, colour, width in (
-        (interface, rest, style.GREY, 0.9),
-        (inner, fields.points, style.BLACK, 0.6),
-        (interface, fields.points, style.BLACK, 1.2),
-    ):
+    rest, now = fields.points - fields.displacement, fields.points
+    lines = (interface, rest, style.GREY, 0.9), (inner, now, style.BLACK, 0.6), (interface, now, style.BLACK, 1.2)
+    for edges, points, colour, width in lines:
         segments = points[np.array(sorted(edges), int).reshape(-1, 2)]
         ax.add_collection(LineCollection(list(segments), colors=colour, linewidths=width))
     ax.margins(0.0)

@@ -177,10 +177,8 @@ def plot_leave_one_out(
     margin = 0.04 * (np.ptp(both) or 1.0)
     limits = (both.min() - margin, both.max() + margin)
     ax.plot(limits, limits, color=style.BLACK, linewidth=0.8, label="agreement")
-    for chosen, colour, size, label in (
-        (~near, style.GREY, 3.0, "other runs"),
-        (near, style.RED, 3.5, "runs near the mode"),
-    ):
+    kinds = (~near, style.GREY, 3.0, "other runs"), (near, style.RED, 3.5, "runs near the mode")
+    for chosen, colour, size, label in kinds:
         if chosen.any():
             error = None if sd is None else sd[chosen]
             rms = float(np.sqrt(np.mean((prediction[chosen] - value[chosen]) ** 2)))
@@ -306,14 +304,9 @@ def plot_tempering(exponent: Series, ess: Series, acceptance: Series, *, particl
     """
     figure = style.new_figure(style.SINGLE, 3.8)
     panels = figure.subplots(3, 1, sharex=True)
-    for ax, values, colour, label, limits in zip(
-        panels,
-        (exponent, ess, acceptance),
-        (style.BLUE, style.GREEN, style.RED),
-        ("tempering\nexponent", "effective\nsample size", "acceptance"),
-        ((0, 1.05), (0, None), (0, 1)),
-        strict=True,
-    ):
+    labels = ("tempering\nexponent", "effective\nsample size", "acceptance")
+    looks = zip(labels, (style.BLUE, style.GREEN, style.RED), ((0, 1.05), (0, None), (0, 1)), strict=True)
+    for ax, values, (label, colour, limits) in zip(panels, (exponent, ess, acceptance), looks, strict=True):
         ax.plot(np.arange(1, len(values) + 1), values, ".-", color=colour, markersize=4)
         ax.set(ylabel=label, ylim=limits)
     if particles is not None:

@@ -322,12 +322,9 @@ class AnchoredCell:
                 if strain <= DIRECT_STRAIN:
                     unknowns.append(self.cell.solve(self._setting(inputs)).unknowns)
                     solved[-1] = True
-        return States(
-            np.array(points).reshape(len(points), len(self.box.axes)),
-            np.array(strains),
-            np.array(solved, dtype=bool),
-            np.array(unknowns) if unknowns else np.empty((0, 0)),
-        )
+        coordinates = np.array(points).reshape(len(points), len(self.box.axes))
+        steady = np.array(unknowns) if unknowns else np.empty((0, 0))
+        return States(coordinates, np.array(strains), np.array(solved, dtype=bool), steady)
 
     def _first_order_strain(self, inputs: Mapping[str, float]) -> float:
         load = self.cell.set(self._setting(inputs))

@@ -250,11 +250,8 @@ class MovingSystem(system.CoupledSystem):
         if "fluid" not in self.mesh.GetMaterials() or not self.solids:
             return np.empty(0, int), np.empty(0, int)
         elements = [ng.ElementId(ng.VOL, int(cell)) for cell in system.fluid_cells(self.mesh)[0]]
-        v, d = (
-            np.concatenate([self.space.components[k].GetDofNrs(element) for element in elements])
-            + self.space.Range(k).start
-            for k in (0, 2)
-        )
+        found = {k: np.concatenate([self.space.components[k].GetDofNrs(one) for one in elements]) for k in (0, 2)}
+        v, d = (part + self.space.Range(k).start for k, part in found.items())
         shared = ~self.is_motion[d]
         follows, first = np.unique(v[shared], return_index=True)
         return follows, d[shared][first]
