@@ -59,8 +59,10 @@ def conditions_as_json(
     rest = undeformed_interface(model)
     flat = None if rest is None or rest.dim != 2 else _few(outline(rest), MOST_POINTS)
     shown = {name: None if seen is None else _few(outline(seen), MOST_OBSERVED) for name, seen in observed.items()}
-    own = {name: {"name": name, "observed": line, "undeformed": flat} for name, line in shown.items()}
-    return [{**one, "picture": pictures.get(name)} for name, one in own.items()]
+    return [
+        {"name": name, "observed": line, "undeformed": flat, "picture": pictures.get(name)}
+        for name, line in shown.items()
+    ]
 
 
 def by_name(space: ParameterSpace, values: Float[np.ndarray, " dim"]) -> dict[str, float | None]:

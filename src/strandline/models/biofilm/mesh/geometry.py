@@ -157,18 +157,12 @@ class Subdivision:
         """Divide each of the named polygons that `line` crosses from side to side; return the names afterwards."""
         result = []
         for name in names:
-            crossings = self._crossings(name, line)
-            if len(crossings) != 2:
-                result.append(name)
-                continue
-            ring = self.rings[name]
-            i, j = sorted(ring.index(vertex) for vertex in crossings)
-            if j - i in (1, len(ring) - 1):
-                result.append(name)
-                continue
-            other = f"piece {len(self.rings)}"
-            self.rings[name], self.rings[other] = ring[i : j + 1], ring[j:] + ring[: i + 1]
-            result += [name, other]
+            result.append(name)
+            crossings, ring = self._crossings(name, line), self.rings[name]
+            i, j = sorted(map(ring.index, crossings)) if len(crossings) == 2 else (0, 1)
+            if j - i not in (1, len(ring) - 1):
+                result.append(f"piece {len(self.rings)}")
+                self.rings[name], self.rings[result[-1]] = ring[i : j + 1], ring[j:] + ring[: i + 1]
         return result
 
     def split_floor(self, x: float) -> None:
@@ -177,8 +171,7 @@ class Subdivision:
             for start, end in _pairs(ring):
                 (x0, y0), (x1, y1) = self.vertices[start], self.vertices[end]
                 if y0 == y1 == 0 and min(x0, x1) + TOUCHING < x < max(x0, x1) - TOUCHING:
-                    self.vertices.append((x, 0.0))
-                    self._insert(start, end, len(self.vertices) - 1)
+                    self._insert(start, end, (x, 0.0))
                     return
 
     def rename(self, names: list[str], markers: tuple[Point, ...], prefix: str) -> list[str]:
@@ -231,17 +224,18 @@ class Subdivision:
         if s > 1 - SNAP:
             return end
         x, y = a + s * (b - a)
-        self.vertices.append((float(x), float(y)))
-        self._insert(start, end, len(self.vertices) - 1)
-        return len(self.vertices) - 1
+        return self._insert(start, end, (float(x), float(y)))
 
-    def _insert(self, start: int, end: int, vertex: int) -> None:
-        """Put a vertex between two neighbours of every ring that has this edge."""
+    def _insert(self, start: int, end: int, point: Point) -> int:
+        """Put a new vertex between two neighbours of every ring that has this edge; return its number."""
+        self.vertices.append(point)
+        vertex = len(self.vertices) - 1
         for ring in self.rings.values():
             for i, pair in enumerate(_pairs(ring)):
                 if pair in ((start, end), (end, start)):
                     ring.insert(i + 1, vertex)
                     break
+        return vertex
 
 
 def _pairs(ring: list[int]) -> list[tuple[int, int]]:
