@@ -286,8 +286,8 @@ def supervised(
     later, by SIGKILL. The file `log` gets its output, at most twice `LOG_LIMIT` bytes. Raises ForwardModelError:
     ``supervisor_died`` or ``out_of_memory``, both with the state ``killed``; ``processes_left``.
     """
-    asked = {"arguments": list(arguments), "environment": dict(environment), "timeout": timeout, "grace": grace}
-    asked |= {"log": str(log), "log_limit": LOG_LIMIT}
+    limits: dict[str, Any] = {"timeout": timeout, "grace": grace, "log": str(log), "log_limit": LOG_LIMIT}
+    asked = {"arguments": list(arguments), "environment": dict(environment), **limits}
     process = _started(folder, environment)
     assert process.stdin is not None
     assert process.stdout is not None
