@@ -37,8 +37,8 @@ COMMANDS = {
     "serve": "Serve a study's model to other programs, by UM-Bridge.",
 }
 FILES = dict.fromkeys(QUESTIONS, "questions")
-FILES |= {"retry": "run", "report": "run", "status": "runs", "doctor": "runs", "backup": "runs", "view": "runs"}
-FILES |= {"init": "observation", "noise": "observation", "image": "observation", "serve": "forward"}
+FILES |= {"retry": "run", "report": "run", "status": "runs", "doctor": "runs", "backup": "runs"}
+FILES |= {"noise": "observation", "image": "observation", "view": "serve"}
 """Modules of the commands that are not called like them."""
 
 

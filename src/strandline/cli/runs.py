@@ -1,4 +1,4 @@
-"""`strandline status`, `view`, `runs`, `doctor`, `backup`: how far a study has got, its runs, what is wrong, a copy."""
+"""`strandline status`, `runs`, `doctor`, `backup`: how far a study has got, its runs, what is wrong, a copy."""
 
 import json
 import sqlite3
@@ -88,34 +88,6 @@ def _time(seconds: float) -> str:
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
-
-
-@click.command("view")
-@options.study
-@click.option("--port", type=click.IntRange(0, 65535), default=0, help="To listen on; by default any free one.")
-@click.option("--no-browser", is_flag=True, help="Print the address only.")
-def view(study: Path, port: int, no_browser: bool) -> None:
-    """Show STUDY in the browser, until Ctrl-C: runs, posterior, interfaces, and what its assumptions do.
-
-    The page changes nothing in the study. It answers on this machine alone, to whoever has its address.
-    """
-    import webbrowser
-
-    from strandline.studies import load_study
-    from strandline.view import Server
-
-    server = Server(load_study(study), port=port)
-
-    def started() -> None:
-        click.echo(f"{study}: {server.url}")
-        click.echo(f"Ctrl-C ends. From another machine: ssh -L {server.port}:localhost:{server.port} THIS_MACHINE")
-        if not no_browser:
-            webbrowser.open(server.url)
-
-    try:
-        server.run(started)
-    except KeyboardInterrupt:
-        click.echo("stopped", err=True)
 
 
 @click.command("doctor")

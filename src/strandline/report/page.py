@@ -22,7 +22,8 @@ from strandline.report import plots
 from strandline.report.explore import explore
 from strandline.report.figures import figure_groups
 from strandline.report.html import embedded, one_line, save_page, script_hash, template
-from strandline.report.plots.style import Captioned, Savers, fitted, marked, saved, whole_folder
+from strandline.report.plots.style import Captioned, fitted, marked, saved, whole_folder
+from strandline.report.savers import Savers
 from strandline.report.warnings import LOO_LIMIT, reason_to_doubt
 
 

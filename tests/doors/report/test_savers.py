@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 from tests.unit.report.test_report_figures import captioned
 
-from strandline.report.plots.style import Savers, saved
+from strandline.report.plots.style import saved
+from strandline.report.savers import Savers
 
 
 def test_processes_save_what_this_one_would(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

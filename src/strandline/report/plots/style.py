@@ -5,15 +5,10 @@ Figures are made without pyplot, so no global registry keeps them alive and none
 
 import base64
 import io
-import pickle
 import shutil
-import subprocess
-import sys
 import textwrap
-import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial, wraps
 from pathlib import Path
@@ -28,7 +23,6 @@ from matplotlib.legend import Legend
 from numpy.typing import ArrayLike
 from PIL import Image
 
-from strandline.foundations import threads
 from strandline.report.html import said
 
 BLACK, GREY = "#000000", "#8c8c8c"
@@ -302,75 +296,3 @@ def _halved(data: str) -> str:
     with Image.open(io.BytesIO(base64.b64decode(data))) as picture:
         picture.reduce(2).save(buffer, format="png", optimize=True)
     return min(base64.b64encode(buffer.getvalue()).decode("ascii"), data, key=len)
-
-
-MOST_SAVERS = 4
-"""Processes that save figures while the next ones are drawn, which takes as long; each takes a second to start."""
-SERVE = "import sys; sys.path[:] = {path!r}; from strandline.report.plots.style import serve; serve()"
-
-
-class Savers:
-    """Saves figures into a folder, see `saved`; use it as a context.
-
-    Each thread but one has a process; with ``OMP_NUM_THREADS`` of 1, and for a figure that cannot be pickled, `save`
-    does the work itself.
-    """
-
-    def __init__(self, folder: Path, *, draft: bool) -> None:
-        self._folder, self._draft, self._own = folder, draft, threading.local()
-        self._processes: list[subprocess.Popen[bytes]] = []
-        number = min(threads() - 1, MOST_SAVERS)
-        self._pool = ThreadPoolExecutor(number, initializer=self._start) if number else None
-
-    def __enter__(self) -> "Savers":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._pool:
-            self._pool.shutdown(cancel_futures=True)
-        for process in self._processes:
-            process.communicate()
-
-    def save(self, captioned: Captioned) -> Future[dict[str, str]]:
-        """Save a figure, which may change afterwards; the result is that of `saved`."""
-        if self._pool:
-            with suppress(AttributeError, TypeError, pickle.PicklingError):
-                return self._pool.submit(self._elsewhere, pickle.dumps((captioned, self._folder, self._draft)))
-        done: Future[dict[str, str]] = Future()
-        done.set_result(saved(captioned, self._folder, draft=self._draft))
-        return done
-
-    def _start(self) -> None:
-        """Give this thread a process, which ends once its input does."""
-        command, pipe = [sys.executable, "-c", SERVE.format(path=sys.path)], subprocess.PIPE
-        self._own.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, start_new_session=True)
-        self._processes.append(self._own.process)
-
-    def _elsewhere(self, task: bytes) -> Any:
-        process = self._own.process
-        try:
-            process.stdin.write(task)
-            process.stdin.flush()
-            found = pickle.load(process.stdout)
-        except (EOFError, OSError):
-            remedy = "Give it more memory, or set OMP_NUM_THREADS=1 to do without it."
-            raise RuntimeError(f"the process that saves figures ended too early. {remedy}") from None
-        if isinstance(found, Exception):
-            raise found
-        return found
-
-
-def serve() -> None:
-    """Save the figures that come on standard input until it ends, and answer with what `saved` returns or raises."""
-    while True:
-        try:
-            captioned, folder, draft = pickle.load(sys.stdin.buffer)
-        except EOFError:
-            return
-        found: Any
-        try:
-            found = saved(captioned, folder, draft=draft)
-        except Exception as error:
-            found = RuntimeError(f"{type(error).__name__}: {error}")
-        pickle.dump(found, sys.stdout.buffer)
-        sys.stdout.buffer.flush()
