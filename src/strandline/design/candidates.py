@@ -11,10 +11,8 @@ Setting = Mapping[str, float]
 MICROMETRES = 1e3
 
 TIMES = {2: "twice", 3: "three times"}
-FEWEST_POINTS = 3
-"""Smallest number of points that can be observed."""
-WHOLE = (0.0, 1.0)
-"""The whole interface, as shares of its arc length."""
+FEWEST_POINTS = 3  # smallest number of points that can be observed
+WHOLE = (0.0, 1.0)  # the whole interface, as shares of its arc length
 
 
 @dataclass(frozen=True)

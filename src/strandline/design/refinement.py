@@ -202,9 +202,8 @@ def _distinct(
     rng: np.random.Generator,
     taken: Float[np.ndarray, "other dim"],
 ) -> Float[np.ndarray, "run dim"]:
-    """Return `number` weighted draws, no position twice and none of `taken`: a repeated run teaches nothing.
-
-    Sampling without replacement: the largest sums of log weight and Gumbel noise.
+    """Return `number` weighted draws, no position twice and none of `taken`: a repeated run teaches nothing. Sampling
+    without replacement: the largest sums of log weight and Gumbel noise.
     """
     rows, member = np.unique(positions, axis=0, return_inverse=True)
     total = np.full(len(rows), -np.inf)

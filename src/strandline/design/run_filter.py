@@ -21,8 +21,7 @@ from strandline.surrogate import flipped, odd_ones
 NOT_COMPARABLE = "not_comparable"
 NO_COMMON_POINTS = "no_common_points"
 KINDS = frozenset({NOT_COMPARABLE, NO_COMMON_POINTS})
-FARTHEST = 1e6
-"""Distance from the observed interface, in its extents, beyond which there is nothing to compare."""
+FARTHEST = 1e6  # distance from the observed interface, in its extents, beyond which there is nothing to compare
 EXCEPTIONS = 0.1
 """Share of the runs, but at least one, that may be set aside because they lack common points with the others."""
 

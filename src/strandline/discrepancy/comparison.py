@@ -9,8 +9,7 @@ from strandline.discrepancy.nearest import squared_distances
 from strandline.discrepancy.protocol import CountsDistances, Discrepancy, independent_terms
 from strandline.interface import Interface, Oriented
 
-NEAREST = 5
-"""Number of runs that decide, those nearest to the observation: a distant run's direction means little."""
+NEAREST = 5  # number of runs that decide, those nearest to the observation: a distant run's direction means little
 SHARES = 33
 LARGEST = 1e100
 LARGEST_RATIO = 10.0

@@ -21,20 +21,15 @@ from strandline.discrepancy.protocol import require_polylines
 from strandline.foundations import unfit
 from strandline.interface import Interface, PointErrors
 
-MOST_REMOVED = 0.5
-"""Share of the level that the removed part may have taken from the lags that are added up."""
-CLEARLY = 0.2
-"""Correlation at the lag after these from which errors count as correlated over more than they span."""
+MOST_REMOVED = 0.5  # share of the level that the removed part may have taken from the lags that are added up
+CLEARLY = 0.2  # correlation at the lag after these from which errors count as correlated over more than they span
 FEWEST_POINTS = 30
-LENGTHS = 20.0
-"""Length of the smoothed pieces in correlation lengths."""
-WIDEST = 8
-"""The outline has at least as many such pieces, unless it has few points."""
+LENGTHS = 20.0  # length of the smoothed pieces in correlation lengths
+WIDEST = 8  # the outline has at least as many such pieces, unless it has few points
 ENOUGH = 17.0
 """Length of the smoothed pieces in correlation lengths from which the correlation length can be trusted; in pieces that
 are too short, a sixteenth of their length is found whatever it is."""
-_FEWEST, _LEAST = 3, 4
-"""Points on either side of a smoothed one: fewest that may be asked for, and fewest by default."""
+_FEWEST, _LEAST = 3, 4  # points on either side of a smoothed one: fewest that may be asked for, and fewest by default
 
 
 @dataclass(frozen=True)
@@ -65,9 +60,8 @@ def restored(covariance: Float[np.ndarray, " lag"], removed: Float[np.ndarray, "
     """Return variance and level of errors from the autocovariance of their residuals.
 
     c(k) + S q(k) is added up to its first zero, or to where the removed part has taken half. S is in this sum too; it
-    grows with every lag at which the sum's new term is above 0, so one pass finds both.
-
-    The residuals differ from 0. Factors q(k) are 0 if nothing was removed.
+    grows with every lag at which the sum's new term is above 0, so one pass finds both. The residuals differ from 0.
+    Factors q(k) are 0 if nothing was removed.
     """
     sums = covariance[0] + 2 * np.concatenate([[0.0], np.cumsum(covariance[1:])])
     shares = removed[0] + 2 * np.concatenate([[0.0], np.cumsum(removed[1:])])

@@ -20,13 +20,10 @@ from strandline.interface import Interface, PointErrors, spacings
 
 QUADRATURES = ("refined", "centre")
 _FINEST = 1e-14
-_THINNEST, _WIDEST = 1e-9, 1e9
-"""Widths beyond which squares overflow or vanish, mm."""
-_NEGLIGIBLE = 0.01
-"""Error of d²/σ_N² that changes no posterior."""
+_THINNEST, _WIDEST = 1e-9, 1e9  # widths beyond which squares overflow or vanish, mm
+_NEGLIGIBLE = 0.01  # error of d²/σ_N² that changes no posterior
 _LOOSEST = 1e-3
-_SAFETY = 1 / 50
-"""Share of the tolerance that one inner product may use up: d² = ⟨S,S⟩ - 2⟨S,T⟩ + ⟨T,T⟩ adds up four."""
+_SAFETY = 1 / 50  # share of the tolerance that one inner product may use up: d² = ⟨S,S⟩ - 2⟨S,T⟩ + ⟨T,T⟩ adds up four
 
 
 @dataclass(frozen=True)

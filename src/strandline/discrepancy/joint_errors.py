@@ -25,11 +25,9 @@ from strandline.discrepancy.protocol import (
 )
 from strandline.interface import ErrorModel, Interface, Observation, PointErrors
 
-Points = Mapping[str, Float[np.ndarray, "_ _ _"]]
-"""Points of interfaces by condition, one interface a row, mm."""
+Points = Mapping[str, Float[np.ndarray, "_ _ _"]]  # points of interfaces by condition, one interface a row, mm
 Templates = Mapping[str, Interface]
-Errors = Float[np.ndarray, "run error"]
-"""Global errors of the observations for each interface, in standard deviations."""
+Errors = Float[np.ndarray, "run error"]  # global errors of the observations for each interface, in standard deviations
 
 
 @dataclass(frozen=True, eq=False)

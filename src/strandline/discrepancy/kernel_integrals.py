@@ -16,10 +16,8 @@ from strandline.foundations import NumericsError
 from strandline.interface import Interface
 
 Pairs = Int[np.ndarray, " pair"]
-PANEL = 6.0
-"""Longest piece of a segment that one Gauss rule integrates over, in kernel widths."""
-BLOCK = 1 << 16
-"""Pairs of pieces processed at once; this bounds the memory."""
+PANEL = 6.0  # longest piece of a segment that one Gauss rule integrates over, in kernel widths
+BLOCK = 1 << 16  # pairs of pieces processed at once; this bounds the memory
 _FAR = 1e-12
 _RADII = np.geomspace(1.05, 1e4, 300)
 TRIANGLE = 2.5
@@ -53,10 +51,9 @@ def refined_product(a: Interface, b: Interface, width: float, *, tolerance: floa
     """Return ⟨a,b⟩ of the polylines themselves, mm², whatever their segmentation.
 
     The integral over a segment of `b` is in closed form (erf). The one over `a` uses Gauss–Legendre rules on pieces no
-    longer than `PANEL` widths, of the order at which their error bound (`gauss_order`) falls below `tolerance`.
-    Pairs too far apart to matter at this tolerance are left out.
-
-    The error is relative to `natural_scale(a)`, if `b` does not pass near one point many times.
+    longer than `PANEL` widths, of the order at which their error bound (`gauss_order`) falls below `tolerance`. Pairs
+    too far apart to matter at this tolerance are left out. The error is relative to `natural_scale(a)`, if `b` does not
+    pass near one point many times.
     """
     pieces = _Pieces(a, PANEL * width)
     longest = float(pieces.lengths.max())
@@ -144,11 +141,10 @@ def _unit_gauss(order: int) -> tuple[Float[np.ndarray, " node"], Float[np.ndarra
 def refined_surface_product(a: Interface, b: Interface, width: float, *, tolerance: float) -> float:
     """Return ⟨a,b⟩ of the surfaces themselves, mm⁴, whatever their triangulation.
 
-    Gauss rules on triangles no larger than `TRIANGLE` widths integrate both, each of the order at which its error
-    bound (`error_bound`) falls below the tolerance. Pairs too far apart to matter at this tolerance are left out.
-
-    The error is relative to area · min(area, 2πσ²) of `a`, the ⟨a,a⟩ of a plane much larger (or smaller) than the
-    width, if `b` does not pass near one point many times.
+    Gauss rules on triangles no larger than `TRIANGLE` widths integrate both, each of the order at which its error bound
+    (`error_bound`) falls below the tolerance. Pairs too far apart to matter at this tolerance are left out. The error
+    is relative to area · min(area, 2πσ²) of `a`, the ⟨a,a⟩ of a plane much larger (or smaller) than the width, if `b`
+    does not pass near one point many times.
     """
     (area, other), plane = (float(one.areas.sum()) for one in (a, b)), 2 * math.pi * width**2
     least = min(area, plane)

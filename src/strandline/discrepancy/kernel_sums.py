@@ -17,12 +17,9 @@ from scipy.spatial import cKDTree
 
 from strandline.foundations import WHOLE, WIDEST, double, exp2_of_minus, side_by_side
 
-BLOCK = 1 << 16
-"""Pairs that NumPy processes at once; this bounds the memory."""
-SMALL = 1 << 20
-"""Number of pairs up to which blocks are faster than finding neighbours and compiling."""
-_UNROLLED = 8
-"""Partners processed in one step of the loop."""
+BLOCK = 1 << 16  # pairs that NumPy processes at once; this bounds the memory
+SMALL = 1 << 20  # number of pairs up to which blocks are faster than finding neighbours and compiling
+_UNROLLED = 8  # partners processed in one step of the loop
 _CLOSE = 300.0
 """Largest |x|² + |y|², times log₂e/2σ², at which x·y yields |x - y|² to 1e-13 of the kernel, which is not 0 yet."""
 
@@ -60,9 +57,8 @@ USUAL = Sizes()
 def kernel_sum(a: Nodes, b: Nodes, width: float, *, reach: float, sizes: Sizes = USUAL) -> float:
     """Return Σ_i Σ_j exp(-|x_i - y_j|²/2σ²) n_i·m_j over the nodes (x, n) of `a` and (y, m) of `b`.
 
-    Pairs farther apart than `reach`, mm, may be left out; the kernel has the width σ, mm.
-
-    JAX sums many pairs if its float64 is switched on, else NumPy: slower, with the same result to rounding.
+    Pairs farther apart than `reach`, mm, may be left out; the kernel has the width σ, mm. JAX sums many pairs if its
+    float64 is switched on, else NumPy: slower, with the same result to rounding.
     """
     if len(a) * len(b) <= sizes.small or not double():
         return _blocked(a, b, width)
@@ -81,9 +77,8 @@ class _TileBatch:
 
 
 def _batches(a: Nodes, b: Nodes, reach: float, sizes: Sizes) -> Iterator[_TileBatch]:
-    """Yield every pair within reach once, some that are farther apart, and blank nodes that fill the rows.
-
-    In a sum of nodes with themselves, every pair of different tiles is yielded only once, with weight 2.
+    """Yield every pair within reach once, some that are farther apart, and blank nodes that fill the rows. In a sum of
+    nodes with themselves, every pair of different tiles is yielded only once, with weight 2.
     """
     order = cKDTree(a.points).indices
     tiles = _cut(order, sizes.tile, blank=len(a))

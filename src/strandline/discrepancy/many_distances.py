@@ -15,22 +15,16 @@ from jaxtyping import Bool, Float, Int
 
 from strandline.foundations import WIDEST, double, side_by_side
 
-_LOOKED_AT = 16
-"""Nodes compared to find out which runs are alike."""
-FEWEST = 16
-"""Number of runs from which compiling pays off."""
-BLOCK = 128
-"""Runs processed together: the data of one loop fit into a core's cache."""
+_LOOKED_AT = 16  # nodes compared to find out which runs are alike
+FEWEST = 16  # number of runs from which compiling pays off
+BLOCK = 128  # runs processed together: the data of one loop fit into a core's cache
 FEWEST_ROWS = 2048
 """Least length of the arrays of rows of pairs; they are padded to few lengths, so that little is compiled."""
 ENOUGH = 64
 """Ratio of pairs compared, in all runs, to pairs bounded, from which it pays to bound again for half the runs."""
-ABREAST = 4
-"""Segments compared with a point in one step of the loop."""
-_SLACK = 1e-9
-"""How much farther than the bound a segment may be, as a share of the extent: far more than rounding."""
-Frames = tuple[Any, ...]
-"""Frames of segments, see `frames`."""
+ABREAST = 4  # segments compared with a point in one step of the loop
+_SLACK = 1e-9  # how much farther than the bound a segment may be, as a share of the extent: far more than rounding
+Frames = tuple[Any, ...]  # frames of segments, see `frames`
 Rows = tuple[Any, Any, Any, Any]
 """Numbers of segments, shape (row, abreast), and of the point of each row, whether it is the point's last row, and the
 number of rows that count."""
@@ -121,10 +115,9 @@ def _runs_last(values: Float[np.ndarray, "#run point column"]) -> list[Values]:
 
 
 def _segment_pairs(near: Bool[np.ndarray, "point cell"]) -> Rows:
-    """Return the segments to compare with each point, those that `near` marks, at least one for each.
-
-    `ABREAST` segments are in a row, some repeated to fill it; the rows of one point are consecutive. The arrays are
-    padded to one of a few lengths.
+    """Return the segments to compare with each point, those that `near` marks, at least one for each. `ABREAST`
+    segments are in a row, some repeated to fill it; the rows of one point are consecutive. The arrays are padded to one
+    of a few lengths.
     """
     point, cell = np.nonzero(near)
     counts = np.bincount(point, minlength=len(near))
@@ -144,10 +137,9 @@ def _segment_pairs(near: Bool[np.ndarray, "point cell"]) -> Rows:
 
 
 def _near(points: Points, corners: Corners, cells: Int[np.ndarray, "cell 2"]) -> Bool[np.ndarray, "point cell"]:
-    """Return which segments may be closest to which points in some run of the block.
-
-    A segment moves at most as far as its corners do. It may be the closest one if its least possible distance does not
-    exceed the largest possible distance of any other one.
+    """Return which segments may be closest to which points in some run of the block. A segment moves at most as far as
+    its corners do. It may be the closest one if its least possible distance does not exceed the largest possible
+    distance of any other one.
     """
     middles, moved = motion(points)
     bends, bent = motion(corners)
@@ -196,10 +188,8 @@ def _bounds() -> Any:
 
 @lru_cache(maxsize=1)
 def _loop() -> Any:
-    """Return the compiled loop over the rows of pairs.
-
-    Runs are on the last axis. An array that all runs share lacks this axis: numbers instead of vectors of length one
-    make the loop ten times as fast.
+    """Return the compiled loop over the rows of pairs. Runs are on the last axis. An array that all runs share lacks
+    this axis: numbers instead of vectors of length one make the loop ten times as fast.
     """
     import jax
     import jax.numpy as jnp

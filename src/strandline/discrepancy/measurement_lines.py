@@ -15,24 +15,18 @@ from strandline.foundations import InvalidInput, unfit
 from strandline.interface import Interface, PointErrors, normals_at, steady_lengths
 
 Places = Float[np.ndarray, "*place"]
-REACH = 0.25
-"""Default reach of a measurement line, as a share of the length of the observed interface."""
+REACH = 0.25  # default reach of a measurement line, as a share of the length of the observed interface
 
 _BLOCK = 256  # interfaces that `many` processes together
-_STEADY = 0.2
-"""Noise, in lengths of the piece of outline whose direction a line takes, up to which the line is steady."""
+_STEADY = 0.2  # noise, in lengths of the piece of outline whose direction a line takes, up to which the line is steady
 _ROUGH = 0.3
 """Difference between the errors of neighbouring points, in their spacing, up to which segments keep their length."""
 _PIECE = 20.0
 """Length of the piece of outline whose direction a line takes, in sds of the points, where these are stated."""
-_FEWEST_BENDS = 8
-"""Number of bends between neighbouring segments from which they show the noise of the points."""
-_TRIMMED = 0.05
-"""Share of the interface at each end that gets no line where the errors of the points are stated."""
-MOST_TRIMMED = 0.4
-"""Largest such share."""
-MOST_LINES = 100_000
-"""Largest number of lines in a measure; each costs memory and time in every comparison."""
+_FEWEST_BENDS = 8  # number of bends between neighbouring segments from which they show the noise of the points
+_TRIMMED = 0.05  # share of the interface at each end that gets no line where the errors of the points are stated
+MOST_TRIMMED = 0.4  # largest such share
+MOST_LINES = 100_000  # largest number of lines in a measure; each costs memory and time in every comparison
 Bases = Float[np.ndarray, "line 4"]
 Cells = Int[np.ndarray, "cell 2"]
 
@@ -225,9 +219,8 @@ def _nearest_crossings(points: Float[np.ndarray, "point 2"], cells: Cells, lines
 
 
 def _least_distances(points: ManyPoints, cells: Cells, lines: Bases, reach: float) -> Float[np.ndarray, "run line"]:
-    """Return the distance from each line's point to its nearest crossing with each polyline; at most `reach`.
-
-    Only segments that may cross the line within its reach in some run are considered.
+    """Return the distance from each line's point to its nearest crossing with each polyline; at most `reach`. Only
+    segments that may cross the line within its reach in some run are considered.
     """
     line, cell = np.nonzero(_may_cross(points, cells, lines, reach))
     out = np.full((len(points), len(lines)), reach)

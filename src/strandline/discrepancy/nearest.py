@@ -19,16 +19,11 @@ from strandline.interface import Interface
 
 Pairs = Int[np.ndarray, " pair"]
 Points = Float[np.ndarray, "point xyz"]
-BLOCK = 1 << 15
-"""Pairs of a point and a cell processed at once; this bounds the memory."""
-SMALL = 1 << 14
-"""Number of pairs of a point and a cell up to which trying all of them is faster than the tree."""
-ONCE = 1 << 17
-"""The same if the interface is searched only once, so that its tree is not kept."""
-_LEAF = 3
-"""Smallest number of cells in the lowest boxes of the tree; the largest is less than twice that."""
-_GUESS = 0.02
-"""Allowed error of the first bound, as a share of it; it saves distant points most of the search for it."""
+BLOCK = 1 << 15  # pairs of a point and a cell processed at once; this bounds the memory
+SMALL = 1 << 14  # number of pairs of a point and a cell up to which trying all of them is faster than the tree
+ONCE = 1 << 17  # the same if the interface is searched only once, so that its tree is not kept
+_LEAF = 3  # smallest number of cells in the lowest boxes of the tree; the largest is less than twice that
+_GUESS = 0.02  # allowed error of the first bound, as a share of it; it saves distant points most of the search for it
 _SLACK = 1e-9, 1e-14
 """How much farther than the bound a box may be: far more than rounding, as a share of the bound and of the extent."""
 
@@ -55,9 +50,8 @@ def squared_distances(points: Points, target: Interface) -> Float[np.ndarray, " 
 def closest_points(points: Points, target: Interface, *, once: bool = False) -> ClosestPoints:
     """Return the closest points of `target`, on its segments or triangles.
 
-    The search trees are kept for the most recently searched interfaces.
-
-    With `once`, the interface will not be searched again, as a prediction that is looked at once.
+    The search trees are kept for the most recently searched interfaces. With `once`, the interface will not be searched
+    again, as a prediction that is looked at once.
     """
     if points.shape[1] != target.dim:
         found, expected = f"{points.shape[1]} coordinates", f"{target.dim} coordinates, as the interface has"
@@ -126,10 +120,9 @@ class _Best:
 
 @dataclass(frozen=True, eq=False)
 class _Tree:
-    """Boxes around cells near each other, halved from level to level, and a tree of the cells' centres.
-
-    `order` has the number of the cell in each of the lowest boxes; some are repeated to fill all boxes equally.
-    `levels` has the corners (low, high) of the boxes, (2, xyz, box): 1, 2, 4, …, and finally one for each cell.
+    """Boxes around cells near each other, halved from level to level, and a tree of the cells' centres. `order` has the
+    number of the cell in each of the lowest boxes; some are repeated to fill all boxes equally. `levels` has the
+    corners (low, high) of the boxes, (2, xyz, box): 1, 2, 4, …, and finally one for each cell.
     """
 
     centres: cKDTree
@@ -203,9 +196,8 @@ def _off_segment(p: Vectors, a: Vectors, b: Vectors) -> Vectors:
 
 
 def _off_inside(p: Vectors, a: Vectors, b: Vectors, c: Vectors) -> Vectors:
-    """Solve for the share of c along the altitude, then for that of b: as accurate for slivers as for others.
-
-    The altitude is made orthogonal twice, because for a sliver only rounding is left after the first time.
+    """Solve for the share of c along the altitude, then for that of b: as accurate for slivers as for others. The
+    altitude is made orthogonal twice, because for a sliver only rounding is left after the first time.
     """
     d, e, q = b - a, c - a, p - a
     square = _dot(d, d)

@@ -28,22 +28,14 @@ from strandline.interface import Interface, as_complex
 FEWEST_AVERAGED = 6
 """Fewest points in a mean: with fewer, little would be saved. Means drop what the slopes of r within a place tell, and
 with many places of few points this moved a posterior by 0.27 standard deviations."""
-TURN = 0.35
-"""Largest angle by which the course may turn along the points of one mean, radians."""
-GAP = 10.0
-"""Distance of neighbouring points beyond which they are not averaged, in medians."""
-BESIDE = 2
-"""Places on each side whose points help to find the course; near an end more on the other side."""
-MOST_GAPS = 0.02
-"""Share of such gaps beyond which the points are not in order along a curve."""
-Sums = tuple[Values, Float[np.ndarray, "run error"]]
-"""rᵀ D⁻¹ r and Bᵀ D⁻¹ r of each run."""
-ROUGH = 64
-"""Places along an observed polyline that estimate g, about."""
-BEYOND = 0.05
-"""Share of its length by which an open polyline goes on straight at each end."""
-PLACES = 200
-"""Places along an observed polyline whose distances stand for those of all its points, about."""
+TURN = 0.35  # largest angle by which the course may turn along the points of one mean, radians
+GAP = 10.0  # distance of neighbouring points beyond which they are not averaged, in medians
+BESIDE = 2  # places on each side whose points help to find the course; near an end more on the other side
+MOST_GAPS = 0.02  # share of such gaps beyond which the points are not in order along a curve
+Sums = tuple[Values, Float[np.ndarray, "run error"]]  # rᵀ D⁻¹ r and Bᵀ D⁻¹ r of each run
+ROUGH = 64  # places along an observed polyline that estimate g, about
+BEYOND = 0.05  # share of its length by which an open polyline goes on straight at each end
+PLACES = 200  # places along an observed polyline whose distances stand for those of all its points, about
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,10 +172,8 @@ def weighted_sums(
 ) -> Sums:
     """Return Σ w r² and Σ f r over the signed distances r of the observed points, for each simulated interface.
 
-    Means of neighbouring points stand for many points of a polyline.
-
-    With `rough`, very few places along a polyline stand for all points; with `longer`, the interfaces are `extended`
-    already.
+    Means of neighbouring points stand for many points of a polyline. With `rough`, very few places along a polyline
+    stand for all points; with `longer`, the interfaces are `extended` already.
     """
     points = points if longer else extended(points, template)
     if template.dim == 2 and len(points) >= FEWEST:

@@ -9,12 +9,9 @@ from jaxtyping import Float
 from strandline.foundations import InvalidInterface
 from strandline.interface import Interface, PointErrors
 
-ManyPoints = Float[np.ndarray, "run point xyz"]
-"""Points of interfaces with the same cells, one interface a row, mm."""
-Offsets = Float[np.ndarray, "run seen"]
-"""Signed distances of the observed points from each interface, mm."""
-Values = Float[np.ndarray, " run"]
-"""A number for each interface."""
+ManyPoints = Float[np.ndarray, "run point xyz"]  # points of interfaces with the same cells, one interface a row, mm
+Offsets = Float[np.ndarray, "run seen"]  # signed distances of the observed points from each interface, mm
+Values = Float[np.ndarray, " run"]  # a number for each interface
 
 
 @runtime_checkable

@@ -23,19 +23,14 @@ from strandline.interface import Interface, PointErrors, normals_at, oriented_li
 PerPlace = Float[np.ndarray, " place"]
 PARTS = ("shift_x", "shift_y", "rotation", "scale", "offset")
 """Errors that all points of a contour share: mm, mm, degrees, a share, mm."""
-PIECES = 16
-"""The outline that all are compared with is smoothed over a piece of one in so many."""
-ENDS = 0.05
-"""Share of an open outline that is left out at each end."""
-CERTAIN = 0.95
-"""Probability with which local errors alone would not spread the common errors as much."""
-FEW = 5
-"""Number of contours below which the spread of the common errors is a guess."""
+PIECES = 16  # the outline that all are compared with is smoothed over a piece of one in so many
+ENDS = 0.05  # share of an open outline that is left out at each end
+CERTAIN = 0.95  # probability with which local errors alone would not spread the common errors as much
+FEW = 5  # number of contours below which the spread of the common errors is a guess
 _WEAKEST, _NONE = 0.1, 0.02
 """Effects of a combination of common errors, relative to the strongest one, below which it is not looked for, and below
 which it does nothing to the offsets."""
-_GAP = 5.0
-"""Largest gap in a contour, in steps, after its shift and rotation were undone in two passes."""
+_GAP = 5.0  # largest gap in a contour, in steps, after its shift and rotation were undone in two passes
 _FEWEST_PLACES = 20
 
 
@@ -88,10 +83,9 @@ def errors_from_repeats(contours: Sequence[Interface]) -> Repeats:
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """The smoothed outline that all contours are compared with, and the places along it.
-
-    `places` are arc lengths at equal steps, mm; `middle` is the centre of rotation and scale, mm; `estimate` takes
-    offsets at the places to `PARTS`; the orthonormal columns of `basis` span what `PARTS` do to the offsets.
+    """The smoothed outline that all contours are compared with, and the places along it. `places` are arc lengths at
+    equal steps, mm; `middle` is the centre of rotation and scale, mm; `estimate` takes offsets at the places to
+    `PARTS`; the orthonormal columns of `basis` span what `PARTS` do to the offsets.
     """
 
     outline: Interface
@@ -151,9 +145,8 @@ def _places(outline: Interface, feet: Sequence[Float[np.ndarray, " _"]]) -> tupl
 def _effects(
     outline: Interface, places: PerPlace, step: float, middle: Float[np.ndarray, "2"]
 ) -> tuple[Float[np.ndarray, "place part"], Float[np.ndarray, " part"]]:
-    """Return what `PARTS` do to the offsets at the places, each in units that move the outline by about 1 mm.
-
-    Also returns these units: mm, mm, degrees, a share, mm.
+    """Return what `PARTS` do to the offsets at the places, each in units that move the outline by about 1 mm. Also
+    returns these units: mm, mm, degrees, a share, mm.
     """
     along = np.concatenate([[0.0], np.cumsum(outline.lengths)])
     path = outline.points[np.append(outline.cells[:, 0], outline.cells[-1, 1])]

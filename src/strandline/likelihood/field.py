@@ -37,8 +37,7 @@ STARTS, SHARES = 256, (1.0, 0.3, 0.1)
 TRIED, LIKELY, TOLERATED = 8, 10.0, 0.2
 """Points at which `nearby` is compared with the measure; how much less likely than the best one they may be, in log L;
 largest difference of log E[L]."""
-ROUNDS, SHIFTS = 6, 16
-"""Rounds of the search for the shift that the noise hides, and shifts tried in each."""
+ROUNDS, SHIFTS = 6, 16  # rounds of the search for the shift that the noise hides, and shifts tried in each
 LEAST_SHIFT = 1e-12  # least shift of an interface that is tried, as a share of its extent
 _BLOCK = 8192  # interfaces predicted together
 
@@ -224,9 +223,8 @@ def sd_of_distances(observation: Observation, discrepancy: Discrepancy, simulate
 def _shift(
     observation: Observation, discrepancy: Discrepancy, direction: Float[np.ndarray, " xyz"], extent: float
 ) -> float:
-    """Search in the logarithm: d² grows with small shifts.
-
-    It counts from its value without a shift, which is not 0 where means stand for many points of a rough interface.
+    """Search in the logarithm: d² grows with small shifts. It counts from its value without a shift, which is not 0
+    where means stand for many points of a rough interface.
     """
     seen, low, high = observation.interface, LEAST_SHIFT * extent, 0.5 * extent
     one = compared(observation, discrepancy, len(seen.points))

@@ -248,8 +248,7 @@ class InterfaceLikelihood:
         """The Gaussian constant -½ Σ n_c log(2πσ_N,c²) that `__call__` leaves out.
 
         None if d² is not a sum of n_c independent residuals, with n_c fixed by the observation. Noise that is inferred
-        leaves out -½ n log 2π alone. σ_N is in mm: the
-        constant depends on the unit, as any log density of data does.
+        leaves out -½ n log 2π alone. σ_N is in mm: the constant depends on the unit, as any log density of data does.
         """
         counts = [independent_terms(adapted(self.discrepancy, o), o.interface) for o in self.observations]
         measures = [self._compared(o, o.interface).measure for o in self.observations]

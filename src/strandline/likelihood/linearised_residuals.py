@@ -147,9 +147,8 @@ def near_field(
 
 
 class _Motions(NamedTuple):
-    """Signed distances from an interface, how others move at the closest points, and its curvature there.
-
-    Motions are along the normal, along the tangent, and the derivative of the former along the interface.
+    """Signed distances from an interface, how others move at the closest points, and its curvature there. Motions are
+    along the normal, along the tangent, and the derivative of the former along the interface.
     """
 
     residuals: Residuals
@@ -162,11 +161,10 @@ class _Motions(NamedTuple):
         return self._replace(across=self.across / steps, along=self.along / steps, turn=self.turn / steps)
 
     def registered(self, model: ErrorModel, moves: Bool[np.ndarray, " error"], fields: int) -> "_Motions":
-        """Return the motions of r + Bg, g the most probable global errors, from those of r at constant g.
-
-        The first motions are those of `fields`, the others those of an interface that follows the global errors. They
-        are not quite B, which belongs to the observed points: with N what they do and g = P (r + Bg),
-        d(r + Bg) = dr + (B - N) dg = (I - (B - N) P)⁻¹ dr.
+        """Return the motions of r + Bg, g the most probable global errors, from those of r at constant g. The first
+        motions are those of `fields`, the others those of an interface that follows the global errors. They are not
+        quite B, which belongs to the observed points: with N what they do and g = P (r + Bg), d(r + Bg) = dr + (B - N)
+        dg = (I - (B - N) P)⁻¹ dr.
         """
         off = model.shared[:, moves] - self.across[:, fields:]
         P = model.shared_errors(model.features)[:, moves].T

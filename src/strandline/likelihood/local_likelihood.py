@@ -22,8 +22,7 @@ from strandline.surrogate import FieldSurrogate
 Tail = Float[np.ndarray, "point rest"]
 BLOCK = 1 << 22  # residuals computed together
 ROWS = 512  # offsets tried one by one together
-SMALL, NOTHING = 1e-4, 1e-12
-"""Relative step of d² to see how log L changes; least size of offsets, mm."""
+SMALL, NOTHING = 1e-4, 1e-12  # relative step of d² to see how log L changes; least size of offsets, mm
 
 
 @dataclass(frozen=True, eq=False)

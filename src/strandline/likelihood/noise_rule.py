@@ -46,8 +46,7 @@ from strandline.interface import (
 )
 
 DRAWS = 80
-CURVATURES = 10
-"""Drawn observations from which the mean Hessian comes: errors of the points flatten some measures."""
+CURVATURES = 10  # drawn observations from which the mean Hessian comes: errors of the points flatten some measures
 WIDER = 4.0
 """Steps of the second differences in those of the first: narrow ones would see where closest segments change."""
 SHAPES = 4

@@ -30,8 +30,7 @@ Numbers = tuple[Float[np.ndarray, "draw mode"], Float[np.ndarray, "draw rest"]]
 """Standard normal numbers that fields are drawn with: of the modes, and of what they leave over."""
 BLOCK = 1024  # points whose matrices are computed together
 TINY = 1e-300  # keeps quotients finite
-LEAST = 1e-6
-"""Least second derivative of a fitted parabola, as a share of the largest: none bends upwards."""
+LEAST = 1e-6  # least second derivative of a fitted parabola, as a share of the largest: none bends upwards
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,9 +138,8 @@ class FittedParabola:
 
 
 class _Tilted:
-    """The Gaussian ∝ L p of standard normal numbers u for a parabola log L: precision RRᵀ and mean (RRᵀ)⁻¹ g.
-
-    `roots` are the standard deviations V½ of the modes, mm, `factor` is R, lower triangular, and `pulled` R⁻¹ g.
+    """The Gaussian ∝ L p of standard normal numbers u for a parabola log L: precision RRᵀ and mean (RRᵀ)⁻¹ g. `roots`
+    are the standard deviations V½ of the modes, mm, `factor` is R, lower triangular, and `pulled` R⁻¹ g.
     """
 
     def __init__(self, parabolas: Parabolas, variance: Modes) -> None:

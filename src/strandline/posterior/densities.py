@@ -213,11 +213,9 @@ class KernelDensity:
 
     Copies of a draw are merged and their weights added. `factor` is the lower Cholesky factor of the kernel's
     covariance, which includes the bandwidth, relative to the draws' standard deviation. Bounds are infinite if there
-    are none.
-
-    A plain kernel estimate leaks across the bounds and declines towards them although the posterior does not. Mirroring
-    at every bound folds the leaking mass back, which is exact as long as the kernels are narrow compared with the box.
-    The estimate of a single input also follows the slope of the density at its bounds (`slope_correction`).
+    are none. A plain kernel estimate leaks across the bounds and declines towards them although the posterior does not.
+    Mirroring at every bound folds the leaking mass back, which is exact as long as the kernels are narrow compared with
+    the box. The estimate of a single input also follows the slope of the density at its bounds (`slope_correction`).
     """
 
     centres: Centres

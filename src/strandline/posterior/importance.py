@@ -75,8 +75,7 @@ def pareto_smoothed(log_ratios: Float[np.ndarray, " draw"]) -> SmoothedWeights:
     """Return the smoothed weights of draws from a proposal, given log(target/proposal) at each, up to a constant.
 
     The largest min(S/5, 3√S) of the S ratios are replaced by the quantiles of a generalised Pareto distribution fitted
-    to them, none above the largest raw one. A ratio of -inf marks a draw without weight, which counts
-    among the S.
+    to them, none above the largest raw one. A ratio of -inf marks a draw without weight, which counts among the S.
 
     Raises:
         InvalidInput: fewer than five draws, a ratio that is NaN or +inf, or none that is finite.

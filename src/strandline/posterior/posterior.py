@@ -21,8 +21,7 @@ OFF, ROUNDING = 0.1, 1e-7
 log-likelihoods are of the order of -1e9."""
 FLAT = (Uniform, LogUniform)
 """Priors that say no more than where their ends are; a posterior at an end has a warning of its own."""
-LEVEL = 0.01
-"""Probability, if prior and model are right, below which there is a warning: one false alarm in 100 inputs."""
+LEVEL = 0.01  # probability, if prior and model are right, below which there is a warning: one false alarm in 100 inputs
 LEAST_REMOVED = 0.05
 """Least share of the prior's variance that is taken to be removed: less is within the error of the draws."""
 EDGE = 1e-12  # keeps normal quantiles finite
@@ -64,9 +63,8 @@ class Posterior:
 
     The inputs of `space` are in the order of the columns of `draws`, physical values (particle, dim). The log weights
     (particle,) are normalised, and normalised again if rounding was large; -inf is a particle without weight.
-    `log_evidence` is the log of the integral of likelihood times prior.
-
-    Tempering with a step control near 1 ends with unequal weights: an unweighted summary of `draws` is wrong.
+    `log_evidence` is the log of the integral of likelihood times prior. Tempering with a step control near 1 ends with
+    unequal weights: an unweighted summary of `draws` is wrong.
 
     Raises:
         InvalidInput: lengths that differ, draws that are not finite, or weights that do not sum to one.

@@ -47,9 +47,8 @@ class QuadratureResult:
 
 
 class _Cells(NamedTuple):
-    """Cells of the unit cube with their integrals of (1, u, u uᵀ)·exp(log density - log_unit).
-
-    `difference` holds, for the integrals of a cell, its share of the change that the refinement brought.
+    """Cells of the unit cube with their integrals of (1, u, u uᵀ)·exp(log density - log_unit). `difference` holds, for
+    the integrals of a cell, its share of the change that the refinement brought.
     """
 
     low: Float[np.ndarray, "cell dim"]
@@ -150,11 +149,9 @@ def integrate(
     """Integrate an unnormalised density over a box, refining until evidence and moments have converged.
 
     A ridge is found if its width (four standard deviations) is 1/50 of the box or more. If it does not converge within
-    the evaluations allowed, this is reported, not raised.
-
-    The log density takes physical points; -inf is allowed. It gets exactly `batch` points each time, so a jitted
-    function is compiled once. The tolerances of the evidence and of standard deviations are relative, that of the means
-    is in standard deviations. Corners of the box are physical.
+    the evaluations allowed, this is reported, not raised. The log density takes physical points; -inf is allowed. It
+    gets exactly `batch` points each time, so a jitted function is compiled once. The tolerances of the evidence and of
+    standard deviations are relative, that of the means is in standard deviations. Corners of the box are physical.
 
     Raises:
         InvalidInput: more than three dimensions or a box without extent.
@@ -226,9 +223,8 @@ def _moments(cells: _Cells, dim: int) -> _Moments:
 
 
 def _errors(cells: _Cells, moments: _Moments) -> Float[np.ndarray, "3 cell"]:
-    """Return the estimated error of each cell: share of the evidence, largest mean (in sd), largest relative sd.
-
-    These are effects of the differences as absolute values, which cannot cancel.
+    """Return the estimated error of each cell: share of the evidence, largest mean (in sd), largest relative sd. These
+    are effects of the differences as absolute values, which cannot cancel.
     """
     dim, m = len(moments.mean), moments.mean
     change = cells.difference / moments.mass

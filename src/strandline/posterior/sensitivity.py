@@ -40,10 +40,9 @@ def sobol_indices(
 
     For a log-likelihood they show what the data distinguish over the *whole* prior, above all in its far tail. The
     indices of the likelihood itself, a narrow peak, would be near 0 and 1, since only interactions are left. To see
-    what the data say about an input, look at its marginal, not at these indices.
-
-    The function of physical points gets (dim + 2) times `number` of them, a power of 2: two Sobol' samples and their
-    mixtures. `level` is the probability of the bootstrap intervals, from so many resamples.
+    what the data say about an input, look at its marginal, not at these indices. The function of physical points gets
+    (dim + 2) times `number` of them, a power of 2: two Sobol' samples and their mixtures. `level` is the probability of
+    the bootstrap intervals, from so many resamples.
 
     Raises:
         NumericsError: the function does not vary under the prior, or is not finite.

@@ -26,8 +26,7 @@ KEPT = 0.3  # least effective share of the particles from which sampling goes on
 ENOUGH = 0.9  # effective share from which the weights alone are good enough
 ROUNDS = 2  # rounds of moves that follow otherwise
 SCOUTS = 1000  # draws of the prior that are tried
-OUTSIDE = 5.0
-"""Distance from the mean, in standard deviations of the particles, from which a draw is outside."""
+OUTSIDE = 5.0  # distance from the mean, in standard deviations of the particles, from which a draw is outside
 ELSEWHERE = 0.01  # largest share of the evidence that draws of the prior may find outside the particles
 FIRST_ACCEPTANCE = 0.3  # share of accepted moves that the size of the first proposals assumes
 
@@ -153,10 +152,8 @@ def sample_each(
 
     Each case does what `sample` does with the key ``fold_in(key, case)`` and θ fixed: it has its own temperatures and
     stops once it reaches 1. θ is an argument of the compiled step, so one program serves all cases; do not use the key
-    again.
-
-    Both log densities take physical points and are jittable; log L, batched over the points, takes one θ and may be
-    -inf, log p is normalised. If the attribute `on_host` of log L is true, it takes NumPy arrays: the points of all
+    again. Both log densities take physical points and are jittable; log L, batched over the points, takes one θ and may
+    be -inf, log p is normalised. If the attribute `on_host` of log L is true, it takes NumPy arrays: the points of all
     cases and as many rows of θ. The initial particles are draws from the prior for each case, physical.
 
     Raises:

@@ -8,8 +8,7 @@ from jaxtyping import Float
 
 from strandline import foundations
 
-require = partial(foundations.require, remedy="Change it and start again.")
-"""Refuse what is not right."""
+require = partial(foundations.require, remedy="Change it and start again.")  # refuse what is not right
 
 
 @dataclass(frozen=True)

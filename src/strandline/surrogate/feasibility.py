@@ -16,8 +16,7 @@ from scipy.special import expit, log_expit, logit
 
 Inputs = Float[np.ndarray, "run dim"]
 Outcomes = Bool[np.ndarray, " run"]
-LENGTHS = (0.5, 1.0, 2.0, 4.0)
-"""Length scales tried, in standard deviations of the inputs."""
+LENGTHS = (0.5, 1.0, 2.0, 4.0)  # length scales tried, in standard deviations of the inputs
 SPREADS = (0.3, 2.0, 6.0)
 """Standard deviations of the latent function tried; the smallest means that failures are random."""
 _STEPS = 50

@@ -241,12 +241,10 @@ def _attempt(objective: Objective, start: float, bound: float) -> EvidenceSearch
 
 
 def _judge(objective: Objective, found: OptimizeResult, box: list[tuple[float, float]]) -> tuple[str, bool]:
-    """Return a verdict on the optimiser's stop and whether to accept it.
-
-    The optimiser's own success counts only if the projected gradient is small as well: it also calls a step that gains
-    little a success, and has done so hundreds of nats below the maximum. Any other stop (line search "ABNORMAL", limit
-    of iterations) is accepted only if small steps along all coordinates and along the gradient, inside the box, gain
-    less than `_FLAT`.
+    """Return a verdict on the optimiser's stop and whether to accept it. The optimiser's own success counts only if the
+    projected gradient is small as well: it also calls a step that gains little a success, and has done so hundreds of
+    nats below the maximum. Any other stop (line search "ABNORMAL", limit of iterations) is accepted only if small steps
+    along all coordinates and along the gradient, inside the box, gain less than `_FLAT`.
     """
     if found.fun > objective.worst or math.isinf(objective.worst):  # the wall, including that of another start
         return "the covariance was never positive definite", False

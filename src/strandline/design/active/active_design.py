@@ -38,10 +38,8 @@ many standard deviations, no logarithm of a standard deviation by as much."""
 BATCH_SHARE = 0.05
 """Runs of a batch as a share of the runs so far, if no number is stated and this is more than that of workers."""
 TRIAL = 3  # further draws of a posterior at which the model runs if there are doubts about it
-STILL = 0.5
-"""Share of `Active.change` by which a posterior may move and still be the one that a check has passed."""
-DIFFERENT = 0.4
-"""Change of a mean, in sds, or of the logarithm of an sd, that two samples of one posterior do not show."""
+STILL = 0.5  # share of `Active.change` by which a posterior may move and still be the one that a check has passed
+DIFFERENT = 0.4  # change of a mean, in sds, or of the logarithm of an sd, that two samples of one posterior do not show
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +91,7 @@ class Situation:
         return self.stable or self.kind in ("given", "elsewhere", "trial")
 
 
-Decision = Batch | None | Literal["not now"]
-"""The next batch, None to stop, or that another phase decides."""
+Decision = Batch | None | Literal["not now"]  # the next batch, None to stop, or that another phase decides
 
 
 class ActiveDesign:
@@ -323,9 +320,8 @@ class ActiveDesign:
         return self.batches[-1]
 
     def _still_passed(self) -> BatchCheck | None:
-        """Return the check that the posterior had passed before the last runs; None if they have moved it.
-
-        These were made around an odd run far from it, or because of doubts.
+        """Return the check that the posterior had passed before the last runs; None if they have moved it. These were
+        made around an odd run far from it, or because of doubts.
         """
         (passed, self._passed) = (self._passed, None)
         if passed is None:
@@ -356,16 +352,14 @@ class ActiveDesign:
 
     def _apart(self, state: State) -> int:
         """Return by how many runs two posteriors must differ to be compared: half the inputs if runs yield derivatives.
-
         Each of these shows the effect of all inputs at once.
         """
         return (self.space.dim + 1) // 2 if state.knowledge.surrogate.gradients else self.space.dim
 
     def _stable(self, records: Sequence[RunRecord]) -> bool:
-        """Return whether the posterior has moved little up to this step, and up to the step it is compared with.
-
-        A check that has failed does not count as that step: two batches must follow it before the next check. Unless
-        one has, one batch is enough if the runs near the posterior agree with predictions from the others.
+        """Return whether the posterior has moved little up to this step, and up to the step it is compared with. A
+        check that has failed does not count as that step: two batches must follow it before the next check. Unless one
+        has, one batch is enough if the runs near the posterior agree with predictions from the others.
         """
         last = self.steps[-1]
         if not self._calm(last):

@@ -32,8 +32,7 @@ NEXT = {
 FAR = 0.5  # share of draws still effective below which a posterior has moved too far to say by how much
 SHOWN = 3  # inputs whose mean and standard deviation a line has room for
 Points = Float[np.ndarray, "run dim"]
-AFRESH = 1
-"""Keeps the random numbers of a posterior that is sampled afresh apart from those of the one before."""
+AFRESH = 1  # keeps the random numbers of a posterior that is sampled afresh apart from those of the one before
 
 
 @dataclass(frozen=True, eq=False)

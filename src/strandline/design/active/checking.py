@@ -27,10 +27,8 @@ from strandline.posterior import NEARLY_EQUAL, Reweighting, largest_usual_k_hat,
 
 SAMPLES = 400  # sets of coefficients drawn
 FREEDOM = 3  # degrees of freedom that must be left
-WHOLE = 3
-"""Largest dimension with products of the axes."""
-ROUGH = 0.1
-"""Standard deviation added to every expected one, so that no draw counts far more than all others."""
+WHOLE = 3  # largest dimension with products of the axes
+ROUGH = 0.1  # standard deviation added to every expected one, so that no draw counts far more than all others
 _SEED = 5
 Particles = Float[np.ndarray, "particle dim"]
 Values = Float[np.ndarray, " draw"]
@@ -150,7 +148,6 @@ class _ParabolaFit:
 
 def _fitted(A: Float[np.ndarray, "draw term"], log_ratios: Values, roots: Values) -> _ParabolaFit:
     """Return the fit; its errors are those of the draws that count most, with half of the freedom, if they are larger.
-
     `roots` are the square roots of the draws' weights.
     """
     q, r = np.linalg.qr(roots[:, None] * A)
@@ -165,9 +162,8 @@ def _fitted(A: Float[np.ndarray, "draw term"], log_ratios: Values, roots: Values
 
 
 def _bounds(drawn: Float[np.ndarray, "sample dim"], level: float) -> tuple[float, float]:
-    """Return bounds of the largest size of several quantities, from draws of each.
-
-    The largest size of many draws is large by chance alone, so the lower bound is the largest of all quantities' own.
+    """Return bounds of the largest size of several quantities, from draws of each. The largest size of many draws is
+    large by chance alone, so the lower bound is the largest of all quantities' own.
     """
     share = level / drawn.shape[1]
     lowest, highest = np.quantile(drawn, share, axis=0), np.quantile(drawn, 1 - share, axis=0)
@@ -373,9 +369,8 @@ def within(effect: Effect, tolerances: Tolerances) -> bool:
 
 
 def _may_settle(so_far: Sequence[tuple[Effect, int]], more: int, dim: int, tolerances: Tolerances) -> bool:
-    """Return whether one of some effects, each of so many draws, may be within the tolerances after more draws.
-
-    Bounds shrink with the root of the degrees of freedom, and as quantiles of Student's t distribution do.
+    """Return whether one of some effects, each of so many draws, may be within the tolerances after more draws. Bounds
+    shrink with the root of the degrees of freedom, and as quantiles of Student's t distribution do.
     """
     for effect, number in so_far:
         free = number - (fewest(dim) - FREEDOM)

@@ -260,8 +260,7 @@ def criterion_named(name: str) -> Criterion:
 
 
 FEWEST_CHECKED = 20  # smallest number of draws of a whole check
-LARGEST_BATCH = 16
-"""Largest number of runs that are chosen together if none is stated."""
+LARGEST_BATCH = 16  # largest number of runs that are chosen together if none is stated
 
 
 @dataclass(frozen=True)

@@ -64,10 +64,8 @@ def points_elsewhere(
 ) -> Float[np.ndarray, "new dim"]:
     """Return the inputs to run so that regions of this share of the prior's mass are found, at most `most`.
 
-    Each is the point that is farthest from all runs, in the prior's quantiles.
-
-    With `likely`, which tells where runs may succeed, no point lies where they fail, nor need a region be found whose
-    middle does.
+    Each is the point that is farthest from all runs, in the prior's quantiles. With `likely`, which tells where runs
+    may succeed, no point lies where they fail, nor need a region be found whose middle does.
     """
     if share >= 1:
         return np.empty((0, space.dim))

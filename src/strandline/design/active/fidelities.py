@@ -22,12 +22,9 @@ TRIED, AGAIN = 3, 1
 """Draws of a posterior at which the correction is confirmed, and of one that follows such a posterior."""
 MISLEADING = 0.5
 """A cheaper model is dropped if its corrected interfaces err by more than this share of the interfaces' spread."""
-REFUTED = 3
-"""Number of trials in which the correction may prove wrong before the cheaper model is dropped."""
-HOPELESS = 3.0
-"""A refuted correction gets no second chance if left-out pairs err by so many times what is tolerated."""
-FIRM, ENOUGH = 5, 6
-"""Pairs from which errors at left-out ones tell that a cheaper model misleads, or that it does not."""
+REFUTED = 3  # number of trials in which the correction may prove wrong before the cheaper model is dropped
+HOPELESS = 3.0  # a refuted correction gets no second chance if left-out pairs err by so many times what is tolerated
+FIRM, ENOUGH = 5, 6  # pairs from which errors at left-out ones tell that a cheaper model misleads, or that it does not
 
 At = bytes
 
@@ -74,9 +71,7 @@ class FidelityReport:
 
 
 class Fidelities:
-    """Decides which runs both models make, and what the runs of the cheaper one, at this share of the cost, are
-    worth.
-    """
+    """Decides which runs both models make, and what the runs of the cheaper one, at this share of the cost, are worth."""
 
     def __init__(self, names: Sequence[str], conditions: Sequence[str], cost: float) -> None:
         self.names, self.conditions, self.cost = tuple(names), tuple(conditions), cost
@@ -194,9 +189,8 @@ class Fidelities:
     def pays(self, error: float) -> bool:
         """Return whether one more pair lowers the error of the field by more, for its cost, than a cheaper run.
 
-        An error of the correction of half of what is tolerated needs no further pairs.
-
-        `error` is that of the predicted interface where the posterior lies, mm.
+        An error of the correction of half of what is tolerated needs no further pairs. `error` is that of the predicted
+        interface where the posterior lies, mm.
         """
         wrong = 0.0 if self.correction is None else self.correction.error
         return wrong > 0.5 * self.tolerated and self.cost * wrong**2 > error**2

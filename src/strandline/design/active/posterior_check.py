@@ -29,16 +29,13 @@ PLACES, REPEATS = 64, 32
 NEGLIGIBLE = 0.01
 """Share of the shift hidden by the noise below which the scatter changes no log-likelihood worth mentioning."""
 SURE = 2.0  # standard errors by which a shift must stay within its tolerance
-MOST = 0.3
-"""Share of the variance of the log ratios that the scatter must explain to be the reason why they vary."""
+MOST = 0.3  # share of the variance of the log ratios that the scatter must explain to be the reason why they vary
 MAD = 1.4826  # standard deviation of normal numbers over their median absolute deviation
 _SEED = 11
 MASS, NEAR = 0.95, 0.995
 """Runs lie inside the posterior, or near it, if they are in its densest part that has this mass."""
-FEWEST_LEFT_OUT = 20
-"""Fewest earlier runs inside the posterior that can check it, each predicted from the others."""
-MOST_GIVEN_UP = 2
-"""Number of checks that are given up, at most, because more draws would hardly settle them."""
+FEWEST_LEFT_OUT = 20  # fewest earlier runs inside the posterior that can check it, each predicted from the others
+MOST_GIVEN_UP = 2  # number of checks that are given up, at most, because more draws would hardly settle them
 SHOWING = 500  # draws that show how far the posterior would move
 Points = Float[np.ndarray, "run dim"]
 New = Float[np.ndarray, "new dim"]
@@ -132,10 +129,9 @@ def left_out_ratios(
 ) -> LogRatios:
     """Return log(true/predicted likelihood) of the runs inside the posterior, each predicted from all others.
 
-    The prediction is that of the surrogate without the run, so the ratios are those of a worse surrogate than the
-    one in use. They show how much the weights of a check would differ, not where the posterior would move.
-
-    Runs inside the posterior's densest part of this `mass` count. Records are in the order of `state.knowledge.x`.
+    The prediction is that of the surrogate without the run, so the ratios are those of a worse surrogate than the one
+    in use. They show how much the weights of a check would differ, not where the posterior would move. Runs inside the
+    posterior's densest part of this `mass` count. Records are in the order of `state.knowledge.x`.
     """
     knowledge, likelihood = state.knowledge, state.knowledge.likelihood
     x = knowledge.x[knowledge.ok]

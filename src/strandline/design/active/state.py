@@ -231,8 +231,7 @@ ROUGHLY = SMCSettings(rejuvenation_steps=6, zeta=0.5)
 """Settings of the sampler where such a likelihood leads near the posterior; moves by the exact one follow."""
 PARTICLES = {1: 2000, 2: 2000, 3: 2000}
 MANY_INPUTS_PARTICLES = 1200
-DRAFT_PARTICLES = 600
-"""Particles of a draft, whatever the number of inputs."""
+DRAFT_PARTICLES = 600  # particles of a draft, whatever the number of inputs
 TEMPERATURE = 0.5
 """γ of the sampled π_γ ∝ L^γ p; its particles are reweighted to the posterior, and runs are chosen from them."""
 STREAM = 4  # keeps the random numbers of the active design apart from all others of the same seed
@@ -275,10 +274,9 @@ def _near_the_posterior(
     key: jax.Array,
     on_step: Callable[[StepInfo], None] | None,
 ) -> Iterator[SMCResult]:
-    """Yield particles from which the posterior may be reached, the quickest to get first.
-
-    Those that a rough likelihood has moved from the last posterior can have a few that outweigh the rest by the exact
-    one. Sampling the rough one from the prior then takes a fiftieth of the time of sampling the exact one.
+    """Yield particles from which the posterior may be reached, the quickest to get first. Those that a rough likelihood
+    has moved from the last posterior can have a few that outweigh the rest by the exact one. Sampling the rough one
+    from the prior then takes a fiftieth of the time of sampling the exact one.
     """
     if knowledge.roughly(initial[:1]) is None:
         if earlier is not None:

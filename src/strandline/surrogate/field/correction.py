@@ -17,12 +17,9 @@ from strandline.foundations import NoCommonPoints
 from strandline.interface import Interface
 from strandline.surrogate.field import correspondence
 
-FEWEST_PAIRS = 3
-"""Fewest runs of both models."""
-RIDGES = (1e-3, 1e-2, 1e-1)
-"""Variances of the noise that are tried, in mean variances of the cheaper interfaces."""
-FEW, TYPICAL = 5, (1e-2,)
-"""Number of pairs below which left-out ones cannot tell the variance, and what is taken then."""
+FEWEST_PAIRS = 3  # fewest runs of both models
+RIDGES = (1e-3, 1e-2, 1e-1)  # variances of the noise that are tried, in mean variances of the cheaper interfaces
+FEW, TYPICAL = 5, (1e-2,)  # number of pairs below which left-out ones cannot tell the variance, and what is taken then
 
 Interfaces = Mapping[str, Interface]
 
@@ -123,9 +120,8 @@ def fit_correction(cheaper: Sequence[Interfaces], model: Sequence[Interfaces]) -
 
 
 def _layout(model: Sequence[Interface], cheaper: Sequence[Interface]) -> correspondence.PointLayout:
-    """Return the layout of the model's nodes if open polylines can be brought to them, else a common one.
-
-    So corrected interfaces have the nodes that a measure may ask for.
+    """Return the layout of the model's nodes if open polylines can be brought to them, else a common one. So corrected
+    interfaces have the nodes that a measure may ask for.
     """
     own = correspondence.common_layout(model)
     lines = all(one.dim == 2 and not one.closed for one in (*model, *cheaper))

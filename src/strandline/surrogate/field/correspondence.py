@@ -25,25 +25,19 @@ from strandline.foundations import NoCommonPoints
 from strandline.interface import Interface
 from strandline.surrogate.field.projection import Reference, common_reference
 
-SWEEPS = 10
-"""Most sweeps over the outlines until their mean stays; two or three suffice if it is well defined."""
-TRIALS = 8
-"""Trial shifts for each point of the mean; a parabola through the best three finds the shift between them."""
+SWEEPS = 10  # most sweeps over the outlines until their mean stays; two or three suffice if it is well defined
+TRIALS = 8  # trial shifts for each point of the mean; a parabola through the best three finds the shift between them
 
 Ring = Float[np.ndarray, "point 2"]
 Inputs = Float[np.ndarray, "run dim"]
 Fields = Float[np.ndarray, "run value"]
-FEWEST_POINTS = 33
-"""Smallest number of points of an interface taken at equal shares of its arclength."""
+FEWEST_POINTS = 33  # smallest number of points of an interface taken at equal shares of its arclength
 FINER = 6
 """Points of a closed outline for each of its nodes. Chords cut corners off: with 60 nodes and errors of 1 % of
 the radius, 3 points move the posterior by .1 standard deviations, 6 by .04."""
-ROUGHER = 2.0
-"""Nodes are paired otherwise if this reduces the error at left-out runs by more than this factor …"""
-SPACINGS = 0.1
-"""… and if this error is larger than this share of the distance between nodes."""
-RIDGE = 1e-6
-"""Variance of the noise of the process that predicts left-out runs, in variances of the field."""
+ROUGHER = 2.0  # nodes are paired otherwise if this reduces the error at left-out runs by more than this factor …
+SPACINGS = 0.1  # … and if this error is larger than this share of the distance between nodes
+RIDGE = 1e-6  # variance of the noise of the process that predicts left-out runs, in variances of the field
 
 
 def turned_nodes(interface: Interface, mean: Interface) -> Int[np.ndarray, " point"]:
@@ -75,7 +69,6 @@ def _mean(interfaces: Sequence[Interface], brought: Callable[[Interface, Interfa
 
 def _correlation(points: Ring, mean: Ring, finer: int = 1) -> Float[np.ndarray, " shift"]:
     """Return the sum of products of `points`, shifted by 0, 1/finer, … places, with `mean`; both about their centres.
-
     Shifts between the nodes are those of the trigonometric polynomials through them.
     """
     number = len(mean)
@@ -186,9 +179,8 @@ def _smoothest(nodes: PointLayout, interfaces: Sequence[Interface], x: Inputs) -
 
 
 def _left_out(layout: PointLayout, interfaces: Sequence[Interface], x: Inputs) -> Float[np.ndarray, " run"]:
-    """Return the error of each run's points predicted from the other runs, root mean square along the interface, mm.
-
-    A Gaussian process with squared-exponential kernel as long as the box predicts them.
+    """Return the error of each run's points predicted from the other runs, root mean square along the interface, mm. A
+    Gaussian process with squared-exponential kernel as long as the box predicts them.
     """
     fields = np.array([registered(one, layout)[0].ravel() for one in interfaces])
     squares = np.sum((x[:, None] - x) ** 2, axis=2)
@@ -275,8 +267,7 @@ def _different(found: str) -> NoCommonPoints:
     return NoCommonPoints(what, value=found, expected="interfaces with a common parametrisation", remedy=remedy)
 
 
-CANDIDATES = 3
-"""Number of surfaces tried as the reference of the projections."""
+CANDIDATES = 3  # number of surfaces tried as the reference of the projections
 SHARES = 33
 NEARER = 0.1
 """An open polyline counts as flipped if reversing it reduces the sum of squared distances to less than this share."""
@@ -284,12 +275,9 @@ NEARER = 0.1
 COMMON = 0.25
 """Share of the runs that must have the most points for this to be the number of a whole run; where the mesh follows the
 length of the interface, each number is rarer."""
-SHORTER = 0.9
-"""Share of a whole run's points, and of its length, below which a run counts as cut off."""
-SPACING = 1.5
-"""Ratio of spacings up to which a short run has the mesh of a whole one."""
-HELD = 3
-"""Equal last values that are no chance after a step of usual size."""
+SHORTER = 0.9  # share of a whole run's points, and of its length, below which a run counts as cut off
+SPACING = 1.5  # ratio of spacings up to which a short run has the mesh of a whole one
+HELD = 3  # equal last values that are no chance after a step of usual size
 
 
 def flipped(interface: Interface, other: Interface) -> bool:
@@ -354,9 +342,8 @@ def _misfits(interfaces: Mapping[int, Interface], layout: PointLayout, hidden: f
 def stopped_early(runs: Sequence[Mapping[str, Interface]]) -> dict[int, str]:
     """Return the numbers of the runs that seem to end before their end, each with the reason.
 
-    A simulator that stops early leaves fewer points at the same spacing, or repeats its last value.
-
-    Only open polylines are looked at.
+    A simulator that stops early leaves fewer points at the same spacing, or repeats its last value. Only open polylines
+    are looked at.
     """
     found: dict[int, str] = {}
     for name in runs[0] if runs else ():
@@ -383,7 +370,6 @@ def _cut_off(interfaces: Sequence[Interface]) -> dict[int, str]:
 
 def _holding(interfaces: Sequence[Interface]) -> dict[int, str]:
     """Return the runs that end abruptly with a repeated value; not if others share it, a floor, or if most end so.
-
     Rounded values repeat also elsewhere.
     """
     ends: dict[int, tuple[int, float]] = {}

@@ -16,8 +16,7 @@ from strandline.surrogate.field.correspondence import PointLayout, by_condition,
 from strandline.surrogate.field.mode_process import ModeProcess
 from strandline.surrogate.field.warping import Data, Modes, Warping, choose_warping, fewest_runs, fit_modes
 
-TOLERANCE = 1e-5
-"""Default of the remainder that the modes may leave, root mean square along the interface, mm."""
+TOLERANCE = 1e-5  # default of the remainder that the modes may leave, root mean square along the interface, mm
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,10 +26,8 @@ Inputs = Float[np.ndarray, "run dim"]
 Lengths = Float[np.ndarray, " dim"]
 Coordinates = Float[np.ndarray, " coordinate"]
 
-LENGTHS = (0.2, 40.0)
-"""Bounds of the length scales, in standard deviations of the inputs over the box."""
-NUGGETS = (1e-10, 1e-2)
-"""Bounds of the noise variance, relative to that of the process."""
+LENGTHS = (0.2, 40.0)  # bounds of the length scales, in standard deviations of the inputs over the box
+NUGGETS = (1e-10, 1e-2)  # bounds of the noise variance, relative to that of the process
 TYPICAL_LENGTH, LENGTH_SPREAD = 3.0, 1.5
 """Median and spread, in logarithms, of the prior of a length scale: it decides if too few runs do."""
 STARTS = (3.0, 1.0)

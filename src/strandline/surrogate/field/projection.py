@@ -22,18 +22,15 @@ from scipy.spatial import cKDTree
 from strandline.discrepancy import Snapshot, closest_points, squared_distances
 from strandline.interface import Interface, shortest_altitudes, triangle_sides, vector_areas
 
-CANDIDATES = 8
-"""Number of runs, counted from the first, whose surface may be the reference."""
+CANDIDATES = 8  # number of runs, counted from the first, whose surface may be the reference
 FAR = 3.0
 """Largest distance of a crossing, relative to the nearest triangle's centre; beyond, the closest point is taken."""
 FLAT = 0.01
 """Altitude over longest side, as a share of its value in the reference, below which a triangle counts as flat."""
 TURNED = 0.01
 """Area over squared longest side, above which a triangle that faces back is turned over: slivers turn by rounding."""
-_BRANCHES = 8
-"""Number of parts that a box around triangles is divided into."""
-_EDGE = 1e-9
-"""How far outside a triangle, in its coordinates, a line may pass, so that neighbours leave no gap."""
+_BRANCHES = 8  # number of parts that a box around triangles is divided into
+_EDGE = 1e-9  # how far outside a triangle, in its coordinates, a line may pass, so that neighbours leave no gap
 
 Points = Float[np.ndarray, "point 3"]
 Cells = Int[np.ndarray, "cell 3"]
@@ -167,9 +164,8 @@ def _along_normals(
 
 
 def _crossings(start: Lines, along: Lines, surface: Interface) -> Float[np.ndarray, " line"]:
-    """Return how far along each line the nearest triangle that faces the same side is crossed, mm; inf if none is.
-
-    The crossing solves start + t·along = a + v·(b - a) + w·(c - a) by Cramer's rule (Möller and Trumbore).
+    """Return how far along each line the nearest triangle that faces the same side is crossed, mm; inf if none is. The
+    crossing solves start + t·along = a + v·(b - a) + w·(c - a) by Cramer's rule (Möller and Trumbore).
     """
     lines, cells = _near_lines(start, along, surface)
     a, b, c = (surface.points[surface.cells[cells, k]] for k in range(3))

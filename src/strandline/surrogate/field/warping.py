@@ -20,19 +20,14 @@ Fields = Float[np.ndarray, "run value"]
 Slopes = Float[np.ndarray, "run value dim"]
 AnySlopes = Float[np.ndarray, "run *value dim"]
 Weights = Float[np.ndarray, " value"]
-MOST = 20
-"""Largest number of modes with their own process."""
-STEP = 0.5
-"""Derivatives enter the decomposition as a step of this many standard deviations of an input."""
+MOST = 20  # largest number of modes with their own process
+STEP = 0.5  # derivatives enter the decomposition as a step of this many standard deviations of an input
 _NOTHING = 1e-14
-SMALLEST_RATIO = 2.0
-"""An input whose box spans a smaller ratio is left as it is: all warps are nearly linear there."""
-LEADING = 3
-"""Modes whose errors choose the warps."""
+SMALLEST_RATIO = 2.0  # an input whose box spans a smaller ratio is left as it is: all warps are nearly linear there
+LEADING = 3  # modes whose errors choose the warps
 ROWS, GROWTH = 160, 1.25
 """Observations that choose the warps, at most; factor by which their runs grow from one choice to the next."""
-KEPT = 8
-"""Choices that are remembered."""
+KEPT = 8  # choices that are remembered
 _kept: OrderedDict[Hashable, tuple[str, ...]] = OrderedDict()  # the last choices, by all that they depend on
 
 
