@@ -14,7 +14,14 @@ from strandline.discrepancy.comparison import (
     oriented_like_runs,
     unit_mistake,
 )
-from strandline.discrepancy.contours import Roughness, errors_from_roughness, path_of, smoothed
+from strandline.discrepancy.contours import (
+    Repeats,
+    Roughness,
+    errors_from_repeats,
+    errors_from_roughness,
+    path_of,
+    smoothed,
+)
 from strandline.discrepancy.currents import Currents
 from strandline.discrepancy.joint_errors import (
     JointErrors,
@@ -43,7 +50,6 @@ from strandline.discrepancy.protocol import (
     squared_discrepancies,
     unit_of,
 )
-from strandline.discrepancy.repeats import Repeats, errors_from_repeats
 from strandline.discrepancy.tracked_points import TrackedPoints
 
 __all__ = [

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from strandline.discrepancy.many_distances import signed_sums
 from strandline.discrepancy.nearest import squared_distances
 from strandline.discrepancy.protocol import ManyPoints, Offsets, Values, require_alike
-from strandline.foundations import unfit
+from strandline.foundations import require
 from strandline.interface import Interface, PointErrors, spacings, steady_lengths
 
 DIRECTIONS = ("to_observed", "to_simulated", "symmetric")
@@ -51,9 +51,8 @@ class ClosestPoint:
 
     def __post_init__(self) -> None:
         for name, value, known in (("direction", self._way, DIRECTIONS), ("weighting", self.weighting, WEIGHTINGS)):
-            if value not in known:
-                remedy = f"Correct the {name}."
-                raise unfit(f"{name} of the closest point projection", value, f"one of {', '.join(known)}", remedy)
+            words = f"one of {', '.join(known)}", f"Correct the {name}."
+            require(value in known, f"{name} of the closest point projection", value, *words)
 
     def __call__(self, simulated: Interface, observed: Interface) -> float:
         """Return d², mm²."""

@@ -15,7 +15,7 @@ from strandline.discrepancy.kernel_integrals import (
 )
 from strandline.discrepancy.many_currents import currents_of_many
 from strandline.discrepancy.protocol import ManyPoints, Offsets, Snapshot, Values, require_alike, require_same_direction
-from strandline.foundations import InvalidInput
+from strandline.foundations import require
 from strandline.interface import Interface, PointErrors, spacings
 
 QUADRATURES = ("refined", "centre")
@@ -61,13 +61,13 @@ class Currents:
     surface_unit: ClassVar[str] = "mm⁴"
 
     def __post_init__(self) -> None:
-        if not _THINNEST <= self.width <= _WIDEST:
-            expected = f"a length in mm above 0, from {_THINNEST:g} to {_WIDEST:g}"
-            _refuse("width", self.width, expected, "A tenth of the largest displacement is a start.")
-        if self.quadrature not in QUADRATURES:
-            _refuse("quadrature", self.quadrature, f"one of {', '.join(QUADRATURES)}", "Choose one of them.")
-        if not 0 < self.tolerance <= 0.1:
-            _refuse("tolerance", self.tolerance, "a number in (0, 0.1]", "Leave it out for 1e-6.")
+        width = f"a length in mm above 0, from {_THINNEST:g} to {_WIDEST:g}"
+        for name, right, expected, remedy in (
+            ("width", _THINNEST <= self.width <= _WIDEST, width, "A tenth of the largest displacement is a start."),
+            ("quadrature", self.quadrature in QUADRATURES, f"one of {', '.join(QUADRATURES)}", "Choose one of them."),
+            ("tolerance", 0 < self.tolerance <= 0.1, "a number in (0, 0.1]", "Leave it out for 1e-6."),
+        ):
+            require(right, f"{name} of the currents measure", getattr(self, name), expected, remedy)
 
     def __call__(self, simulated: Interface, observed: Interface) -> float:
         """Return d² ≥ 0, mm² (mm⁴); a value below 0 from rounding counts as 0."""
@@ -159,7 +159,3 @@ def _bound(measure: Currents, snapshot: Snapshot) -> _Bound:
         share = max(share * cancelled, _FINEST)
         square = measure._product(observed, observed, share)
     return _Bound(square, share)
-
-
-def _refuse(name: str, value: object, expected: str, remedy: str) -> None:
-    raise InvalidInput(f"{name} of the currents measure", value=value, expected=expected, remedy=remedy)

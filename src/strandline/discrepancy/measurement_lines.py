@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from strandline.discrepancy.many_distances import motion, similar
 from strandline.discrepancy.protocol import ManyPoints, Snapshot, Values, require_polylines
-from strandline.foundations import InvalidInput, unfit
+from strandline.foundations import require
 from strandline.interface import Interface, PointErrors, normals_at, steady_lengths
 
 Places = Float[np.ndarray, "*place"]
@@ -83,20 +83,19 @@ class MeasurementLines:
     def __post_init__(self) -> None:
         if not isinstance(self.lines, int):
             object.__setattr__(self, "lines", _checked_lines(self.lines))
-        elif not 1 <= self.lines <= MOST_LINES:
-            raise _unfit_lines(f"{self.lines} lines")
-        if not _is_length(self.reach):
-            remedy = "Correct it, or leave it out for a quarter of the observed length."
-            raise unfit("reach of the measurement lines", self.reach, "a length in mm above 0", remedy)
+        else:
+            _require_lines(1 <= self.lines <= MOST_LINES, f"{self.lines} lines")
         given = "" if isinstance(self.lines, int) else " with given lines"
-        if self.smooth is not None and (given or not _is_length(self.smooth)):
-            remedy = "Correct it; leave it out for given lines, which have their own directions."
-            expected = "a length in mm above 0, for a number of lines"
-            raise unfit("smooth of the measurement lines", f"{self.smooth}{given}", expected, remedy)
-        if self.trim is not None and (given or not 0 <= self.trim <= MOST_TRIMMED):
-            expected = f"a share from 0 to {MOST_TRIMMED:g}, for a number of lines"
-            remedy = "Correct it; leave it out for given lines."
-            raise unfit("trim of the measurement lines", f"{self.trim}{given}", expected, remedy)
+        remedy = "Correct it, or leave it out for a quarter of the observed length."
+        require(_is_length(self.reach), "reach of the measurement lines", self.reach, "a length in mm above 0", remedy)
+        right = self.smooth is None or (not given and _is_length(self.smooth))
+        remedy = "Correct it; leave it out for given lines, which have their own directions."
+        expected = "a length in mm above 0, for a number of lines"
+        require(right, "smooth of the measurement lines", f"{self.smooth}{given}", expected, remedy)
+        right = self.trim is None or (not given and 0 <= self.trim <= MOST_TRIMMED)
+        expected = f"a share from 0 to {MOST_TRIMMED:g}, for a number of lines"
+        remedy = "Correct it; leave it out for given lines."
+        require(right, "trim of the measurement lines", f"{self.trim}{given}", expected, remedy)
 
     def __call__(self, simulated: Interface, observed: Interface) -> float:
         """Return d², mm²."""
@@ -190,10 +189,10 @@ def _placed(measure: MeasurementLines, snapshot: Snapshot) -> Bases:
     lines = np.array(measure.lines, float)
     lines[:, 2:] /= np.hypot(lines[:, 2], lines[:, 3])[:, None]
     offsets = _nearest_crossings(observed.points, observed.cells, lines)
-    if not np.isfinite(offsets).all():
-        where = int(np.argmin(np.isfinite(offsets)))
-        expected, remedy = "a line (x, y, dx, dy) that crosses it", "Move the line or leave it out."
-        raise unfit(f"measurement line {where} misses the observed interface", lines[where].tolist(), expected, remedy)
+    where, expected = int(np.argmin(np.isfinite(offsets))), "a line (x, y, dx, dy) that crosses it"
+    remedy = "Move the line or leave it out."
+    what = f"measurement line {where} misses the observed interface"
+    require(np.isfinite(offsets).all(), what, lines[where].tolist(), expected, remedy)
     lines[:, :2] += offsets[:, None] * lines[:, 2:]
     return lines
 
@@ -267,11 +266,9 @@ def _checked_lines(
     lines: Sequence[Sequence[float | int]] | Float[np.ndarray, "line 4"],
 ) -> tuple[tuple[float, ...], ...]:
     rows = tuple(tuple(float(value) for value in row) for row in lines)
-    if not rows:
-        raise _unfit_lines("no line")
+    _require_lines(rows, "no line")
     for row in rows:
-        if len(row) != 4 or not all(map(math.isfinite, row)) or row[2] == row[3] == 0:
-            raise _unfit_lines(list(row))
+        _require_lines(len(row) == 4 and all(map(math.isfinite, row)) and (row[2], row[3]) != (0, 0), list(row))
     return rows
 
 
@@ -279,6 +276,6 @@ def _is_length(value: float | None) -> bool:
     return value is None or (math.isfinite(value) and value > 0)
 
 
-def _unfit_lines(value: object) -> InvalidInput:
+def _require_lines(right: object, value: object) -> None:
     expected = f"a number of lines from 1 to {MOST_LINES}, or rows (x, y, dx, dy) of finite numbers, dx or dy not 0"
-    return unfit("number or rows of the measurement lines", value, expected, "Correct the lines.")
+    require(right, "number or rows of the measurement lines", value, expected, "Correct the lines.")

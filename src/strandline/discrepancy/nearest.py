@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from strandline.discrepancy.protocol import Snapshot
-from strandline.foundations import InvalidInterface
+from strandline.foundations import InvalidInterface, require
 from strandline.interface import Interface
 
 Pairs = Int[np.ndarray, " pair"]
@@ -53,10 +53,9 @@ def closest_points(points: Points, target: Interface, *, once: bool = False) -> 
     The search trees are kept for the most recently searched interfaces. With `once`, the interface will not be searched
     again, as a prediction that is looked at once.
     """
-    if points.shape[1] != target.dim:
-        found, expected = f"{points.shape[1]} coordinates", f"{target.dim} coordinates, as the interface has"
-        remedy = "Compare like with like."
-        raise InvalidInterface("points to project onto an interface", value=found, expected=expected, remedy=remedy)
+    what, found = "points to project onto an interface", f"{points.shape[1]} coordinates"
+    words = f"{target.dim} coordinates, as the interface has", "Compare like with like."
+    require(points.shape[1] == target.dim, what, found, *words, InvalidInterface)
     if len(points) * len(target.cells) <= (ONCE if once else SMALL):
         return brute_force(points, target)
     return by_tree(points, target)

@@ -6,7 +6,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from strandline.foundations import InvalidInterface
+from strandline.foundations import InvalidInterface, require
 from strandline.interface import Interface, PointErrors
 
 ManyPoints = Float[np.ndarray, "run point xyz"]  # points of interfaces with the same cells, one interface a row, mm
@@ -99,33 +99,26 @@ def independent_terms(discrepancy: Discrepancy, observed: Interface) -> int | No
 
 def require_polylines(*interfaces: Interface) -> None:
     """Refuse interfaces that are not polylines in the plane."""
-    for interface in interfaces:
-        if interface.dim != 2:
-            found, expected = f"points with {interface.dim} coordinates", "a polyline in the plane"
-            remedy = "This measure does not support surfaces; choose closest_point, currents or tracked_points."
-            raise InvalidInterface("interface of a discrepancy measure", value=found, expected=expected, remedy=remedy)
+    what, expected = "interface of a discrepancy measure", "a polyline in the plane"
+    remedy = "This measure does not support surfaces; choose closest_point, currents or tracked_points."
+    for one in interfaces:
+        require(one.dim == 2, what, f"points with {one.dim} coordinates", expected, remedy, InvalidInterface)
 
 
 def require_alike(simulated: Interface, observed: Interface) -> None:
     """Refuse to compare a polyline with a surface."""
-    if simulated.dim != observed.dim:
-        raise InvalidInterface(
-            "simulated and observed interface of a discrepancy measure",
-            value=f"points with {simulated.dim} and with {observed.dim} coordinates",
-            expected="two polylines in the plane or two surfaces in space",
-            remedy="Compare like with like.",
-        )
+    what = "simulated and observed interface of a discrepancy measure"
+    found = f"points with {simulated.dim} and with {observed.dim} coordinates"
+    words = "two polylines in the plane or two surfaces in space", "Compare like with like."
+    require(simulated.dim == observed.dim, what, found, *words, InvalidInterface)
 
 
 def require_same_direction(simulated: Interface, observed: Interface) -> None:
     """Refuse interfaces whose normals point to opposite sides."""
-    if simulated.runs_against(observed):
-        raise InvalidInterface(
-            "the simulated interface runs against the observed one",
-            value="normals that point to opposite sides",
-            expected="both run through from the same end, or facing the same side",
-            remedy="Turn the observed interface round: oriented_like(observed, simulated).",
-        )
+    what, found = "the simulated interface runs against the observed one", "normals that point to opposite sides"
+    expected = "both run through from the same end, or facing the same side"
+    remedy = "Turn the observed interface round: oriented_like(observed, simulated)."
+    require(not simulated.runs_against(observed), what, found, expected, remedy, InvalidInterface)
 
 
 def squared_discrepancies(measure: Discrepancy, points: ManyPoints, template: Interface, observed: Interface) -> Values:

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from strandline.discrepancy.protocol import ManyPoints, Values
-from strandline.foundations import InvalidInterface
+from strandline.foundations import InvalidInterface, require
 from strandline.interface import Interface, PointErrors
 
 
@@ -26,13 +26,11 @@ class TrackedPoints:
 
     def __call__(self, simulated: Interface, observed: Interface) -> float:
         """Return d², mm²."""
-        if simulated.points.shape != observed.points.shape:
-            raise InvalidInterface(
-                "nodes of the simulated interface do not correspond to the tracked points",
-                value=f"shape {simulated.points.shape}",
-                expected=f"shape {observed.points.shape}, node by node the same material points",
-                remedy="Track the simulator's own nodes, or use a measure that needs no correspondence.",
-            )
+        alike, found = simulated.points.shape == observed.points.shape, f"shape {simulated.points.shape}"
+        what = "nodes of the simulated interface do not correspond to the tracked points"
+        expected = f"shape {observed.points.shape}, node by node the same material points"
+        remedy = "Track the simulator's own nodes, or use a measure that needs no correspondence."
+        require(alike, what, found, expected, remedy, InvalidInterface)
         return float(np.sum((simulated.points - observed.points) ** 2))
 
     def terms(self, observed: Interface) -> int:

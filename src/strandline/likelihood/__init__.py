@@ -13,7 +13,7 @@ from strandline.likelihood.inferred_noise import (
     require_inferable_noise,
 )
 from strandline.likelihood.interfaces import Compared, InterfaceLikelihood, Registered, adapted, compared, with_variance
-from strandline.likelihood.local_likelihood import Mixture, Nearby
+from strandline.likelihood.local_likelihood import Mixture, Nearby, log_gain
 from strandline.likelihood.noise_rule import (
     ResidualNoise,
     StatedErrors,
@@ -23,7 +23,6 @@ from strandline.likelihood.noise_rule import (
     second_differences,
     stated_errors,
 )
-from strandline.likelihood.parabolas import log_gain
 
 __all__ = [
     "Compared",

@@ -23,10 +23,10 @@ from strandline.discrepancy import (
 )
 from strandline.foundations import require
 from strandline.interface import Interface, Noise, Observation, PointErrors
+from strandline.likelihood import local_likelihood as local
 from strandline.likelihood.inferred_noise import InferredNoise, infer_noise
 from strandline.likelihood.interfaces import compared
-from strandline.likelihood.local_likelihood import Nearby, OfMixture, Values, nearby
-from strandline.likelihood.parabolas import FittedParabola, NearParabola, log_gain, mean_of_draws, numbers, share_gained
+from strandline.likelihood.local_likelihood import Nearby, Values
 from strandline.smc import BatchedLogDensity, OnHost, is_on_host
 from strandline.surrogate import FieldPrediction, FieldSurrogate, GaussianProcess, Predictor, batched_mean
 
@@ -60,8 +60,8 @@ class FieldLikelihood:
     def nearby(self) -> Nearby | None:
         """A log-likelihood that takes a fraction of the time near the best fit; None if there is none."""
         if self.inferred is not None:
-            return OfMixture(self.inferred.field, self.inferred.likelihood)
-        return nearby(self.surrogate, self.observations, self.discrepancy, self._shared)
+            return local.OfMixture(self.inferred.field, self.inferred.likelihood)
+        return local.nearby(self.surrogate, self.observations, self.discrepancy, self._shared)
 
     def at(self, coefficients: Float[np.ndarray, "point mode"]) -> Values:
         """Return log L of the interfaces with these coefficients of the modes, mm: `plug_in` of known predictions."""
@@ -71,9 +71,9 @@ class FieldLikelihood:
     def expected(self, x: Float[np.ndarray, "point dim"], *, plug_in: Values | None = None) -> Values:
         """Return log E[L] over the fields that the surrogate considers possible at each point.
 
-        Draws of the fields weigh off what a parabola of log L misses, see `strandline.likelihood.parabolas`; their
-        standard normal numbers are the same at every point. For draws of the posterior, or of a tempered one, give
-        their `plug_in`: then `nearby` may tell it, if it agrees with the measure.
+        Draws of the fields weigh off what a parabola of log L misses, see `local_likelihood`; their standard normal
+        numbers are the same at every point. For draws of the posterior, or of a tempered one, give their `plug_in`:
+        then `nearby` may tell it, if it agrees with the measure.
         """
         if plug_in is not None and self.nearby is not None:
             found = self.surrogate.predict(x)
@@ -89,10 +89,10 @@ class FieldLikelihood:
         of log L.
         """
         found = self.surrogate.predict(x)
-        return log_gain(self.parabola.parabolas(found.mean), found.variance, plug_in)
+        return local.log_gain(self.parabola.parabolas(found.mean), found.variance, plug_in)
 
     @cached_property
-    def parabola(self) -> NearParabola | FittedParabola:
+    def parabola(self) -> local.NearParabola | local.FittedParabola:
         """A parabola of log L around any field: of the likelihood nearby, or else fitted around the best inputs."""
         if self.nearby is not None:
             return self.nearby.parabola
@@ -103,18 +103,18 @@ class FieldLikelihood:
             tried = np.vstack([x, np.clip(x + share * (high - low) * spread, low, high)])
             x = tried[int(np.argmax(self.plug_in(tried)))]
         step = min(noise_length(seen, self.discrepancy) for seen in self.known_observations)
-        return FittedParabola.fitted(self.at, self.surrogate.mean(x[None])[0], step)
+        return local.FittedParabola.fitted(self.at, self.surrogate.mean(x[None])[0], step)
 
     def _nearby_expected(self, near: Nearby, found: FieldPrediction, plug_in: Values) -> Values:
         """Return log E[L] by draws of a likelihood nearby; what this is off at the mean field counts in part."""
-        drawn, size, values = numbers(NEAR_DRAWS, *self._sizes), max(_BLOCK // NEAR_DRAWS, 1), []
+        drawn, size, values = local.numbers(NEAR_DRAWS, *self._sizes), max(_BLOCK // NEAR_DRAWS, 1), []
         for first in range(0, len(found.mean), size):
             part = slice(first, first + size)
             one = FieldPrediction(found.mean[part], found.variance[part])
             parabolas = near.parabola.parabolas(one.mean)
             off = plug_in[part] - near.log_likelihood(one.mean)
-            rest = 1 - share_gained(parabolas, one.variance)
-            values.append(mean_of_draws(near.log_likelihood, parabolas, one, drawn) + rest * off)
+            rest = 1 - local.share_gained(parabolas, one.variance)
+            values.append(local.mean_of_draws(near.log_likelihood, parabolas, one, drawn) + rest * off)
         return np.concatenate(values)
 
     def _agrees(self, found: FieldPrediction, values: Values, gained: Values) -> bool:
@@ -149,7 +149,7 @@ class FieldLikelihood:
 
     def _drawn(self, found: FieldPrediction) -> Values:
         parabolas = self.parabola.parabolas(found.mean)
-        return mean_of_draws(self._of, parabolas, found, numbers(DRAWS, *self._sizes))
+        return local.mean_of_draws(self._of, parabolas, found, local.numbers(DRAWS, *self._sizes))
 
     def _of(
         self, coefficients: Float[np.ndarray, "draw mode"], tail: Float[np.ndarray, "draw rest"] | None

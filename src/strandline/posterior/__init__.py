@@ -23,18 +23,22 @@ from strandline.posterior.importance import (
     subset,
     verdict_on,
 )
-from strandline.posterior.marginals import (
+from strandline.posterior.netcdf import cut_from_datatree, from_datatree, read, to_datatree, write
+from strandline.posterior.posterior import (
+    FLAT,
     Histogram,
     InterfaceBand,
     Offsets,
+    Posterior,
+    Weighted,
     histogram,
     histogram_mode,
     interface_band,
     normal_offsets,
     observed_offsets,
+    prior_conflicts,
+    systematic_indices,
 )
-from strandline.posterior.netcdf import cut_from_datatree, from_datatree, read, to_datatree, write
-from strandline.posterior.posterior import FLAT, Posterior, Weighted, prior_conflicts, systematic_indices
 from strandline.posterior.quadrature import QuadratureResult, integrate, mixture
 from strandline.posterior.rank_tests import Band, Coverage, coverage_of, region_coverage_of, uniformity, weighted_ranks
 from strandline.posterior.sensitivity import SobolIndices, sobol_indices

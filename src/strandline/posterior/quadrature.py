@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from strandline.foundations import NumericsError, require
-from strandline.posterior.marginals import Histogram
+from strandline.posterior.posterior import Histogram
 
 __all__ = ["LogDensity", "QuadratureResult", "integrate", "mixture"]
 LogDensity = Callable[[Float[np.ndarray, "point dim"]], Float[np.ndarray, " point"]]

@@ -16,8 +16,7 @@ from scipy.stats import qmc
 
 from strandline.foundations import require
 from strandline.parameters import ParameterSpace
-from strandline.posterior.marginals import histogram_mode
-from strandline.posterior.posterior import Posterior
+from strandline.posterior.posterior import Posterior, histogram_mode
 
 
 @runtime_checkable

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
 
-from strandline.foundations import unfit
+from strandline.foundations import require
 from strandline.surrogate.covariance import factorise, solve
 from strandline.surrogate.kernels import Kernel, LengthScale, as_length_scale, as_lengths
 
@@ -73,10 +73,9 @@ class GaussianProcess:
 
     def _blocks(self, x: Float[np.ndarray, "point dim"]) -> Iterator[tuple[slice, Float[np.ndarray, "block run dim"]]]:
         """Yield rows of x with their offsets from the training points, in length scales."""
-        if x.shape[1] != self.dim:
-            expected = f"{self.dim} columns, as in the training runs"
-            remedy = "Pass physical points, one row each, inputs in the order of the training."
-            raise unfit("points for the Gaussian process", f"{x.shape[1]} columns", expected, remedy)
+        expected = f"{self.dim} columns, as in the training runs"
+        remedy = "Pass physical points, one row each, inputs in the order of the training."
+        require(x.shape[1] == self.dim, "points for the Gaussian process", f"{x.shape[1]} columns", expected, remedy)
         points = (x - self.shift) / (self.scale * self.length_scale)
         train = self.x_train / self.length_scale
         size = max(1, _PAIRS_PER_BLOCK // len(train))
@@ -93,9 +92,9 @@ def standardisation(x: Inputs) -> tuple[Float[np.ndarray, " dim"], Float[np.ndar
     """
     shift, scale = x.mean(axis=0), x.std(axis=0)
     flat = scale <= 1e-12 * np.maximum(np.abs(shift), np.finfo(float).tiny)
-    if flat.any():
-        expected, remedy = "an input that varies between the runs", "Leave the constant input out of the calibration."
-        raise unfit(f"training inputs, column {int(np.argmax(flat))}", float(shift[np.argmax(flat)]), expected, remedy)
+    which, expected = int(np.argmax(flat)), "an input that varies between the runs"
+    remedy = "Leave the constant input out of the calibration."
+    require(not flat.any(), f"training inputs, column {which}", float(shift[which]), expected, remedy)
     return shift, scale
 
 

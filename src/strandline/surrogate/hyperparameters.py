@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import OptimizeResult, minimize
 
-from strandline.foundations import NumericsError, TooFewRuns, unfit
+from strandline.foundations import NumericsError, TooFewRuns, require
 from strandline.surrogate.covariance import factorise, invert, solve
 from strandline.surrogate.kernels import Kernel, LengthScale, as_length_scale, as_lengths
 
@@ -198,22 +198,24 @@ def require_runs(x: Float[np.ndarray, "run dim"], y: Float[np.ndarray, " target"
         InvalidInput: a value that is not finite, or other numbers of inputs and of targets.
         NumericsError: constant targets.
     """
-    if len(x) != len(y):
-        expected, remedy = "one log-likelihood for each run", "Pass the successful runs only, in the same order."
-        raise unfit("training data of the surrogate", f"{len(x)} inputs and {len(y)} log-likelihoods", expected, remedy)
-    if len(y) < x.shape[1] + 2:
-        found, expected = f"{len(y)} successful run(s)", f"at least {x.shape[1] + 2} for {x.shape[1]} input(s)"
-        remedy = "Add runs to the design, or look at why runs failed."
-        raise TooFewRuns("training of the surrogate", value=found, expected=expected, remedy=remedy)
-    if not (np.isfinite(x).all() and np.isfinite(y).all()):
-        where = int(np.argmin(np.isfinite(x).all(axis=1) & np.isfinite(y)))
-        remedy = "Leave failed runs out of the training."
-        raise unfit(f"training run {where}", f"inputs {x[where].tolist()}, target {y[where]}", "finite numbers", remedy)
+    found = f"{len(x)} inputs and {len(y)} log-likelihoods"
+    words = "one log-likelihood for each run", "Pass the successful runs only, in the same order."
+    require(len(x) == len(y), "training data of the surrogate", found, *words)
+    require_enough(len(y), x.shape[1] + 2, x.shape[1])
+    finite = np.isfinite(x).all(axis=1) & np.isfinite(y)
+    where, words = int(np.argmin(finite)), ("finite numbers", "Leave failed runs out of the training.")
+    require(finite.all(), f"training run {where}", f"inputs {x[where].tolist()}, target {y[where]}", *words)
     if np.ptp(y) == 0:
         raise NumericsError(
             f"all {len(y)} training targets equal {y[0]:g}: there is nothing to learn. "
             "Check the discrepancy measure and that the inputs move the interface."
         )
+
+
+def require_enough(runs: int, needed: int, dim: int) -> None:
+    """Refuse to train a surrogate with fewer successful runs than it needs."""
+    expected, remedy = f"at least {needed} for {dim} input(s)", "Add runs to the design, or look at why runs failed."
+    require(runs >= needed, "training of the surrogate", f"{runs} successful run(s)", expected, remedy, TooFewRuns)
 
 
 def _attempt(objective: Objective, start: float, bound: float) -> EvidenceSearch:

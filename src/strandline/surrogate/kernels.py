@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from strandline.foundations import WHOLE, assembled, lookup, unfit
+from strandline.foundations import WHOLE, assembled, lookup, require
 from strandline.surrogate.covariance import Lengths, TiledPairs, differences, distances
 
 Offsets = Float[np.ndarray, "point run dim"]
@@ -72,10 +72,10 @@ def as_lengths(kernel: Kernel, length_scale: LengthScale, dim: int) -> Lengths:
         InvalidInput: a length that is not positive, or several lengths that are not one for each input.
     """
     given, count = np.atleast_1d(np.asarray(length_scale, float)), dim if kernel.per_input else 1
-    if given.size not in (1, count) or not (given > 0).all():
-        expected = f"one positive number{f', or {count}' if count > 1 else ''}"
-        remedy = "Give one number; kernels named _product or _ard take one for each input as well."
-        raise unfit(f"length scale of {kernel.name}", given.tolist(), expected, remedy)
+    right = given.size in (1, count) and (given > 0).all()
+    expected = f"one positive number{f', or {count}' if count > 1 else ''}"
+    remedy = "Give one number; kernels named _product or _ard take one for each input as well."
+    require(right, f"length scale of {kernel.name}", given.tolist(), expected, remedy)
     return np.array(np.broadcast_to(given, count))
 
 
@@ -287,7 +287,7 @@ def kernel_named(name: str) -> Kernel:
         InvalidInput: There is no such kernel, or the object is not a kernel.
     """
     found: Any = lookup(KERNELS, name, "name of the kernel")
-    if not isinstance(found, Kernel):
-        expected = "an object with the methods of strandline.surrogate.kernels.Kernel"
-        raise unfit("name of the kernel", name, expected, "Check it with strandline.testing.kernels.")
-    return found
+    expected = "an object with the methods of strandline.surrogate.kernels.Kernel"
+    remedy = "Check it with strandline.testing.kernels."
+    require(isinstance(found, Kernel), "name of the kernel", name, expected, remedy)
+    return found  # type: ignore[no-any-return]

@@ -8,7 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from strandline.foundations import imported, unfit
+from strandline.foundations import imported, require
 from strandline.surrogate.covariance import invert
 from strandline.surrogate.gaussian_process import GaussianProcess, Inputs, Targets, condition, standardisation
 from strandline.surrogate.hyperparameters import FittedHyperparameters, fit_hyperparameters, require_runs
@@ -18,6 +18,7 @@ NEAR_MODE_WINDOW = 10.0
 NEAR_MODE_COUNT = 10
 FOLDS = 10
 NUGGET_SHARE = 1e-5
+CHECK = "Check it with strandline.testing.surrogates."
 
 
 @runtime_checkable
@@ -53,9 +54,8 @@ def fit_named(name: str) -> Fit:
         InvalidInput: There is no such function.
     """
     found: Any = imported(name, "name of the surrogate")
-    if not callable(found):
-        expected = "a function of inputs (run, dim) and log-likelihoods (run,) that returns a surrogate"
-        raise unfit("name of the surrogate", name, expected, "Check it with strandline.testing.surrogates.")
+    expected = "a function of inputs (run, dim) and log-likelihoods (run,) that returns a surrogate"
+    require(callable(found), "name of the surrogate", name, expected, CHECK)
     return found  # type: ignore[no-any-return]
 
 
@@ -161,11 +161,6 @@ def fit_of_the_user(x: Inputs, log_likelihood: Float[np.ndarray, " target"], fit
 
 def _learnt(fit: Fit, x: Inputs, y: Targets) -> Predictor:
     found = fit(x, y)
-    if not isinstance(found, Predictor):
-        raise unfit(
-            "what the surrogate's function returns",
-            type(found).__name__,
-            "an object with the methods mean and variance",
-            "Check it with strandline.testing.surrogates.",
-        )
+    words = type(found).__name__, "an object with the methods mean and variance", CHECK
+    require(isinstance(found, Predictor), "what the surrogate's function returns", *words)
     return found

@@ -15,8 +15,15 @@ from strandline.discrepancy import ClosestPoint, Currents, JointErrors, NormalOf
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import FieldLikelihood, compared
 from strandline.likelihood.linearised_residuals import BENT, TRUSTED, linearise, near_field
-from strandline.likelihood.local_likelihood import OfStatedErrors, _ByOffsets
-from strandline.likelihood.parabolas import FittedParabola, NearParabola, log_gain, mean_of_draws, numbers
+from strandline.likelihood.local_likelihood import (
+    FittedParabola,
+    NearParabola,
+    OfStatedErrors,
+    _ByOffsets,
+    log_gain,
+    mean_of_draws,
+    numbers,
+)
 from strandline.surrogate.field import FieldPrediction, FieldSurrogate
 
 WIDENING = {LOCAL: 1e7, GLOBAL: 1e8}

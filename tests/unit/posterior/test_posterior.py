@@ -9,7 +9,7 @@ from strandline.foundations import InvalidInput, NumericsError
 from strandline.interface import Interface
 from strandline.parameters import LogNormal, Normal, Parameter, ParameterSpace, ScaledBeta, Uniform
 from strandline.posterior import GaussianApproximation, Posterior, laplace, log_prior_hessian, prior_conflicts
-from strandline.posterior.marginals import (
+from strandline.posterior.posterior import (
     histogram,
     histogram_mode,
     interface_band,

@@ -71,7 +71,7 @@ class FidelityReport:
 
 
 class Fidelities:
-    """Decides which runs both models make, and what the runs of the cheaper one, at this share of the cost, are worth."""
+    """Decides which runs both models make, and what runs of the cheaper one, at this share of the cost, are worth."""
 
     def __init__(self, names: Sequence[str], conditions: Sequence[str], cost: float) -> None:
         self.names, self.conditions, self.cost = tuple(names), tuple(conditions), cost

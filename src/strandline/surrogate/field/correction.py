@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.discrepancy import path_of
-from strandline.foundations import NoCommonPoints
+from strandline.foundations import NoCommonPoints, require
 from strandline.interface import Interface
 from strandline.surrogate.field import correspondence
 
@@ -97,9 +97,9 @@ def fit_correction(cheaper: Sequence[Interfaces], model: Sequence[Interfaces]) -
         NoCommonPoints: Interfaces that cannot be brought to common points.
     """
     names = list(model[0])
-    if any(set(names) - set(run) for run in (*cheaper, *model)):
-        what, remedy = "interfaces of the cheaper model", "Let both models return the same conditions."
-        raise NoCommonPoints(what, value="other conditions", expected=f"the model's: {', '.join(names)}", remedy=remedy)
+    alike, what = not any(set(names) - set(run) for run in (*cheaper, *model)), "interfaces of the cheaper model"
+    words = f"the model's: {', '.join(names)}", "Let both models return the same conditions."
+    require(alike, what, "other conditions", *words, NoCommonPoints)
     layouts = {name: _layout([run[name] for run in model], [run[name] for run in cheaper]) for name in names}
     above = correspondence.fields_of(model, layouts)[0]
     below = np.array([_field(run, layouts) for run in cheaper])

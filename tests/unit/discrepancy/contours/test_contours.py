@@ -8,7 +8,8 @@ import pytest
 from tests.unit.discrepancy.curves import graph, line, ring
 from tests.unit.discrepancy.surfaces import sheet
 
-from strandline.discrepancy import Repeats, errors_from_repeats, errors_from_roughness, repeats
+from strandline.discrepancy import Repeats, errors_from_repeats, errors_from_roughness
+from strandline.discrepancy import contours as module
 from strandline.discrepancy.contours import _removed, restored, smoothed, smoothing_weights
 from strandline.foundations import InvalidInput, InvalidInterface
 from strandline.interface import Interface, PointErrors
@@ -115,7 +116,7 @@ def test_what_moved_a_contour_is_taken_back():
     outline, middle, part = ellipse(60), np.array([0.2, -0.1]), np.array([0.03, 0.05, 20.0, 0.1, 0.0])
     c, s = np.cos(np.radians(20.0)), np.sin(np.radians(20.0))
     arms = (outline.points - middle) @ np.array([[c, -s], [s, c]]).T
-    back = repeats._moved_back(Interface(middle + part[:2] + 1.1 * arms, outline.cells), part, middle)
+    back = module._moved_back(Interface(middle + part[:2] + 1.1 * arms, outline.cells), part, middle)
     np.testing.assert_allclose(back.points, outline.points, atol=1e-12)
 
 
@@ -126,8 +127,8 @@ def test_the_point_next_to_each_place_is_the_nearest_one():
         apart = np.abs(feet - places[:, None])
         if outline.closed:
             apart = np.minimum(apart, whole - apart)
-        np.testing.assert_array_equal(repeats._nearest(feet, places, outline, np.inf), apart.argmin(axis=1))
-    found = repeats._nearest(np.array([0.9, 0.1, 0.5]), np.array([0.0, 0.2, 0.69, 0.8, 1.0]), line((0, 0), (1, 0)), 0.3)
+        np.testing.assert_array_equal(module._nearest(feet, places, outline, np.inf), apart.argmin(axis=1))
+    found = module._nearest(np.array([0.9, 0.1, 0.5]), np.array([0.0, 0.2, 0.69, 0.8, 1.0]), line((0, 0), (1, 0)), 0.3)
     np.testing.assert_array_equal(found, [1, 1, 2, 0, 0])
 
 
@@ -232,4 +233,4 @@ def test_errors_of_the_whole_contour_are_those_that_local_ones_do_not_explain():
     parts[:, :2] = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])[:, None]  # variance 2.5
     local = SimpleNamespace(level=0.25, variance=1.0, cut=False, length=lambda step: 0.1)
     frame = SimpleNamespace(estimate=np.ones((5, 1)), step=0.1)
-    assert repeats._errors(local, parts, frame).shift == pytest.approx(1.5)
+    assert module._errors(local, parts, frame).shift == pytest.approx(1.5)

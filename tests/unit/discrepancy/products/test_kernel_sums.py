@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from strandline.discrepancy.kernel_sums import BLOCK, Nodes, Sizes, kernel_sum
+from strandline.discrepancy.kernel_integrals import BLOCK, Nodes, Sizes, kernel_sum
 
 SMALL_TILES = Sizes(small=0, tile=32, full_tile=128)
 

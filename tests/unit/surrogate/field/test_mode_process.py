@@ -17,8 +17,8 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct
 from strandline.design import sobol
 from strandline.foundations import NumericsError
 from strandline.surrogate.field import mode_process
+from strandline.surrogate.field.field import decompose
 from strandline.surrogate.field.mode_process import ModeData, ModeProcess, condition_mode, fit_mode, restricted_evidence
-from strandline.surrogate.field.warping import decompose
 
 S = np.linspace(0.0, 1.0, 40)
 WEIGHTS = np.random.default_rng(0).uniform(0.5, 1.5, 40)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from strandline.design.refinement import sobol
-from strandline.surrogate.field import warping as module
-from strandline.surrogate.field.warping import WARPS, Data, Warping, choose_warping, eligible, fewest_runs
+from strandline.surrogate.field import field as module
+from strandline.surrogate.field.field import WARPS, Data, Warping, choose_warping, eligible, fewest_runs
 
 LOW, HIGH = np.array([100.0, 0.1]), np.array([800.0, 0.5])
 PLACES = np.linspace(0.0, 1.0, 15)
