@@ -49,15 +49,12 @@ class Candidate:
         """Return the candidate in words, e.g. ``V_in 50 and V_in 125, 20 points``; `present` if no quantity is set."""
         conditions = " and ".join(self.look.conditions)
         kind = f"condition{'s' * (len(self.look.conditions) > 1)} {conditions}" if conditions else ""
-        settings = [_label(one) or kind or present for one in self.settings]
+        each = (" ".join(f"{name} {value:.6g}" for name, value in one.items()) for one in self.settings)
+        settings = [one or kind or present for one in each]
         if len(settings) > 1 and not any(self.settings):
             settings = [f"{settings[0]}, {TIMES[len(settings)]}"]
         further = [kind] if kind and any(self.settings) else []
         return ", ".join([" and ".join(settings), *further, *self.look.words])
-
-
-def _label(setting: Setting) -> str:
-    return " ".join(f"{name} {value:.6g}" for name, value in setting.items())
 
 
 def key_of(setting: Setting) -> str:

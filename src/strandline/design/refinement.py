@@ -124,16 +124,6 @@ class Round:
     sd: Float[np.ndarray, " dim"]
 
 
-@dataclass(frozen=True, eq=False)
-class _Proposal:
-    """Inputs of a round's runs, the first `own` from the posterior itself, and that posterior's moments."""
-
-    points: Float[np.ndarray, "run dim"]
-    own: int
-    mean: Float[np.ndarray, " dim"]
-    sd: Float[np.ndarray, " dim"]
-
-
 def refine(
     learnt: Learnt,
     extend: Callable[[Learnt, Float[np.ndarray, "run dim"]], Learnt],
@@ -153,9 +143,9 @@ def refine(
     rounds = []
     for number in range(refinement.rounds):
         with stage():
-            proposal = _propose(learnt.surrogate, space, refinement, particles=particles, seed=(seed, STREAM, number))
-        after = extend(learnt, proposal.points)
-        rounds.append(_account(learnt, after, proposal))
+            own, others, posterior = _propose(learnt.surrogate, space, refinement, particles, (seed, STREAM, number))
+        after = extend(learnt, np.concatenate([own, others]))
+        rounds.append(_account(learnt, after, len(own), posterior))
         learnt = after
     return learnt, tuple(rounds)
 
@@ -175,11 +165,13 @@ def _propose(
     surrogate: LogLikelihoodSurrogate,
     space: ParameterSpace,
     refinement: Refinement,
-    *,
     particles: int,
     seed: tuple[int, ...],
-) -> _Proposal:
-    """Sample π_γ once; weights L^(1 - γ) turn the same particles into draws from the posterior."""
+) -> tuple[Float[np.ndarray, "own dim"], Float[np.ndarray, "other dim"], Weighted]:
+    """Sample π_γ once; weights L^(1 - γ) turn the same particles into draws from the posterior.
+
+    Return inputs of runs from the posterior itself, others from π_γ, and that posterior.
+    """
     rng = np.random.default_rng(seed)
     gamma = refinement.temperature
     initial = space.prior_quantiles(rng.random((particles, space.dim)))
@@ -192,7 +184,7 @@ def _propose(
     own = refinement.runs if gamma == 1.0 else refinement.runs - refinement.runs // 2
     first = _distinct(positions, log_weights, own, rng, positions[:0])
     second = _distinct(positions, tempered.log_weights, refinement.runs - own, rng, first)
-    return _Proposal(np.concatenate([first, second]), len(first), posterior.mean, posterior.sd)
+    return first, second, posterior
 
 
 def _distinct(
@@ -215,20 +207,20 @@ def _distinct(
     return np.asarray(rows[best])
 
 
-def _account(before: Learnt, after: Learnt, proposal: _Proposal) -> Round:
+def _account(before: Learnt, after: Learnt, proposed: int, posterior: Weighted) -> Round:
     records = after.records[len(before.records) :]
     ok = np.array([record.ok for record in records], bool)
     found, at = after.log_likelihood[len(before.training) :], after.training[len(before.training) :]
     error = before.surrogate.process.mean(at) - found
-    own = (np.arange(len(records)) < proposal.own)[ok]
+    own = (np.arange(len(records)) < proposed)[ok]
     return Round(
         n_train=len(before.training),
         runs=len(records),
         failed=int((~ok).sum()),
         error_rms=_rms(error),
         error_rms_posterior=_rms(error[own]),
-        mean=proposal.mean,
-        sd=proposal.sd,
+        mean=posterior.mean,
+        sd=posterior.sd,
     )
 
 

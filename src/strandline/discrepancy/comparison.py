@@ -62,10 +62,9 @@ def unit_mistake(ratio: float) -> str:
     nearest = min(_FACTORS, key=lambda k: abs(k - power))
     small, large = _FACTORS[nearest]
     observed, simulated = (small, large) if ratio > 1 else (large, small)
-    return (
-        f"perhaps the observation is in {observed} and was read in {simulated}, or the model's output the other way "
-        f"round ({small} and {large} differ by a factor of {10**nearest:g})"
-    )
+    factor = f"{small} and {large} differ by a factor of {10**nearest:g}"
+    way = "or the model's output the other way round"
+    return f"perhaps the observation is in {observed} and was read in {simulated}, {way} ({factor})"
 
 
 def count_of_distances(measure: Discrepancy, simulated: Interface, observed: Interface) -> float | None:

@@ -73,28 +73,26 @@ class Currents:
         """Return d² ≥ 0, mm² (mm⁴); a value below 0 from rounding counts as 0."""
         require_alike(simulated, observed)
         require_same_direction(simulated, observed)
-        bound = _bound(self, Snapshot.of(observed))
-        cross = self._product(simulated, observed, bound.share)
-        own = self._product(simulated, simulated, bound.share)
-        return max(own - 2 * cross + bound.square, 0.0)
+        square, share = _bound(self, Snapshot.of(observed))
+        cross, own = (self._product(simulated, one, share) for one in (observed, simulated))
+        return max(own - 2 * cross + square, 0.0)
 
     def inner(self, a: Interface, b: Interface) -> float:
         """Return ⟨a,b⟩, mm² (mm⁴), to `tolerance` relative to ⟨b,b⟩."""
         require_alike(a, b)
-        return self._product(a, b, _bound(self, Snapshot.of(b)).share)
+        return self._product(a, b, _bound(self, Snapshot.of(b))[1])
 
     def many(self, points: ManyPoints, template: Interface, observed: Interface) -> Values | None:
         """Return d² of polylines with the same segments, mm², to `tolerance`; None for surfaces and for few runs."""
         if template.dim == 3:
             return None
-        bound = _bound(self, Snapshot.of(observed))
-        refined = self.quadrature == "refined"
+        (square, share), refined = _bound(self, Snapshot.of(observed)), self.quadrature == "refined"
         return currents_of_many(
             *(points, template.cells, observed.points, observed.cells),
             width=self.width,
-            square=bound.square,
-            tolerance=(self.tolerance if refined else _FINEST) * bound.square,
-            share=bound.share if refined else None,
+            square=square,
+            tolerance=(self.tolerance if refined else _FINEST) * square,
+            share=share if refined else None,
         )
 
     def of_offsets(self, offsets: Offsets, observed: Interface, nodes: int) -> Values | None:
@@ -114,7 +112,7 @@ class Currents:
         """
         if self.quadrature != "refined":
             return self
-        enough = _NEGLIGIBLE * variance / _bound(self, Snapshot.of(observed)).square
+        enough = _NEGLIGIBLE * variance / _bound(self, Snapshot.of(observed))[0]
         return replace(self, tolerance=max(self.tolerance, min(enough, _LOOSEST)))
 
     def noise_variance(self, errors: PointErrors, observed: Interface) -> float | None:
@@ -141,21 +139,16 @@ class Currents:
         return refined(a, b, self.width, tolerance=share)
 
 
-@dataclass(frozen=True)
-class _Bound:
-    """Values computed once per observed interface: ⟨T,T⟩ and the tolerance of a product with it."""
-
-    square: float
-    share: float
-
-
 @lru_cache(maxsize=64)
-def _bound(measure: Currents, snapshot: Snapshot) -> _Bound:
-    """Return ⟨T,T⟩; if it is small because normals cancel, integrate more finely to keep its relative error."""
+def _bound(measure: Currents, snapshot: Snapshot) -> tuple[float, float]:
+    """Return ⟨T,T⟩ of an observed interface and the tolerance of a product with it.
+
+    If ⟨T,T⟩ is small because normals cancel, it is integrated more finely to keep its relative error.
+    """
     observed, share = snapshot.interface, _SAFETY * measure.tolerance
     square = measure._product(observed, observed, share)
     cancelled = square / natural_scale(observed, measure.width)
     if measure.quadrature == "refined" and cancelled < 1:
         share = max(share * cancelled, _FINEST)
         square = measure._product(observed, observed, share)
-    return _Bound(square, share)
+    return square, share

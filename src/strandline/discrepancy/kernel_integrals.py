@@ -359,17 +359,13 @@ def surface_nodes(surface: Interface, width: float, tolerance: float) -> Nodes:
     parts = np.maximum(np.ceil(radii / TRIANGLE), 1).astype(int)
     ratios = np.ceil(8 * radii / parts) / 8
     orders = np.array([triangle_order(ratio, tolerance) for ratio in ratios.tolist()])
-    found = []
+    points, areas = [], []
     for part, order in np.unique(np.stack([parts, orders]), axis=1).T.tolist():
         some = (parts == part) & (orders == order)
         shares, weights = _divided_rule(part, order)
-        found.append(
-            Nodes(
-                np.einsum("nk,tkx->tnx", shares, corners[some]).reshape(-1, 3),
-                (weights[:, None] * normals[some][:, None]).reshape(-1, 3),
-            )
-        )
-    return Nodes(np.concatenate([one.points for one in found]), np.concatenate([one.normals for one in found]))
+        points.append(np.einsum("nk,tkx->tnx", shares, corners[some]).reshape(-1, 3))
+        areas.append((weights[:, None] * normals[some][:, None]).reshape(-1, 3))
+    return Nodes(np.concatenate(points), np.concatenate(areas))
 
 
 @lru_cache(maxsize=4096)

@@ -96,15 +96,9 @@ def causes_of(lin: Linearised, observations: Sequence[Observation], unknown: Unk
     ends = np.cumsum([len(one.points) for one in interfaces])
     chosen = lin.scaled[:, list(unknown.spread)]
     each = block_diag(*np.split(chosen, ends[:-1])) if spreads else np.empty((len(lin.residuals), 0))
-    scales = [
-        np.concatenate(
-            [
-                *([offset_scales(one, cause.amplitude, cause.share) for one in interfaces] if offsets else []),
-                np.full(each.shape[1], cause.spread),
-            ]
-        )
-        for cause in compared
-    ]
+    spread = [np.full(each.shape[1], cause.spread) for cause in compared]
+    wavy = [[offset_scales(one, cause.amplitude, cause.share) for one in interfaces if offsets] for cause in compared]
+    scales = [np.concatenate([*some, one]) for some, one in zip(wavy, spread, strict=True)]
     return Causes(tuple(compared), np.hstack([waves, each]), np.array(scales))
 
 

@@ -121,13 +121,8 @@ def laplace(
     floor = len(hessian) * np.finfo(float).eps
     definite = bool((curvature < 0).all() and np.linalg.eigvalsh(scaled)[0] > floor)
     covariance = np.linalg.inv(scaled) * np.outer(scale, scale) if definite else None
-    return LaplaceApproximation(
-        mode=np.asarray(mode, float),
-        hessian=hessian,
-        covariance=covariance,
-        definite=definite,
-        eigenvalues=np.linalg.eigvalsh(hessian),
-    )
+    eigenvalues = np.linalg.eigvalsh(hessian)
+    return LaplaceApproximation(np.asarray(mode, float), hessian, covariance, definite, eigenvalues)
 
 
 def log_prior_hessian(space: ParameterSpace, x: Float[np.ndarray, " dim"]) -> Float[np.ndarray, "dim dim"]:

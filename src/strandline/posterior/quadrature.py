@@ -186,10 +186,8 @@ def mixture(parts: Sequence[QuadratureResult]) -> QuadratureResult:
     mean, apart = means.mean(axis=0), means - means.mean(axis=0)
     covariance = np.mean([part.covariance for part in parts], axis=0) + apart.T @ apart / len(parts)
     logs = np.array([part.log_evidence for part in parts])
-    marginals = [
-        Histogram(same[0].edges, np.mean([one.mass for one in same], axis=0))
-        for same in zip(*(part.marginals for part in parts), strict=True)
-    ]
+    by_input = zip(*(part.marginals for part in parts), strict=True)
+    marginals = [Histogram(same[0].edges, np.mean([one.mass for one in same], axis=0)) for same in by_input]
     return QuadratureResult(
         log_evidence=float(logs.max() + np.log(np.mean(np.exp(logs - logs.max())))),
         mean=mean,

@@ -67,7 +67,6 @@ def sobol_indices(
 def _estimated(
     values: Float[np.ndarray, "evaluation point"],
 ) -> tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]]:
-    found = stats.sobol_indices(
-        func={"f_A": values[:1], "f_B": values[1:2], "f_AB": values[2:, None]}, n=values.shape[1]
-    )
+    known = {"f_A": values[:1], "f_B": values[1:2], "f_AB": values[2:, None]}
+    found = stats.sobol_indices(func=known, n=values.shape[1])
     return np.ravel(found.first_order), np.ravel(found.total_order)

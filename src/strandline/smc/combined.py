@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 
 from strandline.foundations import WIDEST, NumericsError, require, use_double
 from strandline.smc.moves import NARROWEST, BatchedLogDensity, RandomKey, Scalar
-from strandline.smc.on_host import advance_each_on_host, is_on_host, rejuvenate
+from strandline.smc.on_host import advance_each_on_host, advance_on_host, is_on_host
 from strandline.smc.records import SMCResult, SMCSettings, StepInfo
 from strandline.smc.sampler import check, checked_start, finished, hashable, report, require_steps_left
 from strandline.smc.steps import Info, Particles, advance
@@ -96,18 +96,11 @@ def carried_over(
     effective = float(np.exp(-logsumexp(2 * weights))) / len(x)
     if effective < KEPT:
         return None
-    state = Particles(
-        jnp.asarray(x),
-        jnp.asarray(weights),
-        jnp.asarray(values),
-        jax.jit(log_prior)(jnp.asarray(x)),
-        jnp.ones(()),
-        jnp.asarray(FIRST_ACCEPTANCE),
-        NARROWEST * jnp.asarray(extents),
-    )
-    rounds = jax.random.split(key, ROUNDS) if effective < ENOUGH else ()
-    for one in rounds:
-        state = rejuvenate(one, state, log_likelihood, log_prior, moves=moves)
+    rounds, always = jax.random.split(key, ROUNDS) if effective < ENOUGH else (), jnp.ones(())
+    particles = jnp.asarray(x), jnp.asarray(weights), jnp.asarray(values), jax.jit(log_prior)(jnp.asarray(x))
+    state = Particles(*particles, jnp.ones(()), jnp.asarray(FIRST_ACCEPTANCE), NARROWEST * jnp.asarray(extents))
+    for one in rounds:  # always resampled, so that all weights are equal; moves leave L p invariant
+        state, _ = advance_on_host(one, state, always, always, target=(log_likelihood, log_prior), moves=moves)
     positions, log_weights = np.asarray(state.positions), np.asarray(state.log_weights)
     outside = _outside(positions, np.exp(log_weights), scouts[:SCOUTS])
     if len(outside):
@@ -207,14 +200,8 @@ def _step(
 
     def one(key: RandomKey, state: Particles, theta: Float[Array, " given"]) -> tuple[Particles, Info]:
         """Advance one case; leave it as it is once γ = 1."""
-        after, info = advance(
-            jax.random.fold_in(key, number),
-            state,
-            zeta,
-            resample_below,
-            target=(lambda x: log_likelihood(x, theta), log_prior),
-            moves=moves,
-        )
+        now, given_theta = jax.random.fold_in(key, number), (lambda x: log_likelihood(x, theta), log_prior)
+        after, info = advance(now, state, zeta, resample_below, target=given_theta, moves=moves)
         return jax.tree.map(partial(jnp.where, state.temperature < 1.0), after, state), info
 
     advanced: tuple[Particles, Info] = jax.vmap(one)(keys, states, given)

@@ -16,7 +16,6 @@ from jaxtyping import Array, Bool, Float, Int, Key, UInt32
 from strandline.smc.moves import BatchedLogDensity, Moved, Positions, RandomKey, Scalar, accepted, proposed
 from strandline.smc.steps import Begun, Info, Particles, begin, end
 
-HostDensity = Callable[[Float[np.ndarray, "particle dim"]], Float[np.ndarray, " particle"]]
 Keys = Key[Array, " case"] | UInt32[Array, "case 2"]
 _begin: Callable[..., Begun] = jax.jit(begin)
 _accept: Callable[..., Moved] = partial(jax.jit, static_argnames="steps")(accepted)
@@ -58,14 +57,6 @@ def advance_on_host(
         likelihood = _inside(log_likelihood, ~np.isneginf(np.asarray(prior)), np.asarray(proposal))
         now = _accept(for_moves, step, now, proposal, likelihood, prior, begun.temperature, steps=moves)
     return end(begun, now, state.narrowest)
-
-
-def rejuvenate(
-    key: RandomKey, state: Particles, log_likelihood: HostDensity, log_prior: BatchedLogDensity, *, moves: int
-) -> Particles:
-    """Return the particles after resampling and moves that leave L p invariant; their weights are equal then."""
-    always = jnp.ones(())
-    return advance_on_host(key, state, always, always, target=(log_likelihood, log_prior), moves=moves)[0]
 
 
 def advance_each_on_host(

@@ -136,14 +136,8 @@ def fit_log_likelihood(
     nugget = NUGGET_SHARE * float(np.ptp(log_likelihood))
     centred = log_likelihood - log_likelihood.mean()
     fit = fit_hyperparameters((x - shift) / scale, centred, kernel=correlation, nugget=nugget)
-    process = condition(
-        x,
-        log_likelihood,
-        kernel=correlation,
-        length_scale=fit.length_scale,
-        signal_variance=fit.signal_variance,
-        nugget=nugget,
-    )
+    conditioned = partial(condition, x, log_likelihood, kernel=correlation, nugget=nugget)
+    process = conditioned(length_scale=fit.length_scale, signal_variance=fit.signal_variance)
     return LogLikelihoodSurrogate(process, validate(process, log_likelihood), fit)
 
 

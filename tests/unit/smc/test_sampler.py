@@ -283,12 +283,12 @@ def test_what_is_far_is_not_reached_and_weights_that_are_forgotten_show(monkeypa
     np.testing.assert_allclose(two(particles().positions), near(particles().positions))
     assert carried_to((0.42, 0.01), likelihood=two) is None  # a heavy mode that no particle sees
     assert carried_to((0.42, 0.01), replace(particles(), log_evidence=float("nan"))) is None
-    plain, mean = combined.rejuvenate, (0.9, -0.3)
+    plain, mean = combined.advance_on_host, (0.9, -0.3)
 
     def equal(key, state, *given, **options):
         forgotten = state._replace(log_weights=0 * state.log_weights - np.log(2000))
         return plain(key, forgotten, *given, **{**options, "moves": 1})
 
-    monkeypatch.setattr(combined, "rejuvenate", equal)
+    monkeypatch.setattr(combined, "advance_on_host", equal)
     found, (centre, sd, _) = carried_to(mean), exact(mean)
     assert np.abs(np.exp(found.log_weights) @ found.positions - centre).max() > 0.15 * sd

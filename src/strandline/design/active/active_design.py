@@ -364,9 +364,8 @@ class ActiveDesign:
         last = self.steps[-1]
         if not self._calm(last):
             return False
-        if all(step.check is None or step.check.given_up for step in self.steps) and self.check.agrees(
-            self._posterior, records
-        ):
+        no_failure = all(step.check is None or step.check.given_up for step in self.steps)
+        if no_failure and self.check.agrees(self._posterior, records):
             return True
         return any(self._calm(step) for step in self.steps if step.runs == last.since and step.kind != "check")
 
@@ -383,10 +382,9 @@ class ActiveDesign:
         unrest = [moved for moved in both if moved is not None and not self._quiet(moved)]
         if unrest:
             moved = unrest[-1]
-            reasons.append(
-                f"one of the last two batches still moved the posterior (by {moved.shift:.2f} standard deviations, its "
-                f"width by {moved.width:.0%}, with {moved.effective:.0%} of its draws effective after it)"
-            )
+            by = f"by {moved.shift:.2f} standard deviations, its width by {moved.width:.0%}"
+            after = f"with {moved.effective:.0%} of its draws effective after it"
+            reasons.append(f"one of the last two batches still moved the posterior ({by}, {after})")
         elif len(both) < 2 or None in both:
             reasons.append("the posterior has not stood still for two batches yet")
         checks = [step.check for step in self.steps if step.check is not None and step.kind != "given"]

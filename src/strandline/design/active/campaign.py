@@ -85,9 +85,8 @@ class Certificate:
         return f"<Certificate after {runs} runs: {state}>"
 
     def _repr_html_(self) -> str:
-        rows = [
-            (str(step.runs), step.kind, "" if step.moved is None else f"{step.moved.shift:.2g}") for step in self.steps
-        ]
+        moved = ["" if step.moved is None else f"{step.moved.shift:.2g}" for step in self.steps]
+        rows = [(str(step.runs), step.kind, by) for step, by in zip(self.steps, moved, strict=True)]
         return html_table(("runs", "batch", "posterior moved by, sd"), rows, caption=repr(self)[1:-1])
 
 
@@ -143,14 +142,12 @@ class BatchReport:
 def report_batch(design: ActiveDesign, space: ParameterSpace) -> BatchReport:
     """Return the report on the last step of `design`, which has decided what comes next."""
     step: Step = design.steps[-1]
-    after = not design.converged and not design.reasons
     coming = "done" if design.converged else "stop"
-    if after:
+    if not design.converged and not design.reasons:
         kind = design.batches[-1].kind
         coming = kind if kind in NEXT else "batch"
-    posterior = tuple(
-        f"{space.parameters[i].shown} {with_sd(float(step.mean[i]), float(step.sd[i]))}" for i in space.calibrated
-    )
+    figures = [(space.parameters[i].shown, float(step.mean[i]), float(step.sd[i])) for i in space.calibrated]
+    posterior = tuple(f"{shown} {with_sd(mean, sd)}" for shown, mean, sd in figures)
     objection = "" if step.check is None or not step.check.reasons else step.check.reasons[0]
     moved = None if step.moved is None else step.moved.shift if step.moved.effective >= FAR else math.inf
     return BatchReport(len(design.steps), posterior, moved, coming, objection)
@@ -217,11 +214,9 @@ class ActiveRuns:
         """Return the log-likelihood of a run, with the noise as it is known so far."""
         state = self.design.state
         inferred = None if state is None else state.knowledge.likelihood.inferred
-        return (
-            self.judge.value(self.judge.first, record)
-            if inferred is None
-            else inferred.likelihood.one(record.interfaces)
-        )
+        if inferred is None:
+            return self.judge.value(self.judge.first, record)
+        return inferred.likelihood.one(record.interfaces)
 
     def points(self, records: Sequence[RunRecord]) -> Points:
         return np.array([[record.inputs[name] for name in self.space.names] for record in records], float)

@@ -112,11 +112,10 @@ def smooth_effect(
     means, widths, size = _moved(posterior, (mean, sd), drawn @ B.T)
     shift, width = np.abs(means[0]).max(), np.abs(widths[0]).max()
     about = typical * fit.squares
-    by_fit = float(np.quantile(size[1:], 1 - level / 2)) + max(
-        _largest_variance(about, fit.freedom, level) - scatter, 0.0
-    )
+    rest = max(about / float(chi2.ppf(level / 2, fit.freedom)) - scatter, 0.0)  # two variances share the level
+    by_fit = float(np.quantile(size[1:], 1 - level / 2)) + rest
     total = float(np.sum((log_ratios - log_ratios.mean()) ** 2))
-    by_all = max(_largest_variance(total, len(draws) - 1, level) - scatter, 0.0)
+    by_all = max(total / float(chi2.ppf(level / 2, len(draws) - 1)) - scatter, 0.0)
     few = max(about / float(chi2.ppf(1 - level, fit.freedom)) - scatter, 0.0)
     *_, by_chance = _moved(posterior, (mean, sd), (drawn[1:] - best) @ B.T)
     least = max(math.sqrt(size[0]) - math.sqrt(np.quantile(by_chance, 1 - level)), 0.0) ** 2
@@ -169,11 +168,6 @@ def _bounds(drawn: Float[np.ndarray, "sample dim"], level: float) -> tuple[float
     lowest, highest = np.quantile(drawn, share, axis=0), np.quantile(drawn, 1 - share, axis=0)
     upper = np.quantile(np.abs(drawn).max(axis=1), 1 - level)
     return float(np.maximum(np.maximum(lowest, -highest), 0.0).max()), float(upper)
-
-
-def _largest_variance(squares: float, freedom: float | int, level: float) -> float:
-    """Return the bound of a variance that two of them share a `level` for, given a sum of squares."""
-    return squares / float(chi2.ppf(level / 2, freedom))
 
 
 def _moved(
@@ -386,15 +380,13 @@ def _beyond(effect: Effect, tolerances: Tolerances) -> tuple[str, ...]:
     """Return which lower bounds are beyond the tolerances, in words."""
     out = []
     if effect.shift_bounds[0] > tolerances.shift:
-        out.append(
-            f"the true model moves a mean by {effect.shift:.2g} standard deviations, more than {tolerances.shift:g}"
-        )
+        by = f"{effect.shift:.2g} standard deviations"
+        out.append(f"the true model moves a mean by {by}, more than {tolerances.shift:g}")
     if effect.width_bounds[0] > tolerances.width:
         out.append(f"the true model changes a standard deviation by {math.expm1(effect.width):.0%}")
     if effect.effective_bounds[1] < tolerances.effective:
-        out.append(
-            f"at most {effect.effective_bounds[1]:.0%} of the draws are effective, not {tolerances.effective:.0%}"
-        )
+        most = f"{effect.effective_bounds[1]:.0%}"
+        out.append(f"at most {most} of the draws are effective, not {tolerances.effective:.0%}")
     return tuple(out)
 
 
@@ -411,12 +403,9 @@ def objections(found: Reweighting, tolerances: Tolerances) -> tuple[str, ...]:
         out.append(f"importance weights move a mean by {worst:.2f} standard deviations, more than {tolerances.shift:g}")
     if width.max() >= tolerances.width:
         ratio = float(found.sd_ratio[width.argmax()])
-        out.append(
-            f"importance weights multiply a standard deviation by {ratio:.2f}, more than {tolerances.width:g} in its "
-            "logarithm"
-        )
+        limit = f"{tolerances.width:g} in its logarithm"
+        out.append(f"importance weights multiply a standard deviation by {ratio:.2f}, more than {limit}")
     if share < tolerances.effective:
-        out.append(
-            f"the effective sample size of the weights is {share:.0%} of the draws, not {tolerances.effective:.0%}"
-        )
+        wanted = f"{tolerances.effective:.0%}"
+        out.append(f"the effective sample size of the weights is {share:.0%} of the draws, not {wanted}")
     return tuple(out)

@@ -317,6 +317,7 @@ class Active:
     def __post_init__(self) -> None:
         first = self.initial or 3
         left, least = max(self.runs - first, 1), first + FEWEST_DRAWS
+        most = f"at most {left}, the runs that are left of {self.runs} after the first {first}"
         criterion_named(self.criterion)
         for name, right, expected in (
             ("check", self.check >= FEWEST_CHECKED, f"at least {FEWEST_CHECKED} draws"),
@@ -327,11 +328,7 @@ class Active:
             ("unseen", 0.02 <= self.unseen <= 1, "a share from 0.02 to 1"),
             *((name, getattr(self, name) > 0, "a number above 0") for name in ("change", "shift", "width", "k_hat")),
             ("patience", self.patience >= 1, "at least 1"),
-            (
-                "batch",
-                self.batch is None or self.batch <= left,
-                f"at most {left}, the runs that are left of {self.runs} after the first {first}",
-            ),
+            ("batch", self.batch is None or self.batch <= left, most),
             ("runs", self.runs >= least, f"at least {least}: {first} first ones and a check of {FEWEST_DRAWS}"),
         ):
             require(right, name, getattr(self, name), expected, "Change it.")

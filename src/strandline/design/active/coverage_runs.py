@@ -127,9 +127,8 @@ class Surprise:
         where = ", ".join(f"{name} {value:.3g}" for name, value in space.as_mapping(self.x).items())
         if self.fits:
             return f"a run at {where} fits the observation, which the surrogate had ruled out"
-        return (
-            f"the interface of a run at {where} is {self.errors:.0f} predicted standard deviations from the prediction"
-        )
+        sds = f"{self.errors:.0f} predicted standard deviations"
+        return f"the interface of a run at {where} is {sds} from the prediction"
 
 
 def surprises(
@@ -152,9 +151,8 @@ def surprises(
         return ()
     surrogate = state.knowledge.surrogate
     expected = state.knowledge.expected(x)
-    log_evidence = state.log_evidence_tempered + float(
-        logsumexp(state.log_weights_tempered + state.log_expected - 0.5 * state.log_plug_in)
-    )
+    log_ratio = logsumexp(state.log_weights_tempered + state.log_expected - 0.5 * state.log_plug_in)
+    log_evidence = state.log_evidence_tempered + float(log_ratio)
     weight = math.log(share) + log_likelihoods - log_evidence
     fits = (log_likelihoods - expected > UNLIKELY) & ~(weight < math.log(WEIGHTY))
     errors = np.array([_distance(surrogate.interfaces(x[i]), record.interfaces) for i, record in enumerate(records)])

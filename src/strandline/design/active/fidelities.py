@@ -55,10 +55,8 @@ class FidelityReport:
     @property
     def statement(self) -> str:
         """What the cheaper model was used for, and what it cost, in sentences."""
-        cost = (
-            f"{self.cheaper} runs by the cheaper model and {self.model} by the model itself cost as much as "
-            f"{self.equivalents:.3g} runs of the model."
-        )
+        runs = f"{self.cheaper} runs by the cheaper model and {self.model} by the model itself"
+        cost = f"{runs} cost as much as {self.equivalents:.3g} runs of the model."
         if self.dropped is not None:
             return f"{cost} The cheaper model is not used: {self.dropped}."
         if self.error is None:
@@ -110,18 +108,16 @@ class Fidelities:
         if self.dropped is not None or len(pairs) < FEWEST_PAIRS or keys == self._learnt_from:
             return
         try:
-            self.correction = fit_correction(
-                [self._seen(runs[True]) for runs in pairs], [self._seen(runs[False]) for runs in pairs]
-            )
+            cheaper, model = ([self._seen(runs[kind]) for runs in pairs] for kind in (True, False))
+            self.correction = fit_correction(cheaper, model)
         except NoCommonPoints as error:
             self.drop(str(error.value))
             return
         self._learnt_from = keys
         if self._explains_little and len(pairs) >= FIRM:
-            self.drop(
-                f"corrected by {len(pairs)} pairs of runs, its interfaces err by {1e3 * self.correction.error:.2g} µm, "
-                f"where the model's differ by {1e3 * self.correction.spread:.2g} µm"
-            )
+            off, spread = (f"{1e3 * one:.2g} µm" for one in (self.correction.error, self.correction.spread))
+            why = f"its interfaces err by {off}, where the model's differ by {spread}"
+            self.drop(f"corrected by {len(pairs)} pairs of runs, {why}")
 
     @property
     def _explains_little(self) -> bool:
@@ -130,10 +126,8 @@ class Fidelities:
     def _refute(self, error: float) -> None:
         """Note that the correction was wrong at draws of a posterior; drop the cheaper model if it is hopeless."""
         how = "the model fails where the cheaper one does not" if np.isinf(error) else f"by {1e3 * error:.2g} µm"
-        reason = (
-            f"the corrected interface of the cheaper model is wrong at a draw of the posterior ({how}; "
-            f"{1e3 * self.tolerated:.2g} µm are tolerated)"
-        )
+        how = f"{how}; {1e3 * self.tolerated:.2g} µm are tolerated"
+        reason = f"the corrected interface of the cheaper model is wrong at a draw of the posterior ({how})"
         self.refuted.append(reason)
         hopeless = self.correction is not None and self.correction.error > HOPELESS * self.tolerated
         if hopeless or len(self.refuted) >= REFUTED:
@@ -212,9 +206,8 @@ class Fidelities:
     def report(self, hidden: float) -> FidelityReport:
         pairs = sum(_both_ok(runs) for runs in self._runs.values())
         confirmed = None if self.dropped is not None else self.confirmed
-        return FidelityReport(
-            self.cost, self._counts[True], self._counts[False], pairs, confirmed, hidden, self.dropped
-        )
+        cheaper, model = self._counts[True], self._counts[False]
+        return FidelityReport(self.cost, cheaper, model, pairs, confirmed, hidden, self.dropped)
 
     def _at(self, record: RunRecord) -> At:
         return np.array([record.inputs[name] for name in self.names], float).tobytes()
@@ -236,16 +229,14 @@ class Fidelities:
 
     def _corrected(self, record: RunRecord) -> RunRecord:
         """Return the record of a run as the model would have made it."""
-        inputs = {name: value for name, value in record.inputs.items() if name != CHEAPER}
+        record = replace(record, inputs={name: value for name, value in record.inputs.items() if name != CHEAPER})
         if not record.ok or self.correction is None:
-            return replace(record, inputs=inputs)
-        nothing: dict[str, Any] = {"interfaces": {}, "sensitivities": {}}
+            return record
         try:
             interfaces = self.correction.corrected(self._seen(record))
         except NoCommonPoints as error:
-            return replace(
-                record, inputs=inputs, state="invalid", failure_kind="no_common_points", message=str(error), **nothing
-            )
+            nothing: dict[str, Any] = {"interfaces": {}, "sensitivities": {}, "message": str(error)}
+            return replace(record, state="invalid", failure_kind="no_common_points", **nothing)
         slopes: dict[str, dict[str, Any]] = {}
         if record.sensitivities and self.correction.node_by_node:
             for name in self.names:
@@ -253,7 +244,7 @@ class Fidelities:
                 for condition, one in self.correction.corrected_slopes(of).items():
                     slopes.setdefault(condition, {})[name] = one
         digest = hashlib.sha256("".join(self._learnt_from).encode()).hexdigest()[:8]
-        return replace(record, key=f"{record.key}-{digest}", inputs=inputs, interfaces=interfaces, sensitivities=slopes)
+        return replace(record, key=f"{record.key}-{digest}", interfaces=interfaces, sensitivities=slopes)
 
 
 def as_by_model(records: Sequence[RunRecord], names: Sequence[str], *, dropped: bool = False) -> tuple[RunRecord, ...]:

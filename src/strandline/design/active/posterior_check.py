@@ -64,10 +64,8 @@ class SimulatorNoise:
 
     @property
     def words(self) -> str:
-        return (
-            f"the simulator's own scatter: {1e3 * self.rms:.2g} µm, {self.share:.2g} times the shift that the local "
-            "noise hides"
-        )
+        size = f"{1e3 * self.rms:.2g} µm, {self.share:.2g} times the shift that the local noise hides"
+        return f"the simulator's own scatter: {size}"
 
     @property
     def reason(self) -> str:
@@ -111,12 +109,6 @@ def simulator_noise(knowledge: Knowledge, draws: Float[np.ndarray, "draw dim"]) 
     with one_thread():
         values = likelihood.at(runs.reshape(-1, means.shape[1])).reshape(len(means), REPEATS)
     return SimulatorNoise(rms, hidden, float(np.mean(np.var(values, axis=1, ddof=1))))
-
-
-def typical_variance(log_ratios: Float[np.ndarray, " draw"]) -> float:
-    """Return the variance of normal numbers with the same median absolute deviation; a few extremes change little."""
-    finite = log_ratios[np.isfinite(log_ratios)]
-    return float((MAD * np.median(np.abs(finite - np.median(finite)))) ** 2) if len(finite) else 0.0
 
 
 def left_out_ratios(
@@ -235,7 +227,8 @@ class PosteriorChecker:
         ratios = true - checked.log_expected[here]
         draws, posterior = checked.draws[here], self._shown(checked.state)
         self.scatter = simulator_noise(checked.state.knowledge, draws)
-        observed = typical_variance(ratios)
+        finite = ratios[np.isfinite(ratios)]  # the variance is that of normal numbers: a few extremes change little
+        observed = float((MAD * np.median(np.abs(finite - np.median(finite)))) ** 2) if len(finite) else 0.0
         self._observed = len(ratios), observed
         variances = checked.state.knowledge.likelihood.variances
         found = checking.verdict(
@@ -300,9 +293,8 @@ class PosteriorChecker:
         share = float(1.0 / (np.exp(state.log_weights_plug_in) @ ratios**2))
         if share >= self.active.effective:
             return ()
-        return (
-            f"the surrogate's own uncertainty leaves only {share:.0%} effective draws, not {self.active.effective:.0%}",
-        )
+        left = f"only {share:.0%} effective draws, not {self.active.effective:.0%}"
+        return (f"the surrogate's own uncertainty leaves {left}",)
 
     def agrees(self, state: State, records: Sequence[RunRecord]) -> bool:
         """Return whether runs near the posterior, each predicted from all others and enough of them, show it is right.

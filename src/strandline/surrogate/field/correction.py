@@ -63,10 +63,8 @@ class Correction:
         """
         field = _field(cheaper, self.layouts)
         field = field + self.constant + self._slope((field - self.middle)[None])[0]
-        return {
-            name: self.layouts[name].with_points(one)
-            for name, one in correspondence.by_condition(field, self.layouts).items()
-        }
+        points = correspondence.by_condition(field, self.layouts)
+        return {name: self.layouts[name].with_points(one) for name, one in points.items()}
 
     def corrected_slopes(self, slopes: Mapping[str, Float[np.ndarray, "point xyz"]]) -> dict[str, np.ndarray]:
         """Return the derivatives of the corrected interfaces in an input, from those of the cheaper ones, by condition.

@@ -238,27 +238,19 @@ def registered(interface: Interface, layout: PointLayout) -> tuple[Float[np.ndar
 
 def fields_of(runs: Sequence[Mapping[str, Interface]], layouts: Mapping[str, PointLayout]) -> tuple[Fields, float]:
     """Return the coordinates of the points of all conditions, one row per run, and the worst registration error, mm."""
-    rows, worst = [], 0.0
-    for run in runs:
-        parts = []
-        for name, layout in layouts.items():
-            points, error = registered(run[name], layout)
-            parts.append(points.ravel())
-            worst = max(worst, error)
-        rows.append(np.concatenate(parts))
-    return np.array(rows), worst
+    found = [[registered(run[name], layout) for name, layout in layouts.items()] for run in runs]
+    fields = np.array([np.concatenate([points.ravel() for points, _ in row]) for row in found])
+    return fields, max([0.0, *(error for row in found for _, error in row)])
 
 
 def by_condition(
     fields: Float[np.ndarray, "*some value"], layouts: Mapping[str, PointLayout]
 ) -> dict[str, Float[np.ndarray, "*some _ xyz"]]:
     """Return the points of each condition from rows of `fields_of`."""
-    out, begin = {}, 0
-    for name, layout in layouts.items():
-        shape = layout.template.points.shape
-        out[name] = fields[..., begin : begin + shape[0] * shape[1]].reshape(*fields.shape[:-1], *shape)
-        begin += shape[0] * shape[1]
-    return out
+    templates = [layout.template.points for layout in layouts.values()]
+    parts = np.split(fields, np.cumsum([one.size for one in templates])[:-1], axis=-1)
+    shaped = [part.reshape(*part.shape[:-1], *one.shape) for part, one in zip(parts, templates, strict=True)]
+    return dict(zip(layouts, shaped, strict=True))
 
 
 def _different(found: str) -> NoCommonPoints:
@@ -307,8 +299,7 @@ def odd_ones(runs: Sequence[Mapping[str, Interface]], hidden: float) -> dict[int
     for name in runs[0]:
         some = {i: run[name] for i, run in enumerate(runs) if i not in odd}
         misfits = [_misfits(some, layout, hidden) for layout in _layouts(list(some.values()))]
-        fewest: dict[int, str] = min(misfits, key=len)
-        odd |= fewest
+        odd |= min(misfits, key=len)
     return odd
 
 

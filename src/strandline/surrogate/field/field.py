@@ -132,12 +132,8 @@ class Warping:
 
     def _scale(self) -> tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]]:
         """Return middle and standard deviation of a uniform distribution over the warped box."""
-        ends = np.array(
-            [
-                [float(WARPS[name].apply(np.array([end]))[0]) for end in (a, b)]
-                for name, a, b in zip(self.names, self.low, self.high, strict=True)
-            ]
-        )
+        box = zip(self.names, self.low, self.high, strict=True)
+        ends = np.array([[float(WARPS[name].apply(np.array([end]))[0]) for end in (a, b)] for name, a, b in box])
         return ends.mean(axis=1), np.abs(ends[:, 1] - ends[:, 0]) / np.sqrt(12.0)
 
 
@@ -380,10 +376,6 @@ def _gradients(
     """Return the derivatives of the fields with respect to the physical inputs."""
     if training.gradients is None:
         return None
-    dim = training.x.shape[1]
-    return np.array(
-        [
-            np.concatenate([slopes[name][one.order(run[name])].reshape(-1, dim) for name, one in layouts.items()])
-            for run, slopes in zip(training.interfaces, training.gradients, strict=True)
-        ]
-    )
+    dim, pairs = training.x.shape[1], zip(training.interfaces, training.gradients, strict=True)
+    parts = [[slopes[name][one.order(run[name])] for name, one in layouts.items()] for run, slopes in pairs]
+    return np.array([np.concatenate([part.reshape(-1, dim) for part in row]) for row in parts])

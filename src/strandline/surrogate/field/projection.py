@@ -219,10 +219,8 @@ def _fault(points: Points, reference: Interface, surface: Interface, centres: cK
     for wrong, word in ((flat, "flattened"), (facing < -TURNED * longest**2, "turned over")):
         if wrong.any():
             where = ", ".join(f"{x:.6g}" for x in reference.points[cells[np.argmax(wrong)]].mean(axis=0))
-            return (
-                f"{wrong.sum()} triangle(s) of one run's surface {word} when it is projected onto another's, "
-                f"the first at ({where}) mm"
-            )
+            what = f"{wrong.sum()} triangle(s) of one run's surface {word}"
+            return f"{what} when it is projected onto another's, the first at ({where}) mm"
     return ""
 
 
