@@ -4,8 +4,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement, product
 
-__all__ = ["Candidate", "Look", "Setting", "candidates", "key_of"]
-
 Setting = Mapping[str, float]
 """Quantities that an experiment sets to other values than the present one; empty for the same experiment again."""
 MICROMETRES = 1e3

@@ -64,10 +64,7 @@ class ClosestPoint:
         return 0.5 * (self._one_way(simulated, observed) + self._one_way(observed, simulated))
 
     def many(self, points: ManyPoints, template: Interface, observed: Interface) -> Values | None:
-        """Return d² of many interfaces with the same cells.
-
-        Return None if the observed nodes are projected onto surfaces, or onto only a few polylines.
-        """
+        """Return d² of interfaces with the same cells; None if observed nodes go to surfaces, or to few polylines."""
         require_alike(template, observed)
         if self._way == "to_observed":
             return self._to_observed(points, template, observed)

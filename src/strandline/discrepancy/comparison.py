@@ -80,10 +80,7 @@ def count_of_distances(measure: Discrepancy, simulated: Interface, observed: Int
 
 
 def noise_units(square: float, variance: float, count: float | None) -> float:
-    """Return a residual in units of σ_N: the root mean square of its distances, or √d² if it is not a sum.
-
-    `count` is that of `count_of_distances`.
-    """
+    """Return a residual in σ_N: the root mean square of its `count` distances, or √d² if it is not a sum of these."""
     return math.sqrt(square / (variance * (count or 1.0)))
 
 

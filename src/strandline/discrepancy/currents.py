@@ -141,10 +141,7 @@ class Currents:
 
 @lru_cache(maxsize=64)
 def _bound(measure: Currents, snapshot: Snapshot) -> tuple[float, float]:
-    """Return ⟨T,T⟩ of an observed interface and the tolerance of a product with it.
-
-    If ⟨T,T⟩ is small because normals cancel, it is integrated more finely to keep its relative error.
-    """
+    """Return ⟨T,T⟩ and the tolerance of a product with T, smaller if ⟨T,T⟩ is small because normals cancel."""
     observed, share = snapshot.interface, _SAFETY * measure.tolerance
     square = measure._product(observed, observed, share)
     cancelled = square / natural_scale(observed, measure.width)

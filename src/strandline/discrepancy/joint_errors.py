@@ -32,10 +32,7 @@ Errors = Float[np.ndarray, "run error"]  # global errors of the observations for
 
 @dataclass(frozen=True, eq=False)
 class JointErrors:
-    """Errors of the points of several observations.
-
-    With `common`, all have the same shift, rotation and scale, about the middle of all their points.
-    """
+    """Errors of several observations' points; with `common`, one shift, rotation and scale about the middle of all."""
 
     observations: tuple[Observation, ...]
     errors: tuple[PointErrors, ...]

@@ -34,10 +34,7 @@ Values = Float[np.ndarray, "..."]  # (point or segment, run), or without the run
 
 
 def similar(points: Float[np.ndarray, "run point xyz"], size: int) -> list[Int[np.ndarray, " some"]]:
-    """Return the indices of the runs in blocks of at most `size`, similar runs together.
-
-    They are ordered along the direction in which they differ most.
-    """
+    """Return indices of the runs in blocks of at most `size`, ordered along the direction in which they differ most."""
     some = points[:, :: max(1, points.shape[1] // _LOOKED_AT)].reshape(len(points), -1)
     apart = some - some.mean(axis=0)
     _, vectors = np.linalg.eigh(apart.T @ apart)

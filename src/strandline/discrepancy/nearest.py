@@ -32,10 +32,7 @@ Vectors = Float[np.ndarray, "xyz *#pair"]
 
 @dataclass(frozen=True, eq=False)
 class ClosestPoints:
-    """The points of an interface that are closest to given points, mm; squared distances, mm².
-
-    `cells` are those that each lies on, the first if several share it.
-    """
+    """Closest points of an interface, mm, the cells that they lie on, the first of several; squared distances, mm²."""
 
     points: Points
     cells: Int[np.ndarray, " point"]

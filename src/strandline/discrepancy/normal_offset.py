@@ -62,10 +62,7 @@ class LocalMeans:
 
 
 def local_means(points: Float[np.ndarray, "point 2"], number: int) -> LocalMeans | None:
-    """Return about `number` places, more where the points turn sharply.
-
-    None if the points are few, or not in order along a curve.
-    """
+    """Return about `number` places, more where points turn sharply; None if these are few, or not along a curve."""
     return _kept(points.tobytes(), number)
 
 

@@ -82,10 +82,7 @@ class FollowsOffsets(Protocol):
 
 
 def unit_of(discrepancy: Discrepancy, observed: Interface | None = None) -> str:
-    """Return the unit of d² that `discrepancy` states; empty if it states none.
-
-    Without an observed interface, return the unit for polylines.
-    """
+    """Return the unit of d² that a measure states, for polylines if nothing is observed; empty if it states none."""
     unit = str(getattr(discrepancy, "unit", ""))
     if observed is None or observed.dim == 2:
         return unit

@@ -44,9 +44,7 @@ _BLOCK = 8192  # interfaces predicted together
 
 @dataclass(frozen=True, eq=False)
 class FieldLikelihood:
-    """log L of inputs, given a surrogate of the interface, one observed interface for each condition, and the measure
-    d².
-    """
+    """log L of inputs, given a surrogate of the interface, an observed one for each condition, and the measure d²."""
 
     surrogate: FieldSurrogate
     observations: tuple[Observation, ...]
@@ -85,9 +83,7 @@ class FieldLikelihood:
         return np.concatenate([self._drawn(self.surrogate.predict(block)) for block in blocks])
 
     def gain(self, x: Float[np.ndarray, "point dim"], plug_in: Values) -> Values:
-        """Return log E[L] - log L of the predicted interfaces, by `plug_in` or `nearby`, in closed form, by a parabola
-        of log L.
-        """
+        """Return log E[L] - log L of predicted interfaces, by `plug_in` or `nearby`, in closed form: by a parabola."""
         found = self.surrogate.predict(x)
         return local.log_gain(self.parabola.parabolas(found.mean), found.variance, plug_in)
 

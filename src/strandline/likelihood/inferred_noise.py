@@ -254,10 +254,7 @@ def posterior_of_noise(
     *,
     near: NoisePosterior | None = None,
 ) -> NoisePosterior:
-    """Return p(s, ℓ, cause | r̂) on a grid that is even in the logarithms, for priors that are flat there.
-
-    Half of the prior is on a model without error.
-    """
+    """Return p(s, ℓ, cause | r̂) on a grid even in logarithms, for priors flat there, half of them on no error."""
     interfaces = [o.interface for o in observations]
     sds, lengths = _grid(lin, interfaces, unknown[0], near)
     shared = _unit_errors(observations, unknown).model.shared

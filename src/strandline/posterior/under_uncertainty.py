@@ -35,9 +35,7 @@ class Conditional(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class MarginalPosterior:
-    """One reading of the posterior under uncertainty: weighted draws of x and θ; leaving out the columns of θ
-    integrates over it.
-    """
+    """One reading under uncertainty: weighted draws of x and θ; leaving out the columns of θ integrates over it."""
 
     extended: Posterior
 

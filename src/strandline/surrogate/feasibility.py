@@ -53,10 +53,7 @@ class Feasibility:
 
 
 def learn_feasibility(z: Inputs, ok: Outcomes, *, largest: int = _LARGEST) -> Feasibility:
-    """Return the classifier of highest evidence.
-
-    At most the `largest` last runs are learnt from.
-    """
+    """Return the classifier of highest evidence, learnt from at most the `largest` last runs."""
     z, ok = z[-largest:], ok[-largest:]
     if ok.all():
         return Feasibility(z)

@@ -320,9 +320,7 @@ class ActiveDesign:
         return self.batches[-1]
 
     def _still_passed(self) -> BatchCheck | None:
-        """Return the check that the posterior had passed before the last runs; None if they have moved it. These were
-        made around an odd run far from it, or because of doubts.
-        """
+        """Return the check that the posterior had passed before the last runs; None if they have moved it."""
         (passed, self._passed) = (self._passed, None)
         if passed is None:
             return None
@@ -351,9 +349,7 @@ class ActiveDesign:
         )
 
     def _apart(self, state: State) -> int:
-        """Return by how many runs two posteriors must differ to be compared: half the inputs if runs yield derivatives.
-        Each of these shows the effect of all inputs at once.
-        """
+        """Return by how many runs posteriors must differ to be compared: half the inputs, if runs yield derivatives."""
         return (self.space.dim + 1) // 2 if state.knowledge.surrogate.gradients else self.space.dim
 
     def _stable(self, records: Sequence[RunRecord]) -> bool:

@@ -135,9 +135,7 @@ def _terms(y: Float[np.ndarray, "some dim"]) -> Float[np.ndarray, "some term"]:
 
 @dataclass(frozen=True, eq=False)
 class _ParabolaFit:
-    """Weighted least squares: the coefficients, R of the weighted A = QR, the weighted sum of squares of the errors and
-    its degrees of freedom.
-    """
+    """Weighted least squares: coefficients, R of A = QR, sum of squares of the errors, and its degrees of freedom."""
 
     best: Float[np.ndarray, " term"]
     factor: Float[np.ndarray, "term term"]
@@ -241,10 +239,7 @@ def number_of_probes(dim: int, left_out: int = 0) -> int:
 
 
 def probes(draws: Float[np.ndarray, "draw dim"], number: int) -> Int[np.ndarray, " probe"]:
-    """Return the indices of draws that lie far apart: each is the farthest from those before.
-
-    The first one is the nearest to the mean. Distances are in standard deviations.
-    """
+    """Return indices of draws far apart, in sds: the nearest to the mean, then each the farthest from those before."""
     z = (draws - draws.mean(axis=0)) / np.maximum(draws.std(axis=0), np.finfo(float).tiny)
     first = int(np.argmin((z**2).sum(axis=1)))
     nearest = cdist(z, z[first : first + 1])[:, 0]

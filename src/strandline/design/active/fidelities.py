@@ -248,10 +248,7 @@ class Fidelities:
 
 
 def as_by_model(records: Sequence[RunRecord], names: Sequence[str], *, dropped: bool = False) -> tuple[RunRecord, ...]:
-    """Return one record for each of the inputs, as if by the model; unchanged if no cheaper model was used.
-
-    With `dropped`, runs of the cheaper model are left aside.
-    """
+    """Return one record for each input, as if by the model; without those of a cheaper one if that is `dropped`."""
     if not any(is_cheaper(record.inputs) for record in records):
         return tuple(records)
     conditions = next((tuple(record.interfaces) for record in records if record.ok), ())

@@ -67,20 +67,14 @@ class Knowledge:
         return np.asarray(self.likelihood.plug_in(x) + self.log_feasibility(x))
 
     def roughly(self, x: Float[np.ndarray, "point dim"]) -> Values | None:
-        """Return what `plug_in` returns, by `FieldLikelihood.nearby`, in a fraction of the time.
-
-        None if there is no such way.
-        """
+        """Return what `plug_in` returns, by `FieldLikelihood.nearby`, in a fraction of the time; None without that."""
         if self.likelihood.nearby is None:
             return None
         near = self.likelihood.nearby.log_likelihood(self.surrogate.mean(x))
         return np.asarray(near + self.log_feasibility(x))
 
     def gain(self, x: Float[np.ndarray, "point dim"], plug_in: Values) -> Values:
-        """Return log E[L] - log L in closed form: what the surrogate's uncertainty adds to `plug_in` or `roughly`.
-
-        `plug_in` is what one of these returns.
-        """
+        """Return log E[L] - log L in closed form, by `plug_in` or `roughly`: what the surrogate's uncertainty adds."""
         return self.likelihood.gain(x, plug_in)
 
     def nearly_expected(self, x: Float[np.ndarray, "point dim"]) -> Values:

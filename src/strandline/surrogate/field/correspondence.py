@@ -299,7 +299,8 @@ def odd_ones(runs: Sequence[Mapping[str, Interface]], hidden: float) -> dict[int
     for name in runs[0]:
         some = {i: run[name] for i, run in enumerate(runs) if i not in odd}
         misfits = [_misfits(some, layout, hidden) for layout in _layouts(list(some.values()))]
-        odd |= min(misfits, key=len)
+        fewest: dict[int, str] = min(misfits, key=len)
+        odd |= fewest
     return odd
 
 
@@ -360,9 +361,7 @@ def _cut_off(interfaces: Sequence[Interface]) -> dict[int, str]:
 
 
 def _holding(interfaces: Sequence[Interface]) -> dict[int, str]:
-    """Return the runs that end abruptly with a repeated value; not if others share it, a floor, or if most end so.
-    Rounded values repeat also elsewhere.
-    """
+    """Return the runs that end abruptly with a repeated value; not if others share it, a floor, or if most end so."""
     ends: dict[int, tuple[int, float]] = {}
     for i, one in enumerate(interfaces):
         for values in (one.points[::-1, 1], one.points[:, 1]):

@@ -216,10 +216,7 @@ class ModeProcess:
     widening: float = 1.0
 
     def mean(self, z: Points) -> Float[np.ndarray, " point"]:
-        """Return the posterior mean.
-
-        The derivatives' part is k (u - v)·β, so matrix products do everything but the exponential.
-        """
+        """Return the posterior mean; derivatives add k (u - v)·β, by matrix products for all but the exponential."""
         u, v, alpha = z / self.lengths, self.observed.z / self.lengths, self.factors.alpha
         n, dim = v.shape
         exponent = u @ v.T

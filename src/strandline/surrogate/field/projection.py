@@ -78,10 +78,7 @@ class Reference:
 
     @cached_property
     def spread(self) -> Float[np.ndarray, "point rim"]:
-        """Displacement of each node if one node of the rim moves by 1: harmonic along the surface.
-
-        Parts without a rim stay where they are.
-        """
+        """Displacement of nodes if one of the rim moves by 1: harmonic along the surface; 0 on parts without a rim."""
         number, rim = len(self.surface.points), np.unique(self.sides)
         inner = np.setdiff1d(np.arange(number), rim)
         matrix = _laplacian(self.surface).tocsr()
