@@ -23,10 +23,7 @@ _FACTORS = {1: ("mm", "cm"), 3: ("µm", "mm"), 6: ("µm", "m")}
 def oriented_like_runs(observed: Interface, runs: Sequence[Interface]) -> Oriented:
     """Return `observed` in the direction of most of its nearest runs, and whether it had to be turned round.
 
-    Args:
-        observed: The observed interface.
-        runs: Simulated interfaces; a surface is ignored if the observation is a polyline, and so on, and an open run if
-            the observation is closed.
+    A simulated surface is ignored if the observation is a polyline, and so on, and an open run if it is closed.
     """
     alike = [one.dim == observed.dim and (one.closed or not observed.closed) for one in runs]
     finite = [float(np.abs(one.points).max()) < LARGEST for one in runs]  # so are the squares of its coordinates

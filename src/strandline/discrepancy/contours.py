@@ -138,13 +138,10 @@ def require_contours(contours: Sequence[Interface]) -> None:
 
 @dataclass(frozen=True)
 class Roughness:
-    """What one contour shows of the errors of its points.
+    """What one contour shows of the errors of its points; `notes` say what the numbers leave out.
 
-    Args:
-        errors: Standard deviation and correlation length, both too low if errors are alike over much of the window.
-        spacing: Distance of neighbouring points along the smoothed contour, mm.
-        window: Length of the smoothed pieces, mm.
-        notes: Sentences on what these numbers leave out.
+    Standard deviation and correlation length are too low if errors are alike over much of the `window`, the length of
+    the smoothed pieces, mm. `spacing` is the distance of neighbouring points along the smoothed contour, mm.
     """
 
     errors: PointErrors
@@ -237,14 +234,11 @@ _FEWEST_PLACES = 20
 
 @dataclass(frozen=True, eq=False)
 class Repeats:
-    """What several contours of one state show of the errors of their points.
+    """What several contours of one state show of the errors of their points; `notes` say what the numbers leave out.
 
-    Args:
-        errors: Standard deviations and correlation length; a common error is 0 if the local ones explain its spread.
-        spacing: Distance of the places along the outline at which the contours were compared, mm.
-        places: Number of these places.
-        parts: Shift in x and y, rotation, scale and offset of each contour against the mean, in the units of `PARTS`.
-        notes: Sentences on what these numbers leave out.
+    A common error is 0 if the local ones explain its spread. The contours were compared at so many `places` along the
+    outline, `spacing` apart, mm. `parts` are shift in x and y, rotation, scale and offset of each contour against the
+    mean, in the units of `PARTS`.
     """
 
     errors: PointErrors
@@ -257,8 +251,7 @@ class Repeats:
 def errors_from_repeats(contours: Sequence[Interface]) -> Repeats:
     """Return the errors of the points of contours that show one state, each from its own picture.
 
-    Args:
-        contours: Two contours or more, of at least 30 points; neither points nor directions need to correspond.
+    There are two contours or more, of at least 30 points; neither points nor directions need to correspond.
 
     Raises:
         InvalidInput: Fewer contours or points, open and closed contours, sizes ten times apart, contours that overlap

@@ -7,12 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from strandline.discrepancy.kernel_integrals import (
-    centre_product,
-    natural_scale,
-    refined_product,
-    refined_surface_product,
-)
+from strandline.discrepancy import kernel_integrals as integrals
 from strandline.discrepancy.many_currents import currents_of_many
 from strandline.discrepancy.protocol import ManyPoints, Offsets, Snapshot, Values, require_alike, require_same_direction
 from strandline.foundations import require
@@ -134,8 +129,8 @@ class Currents:
 
     def _product(self, a: Interface, b: Interface, share: float) -> float:
         if self.quadrature == "centre":
-            return centre_product(a, b, self.width)
-        refined = refined_surface_product if a.dim == 3 else refined_product
+            return integrals.centre_product(a, b, self.width)
+        refined = integrals.refined_surface_product if a.dim == 3 else integrals.refined_product
         return refined(a, b, self.width, tolerance=share)
 
 
@@ -144,7 +139,7 @@ def _bound(measure: Currents, snapshot: Snapshot) -> tuple[float, float]:
     """Return ⟨T,T⟩ and the tolerance of a product with T, smaller if ⟨T,T⟩ is small because normals cancel."""
     observed, share = snapshot.interface, _SAFETY * measure.tolerance
     square = measure._product(observed, observed, share)
-    cancelled = square / natural_scale(observed, measure.width)
+    cancelled = square / integrals.natural_scale(observed, measure.width)
     if measure.quadrature == "refined" and cancelled < 1:
         share = max(share * cancelled, _FINEST)
         square = measure._product(observed, observed, share)

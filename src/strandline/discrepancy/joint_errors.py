@@ -197,9 +197,6 @@ class WhitenedOffset:
     many independent squares as there are observed points. Errors of position, rotation and scale of the whole interface
     are integrated out, around their most probable values for the simulated interface at hand.
 
-    Args:
-        errors: Errors of the observed points.
-
     Raises:
         InvalidInput: On evaluation, a correlation length above half the length of the observed interface.
     """

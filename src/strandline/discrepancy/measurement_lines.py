@@ -33,12 +33,10 @@ Cells = Int[np.ndarray, "cell 2"]
 
 @dataclass(frozen=True, eq=False)
 class LineReadings:
-    """Readings of the measurement lines on one simulated interface.
+    """Readings of the measurement lines on one simulated interface, and which `missed` it within their reach.
 
-    Args:
-        distances: signed distance along each line from the observed to the simulated interface, mm; positive in
-            the line's direction; `reach` if the line misses.
-        missed: which lines do not meet the simulated interface within their reach.
+    `distances` are signed, from the observed to the simulated interface, mm; positive in the line's direction, the
+    reach if the line misses.
     """
 
     distances: Float[np.ndarray, " line"]

@@ -72,12 +72,9 @@ class FollowsOffsets(Protocol):
     """A measure whose d² nearly follows from signed distances if the two polylines are close to each other."""
 
     def of_offsets(self, offsets: Offsets, observed: Interface, nodes: int) -> Values | None:
-        """Return about d² of simulated interfaces; None if it does not follow.
+        """Return about d² of simulated interfaces with this number of nodes; None if it does not follow.
 
-        Args:
-            offsets: Signed distances of the observed points from each interface, mm.
-            observed: The observed polyline.
-            nodes: Number of nodes of the simulated interfaces.
+        `offsets` are signed distances of the points of the `observed` polyline from each of them, mm.
         """
 
 
