@@ -154,7 +154,9 @@ class Learning:
         most = len(asked) if self.settings.active is None else max(self.settings.active.runs, len(asked))
         more = max(most - ROUNDS_INSTEAD * (most // (2 * ROUNDS_INSTEAD)) - len(asked), 0)
         if more:
-            further = self._first(self.settings.runs + more)[self.settings.runs :]
+            made = {row.tobytes() for row in asked}  # runs that explore are of the same sequence
+            spread = self._first(self.settings.runs + more + len(asked))[self.settings.runs :]
+            further = spread[[row.tobytes() not in made for row in spread]][:more]
             self.tell.draws(self._inputs(further))
             asked = np.concatenate([asked, further])
         runs = (most - len(asked)) // ROUNDS_INSTEAD

@@ -36,7 +36,7 @@ __all__ = ["FEWEST_SPECIMENS", "Population", "Shrunk", "population_of", "shrunk"
 
 WIDTH = 0.4  # standard deviation of a part, in posterior standard deviations
 PARTS, MOST_PARTS, FEWEST_PARTS = 6000, 64, 4
-"""MixtureParts of all specimens together; most of one of them; fewest of one, per input."""
+"""Parts of all specimens together; most of one of them; fewest of one, per input."""
 STEP = 1e-5  # step of differences of the log prior, as a share of the box
 ROUNDING, TINY = 1e-12, 1e-300
 
