@@ -67,6 +67,15 @@ def test_errors_that_conditions_share_are_counted_once(tmp_path):
     assert expected_together < 0.95 * expected_apart
 
 
+def test_widths_by_squared_distances_are_those_of_dense_algebra(tmp_path):
+    study = load_study(write_study(tmp_path))
+    record, slopes = run_with_slopes(study, AT, tmp_path)
+    J = slopes[""].reshape(-1, 2)
+    information = J.T @ J / 0.003**2 + np.diag(1 / (0.3413 * np.array([260.0, 0.04])) ** 2)
+    expected = np.sqrt(np.diag(np.linalg.inv(information)))
+    assert expected_sd(study, record.interfaces, slopes, {}) == pytest.approx(expected, rel=0.02)
+
+
 @pytest.mark.filterwarnings("ignore:.*invalid value:RuntimeWarning")
 def test_slopes_that_are_not_finite_are_refused(tmp_path):
     study = load_study(write_study(tmp_path))
