@@ -22,7 +22,6 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
 
 from strandline.foundations import InvalidInput, require, unfit, whole_file
 from strandline.models import ForwardModel, asks_sensitivities, fingerprint
@@ -79,7 +78,9 @@ class ArrayBatch:
     requests: tuple[RunRequest, ...]
 
     @classmethod
-    def new(cls, parent: Path, model: ForwardModel, requests: Sequence[RunRequest], timeout: float | None) -> Self:
+    def new(
+        cls, parent: Path, model: ForwardModel, requests: Sequence[RunRequest], timeout: float | None
+    ) -> "ArrayBatch":
         """Write a new batch to its own folder inside `parent`, durably."""
         folder = parent / f"strandline-{time.strftime('%Y%m%d-%H%M%S')}-{uuid.uuid4().hex[:8]}"
         for part in ("logs", "results"):
@@ -91,7 +92,7 @@ class ArrayBatch:
         return batch
 
     @classmethod
-    def read(cls, folder: Path) -> Self:
+    def read(cls, folder: Path) -> "ArrayBatch":
         """Return the batch in `folder`; raise FileNotFoundError if there is none, or none any more."""
         content = json.loads((folder / BATCH).read_text(encoding="utf-8"))
         requests = tuple(RunRequest(**run) for run in content.pop("runs"))

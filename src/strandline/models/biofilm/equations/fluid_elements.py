@@ -235,9 +235,7 @@ def map_at_rest(
     return np.ascontiguousarray(maps.transpose(1, 2, 0, 3))
 
 
-def placed(
-    blocks: Sequence[tuple[Int[np.ndarray, "row element"], Int[np.ndarray, "column element"]]],
-) -> tuple[Numbers, Numbers]:
+def placed(blocks: Sequence[tuple[Int[np.ndarray, "_ _"], Int[np.ndarray, "_ _"]]]) -> tuple[Numbers, Numbers]:
     """Return row and column of each entry of blocks (row × column, element), given the numbers of each one's sides."""
     found = [np.broadcast_arrays(rows[:, None], columns[None]) for rows, columns in blocks]
     rows, columns = (np.concatenate([pair[k].ravel() for pair in found]) for k in (0, 1))
