@@ -134,8 +134,10 @@ class Learning:
         return np.array(list(rows), float), runs
 
     def _first(self, number: int) -> Float[np.ndarray, "run dim"]:
-        space = self.problem.space
-        return space.to_physical(design.sobol(number, space.dim, scramble=self.settings.scramble))
+        space, scramble = self.problem.space, self.settings.scramble
+        if self.settings.active is not None:
+            return design.over_prior(space, number, scramble=scramble)
+        return space.to_physical(design.sobol(number, space.dim, scramble=scramble))
 
     def _refined(self, first: Float[np.ndarray, "run dim"], refinement: design.Refinement) -> TrainedSurrogate:
         learnt, rounds = design.refine(

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from strandline.design.active.fidelities import Fidelities, FidelityReport, as_by_model
     from strandline.design.active.state import DRAFT_PARTICLES
     from strandline.design.candidates import FEWEST_POINTS, WHOLE, Candidate, Look, Setting, key_of
-    from strandline.design.refinement import SAMPLING, Learnt, Refinement, Round, refine, shifts, sobol
+    from strandline.design.refinement import SAMPLING, Learnt, Refinement, Round, over_prior, refine, shifts, sobol
     from strandline.design.run_filter import RunFilter, SetAside, says_whether_runs_succeed
 else:
     __getattr__ = door(__name__, __file__)

@@ -24,7 +24,7 @@ from strandline.runs import RunRecord
 from strandline.smc import SMCSettings, require, sample
 from strandline.surrogate import LogLikelihoodSurrogate
 
-__all__ = ["SAMPLING", "Learnt", "Refinement", "Round", "refine", "shifts", "sobol"]
+__all__ = ["SAMPLING", "Learnt", "Refinement", "Round", "over_prior", "refine", "shifts", "sobol"]
 
 MOST_POINTS = 2**24
 MOST_INPUTS = qmc.Sobol.MAXDIM  # largest number of inputs for which direction numbers are known
@@ -44,6 +44,15 @@ def sobol(number: int, dim: int, *, scramble: int | None = None) -> Float[np.nda
     require(right, "size of the Sobol design", value, expected, remedy="Ask for another number of runs.")
     engine = qmc.Sobol(dim, scramble=scramble is not None, rng=scramble)
     return np.asarray(engine.random_base2(max(number - 1, 0).bit_length())[:number])
+
+
+def over_prior(space: ParameterSpace, number: int, *, scramble: int | None = None) -> Float[np.ndarray, "run dim"]:
+    """Return physical points of a Sobol sequence in the prior's quantiles; the plain one without the origin, a corner.
+
+    In many dimensions most of a box lies where a normal prior has no mass.
+    """
+    first = int(scramble is None)
+    return space.prior_quantiles(sobol(first + number, space.dim, scramble=scramble)[first:])
 
 
 SAMPLING = SMCSettings(rejuvenation_steps=10, zeta=0.5)

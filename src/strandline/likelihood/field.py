@@ -189,23 +189,25 @@ class FieldLikelihood:
         return len(self.surrogate.modes.basis), len(self.surrogate.modes.tail)
 
 
-def noise_length(observation: Observation, discrepancy: Discrepancy) -> float:
+def noise_length(
+    observation: Observation, discrepancy: Discrepancy, *, of: Callable[[tuple[float, ...]], Any] = np.mean
+) -> float:
     """Return the shift of the observed interface, mm, that costs half a unit of log-likelihood: d² = σ_N².
 
-    This is the mean over shifts along the axes; half the interface's extent if no shift costs as much. Of stated errors
-    of points, only the local ones count: a stated shift is marginalised and leaves the shape as well known.
+    By default this is the mean `of` shifts along the axes; half the interface's extent if no shift costs as much. Of
+    stated errors of points, only the local ones count: a stated shift is marginalised and leaves the shape as well
+    known.
     """
     errors, noise = observation.errors, cast(Hashable, observation.noise)
     known = MeasureKey.of(discrepancy), Snapshot.of(observation.interface)
-    return _length_of(*known, noise if errors is None else errors.local_part)
+    return float(of(_lengths_of(*known, noise if errors is None else errors.local_part)))
 
 
 @lru_cache(maxsize=64)
-def _length_of(key: MeasureKey, snapshot: Snapshot, noise: Noise | PointErrors) -> float:
+def _lengths_of(key: MeasureKey, snapshot: Snapshot, noise: Noise | PointErrors) -> tuple[float, ...]:
     seen = snapshot.interface
     extent = float(np.ptp(seen.points, axis=0).max())
-    axes = np.eye(seen.dim)
-    return float(np.mean([_shift(Observation(seen, noise), key.measure, axis, extent) for axis in axes]))
+    return tuple(_shift(Observation(seen, noise), key.measure, axis, extent) for axis in np.eye(seen.dim))
 
 
 def sd_of_distances(observation: Observation, discrepancy: Discrepancy, simulated: Interface) -> float | None:

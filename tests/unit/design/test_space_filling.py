@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from strandline.design import sobol
+import strandline as sl
+from strandline.design import over_prior, sobol
 from strandline.foundations import InvalidInput
 
 
@@ -14,6 +15,17 @@ def test_larger_designs_begin_with_the_smaller_ones(scramble):
         large = sobol(300, dim, scramble=scramble)
         for number in (1, 2, 3, 64, 65, 299):
             assert np.array_equal(sobol(number, dim, scramble=scramble), large[:number])
+
+
+@pytest.mark.parametrize("scramble", [None, 7])
+def test_first_runs_of_an_active_design_lie_in_the_priors_quantiles_and_none_in_a_corner(scramble):
+    """In ten dimensions, points even in a box of ±4 sds are seven sds from its middle."""
+    space = sl.ParameterSpace(tuple(sl.Parameter(f"k{i}", sl.Normal(0.0, 1.0), box=(-4.0, 4.0)) for i in range(10)))
+    points = over_prior(space, 64, scramble=scramble)
+    assert np.array_equal(over_prior(space, 9, scramble=scramble), points[:9])
+    assert np.linalg.norm(points, axis=1).mean() == pytest.approx(np.sqrt(10), rel=0.1)
+    assert np.linalg.norm(space.to_physical(sobol(64, 10, scramble=scramble)), axis=1).mean() > 6
+    assert np.abs(points).max() < 3.5
 
 
 def test_it_is_the_sequence_in_the_literature_and_scipys_own():

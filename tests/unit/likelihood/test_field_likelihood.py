@@ -108,6 +108,16 @@ def test_the_noise_length_of_tracked_points():
     assert noise_length(Observation(line, 1e6), TrackedPoints()) == pytest.approx(1.0)
 
 
+def test_the_noise_length_of_a_flat_strip_is_that_across_it_if_shifts_count_by_the_inverse():
+    """It slides along itself nearly unseen, but hardly across."""
+    seen = Observation(graph(np.linspace(0.0, 2.0, 21), 0.0), PointErrors(0.01))
+    across = 0.01 / np.sqrt(21)
+    assert noise_length(seen, NormalOffset()) > 20 * across
+    assert noise_length(seen, NormalOffset(), of=min) == pytest.approx(across, rel=0.01)
+    random = noise_length(seen, NormalOffset(), of=lambda shifts: np.mean(np.square(shifts) ** -1.0) ** -0.5)
+    assert random == pytest.approx(np.sqrt(2) * across, rel=0.01)
+
+
 def test_the_noise_length_is_that_of_the_local_noise_however_small_and_however_many_the_points():
     """A stated shift leaves the shape as well known; neighbours on a rough outline err together."""
 

@@ -160,7 +160,7 @@ design.refine: {runs: 201}, sampler: {smc: {particles: 200}} | design.refine.run
 design.active: {runs: 50}; design: {} | either `sobol
 design: {active: {runs: 50}, refine: {runs: 5}} | an active design refines itself
 design: {active: {runs: 60}}, surrogate: {log_likelihood: {}} | surrogate: got | `field: {}` for an active design
-design: {active: {runs: 50, criterion: entropy}}; design: {active: {runs: 15}}; design: {active: {runs: 50, check: 5}}
+design: {active: {runs: 50, criterion: entropy}}; design: {active: {runs: 13}}; design: {active: {runs: 50, check: 5}}
 design: {active: {runs: 50, explore: 0.9}}; design: {active: {runs: 50, rounds: 2}}
 sampler.smc.particles: 3; sampler.smc.zeta: 1; sampler.smc.rejuvenation_steps: 0; sampler.cut.values: 1
 executor: {local: {workers: 0}}; executor: {local: {timeout: 1.0e+9}}; executor: {slurm_array: {cpus: -1}}

@@ -113,7 +113,7 @@ class Grown:
 
 def initial_runs(dim: int, *, sensitivities: bool) -> int:
     """Return the size of the first design, the same as in a study."""
-    return max((4 + 2 * dim) // 2, 3) if sensitivities else 4 + 2 * dim
+    return 3 if sensitivities else 4 + 2 * dim
 
 
 def grow(one: Case, options: Options, *, batch: int, most: int, share: float = 0.0) -> Iterator[Grown]:

@@ -1,8 +1,8 @@
 """An active design: batches of runs chosen on the posterior so far, a check on the true model, and when to stop.
 
-The posterior is updated after each batch. If it has not moved over two batches, the true model is run at draws from it,
-and importance weights show how far it is from the true posterior. If it is too far, these runs join the training set
-and the design goes on.
+The posterior is updated after each batch. Once a batch hardly moves it, the true model is run at draws from it, whose
+log-likelihoods are predicted before. The design learns from these runs as from all others, and stops when the last
+ones, and those before them left out, agree with what was predicted.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,12 +12,12 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from strandline.design.active.checking import BatchCheck, number_of_probes
-from strandline.design.active.choice import LARGEST_BATCH, Active, Losses, choose, price_of_a_hang
+from strandline.design.active.checking import FEWEST_DRAWS, BatchCheck
+from strandline.design.active.choice import EXPLORATION, LARGEST_BATCH, Active, Losses, choose, price_of_a_hang
 from strandline.design.active.coverage_runs import Surprise, points_around, points_elsewhere
 from strandline.design.active.posterior_check import PosteriorChecker
 from strandline.design.active.state import PosteriorMove, State
-from strandline.design.refinement import sobol
+from strandline.design.refinement import over_prior
 from strandline.parameters import ParameterSpace
 from strandline.posterior import subset
 from strandline.runs import RunRecord
@@ -38,7 +38,9 @@ many standard deviations, no logarithm of a standard deviation by as much."""
 BATCH_SHARE = 0.05
 """Runs of a batch as a share of the runs so far, if no number is stated and this is more than that of workers."""
 TRIAL = 3  # further draws of a posterior at which the model runs if there are doubts about it
-STILL = 0.5  # share of `Active.change` by which a posterior may move and still be the one that a check has passed
+UNKNOWN = 5  # most batches at draws that the surrogate hardly knows: it may never, if the simulator scatters
+FEWEST_EFFECTIVE = 0.2  # share of the draws that must be effective after the last batch for a check to begin
+STILL = 0.05  # largest change of a posterior that is still the one that a check has passed
 DIFFERENT = 0.4  # change of a mean, in sds, or of the logarithm of an sd, that two samples of one posterior do not show
 
 
@@ -74,7 +76,7 @@ class Step:
 @dataclass(frozen=True, eq=False)
 class Situation:
     """Where a design stands after a batch: the verdict on the posterior, if there is one, whether only doubts speak
-    against it, whether it stands still, and the number of runs left.
+    against it, and the number of runs left.
     """
 
     x: Float[np.ndarray, "run dim"]
@@ -82,13 +84,7 @@ class Situation:
     kind: Kind
     check: BatchCheck | None
     doubted: bool
-    stable: bool
     left: int
-
-    @property
-    def settled(self) -> bool:
-        """Whether the posterior stands still, or stood still before these runs."""
-        return self.stable or self.kind in ("given", "elsewhere", "trial")
 
 
 Decision = Batch | None | Literal["not now"]  # the next batch, None to stop, or that another phase decides
@@ -131,6 +127,7 @@ class ActiveDesign:
         self._looked_around: set[bytes] = set()
         self._passed: tuple[State, BatchCheck] | None = None
         self._around_odd = False
+        self._unknown = 0
         self._price = 1.0
         self.scattered = False
 
@@ -144,20 +141,21 @@ class ActiveDesign:
         number = min(self.batch, self.active.runs - asked - self.besides)
         if number < 1:
             return None
-        points = sobol(asked + number, self.space.dim, scramble=self.scramble)[asked:]
-        return self._noted(self.space.to_physical(points), "initial")
+        points = over_prior(self.space, asked + number, scramble=self.scramble)[asked:]
+        return self._noted(points, "initial")
 
     def next(self, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]) -> Batch | None:
         """Return the next batch, given all runs that have ended; None to stop."""
         self._price = price_of_a_hang(records)
         found = self._verdict(x, records)
-        if found == "open":
-            return self._noted(self.check.more(), "check")
         self.state = self.learn(x, records)
+        if isinstance(found, BatchCheck):
+            found = self.check.once_learnt(found, self.state)
+        if found == "open":
+            return self._noted(self.check.more(self.state, self._odd), "check")
         check, doubted = self._judged(found, records)
         self.steps.append(self._step(check))
-        kind, stable = self.batches[-1].kind, self._stable(records)
-        now = Situation(x, records, kind, check, doubted, stable, self._left)
+        now = Situation(x, records, self.batches[-1].kind, check, doubted, self._left)
         for phase in PHASES:
             decision = phase(self, now)
             if not isinstance(decision, str):
@@ -192,6 +190,7 @@ class ActiveDesign:
             check = self._still_passed()
         if check is not None and check.passed:
             chosen = {row.tobytes() for batch in self.batches if batch.kind == "posterior" for row in batch.points}
+            chosen -= {row.tobytes() for row in over_prior(self.space, self._posterior.runs + EXPLORATION)}
             self._odd = self.check.left_out(self._posterior, self._looked_around, chosen)
             if self._odd:
                 self._passed = self._posterior, check
@@ -205,7 +204,7 @@ class ActiveDesign:
 
     def _finish(self, now: Situation) -> Decision:
         """Stop at a posterior that has passed its check, unless there are places where nobody has looked."""
-        if now.check is None or not now.check.passed or not now.settled:
+        if now.check is None or not now.check.passed:
             return "not now"
         unseen = self._not_looked_at(now.x, now.left) if now.left > 0 and now.kind != "given" else now.x[:0]
         if len(unseen):
@@ -222,7 +221,7 @@ class ActiveDesign:
 
     def _try_again(self, now: Situation) -> Decision:
         """Run the model at further draws of a posterior against which only doubts speak."""
-        ready = now.doubted and now.settled and now.kind != "given" and now.left >= TRIAL
+        ready = now.doubted and now.kind != "given" and now.left >= TRIAL
         if not (ready and self.another_trial()):
             return "not now"
         draws = subset(np.exp(self._posterior.log_weights), TRIAL, self.seed + 7919 * len(now.x))
@@ -240,16 +239,23 @@ class ActiveDesign:
         return self._noted(around, "elsewhere") if len(around) else "not now"
 
     def _check(self, now: Situation) -> Decision:
-        """Run the model at draws of a posterior that stands still, or of any if no more runs may be chosen."""
+        """Run the model at draws of a posterior that hardly moves, or of any if no more runs may be chosen.
+
+        Before that, the surrogate learns from those draws that it hardly knows.
+        """
         room = self._room(now)
-        ready = (now.stable and (now.check is None or now.kind == "given") and room >= 0) or room < 1
-        if not (ready and self._can_be_checked(now.records, now.left) and (self._confirmed() or room < 1)):
+        ready = (self._rests and (now.check is None or now.kind == "given") and room >= 0) or room < 1
+        if not (ready and self._can_be_checked(now.left) and (self._confirmed() or room < 1)):
             return "not now"
-        return self._noted(self.check.begin(self._posterior, now.x, now.records, now.left, self._losses()), "check")
+        unknown = self.check.unknown(self._posterior, min(self._together, room)) if room > 0 else now.x[:0]
+        if len(unknown := self._losses().bearable(unknown)) and self._unknown < UNKNOWN:
+            self._unknown += 1
+            return self._noted(unknown, "posterior")
+        return self._noted(self.check.begin(self._posterior, now.x, now.left, self._losses()), "check")
 
     def _room(self, now: Situation) -> int:
         """Return the number of runs that are left besides those of a check."""
-        return now.left - self.active.kept_for_check(self.space.dim)
+        return now.left - self.active.kept_for_check
 
     def overlooks(self, x: Float[np.ndarray, "run dim"]) -> bool:
         """Return whether these runs are too few to find a region as small as asked, other than where runs fail."""
@@ -259,10 +265,9 @@ class ActiveDesign:
         likely = None if self.state is None else self._losses().likely
         return points_elsewhere(x, self.space, self.active.unseen, most, likely)
 
-    def _can_be_checked(self, records: Sequence[RunRecord], left: int) -> bool:
+    def _can_be_checked(self, left: int) -> bool:
         """Return whether the runs left are enough for a check that could pass, and would not be lost to failures."""
-        needed = number_of_probes(self.space.dim, len(self.check.near(self._posterior, records)))
-        return left >= needed and self._losses().bears_check(self._posterior, needed)
+        return left >= FEWEST_DRAWS and self._losses().bears_check(self._posterior, FEWEST_DRAWS)
 
     def _chosen(self, number: int, made: int) -> Float[np.ndarray, "run dim"]:
         """Return the inputs of the next batch, safe ones if too many runs were lost where they are known to fail."""
@@ -297,6 +302,18 @@ class ActiveDesign:
         moved = self.steps[-1].moved
         return self.space.dim > FEW_INPUTS and moved is not None and max(moved.shift, moved.width) < HARDLY
 
+    @property
+    def _rests(self) -> bool:
+        """Whether the last batch has moved the posterior little; the last two if a check has failed before."""
+        last = self.steps[-1]
+        failed = any(step.check is not None and not step.check.passed for step in self.steps)
+        before = [step for step in self.steps if step.runs == last.since and step.kind != "check"]
+        return self._calm(last) and (not failed or any(map(self._calm, before)))
+
+    def _calm(self, step: Step) -> bool:
+        moved, change = step.moved, self.active.change
+        return moved is not None and max(moved.shift, moved.width) < change and moved.effective > FEWEST_EFFECTIVE
+
     def _losses(self) -> Losses:
         early = [batch.points for batch in self.batches if batch.kind in ("initial", "given")]
         first = frozenset(row.tobytes() for points in early for row in points)
@@ -325,7 +342,8 @@ class ActiveDesign:
         if passed is None:
             return None
         moved = passed[0].moved(self._posterior.knowledge)
-        return passed[1] if max(moved.shift, moved.width) < STILL * self.active.change and self._quiet(moved) else None
+        still = max(moved.shift, moved.width) < STILL and moved.effective >= self.active.effective
+        return passed[1] if still else None
 
     def _step(self, check: BatchCheck | None) -> Step:
         state = self._posterior
@@ -352,37 +370,15 @@ class ActiveDesign:
         """Return by how many runs posteriors must differ to be compared: half the inputs, if runs yield derivatives."""
         return (self.space.dim + 1) // 2 if state.knowledge.surrogate.gradients else self.space.dim
 
-    def _stable(self, records: Sequence[RunRecord]) -> bool:
-        """Return whether the posterior has moved little up to this step, and up to the step it is compared with. A
-        check that has failed does not count as that step: two batches must follow it before the next check. Unless one
-        has, one batch is enough if the runs near the posterior agree with predictions from the others.
-        """
-        last = self.steps[-1]
-        if not self._calm(last):
-            return False
-        no_failure = all(step.check is None or step.check.given_up for step in self.steps)
-        if no_failure and self.check.agrees(self._posterior, records):
-            return True
-        return any(self._calm(step) for step in self.steps if step.runs == last.since and step.kind != "check")
-
-    def _calm(self, step: Step) -> bool:
-        return step.moved is not None and self._quiet(step.moved)
-
-    def _quiet(self, moved: PosteriorMove) -> bool:
-        return max(moved.shift, moved.width) < self.active.change and moved.effective >= self.active.effective
-
     def _why_not(self) -> tuple[str, ...]:
         reasons = [f"all {self.active.runs} runs that were allowed are made", *self._losses().words(self._posterior)]
-        last = self.steps[-1]
-        both = [step.moved for step in self.steps if step is last or step.runs == last.since]
-        unrest = [moved for moved in both if moved is not None and not self._quiet(moved)]
-        if unrest:
-            moved = unrest[-1]
+        moved = self.steps[-1].moved
+        if moved is None:
+            reasons.append("too few batches were made to tell whether the posterior still moves")
+        elif not self._calm(self.steps[-1]):
             by = f"by {moved.shift:.2f} standard deviations, its width by {moved.width:.0%}"
             after = f"with {moved.effective:.0%} of its draws effective after it"
-            reasons.append(f"one of the last two batches still moved the posterior ({by}, {after})")
-        elif len(both) < 2 or None in both:
-            reasons.append("the posterior has not stood still for two batches yet")
+            reasons.append(f"the last batch still moved the posterior ({by}, {after})")
         checks = [step.check for step in self.steps if step.check is not None and step.kind != "given"]
         reasons += checks[-1].reasons if checks else ("no check on the true model was made",)
         reasons += [words for one in self._odd[:1] if (words := one.words(self.space)) not in reasons]

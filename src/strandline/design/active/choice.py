@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from strandline.design.active.checking import FEWEST_DRAWS, MOST_FAILED, Tolerances, number_of_probes
+from strandline.design.active.checking import FEWEST_DRAWS, MOST_FAILED, Tolerances
 from strandline.design.active.state import Knowledge, State
-from strandline.design.refinement import sobol
+from strandline.design.refinement import over_prior, sobol
 from strandline.foundations import lookup, require
 from strandline.parameters import ParameterSpace
 from strandline.posterior import subset
@@ -144,7 +144,7 @@ def choose(
     weights = np.exp(state.log_weights if near else state.log_weights_tempered)
     candidates = state.positions[subset(weights, CANDIDATES, seed)]
     candidates = np.unique(candidates, axis=0)
-    unknown = space.to_physical(sobol(first + EXPLORATION, space.dim, scramble=None)[first:])
+    unknown = over_prior(space, first + EXPLORATION)[first:]
     if losses is not None:
         candidates = safe_candidates(losses, state, candidates, space, seed)
         unknown = losses.safest(unknown, number)
@@ -268,11 +268,11 @@ class Active:
     """How an active design goes on and when it stops.
 
     Args:
-        runs: Maximum number of runs, those of the checks included; at least `initial` + 8. With fewer than `initial` +
+        runs: Maximum number of runs, those of the checks included; at least `initial` + 6. With fewer than `initial` +
             `check`, a check is smaller and settles less. Runs from an earlier ``study.yaml`` or a reused study do not
             count.
-        initial: First runs, from the Sobol sequence, at least 3; default: 4 + 2 × number of inputs; with sensitivities
-            half that, but at least 3.
+        initial: First runs, from the Sobol sequence in the prior's quantiles, at least 3; default: 4 + 2 × number of
+            inputs, but 3 with sensitivities.
         batch: Runs chosen together; default: number of workers, or 5 % of the runs so far if that is more; within
             2 to 16.
         explore: Share of runs placed where least is known, whatever the posterior, 0 to 0.5.
@@ -284,7 +284,7 @@ class Active:
         unseen: Share of the prior's mass, 0.02 to 1: before it stops, the design looks for modes elsewhere until a
             region of this share holds a run with 95 % probability. Half the share costs about twice the runs; 1 looks
             nowhere.
-        change: Largest change over each of the last two batches: of a mean in standard deviations, of a standard
+        change: Largest change over the last batch for a check to begin: of a mean in standard deviations, of a standard
             deviation in natural logarithms; batches with fewer runs than inputs count together, with sensitivities
             those with fewer than half as many.
         shift: Largest shift of a mean by the check's importance weights, in standard deviations beyond its standard
@@ -307,7 +307,7 @@ class Active:
     criterion: str = "expected_variance"
     check: int = 25
     unseen: float = 0.1
-    change: float = 0.1
+    change: float = 0.3
     shift: float = 0.1
     width: float = 0.15
     k_hat: float = 0.5
@@ -333,10 +333,11 @@ class Active:
         ):
             require(right, name, getattr(self, name), expected, "Change it.")
 
-    def kept_for_check(self, dim: int) -> int:
+    @property
+    def kept_for_check(self) -> int:
         """Return the number of runs kept for a check: half of those after the first ones if these are few."""
         left = self.runs - (self.initial or 3)
-        return self.check if left >= self.check else max(number_of_probes(dim, 0), left // 2)
+        return self.check if left >= self.check else max(FEWEST_DRAWS, left // 2)
 
     @property
     def tolerances(self) -> Tolerances:

@@ -6,7 +6,7 @@ holds one with 95 % probability. A region is a ball in the prior's quantiles, wi
 """
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -16,7 +16,6 @@ from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
 from scipy.stats import norm
 
-from strandline.design.active.checking import farthest_first
 from strandline.design.active.state import State
 from strandline.design.refinement import sobol
 from strandline.discrepancy import apart
@@ -32,14 +31,27 @@ SHARES = (0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5)
 LEFT_OUT_SDS, LEFT_OUT_NOISE = 2.0, 1.0
 """The same, at least, for a run that is predicted from the others, which have learnt to expect errors like its own."""
 LEFT_OUT_SHARE, AROUND_SHARE = 0.05, 0.1
-"""Least error of such a run, and of runs around it, as a share of the distance between its interface and that of the
-posterior: below, truth and prediction agree that nothing fits there. Errors at the corners of a smooth drop's box were
-2 to 3 sds, but .002 to .098 of it; those that led to pockets and kinks of hard models .076 to 1."""
+"""Least error of such a run, and of runs around it or elsewhere, as a share of the distance between its interface and
+that of the posterior: below, truth and prediction agree that nothing fits there. Errors at the corners of a smooth
+drop's box were 2 to 3 sds, but .002 to .098 of it; those that led to pockets and kinks of hard models .076 to 1."""
 FEW = 4  # largest number of inputs for which balls, not cubes, are filled
 WEIGHTY = 0.01  # share of the evidence from which a region matters that the surrogate had ruled out
 UNLIKELY = 2.0  # log-likelihood by which a run exceeds what was expected there
 STANDARD_DEVIATIONS, NOISE_LENGTHS = 5.0, 5.0
-"""A run is odd whose interface is farther from the predicted one than so many predicted sds and noise lengths."""
+"""A run is odd whose interface is farther from the predicted one than so many predicted sds and noise lengths, and than
+`AROUND_SHARE` of its distance from the posterior's."""
+
+
+def farthest_first(points: Float[np.ndarray, "point dim"], nearest: Float[np.ndarray, " point"]) -> Iterator[int]:
+    """Yield the indices of points, each the farthest from those before and from others.
+
+    `nearest` is the distance of each to the nearest of the others; below 0 for a point that is not wanted.
+    """
+    while nearest.max(initial=-1.0) >= 0:
+        farthest = int(np.argmax(nearest))
+        yield farthest
+        nearest = np.minimum(nearest, cdist(points, points[farthest : farthest + 1])[:, 0])
+        nearest[farthest] = -1.0
 
 
 def least_found(x: Float[np.ndarray, "run dim"], space: ParameterSpace) -> float:
@@ -139,7 +151,7 @@ def surprises(
     share: float,
     noise: float,
     *,
-    limits: tuple[float, float, float] = (STANDARD_DEVIATIONS, NOISE_LENGTHS, 0.0),
+    limits: tuple[float, float, float] = (STANDARD_DEVIATIONS, NOISE_LENGTHS, AROUND_SHARE),
 ) -> tuple[Surprise, ...]:
     """Return which runs the surrogate did not expect, given the posterior before them.
 

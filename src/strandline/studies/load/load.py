@@ -181,8 +181,7 @@ def build_active(given: Mapping[str, Any] | None, dim: int, *, sensitivities: bo
     if given is None:
         return None
     options = {name: value for name, value in given.items() if name != "scramble"}
-    usual = 4 + 2 * dim
-    options.setdefault("initial", max(usual // 2, 3) if sensitivities else usual)
+    options.setdefault("initial", 3 if sensitivities else 4 + 2 * dim)
     with refused_at("design.active"):
         return Active(**options)
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from strandline import models
 from strandline.calibration import Settings
-from strandline.design import Candidate, sobol
+from strandline.design import Candidate, over_prior, sobol
 from strandline.discrepancy import Discrepancy
 from strandline.foundations import InvalidInput, InvalidStudy, html_table, html_text, read_json, write_json
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
@@ -110,6 +110,9 @@ def require_study(given: object) -> None:
         raise InvalidInput("study", value=given, expected="a Study", remedy=remedy)
 
 
+RULES = 2  # of the active design: which first runs it makes, and what follows them
+
+
 @dataclass(frozen=True)
 class StudyRuns:
     """The runs of a study: which ones it needs, where they are kept, and how far they have got.
@@ -132,10 +135,14 @@ class StudyRuns:
     def design(self) -> list[dict[str, float]]:
         """Inputs of the first design in their order: the Sobol design, or the given runs of an active design."""
         study, given = self.study, self.given
-        if given is not None:
-            return given
-        points = sobol(study.settings.runs, study.space.dim, scramble=study.settings.scramble)
-        inputs = [{**study.fixed, **study.space.as_mapping(x)} for x in study.space.to_physical(points)]
+        if given is not None or self._of_other_rules:
+            return given or []
+        number, space, scramble = study.settings.runs, study.space, study.settings.scramble
+        if study.settings.active is None:
+            points = space.to_physical(sobol(number, space.dim, scramble=scramble))
+        else:
+            points = over_prior(space, number, scramble=scramble)
+        inputs = [{**study.fixed, **space.as_mapping(x)} for x in points]
         return models.first_runs(study.model, inputs)
 
     @property
@@ -268,10 +275,16 @@ class StudyRuns:
         settings = self.study.settings
         if settings.active is None:
             return None
-        if "given" not in self._noted:
+        if "given" not in self._noted or self._of_other_rules:
             found = self._at_hand(ledger)
-            self.note(given=found if len(found) >= settings.runs else [], rounds=[], finished=False)
+            self.note(given=found if len(found) >= settings.runs else [], rounds=[], finished=False, rules=RULES)
         return self.given
+
+    @property
+    def _of_other_rules(self) -> bool:
+        """Whether an earlier version has begun the active design; its runs are then given to a new one."""
+        noted = self._noted
+        return self.study.settings.active is not None and "given" in noted and noted.get("rules") != RULES
 
     def note(self, **content: Any) -> None:
         """Note in refinement.json how far refinement or an active design has got."""

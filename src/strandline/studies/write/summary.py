@@ -386,7 +386,7 @@ def _check(found: BatchCheck, step: Step | None, names: tuple[str, ...]) -> dict
         of |= {name: _by_name(names, getattr(weights, name)) for name in moments}
     return {
         "by": "left-out runs" if step is not None and step.kind == "given" else "runs at draws of the posterior",
-        **named(found, "passed", "draws", "failed", "left_out", "early", "given_up"),
+        **named(found, "passed", "draws", "failed", "left_out", "early"),
         "reasons": list(found.reasons),
         **of,
     }

@@ -48,7 +48,7 @@ def campaign(monkeypatch, learner=None, first=FIRST):
 def test_too_few_successes_ask_for_more_of_the_sequence(monkeypatch):
     learner = FakeLearner(fewest=6)
     runs = campaign(monkeypatch, learner, even(5))
-    assert runs(records(runs.asked)) == named(even(9)[5:])
+    assert runs(records(runs.asked)) == named(even(10)[6:])
     assert len(runs(records(runs.asked))) == 4
     assert kinds(runs.certificate.batches) == ["initial", "initial", "posterior"]
     learner.fewest = 1000
@@ -107,7 +107,7 @@ def test_a_cheaper_model_makes_the_runs_until_it_is_dropped_for_want_of_a_correc
 def test_settings_have_ranges():
     """A batch may take all runs after the first, which are at least three."""
     wrong = {"check": 19, "initial": 2, "batch": 0, "explore": 0.6, "criterion": "entropy"}
-    wrong |= {"effective": 1.0, "change": 0.0, "patience": 0.5, "runs": 10}
+    wrong |= {"effective": 1.0, "change": 0.0, "patience": 0.5, "runs": 8}
     for name, value in wrong.items():
         with pytest.raises(InvalidInput, match=f"^{name}"):
             Active(**{"runs": 100, name: value})

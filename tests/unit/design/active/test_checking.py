@@ -8,11 +8,11 @@ import pytest
 
 from strandline.design.active import checking
 from strandline.design.active.checking import (
+    FEWEST_DRAWS,
     BatchCheck,
     LogRatios,
     Tolerances,
     fewest,
-    number_of_probes,
     probes,
     smooth_effect,
     verdict,
@@ -39,11 +39,12 @@ def checked(error, seed, *, dim=2, noise=0.02, most=25, earlier=0, blind=False, 
     """
     random = np.random.default_rng(seed)
     posterior, pool, equal = (random.standard_normal((number, dim)) for number in (250, 200, most))
-    number = probing or number_of_probes(dim, earlier)
+    first = picked(pool, probing or FEWEST_DRAWS)
+    number = len(first)
     before = np.random.default_rng([seed, 1]).standard_normal((earlier, dim))
     unlike = 2 * noise * sizes(before) * np.random.default_rng([seed, 2]).standard_normal(earlier)
     left_out = LogRatios(before, (0.0 if blind else error(before)) + unlike, (2 * noise * expected(before)) ** 2)
-    draws = np.concatenate([pool[picked(pool, number)], equal])
+    draws = np.concatenate([pool[first], equal])
     ratios = error(draws) + noise * sizes(draws) * random.standard_normal(len(draws))
     variances, typical = (noise * expected(draws)) ** 2, (noise * expected(posterior)) ** 2
     ends = checking.looks(number, len(draws), 2)
@@ -89,13 +90,42 @@ def drawn(seed, number, dim=1, posterior=500):
     return (random.standard_normal(shape) for shape in ((number, dim), (posterior, dim), number))
 
 
-def test_right_surrogates_pass_after_few_draws_and_earlier_runs_save_some():
-    found, helped = ([checked(right, seed, earlier=earlier) for seed in range(10)] for earlier in (0, 8))
-    assert all(one.passed for one in (*found, *helped))
-    assert np.mean([one.draws for one in found]) < number_of_probes(2) + 2
-    assert {one.left_out for one in helped} == {8}
-    assert np.mean([one.draws for one in helped]) < number_of_probes(2, 8) + 1 < number_of_probes(2) - 1
+def test_right_surrogates_pass_after_few_draws_in_any_dimension():
+    for dim, noise, most in ((2, 0.02, 6.5), (7, 0.02, 9.5), (2, 0.05, 14)):
+        found = [checked(right, seed, dim=dim, noise=noise) for seed in range(10)]
+        assert all(one.passed for one in found)
+        assert np.mean([one.draws for one in found]) <= most
+    helped = [checked(right, seed, earlier=8, noise=0.1) for seed in range(10)]
+    assert all(one.passed and one.left_out in (0, 8) for one in helped)
     assert share_passed(right, replicates=10, noise=0.1) == 1.0
+
+
+def test_the_bound_of_a_spread_holds_and_its_estimate_would_not():
+    sets = 0.1 * np.random.default_rng(5).standard_normal((1000, FEWEST_DRAWS))
+    assert np.mean([checking.spread_bound(one, 0.025) <= 0.1 for one in sets]) == pytest.approx(0.025, abs=0.015)
+    assert np.mean([np.std(one, ddof=1) <= 0.1 for one in sets]) > 0.4
+
+
+def test_draws_that_disagree_never_pass_however_well_others_are_predicted(monkeypatch):
+    """Errors with an sd of 1.5 where the surrogate expects as much, beside 38 runs that agree.
+
+    The planted bug: such draws count less by their expected variances, and nothing else is asked.
+    """
+
+    def passed():
+        found = []
+        for seed in range(40):
+            draws, posterior, errors = drawn(seed, 10, 2)
+            before, _, unlike = drawn(seed + 100, 38, 2)
+            near = LogRatios(before, 0.01 * unlike, np.full(38, 1e-4))
+            options = {"probing": 6, "level": 0.005, "last": False, "left_out": near}
+            one = verdict(LogRatios(draws, 1.5 * errors, np.full(10, 2.0)), posterior, TOLERANCES, **options)
+            found.append(one != "open" and one.passed)
+        return sum(found)
+
+    assert passed() == 0
+    monkeypatch.setattr(checking, "_agree", lambda *given: True)
+    assert passed() > 4
 
 
 @pytest.mark.parametrize("error", WRONG.values(), ids=WRONG.keys())
@@ -125,6 +155,8 @@ def test_a_tail_is_missed_if_expected_errors_count_for_objections_too(monkeypatc
         return effect(given, posterior, level, **options)
 
     monkeypatch.setattr(checking, "smooth_effect", always)
+    monkeypatch.setattr(checking, "_agree", lambda *given: True)
+    monkeypatch.setattr(checking, "_unforeseen", lambda *given: ())
     assert share_passed(WRONG["missed tail"], replicates=15, **options) > 0.3
 
 
@@ -151,18 +183,14 @@ def test_bounds_hold_if_half_of_the_expected_errors_are_far_too_large(monkeypatc
     assert wrong() > 0.2
 
 
-def test_a_check_is_given_up_if_all_its_draws_would_hardly_settle_it():
-    draws, posterior, normal = drawn(1, 14, 2)
-
-    def found(noise, most):
-        options = {"probing": 9, "level": 0.01, "last": False, "most": most}
-        return verdict(alike(draws, noise * normal), posterior, TOLERANCES, **options)
-
-    assert [found(0.4, most) for most in (None, 10_000)] == ["open", "open"]
-    given_up = found(0.4, 34)
-    assert (given_up.passed, given_up.given_up) == (False, True)
-    assert given_up.reasons == ("14 draws leave the check open, and 34 would hardly settle it",)
-    assert found(0.01, 34).passed
+def test_a_draw_of_which_the_surrogate_was_sure_ends_a_check_if_it_is_far_off():
+    draws, posterior, errors = drawn(1, 8, 2)
+    for off, variance, ended in ((3.0, 0.01, True), (3.0, 4.0, False), (1.5, 1e-4, False)):
+        ratios = LogRatios(draws, np.where(np.arange(8) == 4, off, 0.01 * errors), np.full(8, variance))
+        found = verdict(ratios, posterior, TOLERANCES, probing=6, level=0.01, last=False)
+        assert (found != "open") == ended
+        if ended:
+            assert found.reasons == ("the log-likelihood at a draw is off by 3, 21 predicted standard deviations",)
 
 
 def test_the_first_look_takes_half_of_the_error_probability():
@@ -182,6 +210,17 @@ def test_earlier_runs_that_are_far_off_do_not_object():
     }
     one = verdict(alike(draws, 0.01 * errors), posterior, TOLERANCES, **options)
     assert (one.passed, one.left_out) == (True, 0)
+
+
+def test_probes_reach_into_all_tails_and_a_collapsed_posterior_has_few():
+    pool = np.random.default_rng(4).standard_normal((200, 7)) * np.logspace(-3, 3, 7)
+    first = pool[probes(pool, FEWEST_DRAWS)]
+    assert 6 <= len(first) <= 11
+    assert (first.max(axis=0) > np.quantile(pool, 0.94, axis=0)).all()
+    assert (first.min(axis=0) < np.quantile(pool, 0.06, axis=0)).all()
+    for number in (1, 2):
+        assert len(probes(np.repeat(pool[:number], 3, axis=0), FEWEST_DRAWS)) == number
+    assert len(probes(pool[:1], FEWEST_DRAWS)) == 1
 
 
 def test_tails_are_missed_if_the_first_draws_are_any_draws():
@@ -299,7 +338,7 @@ def test_looks_at_earlier_runs_and_at_draws_share_the_error_probability(monkeypa
     for given, level in ((None, 0.01), (before, 0.005)):
         levels.clear()
         options = {"probing": 6, "level": 0.01, "last": False, "left_out": given}
-        verdict(alike(draws, 0.01 * errors), posterior, TOLERANCES, **options)
+        verdict(alike(draws, 0.1 * errors), posterior, TOLERANCES, **options)
         assert set(levels) == {level}
 
 

@@ -149,10 +149,22 @@ def test_a_posterior_of_three_particles_is_checked_by_these(state):
     log_weights[:3] = -np.log(3)
     few, records = replace(state, log_weights=log_weights), [record(row) for row in X]
     check = check_module.PosteriorChecker(Active(60), SPACE, batch=4, log_likelihood=lambda run: -50.0, seed=1)
-    begun = check.begin(few, X, records, 30, Losses(few.knowledge, 60, ()))
+    begun = check.begin(few, X, 30, Losses(few.knowledge, 60, ()))
     assert len(begun) >= 3
     found, _ = check.verdict(np.concatenate([X, begun]), [*records, *map(record, begun)])
     assert found == "open" or not found.passed
+
+
+def test_the_least_known_draw_comes_first_and_the_next_are_far_from_it(state, monkeypatch):
+    check = check_module.PosteriorChecker(Active(60), SPACE, batch=4, log_likelihood=float, seed=1)
+    monkeypatch.setattr(check_module, "UNKNOWN", 0.0)
+    least, *others = found = check.unknown(state, 3)
+    every, variances = check.unknown(state, 200), state.knowledge.likelihood.variances
+    assert variances(least[None])[0] == pytest.approx(variances(every).max())
+    assert len(found) == 3
+    assert min(np.linalg.norm((one - least) / state.sd) for one in others) > 1.0
+    monkeypatch.setattr(check_module, "UNKNOWN", np.inf)
+    assert check.unknown(state, 3).shape == (0, 2)
 
 
 def test_runs_inside_are_those_of_the_expected_likelihood_and_ratios_are_of_the_true_one():
