@@ -163,6 +163,15 @@ class Checked:
     odd: tuple[Surprise, ...] = ()
 
 
+def _not_run(state: State) -> Float[np.ndarray, " particle"]:
+    """Return the weights of the particles, zero where a run has been: particles are carried on from batch to batch, and
+    a run that has been learnt from agrees with itself. The plain weights if all have been run.
+    """
+    known = {row.tobytes() for row in state.knowledge.x}
+    weights = np.where([row.tobytes() in known for row in state.positions], 0.0, np.exp(state.log_weights))
+    return np.asarray(weights / weights.sum() if weights.any() else np.exp(state.log_weights))
+
+
 class PosteriorChecker:
     """Asks for runs that check a posterior, `batch` at a time, and judges it by them.
 
@@ -207,7 +216,7 @@ class PosteriorChecker:
         assert checked is not None
         done, end = checked.ends[:2]
         order = np.argsort(-(state.log_expected + np.asarray(self.space.log_prior(state.positions))), kind="stable")
-        stride = subset(np.exp(state.log_weights[order]), end - done, self.seed + 7919 * done)
+        stride = subset(_not_run(state)[order], end - done, self.seed + 7919 * done)
         chosen = np.unique(order[stride])
         draws, none = state.positions[chosen], checked.elsewhere[:0]
         now = replace(checked, state=state, draws=draws, log_expected=state.log_expected[chosen])
@@ -227,7 +236,7 @@ class PosteriorChecker:
         return np.asarray(pool[[0, *islice(coverage_runs.farthest_first(z, nearest), most - 1)]] if len(pool) else pool)
 
     def _pool(self, state: State) -> Int[np.ndarray, " draw"]:
-        return np.unique(subset(np.exp(state.log_weights), checking.POOL, self.seed + 1))
+        return np.unique(subset(_not_run(state), checking.POOL, self.seed + 1))
 
     def verdict(
         self, x: Points, records: Sequence[RunRecord]

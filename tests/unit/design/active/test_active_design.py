@@ -269,7 +269,7 @@ def test_given_runs_are_checked_by_leaving_them_out_and_gone_on_from_if_they_obj
 
 def test_runs_that_a_check_has_left_look_where_none_has_been():
     """All runs that are left are set aside for draws of the check, which needs a few of them."""
-    for unseen, elsewhere, overlooks in [(0.05, 17, False), (0.02, 20, True)]:
+    for unseen, elsewhere, overlooks in [(0.05, 13, False), (0.02, 20, True)]:
         one = design(Active(42, unseen=unseen))
         assert [one.overlooks(x) for x in (FIRST[(FIRST < 0).all(axis=1)], even(64))] == [True, overlooks]
         assert sizes(played(one))[2:] == [("check", FEWEST_DRAWS), ("elsewhere", elsewhere)]

@@ -167,6 +167,23 @@ def test_the_least_known_draw_comes_first_and_the_next_are_far_from_it(state, mo
     assert check.unknown(state, 3).shape == (0, 2)
 
 
+def test_a_check_draws_no_particle_that_has_run(state):
+    """Of three heavy particles, two have run: without the rule, most draws would agree with themselves."""
+    weights = np.full(len(state.positions), 1e-3)
+    weights[:3] = 1.0
+    heavy = replace(state, log_weights=np.log(weights / weights.sum()))
+    plain = heavy.knowledge
+    runs, ok = np.concatenate([plain.x, heavy.positions[:2]]), np.append(plain.ok, [True, True])
+    seen = replace(plain, x=runs, ok=ok)
+    found = {}
+    for knowledge in (plain, seen):
+        check = check_module.PosteriorChecker(Active(60, unseen=1.0), SPACE, batch=4, log_likelihood=float, seed=1)
+        one = replace(heavy, knowledge=knowledge)
+        drawn = np.concatenate([check.begin(one, X, 50, Losses(one.knowledge, 60, ())), check.more(one, ())])
+        found[len(knowledge.x)] = {row.tobytes() for row in drawn} & {row.tobytes() for row in heavy.positions[:2]}
+    assert [len(some) for some in found.values()] == [2, 0]
+
+
 def test_runs_inside_are_those_of_the_expected_likelihood_and_ratios_are_of_the_true_one():
     runs = np.concatenate([X, [[0.2, 0.1], [0.4, 0.0]]])
     one, records = fakes.state_of(known(runs)), [record(row) for row in runs]
