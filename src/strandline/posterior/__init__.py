@@ -7,6 +7,7 @@ from strandline.posterior.densities import (
     GaussianApproximation,
     KernelDensity,
     LaplaceApproximation,
+    enclosing_levels,
     laplace,
     log_prior_hessian,
 )
@@ -70,6 +71,7 @@ __all__ = [
     "Verdict",
     "Weighted",
     "cut_from_datatree",
+    "enclosing_levels",
     "from_datatree",
     "histogram",
     "histogram_mode",

@@ -14,8 +14,8 @@ from jaxtyping import Bool, Float
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize_scalar
 from scipy.spatial.distance import cdist
-from scipy.special import ndtr, ndtri
-from scipy.stats import chi2, qmc
+from scipy.special import ndtr
+from scipy.stats import chi2
 
 from strandline.foundations import NumericsError, require, side_by_side, use_double
 from strandline.parameters import ParameterSpace
@@ -41,7 +41,7 @@ class GaussianApproximation:
 
     def percentile_radius(self, p: float) -> float:
         """Return the Mahalanobis radius inside which the probability is p, 0 < p < 1."""
-        require_fraction(p)
+        _require_fraction(p)
         return float(np.sqrt(chi2.ppf(p, df=len(self.mean))))
 
     def ellipse(self, p: float, *, pair: tuple[int, int] = (0, 1), number: int = 200) -> Float[np.ndarray, "point 2"]:
@@ -68,7 +68,7 @@ class GaussianApproximation:
             ) from error
 
 
-def require_fraction(p: float) -> None:
+def _require_fraction(p: float) -> None:
     """Refuse a percentile that is not a fraction between 0 and 1."""
     require(0.0 < p < 1.0, "percentile", p, "a fraction between 0 and 1", "Give 10 % as 0.1.")
 
@@ -157,7 +157,7 @@ Values = Float[np.ndarray, " point"]
 Points = Float[np.ndarray, "point dim"]
 Centres = Float[np.ndarray, "centre dim"]
 _BLOCK = 256  # points processed at once
-_INTEGRAL_POINTS = 1025
+_INTEGRAL_POINTS = 257
 _REACH = 6.0
 """Distance, in kernel standard deviations, beyond which a kernel counts as zero: it is 1e-8 of its peak there."""
 Squares = list[tuple[Bool[np.ndarray, " centre"], Float[np.ndarray, "_ centre"]]]
@@ -257,25 +257,6 @@ class KernelDensity:
         total[inside] = self._raw(points[inside]) / self._integral
         return total
 
-    def sample(self, number: int) -> Float[np.ndarray, "draw dim"]:
-        """Return quasi-random draws from this density (draw, dim); the same ones in every call."""
-        if self.dim == 1 and np.isfinite(self.bounds).any():
-            uniform = qmc.Sobol(1, rng=0).random_base2(max(number - 1, 1).bit_length())[:number, 0]
-            grid, values = self._table
-            below = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]))])
-            return np.asarray(np.interp(uniform * below[-1], below, grid)[:, None])
-        cube = qmc.Sobol(self.dim + 1, rng=0).random_base2(max(number - 1, 1).bit_length())[:number]
-        cumulative = np.cumsum(self.weights)
-        chosen = np.minimum(np.searchsorted(cumulative, cube[:, 0] * cumulative[-1]), len(cumulative) - 1)
-        normal = ndtri(np.clip(cube[:, 1:], 1e-12, 1 - 1e-12))
-        return _fold(self.centres[chosen] + normal @ self.factor.T, self.bounds)
-
-    def percentile_levels(self, percentiles: Sequence[float]) -> Float[np.ndarray, " level"]:
-        """Return the densities whose contours enclose the given probabilities (fractions), in the order given."""
-        for p in percentiles:
-            require_fraction(p)
-        return np.asarray(np.quantile(self._sampled_density, 1.0 - np.asarray(percentiles, float)))
-
     def _raw(self, points: Points) -> Values:
         """Return the density at points inside the bounds before it is normalised."""
         total = np.zeros(len(points))
@@ -293,21 +274,11 @@ class KernelDensity:
         """The integral of `_raw`: mirroring keeps the mass of kernels; the slope correction changes it slightly."""
         if self.dim > 1 or not np.isfinite(self.bounds).any():
             return 1.0
-        grid, values = self._table
-        return float(np.trapezoid(values, grid))
-
-    @cached_property
-    def _table(self) -> tuple[Values, Values]:
-        """A grid across all kernels of a single input, and `_raw` on it."""
         reach = float(_reach(self.factor)[0])
         low = max(float(self.bounds[0, 0]), float(self.centres.min()) - reach)
         high = min(float(self.bounds[0, 1]), float(self.centres.max()) + reach)
         grid = np.linspace(low, high, _INTEGRAL_POINTS)
-        return grid, self._raw(grid[:, None])
-
-    @cached_property
-    def _sampled_density(self) -> Float[np.ndarray, " draw"]:
-        return self.density(self.sample(2048))
+        return float(np.trapezoid(self._raw(grid[:, None]), grid))
 
     def _unbounded(self, points: Points) -> Values:
         """Return the density of the kernels without mirroring, in blocks of points."""
@@ -319,6 +290,16 @@ class KernelDensity:
 
         blocks = np.array_split(white, max(1, len(white) // 256))
         return np.asarray(np.concatenate([*side_by_side(summed, blocks)]) / norm)
+
+
+def enclosing_levels(density: Float[np.ndarray, "y x"], masses: Sequence[float]) -> Float[np.ndarray, " n"]:
+    """Return the levels whose contours enclose these probabilities, of a density on a grid that holds all of it."""
+    for p in masses:
+        _require_fraction(p)
+    across, up = (np.r_[0.5, np.ones(number - 2), 0.5] for number in density.shape[::-1])
+    order = np.argsort(-density, axis=None)
+    inside = np.cumsum((density * np.outer(up, across)).ravel()[order])
+    return np.asarray(np.interp(masses, inside / inside[-1], density.ravel()[order]))
 
 
 def _distinct(draws: Draws, weights: Weights) -> tuple[Centres, PerCentre]:
@@ -398,13 +379,6 @@ def _images(
 def _reach(factor: Matrix) -> Float[np.ndarray, " dim"]:
     """Return the distance along each input at which a kernel counts as zero."""
     return np.asarray(_REACH * np.linalg.norm(factor, axis=1))
-
-
-def _fold(points: Points, bounds: Bounds) -> Points:
-    """Mirror points outside the bounds back inside, once on each side."""
-    low, high = bounds[:, 0], bounds[:, 1]
-    points = np.where(points < low, 2 * low - points, points)
-    return np.clip(np.where(points > high, 2 * high - points, points), low, high)
 
 
 def _whiten(points: Points, factor: Matrix) -> Points:

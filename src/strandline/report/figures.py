@@ -192,8 +192,9 @@ def _under_uncertainty(calibration: Calibration, truth: Mapping[str, float] | No
     found, space, cut = calibration.under_uncertainty, calibration.problem.space, calibration.cut_quadrature
     if found is None:
         return
-    for name, reading in {"joint": found.joint, "cut": found.cut}.items():
-        yield from _reading(name, reading, truth)
+    if len(found.joint.names) == 2:  # the figure of all inputs shows any other joint reading
+        yield from _reading("joint", found.joint, truth)
+    yield from _reading("cut", found.cut, truth)
     curves = _by_quadrature(found.cut.names, None if cut is None else mixture(cut))
     figure = plots.plot_marginals(found.cut.extended, found.cut.names, exact=curves, truth=truth)
     yield Captioned.of("cut_marginals", "uncertainty", figure, exact=bool(curves))

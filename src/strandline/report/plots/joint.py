@@ -18,6 +18,7 @@ from strandline.posterior import (
     KernelDensity,
     LaplaceApproximation,
     Posterior,
+    enclosing_levels,
     histogram,
     histogram_mode,
     systematic_indices,
@@ -101,7 +102,7 @@ def plot_hexagons(
     mass: Any = drawn.get_array()
     drawn.set_array(np.ma.masked_less(mass, NEGLIGIBLE * mass.max()))
     drawn.set_clim(vmin=0.0)
-    if (found := smoothed(posterior, names, percentiles, MOST)) is not None:
+    if (found := smoothed(posterior, names, percentiles, MOST, GRID)) is not None:
         *grid, levels = found
         ax.contour(*grid, levels=levels, colors=style.BLACK, linewidths=1.2)
     ax.set(xlabel=x.figure_label(), ylabel=y.figure_label(), xlim=across, ylim=up)
@@ -125,9 +126,12 @@ def _layout(figure: Figure) -> tuple[Axes, Axes, Axes]:
 Smoothed = tuple[Float[np.ndarray, " x"], Float[np.ndarray, " y"], Float[np.ndarray, "y x"], Float[np.ndarray, " n"]]
 
 
-def smoothed(posterior: Posterior, names: tuple[str, str], masses: Sequence[float], most: int) -> Smoothed | None:
-    """Return a grid over the shown parts of two inputs, a kernel density estimate on it, and its levels, ascending,
-    whose contours enclose these probabilities; None for draws on a line, which have no density in the plane.
+def smoothed(
+    posterior: Posterior, names: tuple[str, str], masses: Sequence[float], most: int, number: int
+) -> Smoothed | None:
+    """Return a grid of `number` points along either of two inputs over the parts that are shown, a kernel density
+    estimate on it, and its levels, ascending, whose contours enclose these probabilities; None for draws on a line,
+    which have no density in the plane.
 
     More than `most` particles are thinned by systematic resampling, and a fifth of them judge the bandwidth.
     """
@@ -140,9 +144,9 @@ def smoothed(posterior: Posterior, names: tuple[str, str], masses: Sequence[floa
         estimate = KernelDensity.fit(draws, weights, bounds=bounds, loo_points=most // 5)
     except NumericsError:
         return None
-    x, y = (np.linspace(*axis_limits(posterior, name), GRID) for name in names)
-    density = estimate.density(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)).reshape(GRID, GRID)
-    return x, y, density, np.unique(estimate.percentile_levels(masses))
+    x, y = (np.linspace(*axis_limits(posterior, name), number) for name in names)
+    density = estimate.density(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)).reshape(number, number)
+    return x, y, density, np.unique(enclosing_levels(density, masses))
 
 
 def _legend(figure: Figure, main: Axes, top: Axes, percentiles: Sequence[float], note: str) -> None:
@@ -246,7 +250,7 @@ def draw_marginal(
     prior = np.exp(np.asarray(parameter.truncated_prior.log_density(grid)))
     prior = np.where(np.isfinite(prior), prior, np.nan)
     try:
-        estimate = KernelDensity.fit(values[:, None], weights, bounds=[parameter.interval])
+        estimate = KernelDensity.fit(values[:, None], weights, bounds=[parameter.interval], loo_points=MOST // 10)
         _line(ax, grid, estimate.density(grid[:, None]), upright, color=style.BLACK, label="KDE")
     except NumericsError:
         pass  # an input without spread has no density: its one bar shows everything
