@@ -85,7 +85,7 @@ class Settings:
             log-likelihood beside a field, and figures are coarse.
 
     Raises:
-        InvalidInput: No such kernel, or no such function.
+        InvalidInput: No such kernel, or no such function; an active design without a surrogate of the field.
     """
 
     runs: int = 1000
@@ -106,6 +106,9 @@ class Settings:
         kernel_named(self.kernel)
         if self.fit is not None:
             fit_named(self.fit)
+        field_or_no_design = self.active is None or self.surrogate == "field"
+        remedy = 'Add surrogate="field", or leave out active.'
+        require(field_or_no_design, "surrogate of an active design", self.surrogate, "field", remedy)
 
     @property
     def planned_runs(self) -> int:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -112,14 +112,11 @@ def _given(space: ParameterSpace, log_likelihood: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class LogLikelihoodTarget:
-    """Mean of a surrogate of the log-likelihood.
+    """Mean of a surrogate of the log-likelihood; no other one leads near it in a fraction of the time."""
 
-    `warm_up_densities` are log-likelihoods that lead near it, one after the other, in a fraction of the time.
-    """
-
+    warm_up_densities: ClassVar[tuple[BatchedLogDensity, ...]] = ()
     process: Predictor
     space: ParameterSpace
-    warm_up_densities: tuple[BatchedLogDensity, ...] = ()
 
     @cached_property
     def compiled(self) -> BatchedLogDensity:

@@ -206,7 +206,10 @@ def retry(study: Path, kinds: tuple[str, ...], workers: int | None, quiet: bool)
 @options.device
 @options.quiet
 def report(study: Path, device: str | None, quiet: bool) -> None:
-    """Write posterior, figures and report of STUDY again from its ledger; no forward run is made."""
+    """Write posterior, figures and report of STUDY again from its ledger.
+
+    No forward run is made, unless an active design learns from runs that ended after its last batch was chosen.
+    """
     options.use_device(device)
     from strandline.studies import load_study
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from strandline.calibration import Calibration, steps_of, unlikely_errors
 from strandline.design import FieldOutcome, SetAside, says_whether_runs_succeed
+from strandline.discrepancy import NormalOffset
 from strandline.interface import Interface, UnknownErrors
 from strandline.likelihood import noise_length, sd_of_distances
 from strandline.parameters import Parameter
@@ -64,7 +65,7 @@ _said = partial(said, page="warnings.txt.j2")
 
 
 def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> Iterator[str]:
-    """Yield one sentence per doubt; none if all is well. `turned`: conditions observed from the other end."""
+    """Yield each doubt in words; nothing if all is well. `turned`: conditions observed from the other end."""
     yield from (_said("turned", condition=condition) for condition in turned)
     if calibration.no_field is not None:
         yield _said("no_field", why=calibration.no_field)
@@ -119,8 +120,10 @@ def _fit(calibration: Calibration) -> Iterator[str]:
     misfit = calibration.misfit
     inferred = None if calibration.field is None else calibration.field.knowledge.likelihood.inferred
     if misfit is not None and misfit.flagged:
-        remedy = " Find out what is wrong, or let the model err: `model_error: true` in `noise`."
-        yield f"{misfit.verdict}{remedy if inferred is None else ''}"
+        measures = calibration.problem.discrepancies.values()
+        able = calibration.field is not None and all(isinstance(one, NormalOffset) for one in measures)
+        remedy = ", or let the model err: `model_error: true` in `noise`" if able else ""
+        yield f"{misfit.verdict}{f' Find out what is wrong{remedy}.' if inferred is None else ''}"
     elif misfit is not None and misfit.flagged is None:
         yield misfit.verdict
     elif misfit is not None:

@@ -279,8 +279,8 @@ class Active:
         criterion: How to choose the others: ``expected_variance`` most reduces the variance of the predicted interface
             over the posterior; ``repulsion`` takes the farthest from all runs; or ``module:name`` of a criterion of
             your own.
-        check: Most posterior draws at which to run the true model before stopping, at least 20; fewer if they leave no
-            doubt.
+        check: Most posterior draws, besides 6 to 10 that reach into the tails, at which to run the true model before
+            stopping, at least 20; fewer if they leave no doubt.
         unseen: Share of the prior's mass, 0.02 to 1: before it stops, the design looks for modes elsewhere until a
             region of this share holds a run with 95 % probability. Half the share costs about twice the runs; 1 looks
             nowhere.
