@@ -15,7 +15,9 @@ from strandline.calibration.method import _sample
 from strandline.calibration.problem import Observer, Settings
 from strandline.calibration.sampler_check import LEVEL, compare_halves
 from strandline.calibration.targets import FieldTarget, central_hessian
+from strandline.design.active import Active
 from strandline.discrepancy import Currents, NormalOffset
+from strandline.foundations import InvalidInput
 from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.posterior import Posterior, Weighted
 from strandline.smc import SMCResult, SMCSettings, StepInfo, combined, in_halves
@@ -74,6 +76,12 @@ def test_a_posterior_of_which_draws_would_leave_one_particle_keeps_its_weights(s
     )
     posterior = FieldTarget(known, SPACE).posterior(sampling)
     assert (posterior.ess > 199.99, posterior.log_evidence == -3.0, (posterior.sd > 0).all()) == (kept, kept, True)
+
+
+def test_an_active_design_needs_a_surrogate_of_the_field():
+    assert Settings(active=Active(30), surrogate="field").active == Active(30)
+    with pytest.raises(InvalidInput, match="got log_likelihood; expected field"):
+        Settings(active=Active(30))
 
 
 @pytest.mark.stand_in
