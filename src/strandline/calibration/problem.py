@@ -85,7 +85,7 @@ class Settings:
             log-likelihood beside a field, and figures are coarse.
 
     Raises:
-        InvalidInput: No such kernel, or no such function; an active design without a surrogate of the field.
+        InvalidInput: No such kernel or function; no number of runs; an active design without a surrogate of the field.
     """
 
     runs: int = 1000
@@ -103,6 +103,8 @@ class Settings:
     draft: bool = False
 
     def __post_init__(self) -> None:
+        number = isinstance(self.runs, int | np.integer) and self.runs >= 0
+        require(number, "runs of the design", self.runs, "a whole number, 0 or above", "Give one, e.g. runs=100.")
         kernel_named(self.kernel)
         if self.fit is not None:
             fit_named(self.fit)
