@@ -352,7 +352,7 @@ def _predictive(calibration: Calibration, found: FieldOutcome, x: Float[np.ndarr
 
 def unknown_errors(seen: Observation) -> list[str]:
     """Return the errors of the whole observed interface that the figure does not take out of it."""
-    return [name for name in GLOBAL if getattr(seen.noise, name, 0.0) > 0]
+    return [name for name in GLOBAL if f"{name}_sd" in seen.noise.facts]
 
 
 def _arc_length(interface: Interface) -> Float[np.ndarray, " point"]:

@@ -12,7 +12,7 @@ from PIL import Image
 from tests.unit.report.plots.drawn import entries, posterior_of
 
 from strandline.foundations import with_sd
-from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
+from strandline.interface import GaussianNoise, Interface, Observation, PointErrors, UnknownErrors
 from strandline.parameters import Parameter, ParameterSpace, Uniform
 from strandline.posterior import MarginalPosterior, Offsets
 from strandline.report.figures import _in_legend, _reading, unknown_errors
@@ -27,6 +27,7 @@ def test_a_prediction_says_what_the_whole_outline_may_still_do() -> None:
     line = Interface.polyline(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]))
     for noise, unknown in (
         (PointErrors(0.01, length=0.1), None),
+        (GaussianNoise(5e-4), None),
         (PointErrors(0.01, shift=0.1), "its unknown shift can"),
         (UnknownErrors(rotation=1.0, scale=0.01), "its unknown rotation and scale can"),
     ):
