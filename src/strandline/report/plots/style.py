@@ -188,7 +188,7 @@ def root_ticks(low: float, top: float, *, number: int = 4) -> tuple[list[float],
     """Return places and labels of ticks about equally spaced on the `root_scale`: `top` itself and round values."""
     drops = (top - low) * (np.arange(1, number + 1) / number) ** 2
     decades = 10.0 ** np.floor(np.log10(drops))
-    steps = np.where(drops < 2.5 * decades, 0.2, 1.0) * decades
+    steps = np.where(drops < 5.0 * decades, 0.2, 1.0) * decades
     places = [top, *(np.ceil((top - drops) / steps) * steps).tolist()]
     return places, [f"{place:g}".replace("-", "−") for place in (round(top, 2) + 0.0, *places[1:])]
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, Literal
 
 import numpy as np
@@ -80,12 +81,11 @@ def plot_field(
         rim: Any = [patheffects.withStroke(linewidth=2.0, foreground="#303030")]
         look: Any = {"color": "#c8c8c8", "markersize": 4.5, "markeredgewidth": 1.2, "path_effects": rim}
         ax.plot(*grid.failed.T, "x", label="failed run", **look)
-    if detail is not None:
-        ax.set(xlim=grid.x.interval, ylim=grid.y.interval)
-        _draw_detail(ax, detail, np.exp(detail.values - top), lines)
+    ax.set(xlabel=grid.x.figure_label(), ylabel=grid.y.figure_label(), xlim=grid.x.interval, ylim=grid.y.interval)
+    if detail is not None and (place := _corner(ax, detail)) is not None:
+        _draw_detail(ax.inset_axes(place), ax, detail, np.exp(detail.values - top), lines)
     elif grid.truth is not None:
         style.mark(ax, grid.truth, style.RED, "ground truth", marker="o")
-    ax.set(xlabel=grid.x.figure_label(), ylabel=grid.y.figure_label(), xlim=grid.x.interval, ylim=grid.y.interval)
     if colour_bar:
         bar = ax.figure.colorbar(drawn, ax=ax, label=_LABELS[kind])
         if isinstance(norm, FuncNorm):
@@ -133,9 +133,10 @@ def _norm(values: Float[np.ndarray, "x y"], kind: Kind) -> Normalize:
     return FuncNorm(style.root_scale(top), vmin=min(float(values.min()), top - 1e-9), vmax=top)
 
 
-def _draw_detail(ax: Axes, detail: FieldGrid, values: Float[np.ndarray, "x y"], lines: Mapping[str, Any]) -> None:
-    """Draw a small part of the field enlarged in the corner farthest from it, with a frame around that part."""
-    inset = ax.inset_axes(_corner(ax, detail))
+def _draw_detail(
+    inset: Axes, ax: Axes, detail: FieldGrid, values: Float[np.ndarray, "x y"], lines: Mapping[str, Any]
+) -> None:
+    """Draw a small part of the field enlarged in `inset`, with a frame around that part."""
     colours: Any = {"cmap": _COLOURS["likelihood"], "norm": Normalize(0.0, 1.0), "shading": "nearest"}
     inset.pcolormesh(detail.x_values, detail.y_values, values.T, rasterized=True, **colours)
     inset.contour(detail.x_values, detail.y_values, values.T, **lines)
@@ -150,11 +151,18 @@ def _draw_detail(ax: Axes, detail: FieldGrid, values: Float[np.ndarray, "x y"], 
     ax.indicate_inset((x[0], y[0], x[-1] - x[0], y[-1] - y[0]), edgecolor="white", alpha=0.9)  # lines would cross it
 
 
-def _corner(ax: Axes, detail: FieldGrid) -> tuple[float, float, float, float]:
-    """Return a place for an inset, in shares of the axes, away from the enlarged part."""
-    middle = [0.5 * (values[0] + values[-1]) for values in (detail.x_values, detail.y_values)]
-    share = [(m - low) / (high - low) for m, (low, high) in zip(middle, (ax.get_xlim(), ax.get_ylim()), strict=True)]
-    return 0.47 if share[0] < 0.5 else 0.14, 0.13 if share[1] > 0.5 else 0.5, 0.5, 0.45
+def _corner(ax: Axes, detail: FieldGrid) -> tuple[float, float, float, float] | None:
+    """Return a place for an inset, in shares of the axes: the corner farthest from the enlarged part; None if all of
+    them overlap it.
+    """
+    x, y = detail.x_values, detail.y_values
+    (x0, y0), (x1, y1) = ax.transLimits.transform([(x[0], y[0]), (x[-1], y[-1])])
+    for width, height in ((0.5, 0.45), (0.35, 0.35)):
+        corners = list(product((0.14, 0.97 - width), (0.13, 0.95 - height)))  # with room for tick labels
+        gaps = [max(left - x1, x0 - left - width, low - y1, y0 - low - height) for left, low in corners]
+        if max(gaps) > 0:
+            return *corners[int(np.argmax(gaps))], width, height
+    return None
 
 
 @style.drawn(style.SINGLE, 3.4)
@@ -217,16 +225,14 @@ def plot_field_error(errors: Mapping[str, ErrorsAlong], *, ax: Axes = style.NEW)
     """
     kinds: dict[str, Any] = {}
     conditions: dict[str, Any] = {}
+    lowest = DECADES * max(float(np.nanmax([a.left_out, a.predicted])) for a in errors.values())
     for (condition, along), colour in zip(errors.items(), _colours(len(errors)), strict=True):
         lines = {"runs, each from the others": along.left_out, "its own estimate at draws": along.predicted}
         for look, (label, values) in zip(STYLES, lines.items(), strict=True):
-            shown = np.where(values > 0, style.TO_MICROMETRES * values, np.nan)  # fixed ends have no error
+            shown = np.where(values > lowest, style.TO_MICROMETRES * values, np.nan)
             (line,) = ax.semilogy(along.arc_length, shown, color=colour, **look)
             kinds[label] = line if len(errors) == 1 else Line2D([], [], color=style.GREY, **look)
         conditions[condition] = Line2D([], [], color=colour, linewidth=2.4)
-    highest = style.TO_MICROMETRES * max(float(np.nanmax([a.left_out, a.predicted])) for a in errors.values())
-    if highest > 0:
-        ax.set_ylim(bottom=max(ax.get_ylim()[0], DECADES * highest))
     ax.set(xlabel="arc length [mm]", ylabel="error of the interface [µm]")
     style.legend_under(ax.figure, kinds if len(errors) == 1 else kinds | conditions, columns=4)
     return ax

@@ -1,5 +1,6 @@
 """Figures of interfaces, flow, fields, diagnostics and answers: what the artists hold, in columns of journals."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -125,22 +126,26 @@ def test_a_log_likelihood_is_linear_in_standard_deviations_and_not_transposed():
     assert [float(label.replace("−", "-")) for label in labels[1:]] == sorted(places[1:], reverse=True) == places[1:]
 
 
-def test_a_narrow_likelihood_is_shown_enlarged_on_one_scale_away_from_the_peak():
-    def part(*axes: np.ndarray, peak: float, **more: Any) -> FieldGrid:
-        u, v = np.meshgrid(*axes, indexing="ij")
-        values = peak - 0.5 * (((u - 0.85) / 0.02) ** 2 + ((v - 0.15) / 0.02) ** 2)
-        return FieldGrid(E, NU, *axes, values, **more)
+@pytest.mark.parametrize("at", [(0.85, 0.15), (0.15, 0.55), (0.5, 0.5), (0.55, 0.85)])
+def test_a_narrow_likelihood_is_shown_enlarged_on_one_scale_away_from_the_peak(at):
+    def part(*shares: np.ndarray, peak: float, **more: Any) -> FieldGrid:
+        u, v = np.meshgrid(*shares, indexing="ij")
+        values = peak - 0.5 * (((u - at[0]) / 0.02) ** 2 + ((v - at[1]) / 0.02) ** 2)
+        return FieldGrid(E, NU, 100 + 700 * shares[0], -0.8 + 1.3 * shares[1], values, **more)
 
-    detail = part(np.linspace(0.8, 0.9, 11), np.linspace(0.1, 0.2, 11), peak=0.0, truth=np.array([0.85, 0.15]))
-    whole = part(*[np.linspace(0.0, 1.0, 31)] * 2, peak=-3.0, detail=detail)
+    near = [np.linspace(one - 0.05, one + 0.05, 11) for one in at]
+    detail = part(*near, peak=0.0, truth=np.array([100 + 700 * at[0], -0.8 + 1.3 * at[1]]))
+    whole = part(*[np.linspace(0.0, 1.0, 21)] * 2, peak=-3.0, detail=detail)
     ax = plots.plot_field(whole, kind="likelihood")
     rendered(ax.figure)
     (inset,) = ax.child_axes
     main, enlarged = (np.asarray(mesh_of(one).get_array()) for one in (ax, inset))
     assert (main.max(), enlarged.max()) == pytest.approx((np.exp(-3.0), 1.0)), "peaks, also between points"
-    frame = inset.get_window_extent().transformed(ax.transData.inverted())
-    assert not (frame.x0 < 0.85 < frame.x1 and frame.y0 < 0.15 < frame.y1)
+    frame = inset.get_window_extent().transformed(ax.transAxes.inverted())
+    shown = (frame.x0 > at[0] + 0.05, frame.x1 < at[0] - 0.05, frame.y0 > at[1] + 0.05, frame.y1 < at[1] - 0.05)
+    assert any(shown), "clear of the enlarged part"
     assert not plots.plot_field(whole, kind="log_likelihood").child_axes
+    assert not plots.plot_field(replace(whole, detail=whole), kind="likelihood").child_axes, "no room"
 
 
 def test_leave_one_out_reports_the_error_near_the_mode():
