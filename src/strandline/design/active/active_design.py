@@ -28,7 +28,7 @@ KINDS: dict[Kind, str] = {
     "initial": "to begin with",
     "posterior": "chosen where the posterior lies",
     "elsewhere": "where the surrogate was contradicted or no run had looked",
-    "check": "to check it",
+    "check": "to check it, at draws of the posterior and elsewhere",
     "trial": "to try the correction of the cheaper model again",
 }
 """Kinds of batches, with what a report says of their runs, in its order."""

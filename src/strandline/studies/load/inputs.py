@@ -94,7 +94,7 @@ def build_prior(given: Mapping[str, list[float]], at: str) -> Prior:
     prior_class: Any = open_entry(PRIORS, kind, at, "a prior")
     place, wanted = f"{at}.{kind}", [field.name for field in dataclasses.fields(prior_class)]
     if len(numbers) != len(wanted):
-        expected = f"{len(wanted)} numbers {getattr(prior_class, 'fields', wanted)}"
+        expected = f"{len(wanted)} number{'s' if len(wanted) != 1 else ''} {getattr(prior_class, 'fields', wanted)}"
         raise InvalidStudy(place, value=numbers, expected=expected, remedy="Correct the list.")
     prior: Prior = made(prior_class, dict(zip(wanted, numbers, strict=True)), place)
     if ":" in kind:
