@@ -331,9 +331,9 @@ def answers_from_prior(
     at = {key_of(setting): made.points[k * runs : (k + 1) * runs] for k, setting in enumerate(settings)}
     failed = [problem_of(one.failed) for one in at[key_of({})] if one.failed is not None]
     good = [one for one in at[key_of({})] if one.failed is None]
-    what, value = "the planned experiment failed at every draw of the prior", f"0 of {runs}; e.g. {''.join(failed[:1])}"
-    words = "a prior where the simulator runs", "Look at the failures, or move the priors to where it runs."
-    require(good, what, value, *words, TooFewRuns)
+    what, words = "the planned experiment failed at every draw of the prior", "a prior where the simulator runs"
+    remedy = f"Look at the failures, or move the priors to where it runs. The first: {''.join(failed[:1])}"
+    require(good, what, f"0 of {runs}", words, remedy, TooFewRuns)
     errors = _errors(study, good[0].run, asked)
     now = Weighted(
         space.prior_quantiles(sobol(PRIOR_DRAWS, space.dim, scramble=SCRAMBLE)), np.full(PRIOR_DRAWS, 1 / PRIOR_DRAWS)

@@ -23,6 +23,7 @@ from strandline.studies import load_study
 from strandline.studies.foresight import first_run
 from strandline.studies.foresight.measure_doubts import _sagittas, measure_lines, node_lines
 from strandline.studies.load.models import cheaper_lines
+from strandline.studies.load.observed import require_plausible
 from strandline.studies.run import _checking_sizes
 from strandline.testing.studies import beam, write_study
 
@@ -91,6 +92,10 @@ def test_another_size_is_refused_with_the_unit_that_was_mistaken(tmp_path):
         with pytest.raises(InvalidStudy, match=f"size of the observation.*{words}"):
             told(observing(tmp_path, scale * POINTS))
     assert "the ends of the observed interface and of this run lie" in told(observing(tmp_path, 9.0 * POINTS))
+    for unit, large, guessed in (("mm", 20.0, False), ("um", 1e-3, True), ("mm", 1e-3, False)):
+        with pytest.raises(InvalidStudy) as refused:
+            require_plausible("file", Interface.polyline(large * POINTS), Interface.polyline(POINTS), unit=unit)
+        assert ("Perhaps the observation is in" in str(refused.value)) is guessed
 
 
 def test_a_reversed_contour_is_no_upside_down_one(tmp_path):

@@ -139,6 +139,7 @@ noise: GONE | noise: got | this key
 noise: {sd: 1, variance: 1} | noise: got | either `variance` or `sd`
 noise.sd: 0; noise: {unit: um, sd: -1} | noise.sd: got | a number greater than 0
 noise.sd: .nan | noise.sd | a finite number
+noise.sd: many | a number, or one of unknown, column, image, or a list of two numbers, [low, high]
 noise.sd: 1.0e+200; noise.sd: 1.0e-200 | noise: got | from 1e-30 to 1e+30
 noise: {variance: 1, unit: um} | a `variance` is already in the unit of d²
 noise: {sd: 1, length: 5} | `length` with the `sd` of the observed points

@@ -45,7 +45,7 @@ def parse_study(folder: Path) -> tuple[StudyFile, str]:
         expected = f"a folder with a file {STUDY}"
         remedy = "Make one with `strandline init FOLDER`, or correct the path."
         if folder.is_file():
-            remedy = f"Give the folder that it is in, `{folder.parent}`, not a file"
+            remedy = f"Give the folder that it is in, `{folder.parent}`, not a file."
         raise InvalidStudy("not a study folder", value=str(folder), expected=expected, remedy=remedy) from None
     except (OSError, UnicodeDecodeError) as error:
         expected, remedy = "a readable text file in UTF-8", "Check its permissions and encoding."
@@ -87,7 +87,8 @@ def first_problem(error: ValidationError, schema: Any = StudyFile, within: str =
             expected=f"one of {', '.join(known)}" if known else "no such key",
             remedy=suggestion(name, known, f"Remove {place}.") + more,
         )
-    place, expected = place.removesuffix(".") or "study", " or ".join(dict.fromkeys(_expectation(one) for one in same))
+    forms = list(dict.fromkeys(_expectation(one) for one in same))
+    place, expected = place.removesuffix(".") or "study", (" or " if len(forms) < 3 else ", or ").join(forms)
     if first["type"] == "missing":
         return InvalidStudy(f"{file}{place}", value=None, expected=expected, remedy=f"Add it.{more}")
     remedy = suggestion(str(first["input"]), _words(first), f"Correct {place}.")

@@ -135,11 +135,13 @@ def require_plausible(name: str, observed: Interface, simulated: Interface, *, u
     ratio = extent_ratio(observed, simulated)
     mistake = unit_mistake(ratio)
     if mistake:
+        told = not unit or f"read in {unit.replace('um', 'µm')}," in mistake
+        guess = f"P{mistake[1:]}. " if told else ""  # not that a file was read in another unit than the study states
         raise InvalidStudy(
             f"size of the {name}{f', read in {unit}' if unit else ''}",
             value=f"{extent(observed):.4g} mm across, {ratio:.3g} times the model's interface",
             expected=f"about {extent(simulated):.4g} mm, the size of the model's interface",
-            remedy=f"P{mistake[1:]}. Correct the unit of the observation or of its pixels, the file or the model.",
+            remedy=f"{guess}Correct the unit of the observation or of its pixels, the file, or the size of the model.",
         )
 
 
