@@ -208,7 +208,8 @@ def retry(study: Path, kinds: tuple[str, ...], workers: int | None, quiet: bool)
 def report(study: Path, device: str | None, quiet: bool) -> None:
     """Write posterior, figures and report of STUDY again from its ledger.
 
-    No forward run is made, unless an active design learns from runs that ended after its last batch was chosen.
+    An active design samples again after each of its batches. No forward run is made, unless it learns from runs that
+    ended after its last batch was chosen.
     """
     options.use_device(device)
     from strandline.studies import load_study
@@ -294,7 +295,8 @@ def _certified(certificate: Mapping[str, Any]) -> str:
         )
     both = certificate.get("fidelities")
     who = "the true model" if not both or both["dropped"] else "the corrected cheaper model"
-    besides = f" and {check['left_out']} earlier runs, each predicted from the others," if check["left_out"] else ""
+    earlier = f"{check['left_out']} earlier run{'s' if check['left_out'] != 1 else ''}"
+    besides = f" and {earlier}, each predicted from the others," if check["left_out"] else ""
     return (
         f"converged: at {check['draws']} {check['by']}{besides} {who} gives {check['effective']:.0%} "
         f"effective draws and moves means by at most {shift:.2f} sd"
