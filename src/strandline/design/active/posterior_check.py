@@ -165,11 +165,15 @@ class Checked:
 
 def _not_run(state: State) -> Float[np.ndarray, " particle"]:
     """Return the weights of the particles, zero where a run has been: particles are carried on from batch to batch, and
-    a run that has been learnt from agrees with itself. The plain weights if all have been run.
+    a run that has been learnt from agrees with itself. The first of several copies, which are one run, has the weight
+    of all. If all have been run, that does not matter.
     """
+    _, first, of_all = np.unique(state.positions, axis=0, return_index=True, return_inverse=True)
+    weights = np.zeros(len(state.positions))
+    weights[first] = np.bincount(of_all.ravel(), np.exp(state.log_weights))
     known = {row.tobytes() for row in state.knowledge.x}
-    weights = np.where([row.tobytes() in known for row in state.positions], 0.0, np.exp(state.log_weights))
-    return np.asarray(weights / weights.sum() if weights.any() else np.exp(state.log_weights))
+    new = np.where([row.tobytes() in known for row in state.positions], 0.0, weights)
+    return np.asarray(new / new.sum() if new.any() else weights)
 
 
 class PosteriorChecker:

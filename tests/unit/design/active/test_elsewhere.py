@@ -184,6 +184,19 @@ def test_a_check_draws_no_particle_that_has_run(state):
     assert [len(some) for some in found.values()] == [2, 0]
 
 
+def test_a_check_draws_no_copy_of_a_particle(state):
+    """Resampling copies particles; two copies are one run, which would count twice."""
+    positions = state.positions.copy()
+    positions[: len(positions) // 2] = positions[0]
+    copied = replace(state, positions=positions)
+    check = check_module.PosteriorChecker(Active(60, unseen=1.0), SPACE, batch=4, log_likelihood=float, seed=1)
+    drawn = [check.begin(copied, X, 50, Losses(copied.knowledge, 60, ())), check.more(copied, ())]
+    for some in (*drawn, check.unknown(copied, 30)):
+        assert len(np.unique(some, axis=0)) == len(some)
+    weights = check_module._not_run(copied)
+    assert weights[0] == pytest.approx(np.exp(copied.log_weights)[: len(positions) // 2].sum())
+
+
 def test_runs_inside_are_those_of_the_expected_likelihood_and_ratios_are_of_the_true_one():
     runs = np.concatenate([X, [[0.2, 0.1], [0.4, 0.0]]])
     one, records = fakes.state_of(known(runs)), [record(row) for row in runs]
