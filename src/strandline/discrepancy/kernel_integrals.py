@@ -247,13 +247,18 @@ def refined_product(a: Interface, b: Interface, width: float, *, tolerance: floa
     The integral over a segment of `b` is in closed form (erf). The one over `a` uses Gauss–Legendre rules on pieces no
     longer than `PANEL` widths, of the order at which their error bound (`gauss_order`) falls below `tolerance`. Pairs
     too far apart to matter at this tolerance are left out. The error is relative to `natural_scale(a)`, if `b` does not
-    pass near one point many times.
+    pass near one point many times. If there are very many segments, Gauss rules integrate over `b` too: with 10 000 a
+    side, d² takes 0.6 CPU-seconds, not 20.
     """
+    length = float(b.lengths.sum())
+    reach = width * math.sqrt(2 * math.log(max(length / min(length, width), 1.0) / tolerance))
+    if len(a.cells) * len(b.cells) > SMALL:
+        allowed = 0.25 * tolerance * min(length, width) / min(length, 2 * reach)
+        nodes = _polyline_nodes(a, width, allowed)
+        return kernel_sum(nodes, nodes if a is b else _polyline_nodes(b, width, allowed), width, reach=reach)
     pieces = _Pieces(a, PANEL * width)
     longest = float(pieces.lengths.max())
     order = gauss_order(math.ceil(8 * longest / width) / 8, tolerance)
-    length = float(b.lengths.sum())
-    reach = width * math.sqrt(2 * math.log(max(length / min(length, width), 1.0) / tolerance))
     rows, size = max(1, BLOCK // len(b.cells)), max(1, BLOCK // order)
     near = (_near_pairs(pieces, b, slice(k, k + rows), reach) for k in range(0, len(pieces.starts), rows))
     return math.fsum(
@@ -294,6 +299,21 @@ class _Pieces:
     @property
     def lengths(self) -> Float[np.ndarray, " piece"]:
         return np.asarray(np.hypot(self.steps[:, 0], self.steps[:, 1]))
+
+
+def _polyline_nodes(polyline: Interface, width: float, tolerance: float) -> Nodes:
+    """Return Gauss points of the pieces, of the order at which the error bound of each (`gauss_order`) falls below the
+    tolerance, and normals there times their shares of the length.
+    """
+    pieces = _Pieces(polyline, PANEL * width)
+    ratios = np.exp2(np.ceil(2 * np.log2(pieces.lengths / width)) / 2)  # at most 1.4 times as long
+    points, normals = [], []
+    for ratio in np.unique(ratios):
+        nodes, weights = _unit_gauss(gauss_order(float(ratio), tolerance))
+        starts, steps = pieces.starts[ratios == ratio, None], pieces.steps[ratios == ratio, None]
+        points.append((starts + nodes[:, None] * steps).reshape(-1, 2))
+        normals.append((weights[:, None] * steps[..., ::-1] * (1.0, -1.0)).reshape(-1, 2))
+    return Nodes(np.concatenate(points), np.concatenate(normals))
 
 
 def _near_pairs(pieces: _Pieces, b: Interface, rows: slice, reach: float) -> tuple[Pairs, Pairs]:

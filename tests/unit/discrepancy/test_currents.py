@@ -88,6 +88,21 @@ def test_two_segments_one_after_the_other_closed_form():
                 assert refined_product(a, b, width, tolerance=tolerance) == pytest.approx(exact, abs=bound)
 
 
+@pytest.mark.parametrize("width", [0.002, 0.05, 3.0])
+def test_very_many_segments_take_gauss_points_of_both_curves(monkeypatch, width):
+    """Segments of many lengths, from far below the width to many widths, against the closed form over the other."""
+    s, t = np.cumsum(1e-4 + np.random.default_rng(2).uniform(size=300) ** 6) / 40, np.linspace(0.0, 1.0, 20)
+    a, b = graph(s, 0.2 * np.sin(9 * s)), subdivided(graph(t, 0.2 * np.sin(9 * t) + 0.01), 12)
+    exact = [refined_product(a, other, width, tolerance=1e-13) for other in (a, b)]
+    monkeypatch.setattr(kernel_integrals, "SMALL", 1)
+    for tolerance in (1e-4, 1e-10):
+        found = [refined_product(a, other, width, tolerance=tolerance) for other in (a, b)]
+        np.testing.assert_allclose(found, exact, atol=tolerance * natural_scale(a, width), rtol=0)
+    monkeypatch.setattr(kernel_integrals, "gauss_order", lambda ratio, tolerance: 1)
+    coarse = refined_product(a, b, width, tolerance=1e-10)
+    assert abs(coarse - exact[1]) > 1e-10 * natural_scale(a, width)
+
+
 CONCENTRIC = [
     (Currents(0.1), circle_product, (0.5, 0.54), [lambda r, n=n: ring(n, r) for n in (64, 128, 256)], 1e-3),
     (Currents(0.4, tolerance=1e-4), sphere_product, (1.0, 1.2), [lambda r, k=k: sphere(r, k) for k in (2, 3)], 0.05),

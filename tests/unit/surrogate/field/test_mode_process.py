@@ -158,6 +158,24 @@ def test_a_fast_response_is_not_taken_for_scatter(monkeypatch):
     assert fit_mode(one).nugget > 1e-3
 
 
+@pytest.mark.parametrize("gradients", [False, True])
+def test_some_of_very_many_runs_tell_the_hyperparameters_and_all_the_response(monkeypatch, gradients):
+    """Their errors elsewhere are nearly those of hyperparameters from all runs, far below those of these runs alone."""
+    z = np.sqrt(12.0) * (sobol(140, 2, scramble=1) - 0.5)
+    values, slopes = np.sin(z[:, 0]) * z[:, 1], np.stack([np.cos(z[:, 0]) * z[:, 1], np.sin(z[:, 0])], axis=1)
+    one = ModeData(z[:100], values[:100], slopes[:100] if gradients else None, True)
+    every = fit_mode(one)
+    monkeypatch.setattr(mode_process, "_ENOUGH", 150 if gradients else 50)
+    few = one.thinned()
+    assert len(few.z) == 50
+    assert set(map(tuple, few.z)) < set(map(tuple, one.z))
+    some, alone = fit_mode(one), fit_mode(few)
+    assert not np.array_equal(some.lengths, every.lengths)
+    errors = [np.sqrt(np.mean((process.mean(z[100:]) - values[100:]) ** 2)) for process in (every, some, alone)]
+    assert errors[1] < 3 * errors[0]
+    assert errors[2] > 20 * errors[1]
+
+
 @jax.jit
 def all_pairs(z, lengths):
     """Return covariances of value and derivatives of all pairs (run, run, 3, 3), by automatic differentiation."""
