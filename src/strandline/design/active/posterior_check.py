@@ -236,7 +236,7 @@ class PosteriorChecker:
         variances = state.knowledge.likelihood.variances(pool)
         pool = pool[np.argsort(-variances, kind="stable")][: int((variances > UNKNOWN).sum())]
         z = pool / np.maximum(state.sd, np.finfo(float).tiny)
-        nearest = np.linalg.norm(z - z[:1], axis=1)
+        nearest = np.where(np.arange(len(z)) > 0, np.linalg.norm(z - z[:1], axis=1), -1.0)
         return np.asarray(pool[[0, *islice(coverage_runs.farthest_first(z, nearest), most - 1)]] if len(pool) else pool)
 
     def _pool(self, state: State) -> Int[np.ndarray, " draw"]:
