@@ -158,10 +158,13 @@ def sampling(particles: int) -> Task:
     x, y = training(FIXED_RUNS, 2)
     log_likelihood = batched_mean(_conditioned(x, y, "matern32", 1.3))
     initial = np.random.default_rng(1).uniform(x.min(), x.max(), (particles, 2))
+    settings = SMCSettings(rejuvenation_steps=5)
+
+    def flat(x: jax.Array) -> jax.Array:  # one function: another in each call would be compiled again
+        return jnp.zeros(len(x))
 
     def task() -> float:
-        settings = SMCSettings(rejuvenation_steps=5)
-        found = sample(jax.random.key(1), log_likelihood, lambda x: jnp.zeros(len(x)), initial, settings=settings)
+        found = sample(jax.random.key(1), log_likelihood, flat, initial, settings=settings)
         return float(found.likelihood_evaluations * FIXED_RUNS)
 
     return task
