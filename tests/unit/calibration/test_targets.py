@@ -84,6 +84,7 @@ def test_an_active_design_needs_a_surrogate_of_the_field():
         Settings(active=Active(30))
 
 
+@pytest.mark.stand_in
 @pytest.mark.parametrize("runs", ["ten", -3, 2.5])
 def test_settings_refuse_what_is_no_number_of_runs(runs):
     with pytest.raises(InvalidInput, match=f"runs of the design: got {runs}; expected a whole number"):
