@@ -6,12 +6,13 @@ from types import SimpleNamespace
 import pytest
 
 from strandline.design import sobol
-from strandline.foundations import InvalidStudy, LedgerError
+from strandline.foundations import InvalidStudy, LedgerError, write_json
 from strandline.models.identity import fingerprint
 from strandline.runs import Ledger, RunRecord, RunRequest, attempt, run_key
 from strandline.runs.ledger.ledger_schema import ATTEMPTS
 from strandline.studies import load_study
 from strandline.studies.doctor import _gaps
+from strandline.studies.keys.folder import SUMMARY
 from strandline.studies.load.progress import RATE_RUNS, _per_minute, progress_in, progress_of
 from strandline.studies.load.study import settled
 from strandline.testing.studies import write_study
@@ -163,6 +164,9 @@ def test_finished_means_the_observation_too(study):
     with opened(study) as ledger:
         make(ledger, study, RUNS)
         with pytest.raises(InvalidStudy, match="got 8 of 9"):
+            study.runs.require_finished()
+        write_json(study.folder / SUMMARY, {"study_sha256": "another"})
+        with pytest.raises(InvalidStudy, match=r"got 8 of 9 .*, and results of an earlier study\.yaml; expected"):
             study.runs.require_finished()
         truth = RunRequest(study.runs.needed_keys[0], dict(study.truth or {}))
         ledger.started(truth)

@@ -107,7 +107,7 @@ def progress_in(folder: Path) -> StudyProgress:
 
 def progress_of(study: "Study") -> StudyProgress:
     """Return the progress of `study`; reads the ledger without the lock of its driver."""
-    state = _progress(study.folder, study.runs.plan)
+    state = replace(_progress(study.folder, study.runs.plan), active=study.runs.may_end_early)
     return replace(state, reused=max(study.runs.known - state.done - state.open, 0)) if study.reuse else state
 
 

@@ -19,6 +19,7 @@ from strandline.runs import ATTEMPTS, COMMON_KINDS, ENDS, EXCLUDED, Executor, Le
 from strandline.studies.keys.folder import LEDGER, REFINEMENT, digest_of
 from strandline.studies.load.observed import Scanned, SyntheticNoise
 from strandline.studies.load.photographed import Photographed, Undeformed
+from strandline.studies.load.progress import results_of
 
 
 @dataclass(frozen=True)
@@ -169,13 +170,18 @@ class StudyRuns:
         return list(dict.fromkeys([*synthetic, *self.design_keys, *rounds]))
 
     @property
+    def may_end_early(self) -> bool:
+        """Whether an active design has not ended yet; it may do so before its `planned` runs."""
+        return self.study.settings.active is not None and not self._noted.get("finished")
+
+    @property
     def planned(self) -> int:
         """Number of runs of the design and all rounds; at most, if it is active, and those made once it has ended."""
         settings, begun = self.study.settings, self.rounds
         first, made = len(self.design), sum(len(keys) for keys in begun)
         if settings.active is not None:
             most = settings.active.runs + (first if self.given is not None else 0)
-            return first + made if self._noted.get("finished") else max(most, first + made)
+            return max(most, first + made) if self.may_end_early else first + made
         left = settings.refine.rounds - len(begun)
         return first + made + left * settings.refine.runs
 
@@ -248,7 +254,10 @@ class StudyRuns:
             with self.reading() as ledger:
                 done = len(settled(ledger, keys, sensitivities=study.sensitivities))
         if done < needed:
-            value = f"{done} of {needed} forward runs done{', the synthetic one included' if study.truth else ''}"
+            most, truth = "at most " * self.may_end_early, ", the synthetic one included" if study.truth else ""
+            value = f"{done} of {most}{needed} forward runs done{truth}"
+            if results_of(study) == "outdated":
+                value += ", and results of an earlier study.yaml"
             expected, remedy = "all runs done before results are made", f"Run it first: strandline run {study.folder}"
             raise InvalidStudy("the study is not finished", value=value, expected=expected, remedy=remedy)
 
