@@ -21,7 +21,6 @@ class _Size(click.FloatRange):
 
 
 NOT_NEGATIVE, SD, LENGTH = click.FloatRange(min=0), _Size(min=0, min_open=True), _Size(min=0)
-UNIT = click.Choice(["mm", "um", "m"])
 QUESTIONS: dict[str, tuple[str, click.FloatRange]] = {
     "length": (
         "Over what length along the interface do neighbouring points err together, in µm? (0: not at all)",
@@ -59,7 +58,7 @@ class _Example(click.Choice[str]):
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Your interface: a file with a point x, y per line.",
 )
-@click.option("--unit", type=UNIT, help="Unit of its coordinates.")
+@click.option("--unit", type=options.UNIT, help="Unit of its coordinates.")
 @click.option("--sd", type=SD, help="Standard deviation of one of its points, in µm, or `unknown`.")
 @click.option("--length", type=LENGTH, help="Length over which neighbouring points err together, in µm, or `unknown`.")
 @click.option("--shift", type=NOT_NEGATIVE, help="Standard deviation of its position, in µm.")
@@ -94,7 +93,7 @@ def _asked(observed: Path, stated: dict[str, Any]) -> Observed:
     if missing and not ask:
         raise click.UsageError(f"Nobody is there to ask: add {' and '.join(missing)}, such as --unit mm --sd 3 (µm).")
     if found["unit"] is None:
-        found["unit"] = click.prompt(f"Unit of the coordinates in {observed.name}", type=UNIT)
+        found["unit"] = click.prompt(f"Unit of the coordinates in {observed.name}", type=options.UNIT)
     if found["sd"] is None:
         text = "How far may one point be off, as a standard deviation in µm? (`unknown`: estimate it)"
         found["sd"] = click.prompt(text, type=SD)

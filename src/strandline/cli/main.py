@@ -180,7 +180,7 @@ def _call(command: click.Command, arguments: list[str] | None) -> Any:
         raise KeyboardInterrupt from None
     except click.UsageError as error:
         where = error.ctx.command_path if error.ctx else "strandline"
-        told = error.format_message()
+        told = re.sub(r"\s*\n\s*", " ", error.format_message())
         _end(f"{told}{'' if told.endswith(('.', '?')) else '.'} See `{where} --help`.", 2)
     except click.ClickException as error:
         _end(error.format_message(), 2)

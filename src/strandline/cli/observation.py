@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @click.command("noise")
 @click.argument("files", nargs=-1, required=True, metavar="FILE...", type=click.Path(exists=True, path_type=Path))
-@click.option("--unit", required=True, type=click.Choice(["mm", "um", "µm", "m"]), help="Unit of the coordinates.")
+@click.option("--unit", required=True, type=options.UNIT, help="Unit of the coordinates.")
 @click.option("--window", type=float, metavar="LENGTH", help="One contour only: smooth it over this length, in UNIT.")
 @options.repeatable("--read", "reading", "NAME=VALUE", "How to read the files, e.g. columns=[x,y]; repeatable.")
 def noise(files: tuple[Path, ...], unit: str, window: float | None, reading: tuple[str, ...]) -> None:

@@ -38,6 +38,7 @@ def repeatable(flag: str, name: str, metavar: str, meaning: str, **more: Any) ->
 
 
 STUDY, PATH = StudyFolder(path_type=Path), click.Path(path_type=Path)
+UNIT = click.Choice(["mm", "um", "µm", "m"])
 study = click.argument("study", type=STUDY)
 quiet = click.option("--quiet", is_flag=True, help="Print only the result.")
 seed = click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of all random numbers.")

@@ -46,6 +46,7 @@ REFUSALS = {
     "init new --observed study/study.yaml": "add --unit and --sd, such as --unit mm --sd 3 (µm)",
     "init new --observed study/study.yaml --unit mm --sd 0": "0.0 is not in the range x>0",
     "init new --observed study/study.yaml --unit mm --sd 1 --shift unknown": "'unknown' is not a valid float",
+    "noise study/study.yaml": "Missing option '--unit'. Choose from: mm, um, µm, m. See",
     "noise study/study.yaml --unit inch": "'inch' is not one of 'mm', 'um', 'µm', 'm'",
     "noise empty --unit mm": "empty has no files",
     "forward study --set E=400 --set tilt=0 --csv none/edge.csv": "none/edge.csv is in a folder that does not exist",
