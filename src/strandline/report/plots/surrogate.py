@@ -296,8 +296,8 @@ def plot_run_history(
             ax.axhline(truth[k], color=style.GREEN, linestyle="--", linewidth=1.2, label="truth")
         ax.set(xlabel="runs", ylabel=label)
         ax.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-        ax.axhline(middle[-1], color=style.BLACK, linewidth=0.4)
-    style.legend_under(figure, style.labelled(panels[0]))
+        ax.axhline(middle[-1], color=style.BLACK, linewidth=0.4, label="last mean")
+    style.legend_under(figure, style.labelled(panels[0]), columns=5)
     return figure
 
 
