@@ -62,6 +62,7 @@ def _environment(package: str) -> Environment:
         "percent": lambda value: f"{value:.1%}",
         "small_share": small_share,
         "listed": listed,
+        "counted": lambda number, word: f"{number} {word}{'s' * (number != 1)}",
     }
     return environment
 
