@@ -66,7 +66,7 @@ class Settings:
     """How the problem is solved; the defaults are the study's.
 
     Args:
-        runs: Number of runs of the Sobol design.
+        runs: Number of runs of the Sobol design, or of the first ones of an active design.
         scramble: Seed of the design's scrambling, None for the plain sequence.
         refine: Further runs where the posterior lies; none by default.
         kernel: Name of the Gaussian process's kernel.

@@ -192,7 +192,7 @@ ERROR_PROBABILITY, FIRST = 0.05, 0.5
 """Probability that an early verdict is wrong, over all looks together; share of it that the first look has."""
 LIKELY = 0.05
 """Probability that each objection of the parabola to all draws is wrong: it has seen tails that the others may miss."""
-UNLIKELY, STANDARD_DEVIATIONS = 2.0, 5.0
+FAR_OFF, FAR_OFF_SDS = 2.0, 5.0
 """Error of a log-likelihood, and the same in predicted standard deviations, that no right surrogate makes; a draw that
 was off by 3.9 and 13 sds came before a ridge was missed."""
 GROWTH = 0.25  # share by which the draws of a check grow from one look to the next
@@ -348,10 +348,10 @@ def _unforeseen(draws: LogRatios, scatter: float) -> tuple[str, ...]:
     if not len(draws):
         return ()
     off = np.abs(draws.values - np.median(draws.values))
-    sds = np.where(off > UNLIKELY, off / np.sqrt(draws.variances + scatter + ROUGH**2), 0.0)
+    sds = np.where(off > FAR_OFF, off / np.sqrt(draws.variances + scatter + ROUGH**2), 0.0)
     worst = int(np.argmax(sds))
     by = f"{off[worst]:.2g}, {sds[worst]:.0f} predicted standard deviations"
-    return (f"the log-likelihood at a draw is off by {by}",) if sds[worst] > STANDARD_DEVIATIONS else ()
+    return (f"the log-likelihood at a draw is off by {by}",) if sds[worst] > FAR_OFF_SDS else ()
 
 
 def _agree(log_ratios: Values, effective: float, scatter: float) -> bool:

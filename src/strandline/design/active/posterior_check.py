@@ -166,7 +166,7 @@ class Checked:
 def _not_run(state: State) -> Float[np.ndarray, " particle"]:
     """Return the weights of the particles, zero where a run has been: particles are carried on from batch to batch, and
     a run that has been learnt from agrees with itself. The first of several copies, which are one run, has the weight
-    of all. If all have been run, that does not matter.
+    of all. If all have been run, they are drawn again.
     """
     _, first, of_all = np.unique(state.positions, axis=0, return_index=True, return_inverse=True)
     weights = np.zeros(len(state.positions))
