@@ -22,9 +22,9 @@ from strandline.calibration.misfit import DRAFT, Effort
 from strandline.calibration.problem import Calibration, Observer, Problem, Settings, Stopwatch, observer_or_default
 from strandline.calibration.sampler_check import compare_halves
 from strandline.calibration.targets import LARGEST_DIM, Target, under_uncertainty
-from strandline.foundations import use_double
+from strandline.foundations import require, use_double
 from strandline.likelihood import require_inferable
-from strandline.models import require_conditions
+from strandline.models import require_conditions, require_inputs
 from strandline.parameters import ParameterSpace
 from strandline.posterior import GaussianApproximation, SobolIndices, laplace, log_prior_hessian, sobol_indices
 from strandline.runs import Executor, InProcess, Ledger
@@ -59,7 +59,7 @@ def calibrate(
             or all inputs of each run by name.
 
     Raises:
-        InvalidInput: An observed condition that the model does not have; raised before any run.
+        InvalidInput: An input, a unit or a condition that the model does not have; raised before any run.
         CampaignStopped: `settings.failures` says to stop; finished runs are in the ledger.
         TooFewRuns: Fewer successful runs than the Gaussian process needs.
     """
@@ -67,6 +67,12 @@ def calibrate(
         with _opened(ledger, problem) as opened:
             return calibrate(problem, settings, ledger=opened, executor=executor, observer=observer, given=given)
     use_double()
+    for what, value, kind in (("settings", settings, Settings), ("executor", executor, Executor)):
+        good = value is None or (isinstance(value, kind) and not isinstance(value, type))
+        expected = "Settings, e.g. Settings(runs=100)" if kind is Settings else "an executor, e.g. LocalProcesses(2)"
+        require(good, what, value, expected, "Make one, or leave it out.")
+    units = {one.name: one.unit for one in problem.space.parameters}
+    require_inputs(units, problem.fixed, problem.model)
     require_conditions((o.condition for o in problem.observations), problem.model)
     settings, executor, tell = settings or Settings(), executor or InProcess(), observer_or_default(observer)
     require_inferable(problem.observations, problem.measure, by_field=settings.surrogate == "field")

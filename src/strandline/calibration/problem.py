@@ -5,7 +5,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from typing import Literal
 
@@ -17,7 +17,7 @@ from strandline.calibration.misfit import Misfit
 from strandline.calibration.sampler_check import SamplerCheck
 from strandline.design import Active, BatchReport, FieldOutcome, Refinement, Round, SetAside
 from strandline.discrepancy import Discrepancy
-from strandline.foundations import html_table, require
+from strandline.foundations import html_table, is_finite, named, require, require_types
 from strandline.interface import Observation
 from strandline.models import ForwardModel
 from strandline.parameters import ParameterSpace
@@ -43,13 +43,14 @@ class Problem:
     def __post_init__(self) -> None:
         seen, measures = self.observations, self.discrepancies
         all_seen = isinstance(seen, tuple | list) and all(isinstance(one, Observation) for one in seen)
-        named = isinstance(measures, Mapping) and all(map(callable, measures.values()))
+        measured = isinstance(measures, Mapping) and all(map(callable, measures.values()))
+        known = isinstance(self.fixed, Mapping) and all(map(is_finite, self.fixed.values()))
         for what, value, right, expected in (
             ("model", self.model, callable(self.model), "a function (inputs, workdir) or a model"),
             ("inputs", self.space, isinstance(self.space, ParameterSpace), "a ParameterSpace of Parameters"),
-            ("known inputs", self.fixed, isinstance(self.fixed, Mapping), "numbers by name, e.g. {} or {'load': 1.0}"),
+            ("known inputs", self.fixed, known, "numbers by name, e.g. {} or {'load': 1.0}"),
             ("observations", seen, all_seen, "a tuple of Observations, one per condition"),
-            ("measures", measures, named, "discrepancies by name, the main one first"),
+            ("measures", measures, measured, "discrepancies by name, the main one first"),
         ):
             found = f"{type(value).__name__}: {value!r}"
             require(right, f"{what} of the problem", found, expected, f"Give {expected}.")
@@ -103,14 +104,23 @@ class Settings:
     draft: bool = False
 
     def __post_init__(self) -> None:
-        number = isinstance(self.runs, int | np.integer) and self.runs >= 0
-        require(number, "runs of the design", self.runs, "a whole number, 0 or above", "Give one, e.g. runs=100.")
+        require_types(self)
+        least = {"runs": 0, "particles": 2, "seed": 0, "scramble": 0, "nuisance_values": 2}
+        for name, low in least.items():
+            value = getattr(self, name)
+            require(value is None or value >= low, name, value, f"a whole number, {low} or above", "Change it.")
         kernel_named(self.kernel)
         if self.fit is not None:
             fit_named(self.fit)
         field_or_no_design = self.active is None or self.surrogate == "field"
         remedy = 'Add surrogate="field", or leave out active.'
         require(field_or_no_design, "surrogate of an active design", self.surrogate, "field", remedy)
+        if self.active is not None:
+            first = self.active.initial in (None, self.runs)
+            remedy = "State one of the two, or the same number in both."
+            require(first, "runs of the settings, the first ones", self.runs, f"initial={self.active.initial}", remedy)
+            with named(f"active design after the first {self.runs} runs"):
+                object.__setattr__(self, "active", replace(self.active, initial=self.runs))
 
     @property
     def planned_runs(self) -> int:
@@ -164,7 +174,9 @@ class Calibration:
 
     def __repr__(self) -> str:
         ok = sum(record.ok for record in self.all_runs)
-        return f"<Calibration {self.posterior.line}; {ok} of {len(self.all_runs)} runs ok>"
+        certificate = self.field and self.field.certificate
+        doubt = "not converged; " if certificate and not certificate.converged else ""
+        return f"<Calibration {self.posterior.line}; {doubt}{ok} of {len(self.all_runs)} runs ok>"
 
     def _repr_html_(self) -> str:
         ok = sum(record.ok for record in self.all_runs)

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from scipy.special import log_softmax
 from scipy.stats import qmc
 
+from strandline.foundations import require_types
 from strandline.likelihood import predicted
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Weighted
@@ -79,6 +80,7 @@ class Refinement:
     temperature: float = 0.4
 
     def __post_init__(self) -> None:
+        require_types(self)
         require(self.rounds >= 0, "rounds of the refinement", self.rounds, "0 or more")
         require(self.runs >= 1, "runs of a round of the refinement", self.runs, "at least 1")
         require(0 < self.temperature <= 1, "temperature of the refinement", self.temperature, "above 0, at most 1")

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
         require,
         require_label,
         require_name,
+        require_types,
         suggestion,
         unfit,
     )

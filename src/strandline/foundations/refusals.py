@@ -3,6 +3,7 @@
 And objects by their name in a registry, which is a dict, or by ``module:name`` for third parties.
 """
 
+import dataclasses
 import importlib
 import math
 import sys
@@ -11,8 +12,10 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from difflib import get_close_matches
 from functools import partial
+from numbers import Integral, Real
 from pathlib import Path
-from typing import Any, TypeGuard
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeGuard, get_args, get_origin, get_type_hints
 
 from strandline.foundations.errors import InvalidInput
 from strandline.foundations.text import LONGEST, is_label, is_name
@@ -29,6 +32,32 @@ def require(
     """Refuse what is not good."""
     if not good:
         raise error(what, value=value, expected=expected, remedy=remedy)
+
+
+def require_types(record: Any) -> None:
+    """Refuse a dataclass if a field holds another type than it states; numpy's numbers are numbers."""
+    hints = get_type_hints(type(record))
+    for one in dataclasses.fields(record):
+        value, hint = getattr(record, one.name), hints[one.name]
+        kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
+        if not any(_is_a(value, kind) for kind in kinds):
+            raise unfit(one.name, value, " or ".join(map(_in_words, kinds)))
+
+
+def _is_a(value: object, kind: Any) -> bool:
+    if get_origin(kind) is Literal:
+        return value in get_args(kind)
+    kind = get_origin(kind) or kind
+    truth = isinstance(value, bool)
+    return truth if kind is bool else not truth and isinstance(value, {int: Integral, float: Real}.get(kind, kind))
+
+
+def _in_words(kind: Any) -> str:
+    if get_origin(kind) is Literal:
+        return " or ".join(map(str, get_args(kind)))
+    words = {int: "a whole number", float: "a number", str: "a text", bool: "True or False", NoneType: "None"}
+    kind = get_origin(kind) or kind
+    return words.get(kind, str(kind.__name__))
 
 
 def unfit(what: str, value: object, expected: str, remedy: str = "") -> InvalidInput:

@@ -205,6 +205,10 @@ class Observation:
     def __init__(
         self, interface: Interface, noise: Noise | PointErrors | UnknownErrors | float, condition: str = ""
     ) -> None:
+        given: object = interface
+        if not isinstance(given, Interface):
+            remedy = "Make one of points, e.g. Interface.polyline(points), or read a file with strandline.readers."
+            raise unfit("interface of an observation", given, "an Interface", remedy)
         if isinstance(noise, int | float) and not isinstance(noise, bool):
             noise = GaussianNoise(float(noise))
         if not isinstance(noise, Noise | PointErrors | UnknownErrors) or isinstance(noise, type):

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
         declared_inputs,
         prepare_runs,
         require_conditions,
+        require_inputs,
+        same_unit,
         undeformed_interface,
         with_sensitivities,
         without_failure_budget,

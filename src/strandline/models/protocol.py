@@ -13,14 +13,14 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from strandline.foundations import unfit
+from strandline.foundations import require, suggestion, unfit
 from strandline.interface import Interface
 
 __all__ = [
     "DrawsFields", "ForwardModel", "KeepsFolders", "KnowsUndeformed", "ModelInput", "PreparesRuns", "Sensitivities",
     "Simulation", "SolvesOnFinerMesh", "UsesNames", "asks_sensitivities", "declared_conditions",
-    "declared_failure_kinds", "declared_inputs", "prepare_runs", "require_conditions", "the_only_interface",
-    "undeformed_interface", "with_sensitivities", "without_failure_budget",
+    "declared_failure_kinds", "declared_inputs", "prepare_runs", "require_conditions", "require_inputs", "same_unit",
+    "the_only_interface", "undeformed_interface", "with_sensitivities", "without_failure_budget",
 ]  # fmt: skip
 
 Sensitivities = Mapping[str, Mapping[str, Float[np.ndarray, "point xyz"]]]
@@ -200,6 +200,35 @@ def require_conditions(observed: Iterable[str], model: ForwardModel) -> None:
             expected = f"one of {', '.join(known)}" if any(known) else "no name: the model has one condition"
             remedy = "Name the conditions of the observations as the model does."
             raise unfit("condition of an observation", name or "no name", expected, remedy)
+
+
+def require_inputs(units: Mapping[str, str], fixed: Iterable[str], model: ForwardModel) -> None:
+    """Refuse inputs of runs that `model` does not take: unknown ones with their units, and known ones.
+
+    Nothing is checked if the model declares nothing about its inputs.
+
+    Raises:
+        InvalidInput: It has no such input, takes another unit, or has an input without a value.
+    """
+    if isinstance(model, UsesNames):
+        model.require_names(units, fixed)
+    declared = {item.name: item for item in declared_inputs(model)}
+    for name in (*units, *fixed) if declared else ():
+        remedy = suggestion(name, declared, "Remove it.")
+        require(name in declared, "input that the model lacks", name, f"one of {', '.join(declared)}", remedy)
+        unit = declared[name].unit
+        if name in units and not same_unit(units[name], unit):
+            remedy = f"Give it `unit={unit!r}`, and its prior in that unit."
+            raise unfit(f"unit of {name}", units[name], f"{unit}, the unit the model takes", remedy)
+    missing = [name for name in declared if name not in units and name not in fixed]
+    remedy = "Give each a prior, or a number in `fixed` of the Problem."
+    require(not missing, "inputs of the model", f"nothing for {', '.join(missing)}", "a value for each input", remedy)
+
+
+def same_unit(one: str, other: str) -> bool:
+    """Return whether two units are the same in any spelling: ``mm²/s`` is ``mm^2/s``."""
+    plain = (u.replace("²", "^2").replace("³", "^3").replace("**", "^").replace(" ", "") for u in (one, other))
+    return next(plain) == next(plain)
 
 
 def asks_sensitivities(model: ForwardModel) -> bool:

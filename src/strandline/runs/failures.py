@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from strandline.foundations import CampaignStopped, ForwardModelError, require
+from strandline.foundations import CampaignStopped, ForwardModelError, require, require_types
 from strandline.models import ForwardModel
 from strandline.runs.ledger.ledger_schema import EXCLUDED
 from strandline.runs.ledger.record import RunRecord
@@ -71,6 +71,7 @@ class FailurePolicy:
     again: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
+        require_types(self)
         for kind, action in self.actions.items():
             known = isinstance(action, Retry) or action in ("continue", "abort")
             expected = "continue, abort, or {retry: N}"

@@ -34,6 +34,7 @@ class SMCSettings:
     maximum_steps: int = 10_000
 
     def __post_init__(self) -> None:
+        foundations.require_types(self)
         require(0 < self.zeta < 1, "zeta", self.zeta, "a number between 0 and 1, both excluded")
         require(self.rejuvenation_steps >= 1, "rejuvenation_steps", self.rejuvenation_steps, "at least 1")
         require(0 <= self.resample_below <= 1, "resample_below", self.resample_below, "a number in [0, 1]")

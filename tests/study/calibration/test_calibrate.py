@@ -129,6 +129,26 @@ def test_two_conditions_give_the_product_of_their_likelihoods_and_one_that_the_m
         answer(tmp_path, wrong, SETTINGS)
 
 
+@pytest.mark.stand_in
+def test_what_calibrate_cannot_use_is_refused_before_any_run(tmp_path):
+    seen = Observation(beam({"E": 400.0, "tilt": 0.0, "load": 1e-5}, tmp_path).interface, NOISE**2)
+    asked = Problem(
+        lambda *_: pytest.fail("a run was made"), ONE, {"load": 1e-5}, (seen,), {"tracked": TrackedPoints()}
+    )
+    for settings, executor, message in (
+        ({"runs": 8}, None, "settings: got .*; expected Settings"),
+        (SETTINGS, "local", "executor: got local; expected an executor"),
+        (SETTINGS, InProcess, "executor: got <class"),
+    ):
+        with pytest.raises(InvalidInput, match=message):
+            calibrate(asked, settings, executor=executor)
+    with pytest.raises(InvalidInput, match=r"known inputs of the problem: got .*load.*heavy"):
+        replace(asked, fixed={"load": "heavy"})
+    kilo = ParameterSpace((replace(ONE.parameters[0], unit="kPa"),))
+    with pytest.raises(InvalidInput, match="unit of E: got kPa; expected Pa"):
+        calibrate(replace(asked, model=TwoLoads(), space=kilo), SETTINGS)
+
+
 TILTED = ParameterSpace((*ONE.parameters, Parameter("tilt", Uniform(0.0, 0.04), nuisance=True)))
 
 

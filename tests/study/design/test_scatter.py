@@ -105,6 +105,6 @@ def test_right_or_not_certified_because_of_the_scatter(share, seed, runs):
 
 def test_a_smooth_simulator_that_does_not_converge_is_not_said_to_scatter():
     """After a dozen runs, curvature looks like scatter: only what all runs show counts."""
-    _, certificate = calibrated(0.0, 0, noise=0.0005, active=Active(16, batch=4), draft=True)
+    _, certificate = calibrated(0.0, 0, noise=0.0005, active=Active(18, batch=4), draft=True)
     assert not certificate.converged
     assert not certificate.scattered

@@ -78,17 +78,35 @@ def test_a_posterior_of_which_draws_would_leave_one_particle_keeps_its_weights(s
     assert (posterior.ess > 199.99, posterior.log_evidence == -3.0, (posterior.sd > 0).all()) == (kept, kept, True)
 
 
-def test_an_active_design_needs_a_surrogate_of_the_field():
-    assert Settings(active=Active(30), surrogate="field").active == Active(30)
+def test_an_active_design_needs_a_surrogate_of_the_field_and_begins_with_the_runs_of_the_settings():
+    assert Settings(runs=8, active=Active(30), surrogate="field").active == Active(30, initial=8)
     with pytest.raises(InvalidInput, match="got log_likelihood; expected field"):
-        Settings(active=Active(30))
+        Settings(runs=8, active=Active(30))
+    with pytest.raises(InvalidInput, match="after the first 8 runs: runs: got 10; expected at least 14"):
+        Settings(runs=8, active=Active(10), surrogate="field")
+    with pytest.raises(InvalidInput, match="the first ones: got 8; expected initial=9"):
+        Settings(runs=8, active=Active(30, initial=9), surrogate="field")
 
 
 @pytest.mark.stand_in
-@pytest.mark.parametrize("runs", ["ten", -3, 2.5])
-def test_settings_refuse_what_is_no_number_of_runs(runs):
-    with pytest.raises(InvalidInput, match=f"runs of the design: got {runs}; expected a whole number"):
-        Settings(runs=runs)
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("runs", "ten", "a whole number"),
+        ("runs", True, "a whole number"),
+        ("runs", 2.5, "a whole number"),
+        ("runs", -3, "0 or above"),
+        ("particles", -5, "2 or above"),
+        ("seed", "x", "a whole number"),
+        ("surrogate", "feild", "log_likelihood or field"),
+        ("active", 30, "Active or None"),
+        ("draft", 1, "True or False"),
+        ("smc", {"zeta": 0.5}, "SMCSettings"),
+    ],
+)
+def test_settings_refuse_a_value_of_another_type_or_out_of_range(name, value, expected):
+    with pytest.raises(InvalidInput, match=f"{name}: got {value}; expected .*{expected}"):
+        Settings(**{name: value})
 
 
 @pytest.mark.stand_in

@@ -62,6 +62,12 @@ def test_what_is_no_polyline_is_refused():
         Observation(line(*ZIGZAG), math.nan)
 
 
+@pytest.mark.stand_in
+def test_points_alone_are_no_observation():
+    with pytest.raises(InvalidInput, match=r"interface of an observation: .*expected an Interface"):
+        Observation(ZIGZAG, 1e-5)
+
+
 def test_what_is_no_surface_is_refused():
     straight, pair = np.array([[0, 0, 0], [0.1, 0.3, 0.7], [0.3, 0.9, 2.1], [0, 1, 0]]), [[0, 1, 3], [0, 1, 2]]
     for points, cells in (

@@ -18,6 +18,7 @@ from strandline.models.protocol import (
     asks_sensitivities,
     declared_conditions,
     require_conditions,
+    require_inputs,
     undeformed_interface,
     with_sensitivities,
 )
@@ -75,6 +76,19 @@ def test_conditions_are_declared_and_an_observed_one_must_be_among_them():
         require_conditions(named, model)
     with pytest.raises(InvalidInput, match="got heavier; expected one of light, heavy"):
         require_conditions(["light", "heavier"], TwoLoads())
+
+
+def test_all_inputs_of_a_run_are_declared_ones_in_the_units_of_the_model_and_none_is_missing():
+    units = {"E": "Pa"}
+    require_inputs(units, ["load"], Cantilever())
+    require_inputs({"anything": "kPa"}, [], Plain())
+    for wrong, fixed, message in (
+        (units | {"E": "kPa"}, ["load"], "unit of E: got kPa; expected Pa"),
+        (units, ["laod"], "Did you mean load?"),
+        (units, [], "got nothing for load"),
+    ):
+        with pytest.raises(InvalidInput, match=message):
+            require_inputs(wrong, fixed, Cantilever())
 
 
 def test_sensitivities_are_no_part_of_the_identity():

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from strandline.design.active.checking import FEWEST_DRAWS, MOST_FAILED, Tolerances
 from strandline.design.active.state import Knowledge, State
 from strandline.design.refinement import over_prior, sobol
-from strandline.foundations import lookup, require
+from strandline.foundations import lookup, require, require_types
 from strandline.parameters import ParameterSpace
 from strandline.posterior import subset
 from strandline.runs import RunRecord
@@ -315,6 +315,7 @@ class Active:
     patience: float = 3.0
 
     def __post_init__(self) -> None:
+        require_types(self)
         first = self.initial or 3
         left, least = max(self.runs - first, 1), first + FEWEST_DRAWS
         most = f"at most {left}, the runs that are left of {self.runs} after the first {first}"

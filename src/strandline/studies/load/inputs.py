@@ -10,7 +10,7 @@ import numpy as np
 
 from strandline.design.candidates import WHOLE, Candidate, Look, candidates
 from strandline.foundations import InvalidStudy
-from strandline.models import ForwardModel, ModelInput, UsesNames, declared_conditions, declared_inputs
+from strandline.models import ForwardModel, ModelInput, UsesNames, declared_conditions, declared_inputs, same_unit
 from strandline.parameters import PRIORS, Parameter, ParameterSpace, Prior
 from strandline.readers import TO_MM
 from strandline.studies.keys.parse import entry, made, open_entry, refused_at, require_parts
@@ -116,7 +116,7 @@ def _check_prior_in_box(parameter: Parameter) -> None:
 
 def _require_unit(unit: str | None, declared: ModelInput | None, place: str, remedy: str) -> None:
     """Refuse another unit than the model's: nothing is converted."""
-    if declared is not None and _plain(unit or "1") != _plain(declared.unit):
+    if declared is not None and not same_unit(unit or "1", declared.unit):
         expected = f"{declared.unit}, the unit the model takes"
         remedy = f"Write `unit: {declared.unit}` there and {remedy}."
         raise InvalidStudy(f"unit of {place}", value=unit, expected=expected, remedy=remedy)
@@ -133,11 +133,6 @@ def _check_range(value: float, declared: Mapping[str, ModelInput], name: str, pl
         meaning = f" ({item.meaning})" if item.meaning else ""
         expected = f"{name}{meaning} in {item.range_text()} {'' if item.unit == '1' else item.unit}".rstrip()
         raise InvalidStudy(place, value=value, expected=expected, remedy=f"Choose values of {name} within this range.")
-
-
-def _plain(unit: str) -> str:
-    """Return a unit in one spelling: ``mm²/s`` and ``mm^2/s`` are the same."""
-    return unit.replace("²", "^2").replace("³", "^3").replace("**", "^").replace(" ", "")
 
 
 def require_prior(prior: Prior, place: str) -> None:
