@@ -20,7 +20,7 @@ from strandline.calibration.best_fit import by_field, by_runs
 from strandline.calibration.misfit import Effort, Misfit
 from strandline.calibration.problem import Observer, Problem, Settings, Stopwatch
 from strandline.calibration.targets import FieldTarget, LogLikelihoodTarget, Target
-from strandline.foundations import NoCommonPoints, NumericsError, TooFewRuns, one_thread
+from strandline.foundations import NoCommonPoints, NumericsError, TooFewRuns, one_thread, require
 from strandline.interface import Interface
 from strandline.models import WithCheaper, first_runs
 from strandline.parameters import ParameterSpace
@@ -127,9 +127,15 @@ class Learning:
         if given is None:
             begin = self._first(self.settings.runs)
             return begin, first_runs(self.problem.model, self._inputs(begin))
+        names = self.problem.space.names
         if isinstance(given, np.ndarray):
+            right = given.ndim == 2 and given.shape[1] == len(names)
+            require(right, "shape of the given runs", given.shape, f"(run, {len(names)})", "Give a row for each run.")
             return given, self._inputs(given)
-        names, runs = self.problem.space.names, [dict(entry) for entry in given]
+        runs = [dict(entry) for entry in given]
+        for entry in runs:
+            missing = [name for name in names if name not in entry]
+            require(not missing, "a given run", f"no {', '.join(missing)}", "all inputs of the run", "Add them.")
         rows = dict.fromkeys(tuple(entry[name] for name in names) for entry in runs)
         return np.array(list(rows), float), runs
 

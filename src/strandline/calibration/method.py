@@ -63,6 +63,8 @@ def calibrate(
         CampaignStopped: `settings.failures` says to stop; finished runs are in the ledger.
         TooFewRuns: Fewer successful runs than the Gaussian process needs.
     """
+    wrong: object = problem
+    require(isinstance(wrong, Problem), "problem", wrong, "a Problem", "Make one of the model, its inputs and so on.")
     if not isinstance(ledger, Ledger):
         with _opened(ledger, problem) as opened:
             return calibrate(problem, settings, ledger=opened, executor=executor, observer=observer, given=given)

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from strandline import posterior as posteriors
 from strandline.calibration.misfit import Misfit
 from strandline.calibration.sampler_check import SamplerCheck
-from strandline.design import Active, BatchReport, FieldOutcome, Refinement, Round, SetAside
+from strandline.design import Active, BatchReport, Certificate, FieldOutcome, Refinement, Round, SetAside
 from strandline.discrepancy import Discrepancy
 from strandline.foundations import html_table, is_finite, named, require, require_types
 from strandline.interface import Observation
@@ -43,7 +43,7 @@ class Problem:
     def __post_init__(self) -> None:
         seen, measures = self.observations, self.discrepancies
         all_seen = isinstance(seen, tuple | list) and all(isinstance(one, Observation) for one in seen)
-        measured = isinstance(measures, Mapping) and all(map(callable, measures.values()))
+        measured = isinstance(measures, Mapping) and measures and all(map(callable, measures.values()))
         known = isinstance(self.fixed, Mapping) and all(map(is_finite, self.fixed.values()))
         for what, value, right, expected in (
             ("model", self.model, callable(self.model), "a function (inputs, workdir) or a model"),
@@ -54,6 +54,9 @@ class Problem:
         ):
             found = f"{type(value).__name__}: {value!r}"
             require(right, f"{what} of the problem", found, expected, f"Give {expected}.")
+        both = [name for name in self.fixed if name in self.space.names]
+        remedy = "Leave it out of one of them."
+        require(not both, "inputs of the problem that are known too", ", ".join(both), "one of the two", remedy)
         object.__setattr__(self, "observations", tuple(seen))
 
     @property
@@ -174,8 +177,7 @@ class Calibration:
 
     def __repr__(self) -> str:
         ok = sum(record.ok for record in self.all_runs)
-        certificate = self.field and self.field.certificate
-        doubt = "not converged; " if certificate and not certificate.converged else ""
+        doubt = "not converged; " if self.certificate and not self.certificate.converged else ""
         return f"<Calibration {self.posterior.line}; {doubt}{ok} of {len(self.all_runs)} runs ok>"
 
     def _repr_html_(self) -> str:
@@ -185,6 +187,11 @@ class Calibration:
         facts += [("log evidence", f"{self.posterior.log_evidence:.4g}"), ("ESS", f"{self.posterior.ess:.0f}")]
         facts += [("surrogate", "log-likelihood" if self.field is None else "interface as a field")]
         return self.posterior._repr_html_() + html_table(("calibration", ""), facts)
+
+    @property
+    def certificate(self) -> Certificate | None:
+        """The grounds for trusting the posterior of an active design; None for another design."""
+        return None if self.field is None else self.field.certificate
 
     @property
     def surrogate(self) -> LogLikelihoodSurrogate:

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from strandline.discrepancy import Discrepancy, oriented_like_runs
+from strandline.discrepancy import Discrepancy, extent, oriented_like_runs, require_plausible
 from strandline.foundations import CampaignStopped, InvalidInput, NoCommonPoints, NumericsError, require
-from strandline.interface import Observation
+from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood, noise_length
 from strandline.runs import EXCLUDED, FailurePolicy, RunRecord
 from strandline.surrogate import flipped, odd_ones
@@ -122,6 +122,7 @@ class RunFilter:
         self._oriented, observations, turned = True, [], []
         for seen in self.observations:
             runs = [record.interfaces[seen.condition] for record in good if seen.condition in record.interfaces]
+            _require_size(seen, runs)
             against = oriented_like_runs(seen.interface, runs).flipped
             observations.append(seen.reversed() if against else seen)
             turned += [seen.condition] if against else []
@@ -188,6 +189,15 @@ class RunFilter:
 def says_whether_runs_succeed(record: RunRecord) -> bool:
     """Return whether a record shows if runs succeed at its inputs; one set aside or excluded does not."""
     return record.state != EXCLUDED and record.failure_kind not in KINDS
+
+
+def _require_size(seen: Observation, runs: Sequence[Interface]) -> None:
+    """Refuse an observation ten times larger or smaller than all runs: a wrong unit."""
+    size = math.log(extent(seen.interface))
+    alike = [run for run in runs if run.dim == seen.interface.dim and 0 < extent(run) < math.inf]
+    if alike:
+        closest = min(alike, key=lambda run: abs(math.log(extent(run)) - size))
+        require_plausible(f"observation {seen.condition}".rstrip(), seen.interface, closest)
 
 
 def _require_near(record: RunRecord, observations: Sequence[Observation]) -> None:

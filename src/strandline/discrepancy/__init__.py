@@ -12,6 +12,7 @@ from strandline.discrepancy.comparison import (
     extent_ratio,
     noise_units,
     oriented_like_runs,
+    require_plausible,
     unit_mistake,
 )
 from strandline.discrepancy.contours import (
@@ -80,6 +81,7 @@ __all__ = [
     "independent_terms",
     "noise_units",
     "oriented_like_runs",
+    "require_plausible",
     "signed_distances",
     "squared_discrepancies",
     "unit_mistake",

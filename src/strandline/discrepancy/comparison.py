@@ -7,6 +7,7 @@ import numpy as np
 
 from strandline.discrepancy.nearest import squared_distances
 from strandline.discrepancy.protocol import CountsDistances, Discrepancy, independent_terms
+from strandline.foundations import InvalidInput
 from strandline.interface import Interface, Oriented
 
 NEAREST = 5  # number of runs that decide, those nearest to the observation: a distant run's direction means little
@@ -62,6 +63,21 @@ def unit_mistake(ratio: float) -> str:
     factor = f"{small} and {large} differ by a factor of {10**nearest:g}"
     way = "or the model's output the other way round"
     return f"perhaps the observation is in {observed} and was read in {simulated}, {way} ({factor})"
+
+
+def require_plausible(name: str, observed: Interface, simulated: Interface, *, unit: str = "") -> None:
+    """Refuse an interface ten times larger or smaller than the model's, deformed or not: a wrong unit."""
+    ratio = extent_ratio(observed, simulated)
+    mistake = unit_mistake(ratio)
+    if mistake:
+        told = not unit or f"read in {unit.replace('um', 'µm')}," in mistake
+        guess = f"P{mistake[1:]}. " if told else ""  # not that a file was read in another unit than the study states
+        raise InvalidInput(
+            f"size of the {name}{f', read in {unit}' if unit else ''}",
+            value=f"{extent(observed):.4g} mm across, {ratio:.3g} times the model's interface",
+            expected=f"about {extent(simulated):.4g} mm, the size of the model's interface",
+            remedy=f"{guess}Correct the unit of the observation or of its pixels, the file, or the size of the model.",
+        )
 
 
 def count_of_distances(measure: Discrepancy, simulated: Interface, observed: Interface) -> float | None:

@@ -10,7 +10,7 @@ import numpy as np
 from strandline.discrepancy import kernel_integrals as integrals
 from strandline.discrepancy.many_currents import currents_of_many
 from strandline.discrepancy.protocol import ManyPoints, Offsets, Snapshot, Values, require_alike, require_same_direction
-from strandline.foundations import require
+from strandline.foundations import require, require_types
 from strandline.interface import Interface, PointErrors, spacings
 
 QUADRATURES = ("refined", "centre")
@@ -56,6 +56,7 @@ class Currents:
     surface_unit: ClassVar[str] = "mm⁴"
 
     def __post_init__(self) -> None:
+        require_types(self)
         width = f"a length in mm above 0, from {_THINNEST:g} to {_WIDEST:g}"
         for name, right, expected, remedy in (
             ("width", _THINNEST <= self.width <= _WIDEST, width, "A tenth of the largest displacement is a start."),

@@ -41,7 +41,7 @@ def require_types(record: Any) -> None:
         value, hint = getattr(record, one.name), hints[one.name]
         kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
         if not any(_is_a(value, kind) for kind in kinds):
-            raise unfit(one.name, value, " or ".join(map(_in_words, kinds)))
+            raise unfit(one.name, repr(value) if isinstance(value, str) else value, " or ".join(map(_in_words, kinds)))
 
 
 def _is_a(value: object, kind: Any) -> bool:

@@ -27,13 +27,14 @@ from strandline.discrepancy import (
     MeasureKey,
     Snapshot,
     closest_points,
+    extent,
     independent_terms,
     path_of,
     smoothed,
     squared_discrepancies,
     unit_of,
 )
-from strandline.foundations import InvalidInput, NumericsError
+from strandline.foundations import InvalidInput, NumericsError, require
 from strandline.interface import (
     Interface,
     Noise,
@@ -57,6 +58,9 @@ LARGE = 300
 AGREED = 2.0  # ratio of closed form and general rule from which the rule is used
 FEW_DRAWS = 20  # drawn observations for an assumed standard deviation: it is known to 8 %
 MOST = 1500  # most points of a surface between which distances are taken
+LARGEST_SD = 0.1
+"""Largest sd of the points, as a share of the interface: at .1, currents of width .005 mm already hide less than at
+.03 (a shift of .72 µm, not 1.2), and at .3 the rule takes minutes."""
 _SMALL = 0.1
 """Standard deviation for which the noise variance of a measure is computed, in spacings of the observed points."""
 
@@ -90,6 +94,10 @@ def _variance(key: MeasureKey, snapshot: Snapshot, errors: PointErrors, nodes: i
     closed = measure.noise_variance(errors, observed) if isinstance(measure, KnowsPointErrors) else None
     if closed is not None and observed.dim == 3 and len(observed.cells) > LARGE:
         return closed
+    size = extent(observed)
+    expected = f"at most a tenth of the interface, which is {1e3 * size:.4g} µm across"
+    small, found = errors.sd <= LARGEST_SD * size, f"an sd of {1e3 * errors.sd:.4g} µm"
+    require(small, "noise of the points", found, expected, "Correct the noise or its unit.")
     template = observed if observed.dim == 3 else _course(observed, errors).resampled(nodes)
     shapes = _shapes(template)
 

@@ -100,6 +100,9 @@ class ParameterSpace:
     parameters: tuple[Parameter, ...]
 
     def __post_init__(self) -> None:
+        given: object = self.parameters
+        if not (isinstance(given, tuple | list) and all(isinstance(one, Parameter) for one in given)):
+            raise unfit("inputs", given, "a tuple of Parameters, e.g. (Parameter(…),)")
         names = self.names
         if not names or len(set(names)) != len(names):
             remedy = "Rename or add inputs."

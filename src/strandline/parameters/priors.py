@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 from scipy import special, stats
 
-from strandline.foundations import InvalidInput, unfit
+from strandline.foundations import InvalidInput, require_types, unfit
 
 Array = Any  # a NumPy or a JAX array of any shape, or a float
 
@@ -58,6 +58,7 @@ class Uniform(_Bounded):
     fields: ClassVar[str] = "[low, high]"
 
     def __post_init__(self) -> None:
+        require_types(self)
         _require_interval("uniform", self.low, self.high)
 
     def log_density(self, x: Array) -> Array:
@@ -81,6 +82,7 @@ class Normal:
     fields: ClassVar[str] = "[mean, sd]"
 
     def __post_init__(self) -> None:
+        require_types(self)
         _require_number("normal", "mean", self.mean)
         _require_number("normal", "sd", self.sd, least=LEAST)
 
@@ -108,6 +110,7 @@ class LogNormal:
     fields: ClassVar[str] = "[mu, sigma]"
 
     def __post_init__(self) -> None:
+        require_types(self)
         hint = " (mu is the mean of log x, not of x)"
         _require_number("lognormal", "mu", self.mu, least=-MOST_MU, most=MOST_MU, hint=hint)
         _require_number("lognormal", "sigma", self.sigma, least=LEAST_SHARE, most=MOST_SIGMA)
@@ -141,6 +144,7 @@ class LogUniform(_Bounded):
     fields: ClassVar[str] = "[low, high]"
 
     def __post_init__(self) -> None:
+        require_types(self)
         _require_interval("loguniform", self.low, self.high)
         _require_number("loguniform", "low", self.low, least=LEAST)
 
@@ -172,6 +176,7 @@ class ScaledBeta(_Bounded):
     fields: ClassVar[str] = "[a, b, low, high]"
 
     def __post_init__(self) -> None:
+        require_types(self)
         _require_number("beta", "a", self.a, least=1 / MOST_SHAPE, most=MOST_SHAPE)
         _require_number("beta", "b", self.b, least=1 / MOST_SHAPE, most=MOST_SHAPE)
         _require_interval("beta", self.low, self.high)

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from strandline import studies
-from strandline.discrepancy import Discrepancy
+from strandline.discrepancy import Discrepancy, require_plausible
 from strandline.foundations import InvalidInput, InvalidStudy, one_thread, require, use_double
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
 from strandline.models import declared_conditions
@@ -274,7 +274,7 @@ class Specimens:
         template = self.begin.knowledge.surrogate.layouts[""].template
         found, expected = f"{interface.dim} dimensions", f"{template.dim}, as the runs have"
         require(interface.dim == template.dim, f"outline of {name}", found, expected, "Check the file.")
-        studies.require_plausible(f"outline of {name}", interface, template)
+        require_plausible(f"outline of {name}", interface, template)
         seen = Observation(interface, noise)
         return seen.reversed() if interface.runs_against(template) else seen
 

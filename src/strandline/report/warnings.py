@@ -98,7 +98,7 @@ def reason_to_doubt(
     `check` is the content of check.json if it belongs to this posterior; `far`: no run comes near the observation.
     """
     by_field = calibration.field is not None
-    certificate = None if calibration.field is None else calibration.field.certificate
+    certificate = calibration.certificate
     if not by_field and float(calibration.posterior.log_likelihood.max()) > ABOVE_ZERO:
         return "the surrogate predicts log-likelihoods above 0"
     if calibration.misfit is not None and calibration.misfit.flagged:

@@ -60,7 +60,6 @@ if TYPE_CHECKING:
         read_observation,
         read_points,
         require_fits,
-        require_plausible,
     )
     from strandline.studies.load.photographed import (
         UNDEFORMED,

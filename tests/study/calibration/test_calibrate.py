@@ -144,6 +144,12 @@ def test_what_calibrate_cannot_use_is_refused_before_any_run(tmp_path):
             calibrate(asked, settings, executor=executor)
     with pytest.raises(InvalidInput, match=r"known inputs of the problem: got .*load.*heavy"):
         replace(asked, fixed={"load": "heavy"})
+    with pytest.raises(InvalidInput, match="known too: got E"):
+        replace(asked, fixed={"load": 1e-5, "E": 400.0})
+    with pytest.raises(InvalidInput, match="measures of the problem"):
+        replace(asked, discrepancies={})
+    with pytest.raises(InvalidInput, match="a given run: got no E"):
+        calibrate(asked, SETTINGS, given=[{"load": 1e-5}])
     kilo = ParameterSpace((replace(ONE.parameters[0], unit="kPa"),))
     with pytest.raises(InvalidInput, match="unit of E: got kPa; expected Pa"):
         calibrate(replace(asked, model=TwoLoads(), space=kilo), SETTINGS)

@@ -7,7 +7,7 @@ import pytest
 
 from strandline.design.run_filter import RunFilter, says_whether_runs_succeed
 from strandline.discrepancy import ClosestPoint, NormalOffset, TrackedPoints
-from strandline.foundations import CampaignStopped, InvalidInterface, NoCommonPoints
+from strandline.foundations import CampaignStopped, InvalidInput, InvalidInterface, NoCommonPoints
 from strandline.interface import Interface, Observation, PointErrors
 from strandline.runs import FailurePolicy, RunRecord
 
@@ -46,6 +46,14 @@ def test_one_odd_run_is_named_and_left_out():
         assert (aside.key, aside.inputs, aside.kind) == ("key099", {"E": 399.0}, kind)
         assert not says_whether_runs_succeed(used[-1])
         assert found.set_aside(found.usable(used)) == (aside,)
+
+
+def test_an_observation_in_another_unit_than_all_runs_is_refused():
+    for scale, mistaken in ((1000.0, "is in µm and was read in mm"), (0.001, "is in mm and was read in µm")):
+        seen = Observation(Interface.polyline(scale * curve(0.3)), 0.01)
+        with pytest.raises(InvalidInput, match=f"size of the observation: .*{mistaken}"):
+            RunFilter((seen,), TRACKED, FailurePolicy()).usable(regular())
+        assert RunFilter((seen,), CLOSEST, FailurePolicy()).usable([*regular(), record(99, scale * curve(0.31))])
 
 
 def test_good_runs_are_what_they_were():

@@ -72,6 +72,12 @@ def test_which_variance_is_taken():
         noise_variance(lambda simulated, observed: 1.0, LEANING, FINE, NUMBER)
 
 
+def test_noise_as_large_as_the_interface_is_refused_before_anything_is_drawn():
+    seen = arch(0.3)
+    with pytest.raises(InvalidInput, match="got an sd of 3000 µm; expected at most a tenth"):
+        noise_variance(Currents(0.05), seen, PointErrors(3.0), 40)
+
+
 def test_closed_forms_agree_with_the_rule_on_a_surface():
     """The rule sees only a function; a square of the sd alone would be off by far more."""
     surface, centre = sphere(1.0, 2), Currents(0.6, quadrature="centre")

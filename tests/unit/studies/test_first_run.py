@@ -13,8 +13,8 @@ from tests.study.studies.exact import softer
 
 from strandline.calibration import Observer
 from strandline.cli import main
-from strandline.discrepancy import Currents, MeasurementLines, NormalOffset, WhitenedOffset
-from strandline.foundations import ForwardModelError, InvalidStudy
+from strandline.discrepancy import Currents, MeasurementLines, NormalOffset, WhitenedOffset, require_plausible
+from strandline.foundations import ForwardModelError, InvalidInput, InvalidStudy
 from strandline.interface import Interface, PointErrors
 from strandline.models.fidelities import is_cheaper
 from strandline.report import plots
@@ -23,7 +23,6 @@ from strandline.studies import load_study
 from strandline.studies.foresight import first_run
 from strandline.studies.foresight.measure_doubts import _sagittas, measure_lines, node_lines
 from strandline.studies.load.models import cheaper_lines
-from strandline.studies.load.observed import require_plausible
 from strandline.studies.run import _checking_sizes
 from strandline.testing.studies import beam, write_study
 
@@ -93,7 +92,7 @@ def test_another_size_is_refused_with_the_unit_that_was_mistaken(tmp_path):
             told(observing(tmp_path, scale * POINTS))
     assert "the ends of the observed interface and of this run lie" in told(observing(tmp_path, 9.0 * POINTS))
     for unit, large, guessed in (("mm", 20.0, False), ("um", 1e-3, True), ("mm", 1e-3, False)):
-        with pytest.raises(InvalidStudy) as refused:
+        with pytest.raises(InvalidInput) as refused:
             require_plausible("file", Interface.polyline(large * POINTS), Interface.polyline(POINTS), unit=unit)
         assert ("Perhaps the observation is in" in str(refused.value)) is guessed
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from tests.unit.studies.test_refusals import BIOFILM, BOTH, EDGE, OWN, SHARED, TABLE, UM, UNDECLARED, message_of
 
-from strandline.discrepancy import ClosestPoint, Currents
-from strandline.foundations import InvalidStudy, write_json
+from strandline.discrepancy import ClosestPoint, Currents, require_plausible
+from strandline.foundations import InvalidInput, InvalidStudy, write_json
 from strandline.interface import GaussianNoise, Interface, PointErrors, UnknownErrors, spacings
 from strandline.models.biofilm.mesh.outline import Outline
 from strandline.models.python import PythonModel
@@ -26,7 +26,7 @@ from strandline.studies.keys.parse import parse_study
 from strandline.studies.keys.study_file import ExecutorChoice
 from strandline.studies.keys.text import _not_yaml
 from strandline.studies.load.inputs import require_prior
-from strandline.studies.load.observed import SyntheticNoise, noisy, read_points, require_plausible, require_stated
+from strandline.studies.load.observed import SyntheticNoise, noisy, read_points, require_stated
 from strandline.testing.models import TwoLoads
 from strandline.testing.studies import BEAM_STUDY, TWO_LOADS_STUDY, write_study
 
@@ -118,7 +118,7 @@ class TestObserved:
         for scale in (0.11, 9.0):
             require_plausible("o.csv", Interface.polyline(points * scale), model, unit="mm")
         for scale in (0.09, 11.0):
-            with pytest.raises(InvalidStudy, match=r"o\.csv, read in mm: got .* mm across"):
+            with pytest.raises(InvalidInput, match=r"o\.csv, read in mm: got .* mm across"):
                 require_plausible("o.csv", Interface.polyline(points * scale), model, unit="mm")
 
     def test_a_file_is_read_in_its_unit_as_its_options_say_and_turned_round(self, tmp_path):

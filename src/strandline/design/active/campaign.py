@@ -109,6 +109,9 @@ class FieldOutcome:
     without_error: Mapping[str, Float[np.ndarray, " dim"]] | None = None
     scatter: SimulatorNoise = NONE
 
+    def __repr__(self) -> str:
+        return f"<FieldOutcome {self.certificate or 'of a fixed design'!r}>"
+
 
 @dataclass(frozen=True)
 class BatchReport:

@@ -329,8 +329,8 @@ class Active:
             ("unseen", 0.02 <= self.unseen <= 1, "a share from 0.02 to 1"),
             *((name, getattr(self, name) > 0, "a number above 0") for name in ("change", "shift", "width", "k_hat")),
             ("patience", self.patience >= 1, "at least 1"),
-            ("batch", self.batch is None or self.batch <= left, most),
             ("runs", self.runs >= least, f"at least {least}: {first} first ones and a check of {FEWEST_DRAWS}"),
+            ("batch", self.batch is None or self.batch <= left, most),
         ):
             require(right, name, getattr(self, name), expected, "Change it.")
 

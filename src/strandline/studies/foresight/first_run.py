@@ -7,13 +7,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from strandline.discrepancy import Discrepancy, apart, axes_mistake, extent, oriented_like_runs, squared_distances
+from strandline.discrepancy import (
+    Discrepancy,
+    apart,
+    axes_mistake,
+    extent,
+    oriented_like_runs,
+    require_plausible,
+    squared_distances,
+)
 from strandline.foundations import ForwardModelError, InvalidInput, InvalidStudy, NumericsError
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import compared, noise_length, sd_of_distances
 from strandline.models import SolvesOnFinerMesh, undeformed_interface
 from strandline.runs import RunRecord
-from strandline.studies.load.observed import noisy, require_plausible
+from strandline.studies.keys.parse import refused_at
+from strandline.studies.load.observed import noisy
 from strandline.studies.load.study import Study
 
 FAR_APART = 0.05  # share of the interface's length: ends or centres further apart than this are worth a warning
@@ -82,7 +91,8 @@ def require_same_size(study: Study, record: RunRecord) -> None:
     for condition, observed in study.observed.items():
         name = f"observation ({condition})" if condition else "observation"
         if observed.dim == record.interfaces[condition].dim:
-            require_plausible(name, observed, record.interfaces[condition])
+            with refused_at():
+                require_plausible(name, observed, record.interfaces[condition])
 
 
 def facing(study: Study, record: RunRecord) -> Study:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline import imaging
-from strandline.discrepancy import Discrepancy, NormalOffset, extent, extent_ratio, unit_mistake
+from strandline.discrepancy import Discrepancy, NormalOffset, require_plausible
 from strandline.foundations import InvalidInput, InvalidStudy, require, suggestion
 from strandline.interface import GaussianNoise, Interface, Noise, PointErrors, UnknownErrors
 from strandline.likelihood import require_inferable_noise
@@ -130,21 +130,6 @@ def read_points(
         return read_interface(path, reading, name=f"{what} {path.name}")
 
 
-def require_plausible(name: str, observed: Interface, simulated: Interface, *, unit: str = "") -> None:
-    """Refuse an interface ten times larger or smaller than the model's, deformed or not: a wrong unit."""
-    ratio = extent_ratio(observed, simulated)
-    mistake = unit_mistake(ratio)
-    if mistake:
-        told = not unit or f"read in {unit.replace('um', 'µm')}," in mistake
-        guess = f"P{mistake[1:]}. " if told else ""  # not that a file was read in another unit than the study states
-        raise InvalidStudy(
-            f"size of the {name}{f', read in {unit}' if unit else ''}",
-            value=f"{extent(observed):.4g} mm across, {ratio:.3g} times the model's interface",
-            expected=f"about {extent(simulated):.4g} mm, the size of the model's interface",
-            remedy=f"{guess}Correct the unit of the observation or of its pixels, the file, or the size of the model.",
-        )
-
-
 @dataclass(frozen=True, eq=False)
 class Found:
     """An observed interface, mm, whether its points were reversed, and what is known of their errors.
@@ -202,7 +187,8 @@ def read_observation(folder: Path, source: keys.ObservationFile, model: ForwardM
         found = Found(read_points(path, unit, options=source.reading), sds=sds)
     if undeformed is None:
         return found
-    require_plausible(name, found.interface, undeformed, unit=unit)
+    with refused_at():
+        require_plausible(name, found.interface, undeformed, unit=unit)
     if not found.interface.runs_against(undeformed):
         return found
     sds = None if found.sds is None else found.sds[::-1]

@@ -114,6 +114,8 @@ def test_settings_have_ranges():
     assert (Active(30, batch=27).batch, Active(30, initial=5, batch=25).batch) == (27, 25)
     with pytest.raises(InvalidInput, match="at most 27, the runs that are left of 30 after the first 3"):
         Active(30, batch=28)
+    with pytest.raises(InvalidInput, match=r"^runs: got 5; expected at least 14"):
+        Active(5, initial=8, batch=4)
 
 
 def test_a_certificate_says_what_may_have_been_missed():
