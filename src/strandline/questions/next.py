@@ -79,7 +79,7 @@ def next_experiment(
     _require_arguments(source, draws, runs, seed)
     begun, tell = time.perf_counter(), observer_or_default(observer)
     executor = executor or study.executor
-    found = studies.results_of(study) == "current" and (study.folder / studies.POSTERIOR).is_file()
+    found = study.results == "current" and (study.folder / studies.POSTERIOR).is_file()
     after = source == "posterior" or (source is None and found)
     if source == "posterior":
         studies.finished_posterior(study, purpose="plan from")

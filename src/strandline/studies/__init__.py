@@ -73,7 +73,6 @@ if TYPE_CHECKING:
         StudyProgress,
         progress_as_planned,
         progress_in,
-        results_of,
     )
     from strandline.studies.load.provenance import facts_of, named, points_digest, results_at_hand, versions
     from strandline.studies.load.study import Study, require_study, settled

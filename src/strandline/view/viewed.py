@@ -22,7 +22,7 @@ from strandline.posterior import reliability_threshold, systematic_indices
 from strandline.questions import baseline_of, field_knowledge
 from strandline.report import explore
 from strandline.runs import EXCLUDED, OPEN, Attempt, Details, Ledger, Overview
-from strandline.studies import STUDY, SUMMARY, Study, observations_of, results_of
+from strandline.studies import STUDY, SUMMARY, Study, observations_of
 from strandline.view.assumptions import SEED, answer_to, asked_by, knobs_of, number_in
 
 OF_SUMMARY = ("warnings", "misfit", "certificate", "nearest")
@@ -135,7 +135,7 @@ class PosteriorFeed:
 
     def due(self, succeeded: int) -> bool:
         """Return whether there is a newer posterior than this one: stored, or worth computing with so many runs."""
-        if results_of(self.study) == "current":
+        if self.study.results == "current":
             return self._stored != changed_at(self.study.folder / SUMMARY)
         return succeeded - self._tried >= max(FEWEST_NEW, math.ceil(GROWTH * self._tried))
 
@@ -162,7 +162,7 @@ class PosteriorFeed:
         self.shown = CurrentPosterior(found, _thinned(found), source, before.why_none, (*before.history, step))
 
     def _posterior(self) -> tuple[Baseline, str]:
-        if results_of(self.study) == "current":
+        if self.study.results == "current":
             stored = studies.finished_posterior(self.study, purpose="show")
             return baseline_of(self.study, stored, purpose="the page"), "stored"
         knowledge = field_knowledge(self.study, purpose="the page")

@@ -16,7 +16,6 @@ from strandline.questions.knowledge import field_knowledge
 from strandline.questions.what_if import PLACE, alternative_of, what_if
 from strandline.studies.keys.parse import checked
 from strandline.studies.keys.study_file import WhatIf
-from strandline.studies.load.progress import results_of
 from strandline.testing.studies import write_study
 
 NARROW = {"prior": {"E": {"normal": [350, 20]}}, "name": "a softer beam"}
@@ -66,7 +65,7 @@ def test_questions_of_the_study_come_with_the_usual_ones(field, tmp_path):
     with (folder / "study.yaml").open("a") as file:
         file.write(f"what_if: {json.dumps(asked)}\n")
     study = sl.load_study(folder)
-    assert results_of(study) == "current", "a question makes no result outdated"
+    assert study.results == "current", "a question makes no result outdated"
     content = what_if(study).content
     by_name = {one["name"]: one for one in content["alternatives"]}
     assert len(by_name) == 10

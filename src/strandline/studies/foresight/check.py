@@ -27,7 +27,6 @@ from strandline.runs import Executor, Ledger, RunRecord, run_campaign, run_key
 from strandline.studies.foresight.first_run import observations_of, turned_like
 from strandline.studies.keys.folder import CHECK, CHECK_LEDGER, POSTERIOR, require_writable, told_if_unwritable
 from strandline.studies.load.observed import require_stated
-from strandline.studies.load.progress import results_of
 from strandline.studies.load.provenance import facts_of
 from strandline.studies.load.study import Study, settled
 
@@ -251,7 +250,7 @@ def check_posterior(
 
 def finished_posterior(study: Study, *, purpose: str = "check") -> posteriors.Posterior:
     """Return the posterior of a study that has results for its present study.yaml."""
-    results, path = results_of(study), study.folder / POSTERIOR
+    results, path = study.results, study.folder / POSTERIOR
     if results != "current" or not path.is_file():
         what, expected = f"the study has no posterior to {purpose}", f"{POSTERIOR}, made from study.yaml as it is"
         value = "results of an earlier study.yaml" if results == "outdated" else "a study that is not finished"

@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Literal
 
 from strandline.foundations import InvalidStudy, read_json
 
@@ -28,6 +29,17 @@ RESULTS = {value for key, value in globals().copy().items() if key.isupper() and
 RESULT_FOLDERS = frozenset({"figures", "runs", "slurm", "comparison", "__pycache__"})
 RESULT_SUFFIXES = (".lock", "-wal", "-shm", ".html", ".log", ".sqlite")
 OF_STUDY = "study_sha256"  # key by which each answer to a question, a JSON file, says of which study.yaml it is
+
+
+Results = Literal["none", "current", "outdated"]
+
+
+def results_in(folder: Path, study_sha256: str) -> Results:
+    """Return whether there are results, and whether they belong to the study.yaml with this digest."""
+    summary = read_json(folder / SUMMARY)
+    if not summary:
+        return "none"
+    return "current" if summary.get(OF_STUDY) == study_sha256 else "outdated"
 
 
 def is_result(path: Path) -> bool:

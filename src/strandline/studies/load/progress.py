@@ -9,17 +9,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from strandline.foundations import read_json
 from strandline.runs import EXCLUDED, INTERRUPTED, OPEN, Attempt, Driver, Overview, Plan, Run
-from strandline.studies.keys.folder import LEDGER, REFINEMENT, STUDY, SUMMARY, digest_of
+from strandline.studies.keys.folder import LEDGER, REFINEMENT, STUDY, Results, digest_of, results_in
 
 if TYPE_CHECKING:
     from strandline.studies.load.study import Study
 
 
-Results = Literal["none", "current", "outdated"]
 RATE_RUNS = 50  # number of runs, the last to end, that give the pace
 LOG_LINES = 2
 _Ended = tuple[str, Attempt]  # the key of a run, and how it ended
@@ -133,13 +132,8 @@ def _plan(folder: Path, study_sha256: str) -> Plan | None:
         return ledger.plan(study_sha256)
 
 
-def results_of(study: "Study") -> Results:
-    """Return whether the study has results, and whether they belong to the present study.yaml."""
-    return _results(study.folder, study.text_digest)
-
-
 def _progress(folder: Path, plan: Plan) -> StudyProgress:
-    results, path = _results(folder, plan.study_sha256), folder / LEDGER
+    results, path = results_in(folder, plan.study_sha256), folder / LEDGER
     if not path.is_file():
         return StudyProgress(plan.name, plan.planned, results=results)
     detached = any((folder / "slurm").glob("*/batch.json"))  # each batch has a folder until it is collected
@@ -224,10 +218,3 @@ def _per_minute(made: Sequence[Attempt]) -> float | None:
     number = min(len(ends), RATE_RUNS)
     begun = min(attempt.started_at for attempt in made) if number == len(ends) else ends[-number - 1]
     return 60.0 * number / (ends[-1] - begun) if ends[-1] > begun else None
-
-
-def _results(folder: Path, study_sha256: str) -> Results:
-    summary = read_json(folder / SUMMARY)
-    if not summary:
-        return "none"
-    return "current" if summary.get("study_sha256") == study_sha256 else "outdated"

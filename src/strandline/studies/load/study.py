@@ -16,10 +16,9 @@ from strandline.foundations import InvalidInput, InvalidStudy, html_table, html_
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
 from strandline.parameters import ParameterSpace
 from strandline.runs import ATTEMPTS, COMMON_KINDS, ENDS, EXCLUDED, Executor, Ledger, Plan, RunRecord, run_key
-from strandline.studies.keys.folder import LEDGER, REFINEMENT, digest_of
+from strandline.studies.keys.folder import LEDGER, REFINEMENT, Results, digest_of, results_in
 from strandline.studies.load.observed import Scanned, SyntheticNoise
 from strandline.studies.load.photographed import Photographed, Undeformed
-from strandline.studies.load.progress import results_of
 
 
 @dataclass(frozen=True)
@@ -98,6 +97,11 @@ class Study:
     def text_digest(self) -> str:
         """SHA-256 of study.yaml without its questions, to notice results of another version of it."""
         return digest_of(self.text)
+
+    @property
+    def results(self) -> Results:
+        """Whether there are results, and whether they belong to the present study.yaml."""
+        return results_in(self.folder, self.text_digest)
 
     @property
     def sensitivities(self) -> bool:
@@ -256,7 +260,7 @@ class StudyRuns:
         if done < needed:
             most, truth = "at most " * self.may_end_early, ", the synthetic one included" if study.truth else ""
             value = f"{done} of {most}{needed} forward runs done{truth}"
-            if results_of(study) == "outdated":
+            if study.results == "outdated":
                 value += ", and results of an earlier study.yaml"
             expected, remedy = "all runs done before results are made", f"Run it first: strandline run {study.folder}"
             raise InvalidStudy("the study is not finished", value=value, expected=expected, remedy=remedy)
