@@ -226,7 +226,7 @@ def test_failed_runs_of_three_inputs_have_a_figure(calibration: Calibration) -> 
     space = ParameterSpace((*calibration.problem.space, Parameter("load", Uniform(0.0, 2e-5), "N/m")))
     records = [replace(r, state="failed", failure_kind="stalled", interfaces={}) for r in calibration.records[:3]]
     broken = replace(calibration, records=(*records, *calibration.records[3:]))
-    (shown,) = failed_runs(replace(broken, problem=replace(calibration.problem, space=space)))
+    (shown,) = failed_runs(replace(broken, problem=replace(calibration.problem, space=space, fixed={})))
     (ax,) = shown.figure.axes
     assert entries(ax) == ["ok: 61", "stalled: 3"]
     at = np.array([[record.inputs[name] for name in space.names] for record in records])
