@@ -3,15 +3,15 @@
 import contextlib
 import dataclasses
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from strandline.foundations import ForwardModelError, imported, unfit
+from strandline.foundations import ForwardModelError, imported, require, unfit
 from strandline.interface import Interface
 from strandline.models.biofilm.cells.anchors import AnchoredCell, Box, Ranges, as_ranges, check_ranges
 from strandline.models.biofilm.cells.cell import FlowCell, Setting, Solution
@@ -21,12 +21,13 @@ from strandline.models.biofilm.cells.transient import TransientCell
 from strandline.models.biofilm.equations import flow
 from strandline.models.biofilm.equations.memory import MOST_BRANCHES, Branch, branch_inputs
 from strandline.models.biofilm.linear import linear_solver
-from strandline.models.biofilm.materials import LAWS, SolidInputs, law_named
+from strandline.models.biofilm.materials import LAWS, IsotropicLaw, SolidInputs, law_named
 from strandline.models.biofilm.mesh.course import QUASI_STATIC, TRANSIENT, Course
 from strandline.models.biofilm.mesh.geometry import FINER, MESHES, MeshSize, Partition, is_adapted, subdivide
 from strandline.models.biofilm.mesh.outline import Channel, Outline, Pairs, check_clamped, check_inside, check_outline
 from strandline.models.identity import fingerprint as fingerprint_of
-from strandline.models.protocol import ModelInput, Simulation
+from strandline.models.protocol import Factors, Gradient, ModelInput, Simulation
+from strandline.parameters import Support
 
 __all__ = ["Biofilm"]
 
@@ -170,20 +171,40 @@ class Biofilm:
         digest = ":" + hashlib.sha256("|".join(chosen).encode()).hexdigest()[:16] if chosen else ""
         return f"biofilm:r{REVISION}:mesh={self.mesh}{digest}"
 
-    def __call__(self, inputs: Mapping[str, float], workdir: Path | None = None) -> Simulation:
+    def __call__(self, inputs: Mapping[str, Any], workdir: Path | None = None) -> Simulation:
         """Return the deformed interface at E [Pa], nu and V_in [mm²/s]; one for each condition."""
         cell, anchored = self._cell()
-        interfaces, sensitivities = {}, {}
+        interfaces, sensitivities, solutions = {}, {}, {}
         figures: dict[str, float] = {}
         for name, solution in self._solutions(cell, inputs, self.failure_budget, anchored=anchored):
             interfaces[name] = Interface.polyline(cell.outline.points + solution.displacement)
+            solutions[name] = solution
             end = f"_{name}" if name else ""
             figures |= {key + end: value for key, value in solution.diagnostics().items()}
             if self.sensitivities:
                 found = cell.sensitivities(solution, [q.name for q in self.fluid.inputs])
-                sensitivities[name] = self._by_input(found, self.course.shares()[name] if self.course else 1.0)
+                sensitivities[name] = self._by_input(found, name)
         figures["mkl"] = float(linear_solver() == "pardiso")
-        return Simulation(interfaces, figures, sensitivities)
+        vjp = partial(self._pulled_back, dict(inputs), solutions) if self.offers_vjp else None
+        return Simulation(interfaces, figures, sensitivities, vjp)
+
+    @property
+    def offers_vjp(self) -> bool:
+        """Whether runs can be differentiated: not through inertia or creep, which depend on the past."""
+        return not (self.branches or (self.course and self.course.is_transient))
+
+    def _pulled_back(self, inputs: Mapping[str, Any], solutions: Mapping[str, Solution], factors: Factors) -> Gradient:
+        """Return d(Σ factors · coordinates)/d(input) at the solutions of a run, by an adjoint solution for each."""
+        cell, _ = self._cell()
+        gradient: dict[str, Any] = {}
+        for name, load in self._loads_at(inputs):
+            if np.any(factors[name]):
+                cell.hold(self._setting({**inputs, self._driven_by.name: load}))
+                found = cell.pulled_back(solutions[name], factors[name][None], [q.name for q in self.fluid.inputs])
+                by_input = self._by_input([one[0] for one in found], name)
+                gradient = {of: gradient.get(of, 0.0) + value for of, value in by_input.items()}
+        zeros = {item.name: 0.0 * np.asarray(inputs[item.name], float) for item in self.inputs}
+        return gradient or zeros
 
     @property
     def preparation(self) -> str:
@@ -220,7 +241,7 @@ class Biofilm:
         next(name for name, _ in solutions if name == wanted)
         return flow_fields(cell.system, cell.part)
 
-    def on_finer_mesh(self, inputs: Mapping[str, float]) -> dict[str, Interface]:
+    def on_finer_mesh(self, inputs: Mapping[str, Any]) -> dict[str, Interface]:
         """Return the deformed interfaces by condition on the next finer mesh, at the same nodes, to check the accuracy.
 
         Raises:
@@ -235,7 +256,7 @@ class Biofilm:
     def _solutions(
         self,
         cell: FlowCell,
-        inputs: Mapping[str, float],
+        inputs: Mapping[str, Any],
         budget: int,
         *,
         only: str | None = None,
@@ -250,8 +271,39 @@ class Biofilm:
                 at = {**inputs, self._driven_by.name: load}
                 yield name, anchored.solve(at, budget) if anchored else cell.solve(self._setting(at), budget)
 
-    def _setting(self, inputs: Mapping[str, float]) -> Setting:
-        """Return what a run at these inputs is made with, among them what drives the flow."""
+    def field_support(self, name: str) -> Support:
+        """Return the points at which a run takes a field: for E the mesh's vertices in the solid.
+
+        Raises:
+            InvalidInput: Another input, several parts, a solid that creeps, anchors, or a law that is not isotropic.
+        """
+        self._require_field(name)
+        points, areas = self._cell()[0].vertices_of_solid
+        return Support(points, areas)
+
+    def _require_field(self, name: str) -> None:
+        several = self.partition.markers or self.branches or self.anchors
+        if name != "E" or several or not isinstance(law_named(self.material), IsotropicLaw):
+            expected = "E, of a model without partition, branches and anchors, and with an isotropic law"
+            raise unfit("field of the biofilm model", name, expected, "Give this input a prior in place of a field.")
+
+    def with_field(self, name: str, points: np.ndarray) -> "Biofilm":
+        """Return the model itself; refuse a field as `field_support`, and other points than its own."""
+        own = self.field_support(name).points
+        same = points.shape == own.shape and np.allclose(points, own, rtol=0, atol=1e-9)
+        found, expected = f"{len(points)} points", f"the {len(own)} points of field_support({name!r}), `at: solid`"
+        require(same, f"points of the field {name}", found, expected, "Take these.")
+        return self
+
+    def _setting(self, inputs: Mapping[str, Any]) -> Setting:
+        """Return what a run at these inputs is made with, among them what drives the flow.
+
+        With a field as E, the typical modulus is its geometric mean.
+        """
+        if isinstance(field := inputs.get("E"), np.ndarray):
+            self._require_field("E")
+            typical = float(np.exp(np.log(field).mean()))
+            return dataclasses.replace(self._setting({**inputs, "E": typical}), profile=field / typical)
         young, poisson, *further = self._solid.values(inputs)
         rate, fluid = float(inputs[self._driven_by.name]), self.fluid.at(inputs)
         pairs = branch_inputs(self.branches)
@@ -278,15 +330,16 @@ class Biofilm:
         """Density of the solid in a transient run; None: no inertia."""
         return self.course.solid_density if self.course and self.course.is_transient else None
 
-    def _loads_at(self, inputs: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
+    def _loads_at(self, inputs: Mapping[str, Any]) -> tuple[tuple[str, float], ...]:
         """Return the conditions with their inflow rates or pressure drops."""
         if self._loads:
             return self._loads
         shares = self.course.shares() if self.course else {"": 1.0}
         return tuple((name, share * float(inputs[self._drive[0].name])) for name, share in shares.items())
 
-    def _by_input(self, found: list[np.ndarray], share: float) -> dict[str, np.ndarray]:
-        """Return the sensitivities of a `FlowCell` by the name of the input; that of V_in, if any, times its share."""
+    def _by_input(self, found: Sequence[Any], condition: str) -> dict[str, Any]:
+        """Return the derivatives of a `FlowCell` by the name of the input; that by V_in, if any, times its share."""
+        share = self.course.shares()[condition] if self.course else 1.0
         by_name = dict(zip([*self._solid.names, "", *(item.name for item in self.fluid.inputs)], found, strict=True))
         by_drive = by_name.pop("")
         return by_name | {item.name: share * by_drive for item in self._drive}

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import ngsolve as ng
@@ -57,7 +58,8 @@ class Setting:
 
     Young's modulus, Pa, Poisson's ratio and each `further` parameter of the law have a value for each part; `rate` is
     the inflow rate V_in, mm²/s, or the pressure drop, Pa. No quantity of the fluid is unknown. A solid that creeps has
-    `branches`; Young's modulus is that of the relaxed solid.
+    `branches`; Young's modulus is that of the relaxed solid. With a `profile`, Young's modulus at each vertex of the
+    solid is so many times that of the part, and linear between them.
     """
 
     young: Sequence[float]
@@ -66,6 +68,7 @@ class Setting:
     further: tuple[Sequence[float], ...] = ()
     fluid: flow.Fluid = flow.WATER
     branches: tuple[Branch, ...] = ()
+    profile: Float[np.ndarray, " vertex"] | None = None
 
     @property
     def stiffness(self) -> float:
@@ -138,11 +141,24 @@ class FlowCell:
         self._check_balance(x, load)
         return Solution(x, self.displacement, bounds, jacobians)
 
+    def hold(self, setting: Setting) -> None:
+        """Set everything as in a run, with its loads, so that its solution can be differentiated."""
+        self._apply(self.set(setting))
+
     def set(self, setting: Setting) -> float:
         """Set the material, the fluid and the loads; return the load at which the rate is reached."""
         values = zip(self._material_scales, (setting.young, setting.poisson, *setting.further), strict=True)
         self.system.set_material(*([value / scale for value in given] for scale, given in values))
+        if self.system.solid is not None:
+            self.system.set_profile(setting.profile)
         return self.set_loads(setting.rate, setting.fluid)
+
+    @property
+    def vertices_of_solid(self) -> tuple[Points, Float[np.ndarray, " vertex"]]:
+        """The vertices of the solid, mm, in the order of a profile, and a third of the area of the triangles around."""
+        assert self.system.solid is not None
+        points = np.array([vertex.point for vertex in self.mesh.vertices])[self.system.solid.vertices]
+        return points, self.system.solid.areas
 
     @property
     def displacement(self) -> Points:
@@ -194,29 +210,54 @@ class FlowCell:
             raise ForwardModelError("inverted_elements", message, bounds)
         return bounds
 
-    def sensitivities(self, solution: Solution, fluid: Sequence[str] = ()) -> list[Points]:
+    def sensitivities(self, solution: Solution, fluid: Sequence[str] = ()) -> list[Float[np.ndarray, "point 2 *of"]]:
         """Return d(interface)/dE of each part [mm/Pa], d/dν of each part [mm], …, d/dV_in [mm per mm²/s].
 
         The derivatives by the law's further parameters follow those by ν, those by the quantities of the `fluid` that
         are named, viscosity for example, follow V_in.
 
-        One back-substitution each with a fresh Jacobian at the solution that `solve` has just returned.
+        With a profile, d(interface)/dE has a further axis for the solid's vertices.
+
+        One factorisation at the solution that `solve` has just returned, and one back-substitution for each input;
+        with a profile, one for each coordinate of the interface.
         """
         system = self.system
+        if system.has_profile:
+            units = np.eye(2 * len(self.vertices)).reshape(-1, len(self.vertices), 2)
+            return [one.reshape(-1, 2, *one.shape[1:]) for one in self.pulled_back(solution, units, fluid)]
         jacobian = system.factorise(solution.unknowns)
-        by_drive = system.by_prescribed(self.inflow / self.flow.scale)
-        if self.flow.pressure is not None:
-            by_drive = np.asarray(system.by_parameter(self.flow.pressure.parameter) / self.flow.scale)
-        derivatives = [
-            1.0 / scale * jacobian.solve(-system.by_parameter(parameter))
-            for scale, parameters in zip(self._material_scales, system.material, strict=True)
-            for parameter in parameters
-        ]
-        derivatives.append(jacobian.solve(-by_drive))
-        derivatives += [jacobian.solve(-self._by_fluid(name)) for name in fluid]
+        derivatives = [unit * jacobian.solve(-by_input) for unit, by_input in self._by_inputs(fluid)]
         values = np.zeros((len(derivatives), len(system.values)))
         values[:, system.free] = derivatives
         return [self._interface_values(row) for row in values]
+
+    def pulled_back(
+        self, solution: Solution, factors: Float[np.ndarray, "factor point 2"], fluid: Sequence[str] = ()
+    ) -> list[Float[np.ndarray, "factor *of"]]:
+        """Return the sums of some factors times the `sensitivities`, at a solution of the present setting.
+
+        One factorisation, and one back-substitution for each set of factors, however many inputs there are.
+        """
+        system, rows = self.system, np.zeros((len(factors), len(self.system.values)))
+        jacobian = system.factorise(solution.unknowns)
+        rows[:, self._interface_rows] = -factors.transpose(0, 2, 1).reshape(len(factors), -1)
+        tests = jacobian.solve_transposed(rows[:, system.free])
+        found = [unit * (tests @ by_input) for unit, by_input in self._by_inputs(fluid)]
+        if system.has_profile:
+            found.insert(0, system.by_profile(tests) / (self._material_scales[0] * system.material[0][0].Get()))
+        return found
+
+    def _by_inputs(self, fluid: Sequence[str]) -> list[tuple[float, Vector]]:
+        """Return d(residual)/d(input) in the order of `sensitivities`, without E if it has a profile, at the last
+        factorised state; each is to be multiplied by a number."""
+        system, first = self.system, int(self.system.has_profile)
+        groups = zip(self._material_scales[first:], system.material[first:], strict=True)
+        found = [(1.0 / scale, system.by_parameter(one)) for scale, parameters in groups for one in parameters]
+        if self.flow.pressure is None:
+            by_drive = system.by_prescribed(self.inflow / self.flow.scale)
+        else:
+            by_drive = np.asarray(system.by_parameter(self.flow.pressure.parameter) / self.flow.scale)
+        return [*found, (1.0, by_drive), *((1.0, self._by_fluid(name)) for name in fluid)]
 
     def _check_balance(self, x: Vector, load: float) -> None:
         """Refuse a state whose recomputed residual is not small compared with the reactions at the boundaries."""
@@ -271,10 +312,14 @@ class FlowCell:
 
     def _interface_values(self, values: Float[np.ndarray, " dof"]) -> Points:
         """Return the displacement part of `values` at the outline's nodes."""
+        return np.ascontiguousarray(values[self._interface_rows].reshape(2, -1).T)
+
+    @cached_property
+    def _interface_rows(self) -> Int[np.ndarray, " coordinate"]:
+        """Where the displacements of the outline's nodes are among all coefficients, those along x first."""
         part = self.system.space.Range(2)
-        d = values[part.start : part.stop]
-        half = len(d) // 2
-        return np.stack([d[self.vertices], d[half + self.vertices]], axis=1)
+        along_x = part.start + self.vertices
+        return np.concatenate([along_x, along_x + (part.stop - part.start) // 2])
 
 
 def _boundaries(channel: Channel, *, pressure_driven: bool = False, sliding: bool = False) -> BoundaryNames:

@@ -68,7 +68,7 @@ def solid_form(system: Any, *, derivative_by: Any = None) -> Any:
         for term, test in ((momentum, phi[0]), (solid_tests[k] * mixed.constraint, solid_tests[k])):
             if derivative_by is None:
                 form += term.Compile() * dx
-            elif any(parameter is derivative_by for parameter in system.of_region(k)):
+            elif any(parameters[k] is derivative_by for parameters in system.material):
                 rest = same_quadrature * (d[0] + solid_pressures[k]) * test
                 form += (term.Diff(derivative_by) + rest).Compile() * dx
     return form

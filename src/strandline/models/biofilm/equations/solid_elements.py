@@ -26,6 +26,7 @@ from strandline.models.biofilm.materials.law import compliance, shear_modulus
 ORDER = 6
 """Order of the quadrature rule, that of the symbolic forms: exact for Saint-Venant and Kirchhoff's law."""
 
+RELATIVE_STEP = 1e-4  # step of the difference by Young's modulus; all laws here are linear in it
 Values = Float[np.ndarray, " dof"]
 Entries = Float[np.ndarray, " entry"]
 Tensor = list[list[AtPoints]]
@@ -52,10 +53,15 @@ class SolidElements:
         body_force: tuple[float, float],
     ) -> None:
         self._law, self._material, self._size = law, material, space.ndof
+        self.profile: Float[np.ndarray, " vertex"] | None = None
+        """Factor of Young's modulus at each of `vertices`, linear between them; None: 1."""
         every = np.concatenate(list(cells))
         self._region = np.repeat(np.arange(len(cells)), [len(part) for part in cells])
         self._d = numbers_of(space, 2, every)
         self._p = np.concatenate([numbers_of(space, 3 + k, part)[0] for k, part in enumerate(cells)], axis=1)
+        corners = [[corner.nr for corner in space.mesh[ng.ElementId(ng.VOL, int(cell))].vertices] for cell in every]
+        self.vertices, self._corners = np.unique(np.array(corners).T, return_inverse=True)
+        """Numbers of the mesh's vertices in the solid, and which of these are each element's corners (3, element)."""
         rule = ng.IntegrationRule(ng.TRIG, ORDER)
         self._rule = Rule(space, rule)
         rest = map_at_rest(space.mesh, every, rule)
@@ -72,6 +78,12 @@ class SolidElements:
         pushed = self._rule.momentum[:, :points] @ self._weight
         self._force = [force * pushed for force in body_force]
 
+    @property
+    def areas(self) -> Float[np.ndarray, " vertex"]:
+        """Integral of the linear shape function of each of `vertices`."""
+        shares = self._rule.mass @ np.abs(self._weight)
+        return np.bincount(self._corners.ravel(), weights=shares.ravel(), minlength=len(self.vertices))
+
     def residual(self, state: Any) -> Values:
         """Return what the elements add to the residual of each row, from the coefficients in an NGSolve function."""
         with np.errstate(all="ignore"):  # what is not finite is refused by the system
@@ -85,6 +97,19 @@ class SolidElements:
         with np.errstate(all="ignore"):
             blocks = self._blocks(self._at_points(state))
         return np.concatenate([block.ravel() for block in blocks])
+
+    def by_profile(self, state: Any, tests: Float[np.ndarray, "test dof"]) -> Float[np.ndarray, "test vertex"]:
+        """Return the derivatives of tests · residual by the factor of Young's modulus at each of `vertices`."""
+        at, rule, shape = self._at_points(state), self._rule, (2, self._rule.number, -1)
+        young = np.array([parameter.Get() for parameter in self._material[0]])[self._region]
+        stresses = [np.concatenate(at.stress_by_young(i)) for i in (0, 1)]
+        found = np.empty((len(tests), len(self.vertices)))
+        for test, row in zip(tests, found, strict=True):
+            work = sum((self._slope_tests.T @ test[d]) * stress for d, stress in zip(self._d, stresses, strict=True))
+            work = np.reshape(work, shape).sum(axis=0) + (rule.mass.T @ test[self._p]) * at.constraint_by_young
+            at_corners = rule.pressure.T @ (young * work)
+            row[:] = np.bincount(self._corners.ravel(), weights=at_corners.ravel(), minlength=len(row))
+        return found
 
     def _blocks(self, at: "_AtPoints") -> list[Float[np.ndarray, "pair element"]]:
         """Return the derivatives of each component of the momentum and of the constraint by d₀, d₁, pₛ."""
@@ -113,6 +138,8 @@ class SolidElements:
             [float(i == A) + moved[i][0] * inverse[0][A] + moved[i][1] * inverse[1][A] for A in (0, 1)] for i in (0, 1)
         ]
         material = [np.array([parameter.Get() for parameter in group])[self._region] for group in self._material]
+        if self.profile is not None:
+            material[0] = material[0] * (rule.pressure @ self.profile[self._corners])
         return _AtPoints(self._law, F, rule.pressure @ values[self._p], material, inverse, self._weight)
 
 
@@ -127,7 +154,7 @@ class _AtPoints:
         law: IsotropicLaw,
         F: Tensor,
         pressure: AtPoints,
-        material: Sequence[Float[np.ndarray, " element"]],
+        material: Sequence[np.ndarray],
         inverse: Tensor,
         weight: AtPoints,
     ) -> None:
@@ -138,15 +165,33 @@ class _AtPoints:
         J = F[0][0] * F[1][1] - F[0][1] * F[1][0]
         self.c: Tensor = [[F[1][1] / J, -F[1][0] / J], [-F[0][1] / J, F[0][0] / J]]
         measures = Jet.variables(self.C[0][0] + self.C[1][1] + 1.0, np.log(J), pressure)
-        coefficients = law.coefficients(*measures, shear_modulus(young, poisson), *further)
-        self.coefficients = [Jet.of(number) for number in coefficients]
+        shear = shear_modulus(young, poisson)
+
+        def coefficients(factor: float) -> list[Jet]:
+            return [Jet.of(number) for number in law.coefficients(*measures, factor * shear, *further)]
+
+        self.coefficients, self._coefficients, self._young = coefficients(1.0), coefficients, young
         self._volume = Jet.of(law.volume(*measures[:2]))
-        self.compliance: Float[np.ndarray, " element"] = compliance(young, poisson)
-        self.constraint: AtPoints = poisson * self._volume.value - self.compliance * pressure
+        self.compliance: Float[np.ndarray, "*point element"] = compliance(young, poisson)
+        self._eased: AtPoints = self.compliance * pressure
+        self.constraint: AtPoints = poisson * self._volume.value - self._eased
 
     def stress(self, i: int) -> list[AtPoints]:
         """Return row i of P, by k."""
-        alpha, beta, gamma = (number.value for number in self.coefficients)
+        return self._row(i, *(number.value for number in self.coefficients))
+
+    def stress_by_young(self, i: int) -> list[AtPoints]:
+        """Return the derivative of row i of P by Young's modulus, by k: exact but for rounding if linear in it."""
+        lower, upper = (self._coefficients(1.0 + sign * RELATIVE_STEP) for sign in (-1, 1))
+        span = 2 * RELATIVE_STEP * self._young
+        return self._row(i, *((up.value - low.value) / span for low, up in zip(lower, upper, strict=True)))
+
+    @property
+    def constraint_by_young(self) -> AtPoints:
+        """Derivative of the constraint by Young's modulus."""
+        return np.asarray(self._weight * self._eased / self._young)
+
+    def _row(self, i: int, alpha: Any, beta: Any, gamma: Any) -> list[AtPoints]:
         P = [alpha * self.F[i][A] + beta * self._b[i][A] + gamma * self.c[i][A] for A in (0, 1)]
         return [self._weight * (P[0] * self._inverse[k][0] + P[1] * self._inverse[k][1]) for k in (0, 1)]
 

@@ -160,8 +160,11 @@ class CoupledSystem:
         self._residual = self.state.vec.CreateVector()
         self.law, self.body_force = law, body_force
         self._derivatives: dict[Any, Any] = {}
+        self._profile = ng.GridFunction(ng.H1(mesh, order=1, definedon="|".join(solids)))
+        self._profile.vec[:] = 1.0
         self.viscosity, self.density, self.loads = ng.Parameter(viscosity), ng.Parameter(density), tuple(loads)
         self._fluid: FluidElements | None = None
+        self.solid: SolidElements | None = None
         self._parts = self._elements()
         self._entries: Float[np.ndarray, " entry"]
         self.free: Int[np.ndarray, " unknown"] = np.flatnonzero([bool(b) for b in self.space.FreeDofs()])
@@ -185,9 +188,22 @@ class CoupledSystem:
             for parameter, value in zip(parameters, given, strict=True):
                 parameter.Set(value)
 
+    @property
+    def has_profile(self) -> bool:
+        return self.solid is not None and self.solid.profile is not None
+
+    def set_profile(self, factors: Float[np.ndarray, " vertex"] | None) -> None:
+        """Set the factor of Young's modulus at each vertex of the solid, linear between them; None: 1."""
+        assert self.solid is not None
+        self._profile.vec[:] = 1.0
+        if factors is not None:
+            self._profile.vec.FV().NumPy()[self.solid.vertices] = factors
+        self.solid.profile = factors
+
     def of_region(self, k: int) -> tuple[Any, ...]:
         """Return the material parameters of solid region k: Young's modulus, Poisson's ratio, further ones."""
-        return tuple(parameters[k] for parameters in self.material)
+        young, *others = (parameters[k] for parameters in self.material)
+        return (young if self.solid is None else young * self._profile, *others)
 
     @cached_property
     def elastic_stress(self) -> Any:
@@ -218,6 +234,13 @@ class CoupledSystem:
         pattern = self._pattern
         return Factorisation(pattern.fill(self._assemble()), len(self.free), own_analysis=own_analysis)
 
+    def by_profile(self, tests: Float[np.ndarray, "test unknown"]) -> Float[np.ndarray, "test vertex"]:
+        """Return the derivatives of tests · residual by the factors of `set_profile`, at the current state."""
+        assert self.solid is not None
+        rows = np.zeros((len(tests), len(self.values)))
+        rows[:, self.free] = tests
+        return self.solid.by_profile(self.state, rows)
+
     def by_parameter(self, parameter: Any) -> Vector:
         """Return the derivative of the residual by one of `material`, `viscosity`, `density`, or the parameter of a
         load."""
@@ -227,7 +250,7 @@ class CoupledSystem:
             self._derivatives[parameter] = form
         self._derivatives[parameter].Apply(self.state.vec, self._residual)
         result = np.array(self._residual.FV().NumPy())
-        if self._fluid is not None:
+        if self._fluid is not None and any(parameter is one for one in (self.viscosity, self.density)):
             result += self._fluid.by_parameter(self.state, parameter)
         result[self.is_motion] = 0.0
         return np.asarray(result[self.free])
@@ -240,7 +263,7 @@ class CoupledSystem:
 
     def _elements(self) -> tuple[Term, ...]:
         """Return what adds up to the residual: elements of their own as far as there are any, all else by NGSolve."""
-        solid = _solid_elements(self)
+        self.solid = solid = _solid_elements(self)
         form = ng.BilinearForm(self.space) if solid else forms.solid_form(self)
         forms.add_loads(form, self)
         if "fluid" in self.mesh.GetMaterials():
@@ -264,6 +287,9 @@ class CoupledSystem:
         """Structural nonzeros of the reduced Jacobian, found at a random state."""
         kept = np.array(self.values)
         material = [[p.Get() for p in group] for group in self.material]
+        profile = None if self.solid is None else self.solid.profile
+        if profile is not None:
+            self.set_profile(None)
         self.values[:] = np.random.default_rng(0).uniform(-1e-3, 1e-3, len(kept))
         generic = (1.0, 0.23, *map(typical_value, further_parameters(self.law)))
         self.set_material(*([value] * len(self.solids) for value in generic))
@@ -271,6 +297,8 @@ class CoupledSystem:
         pattern = Pattern(self._places, used, self._motion, self.is_motion, self.free)
         self.values[:] = kept
         self.set_material(*material)
+        if profile is not None:
+            self.set_profile(profile)
         return pattern
 
 
