@@ -1,15 +1,17 @@
 """Univariate prior distributions.
 
 A prior is a small frozen dataclass with a log density that works on NumPy *and* JAX arrays (and under `jax.jit`),
-and with a cumulative distribution and quantile on NumPy arrays. A study can use your own prior as ``module:name``.
+and with a cumulative distribution and quantile on NumPy arrays; that of an input that is correlated with another one
+works on JAX arrays too, as all of these do. A study can use your own prior as ``module:name``.
 """
 
 import math
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
 from strandline.foundations import InvalidInput, require_types, unfit
 
@@ -19,6 +21,7 @@ LEAST_MASS = 1e-10
 """Minimum mass of a truncated prior; below it, rounding errors of the cumulative distribution show in the density."""
 LARGEST, LEAST, LEAST_SHARE = 1e100, 1e-100, 1e-9
 """Largest magnitude of a number in a prior, smallest width, and smallest width as a share of the numbers themselves."""
+EDGE = 1e-12  # least share of a prior beyond a point that is mapped to a standard normal quantile
 MOST_SHAPE, MOST_MU, MOST_SIGMA = 1e6, 300.0, 100.0
 """Largest shape of a beta distribution, largest |mu| and sigma of a log-normal; exponentials overflow beyond these."""
 
@@ -67,7 +70,7 @@ class Uniform(_Bounded):
         return xp.where(inside, -math.log(self.high - self.low), -xp.inf)
 
     def cdf(self, x: Array) -> Array:
-        return np.clip((np.asarray(x) - self.low) / (self.high - self.low), 0.0, 1.0)
+        return _namespace(x).clip((x - self.low) / (self.high - self.low), 0.0, 1.0)
 
     def quantile(self, p: Array) -> Array:
         return self.low + np.asarray(p) * (self.high - self.low)
@@ -95,7 +98,7 @@ class Normal:
         return -0.5 * z * z - math.log(self.sd) - 0.5 * math.log(2 * math.pi)
 
     def cdf(self, x: Array) -> Array:
-        return special.ndtr((np.asarray(x) - self.mean) / self.sd)
+        return _special(x).ndtr((x - self.mean) / self.sd)
 
     def quantile(self, p: Array) -> Array:
         return self.mean + self.sd * special.ndtri(np.asarray(p))
@@ -129,7 +132,9 @@ class LogNormal:
         return xp.where(positive, value, -xp.inf)
 
     def cdf(self, x: Array) -> Array:
-        return stats.lognorm.cdf(x, s=self.sigma, scale=math.exp(self.mu))
+        xp, positive = _namespace(x), x > 0
+        z = xp.log(xp.where(positive, x, 1.0) / math.exp(self.mu)) / self.sigma
+        return xp.where(positive, _special(x).ndtr(z), 0.0)
 
     def quantile(self, p: Array) -> Array:
         return np.exp(self.mu + self.sigma * special.ndtri(np.asarray(p)))
@@ -159,7 +164,8 @@ class LogUniform(_Bounded):
         return xp.where(inside, -xp.log(xp.where(inside, x, self.low)) - math.log(self._span), -xp.inf)
 
     def cdf(self, x: Array) -> Array:
-        return np.log(np.clip(x, self.low, self.high) / self.low) / self._span
+        xp = _namespace(x)
+        return xp.log(xp.clip(x, self.low, self.high) / self.low) / self._span
 
     def quantile(self, p: Array) -> Array:
         return np.clip(self.low * np.exp(self._span * np.asarray(p)), self.low, self.high)
@@ -194,8 +200,8 @@ class ScaledBeta(_Bounded):
         return xp.where(inside, value - norm, -xp.inf)
 
     def cdf(self, x: Array) -> Array:
-        t = np.clip((np.asarray(x) - self.low) / (self.high - self.low), 0.0, 1.0)
-        return special.betainc(self.a, self.b, t)
+        t = _namespace(x).clip((x - self.low) / (self.high - self.low), 0.0, 1.0)
+        return _special(x).betainc(self.a, self.b, t)
 
     def quantile(self, p: Array) -> Array:
         return self.low + (self.high - self.low) * special.betaincinv(self.a, self.b, np.asarray(p))
@@ -239,7 +245,8 @@ class Truncated:
 
     def cdf(self, x: Array) -> Array:
         below = self.base.cdf(self.low)
-        return np.clip((self.base.cdf(np.clip(x, self.low, self.high)) - below) / self.mass, 0, 1)
+        xp = _namespace(x)
+        return xp.clip((self.base.cdf(xp.clip(x, self.low, self.high)) - below) / self.mass, 0, 1)
 
     def quantile(self, p: Array) -> Array:
         below = self.base.cdf(self.low)
@@ -260,6 +267,16 @@ def truncate(prior: Prior, low: float, high: float) -> Prior:
 
 def _namespace(x: Array) -> Any:
     return x.__array_namespace__() if hasattr(x, "__array_namespace__") else np
+
+
+def _special(x: Array) -> Any:
+    """Return SciPy's special functions, or those of JAX for its arrays."""
+    return special if _namespace(x) is np else import_module("jax.scipy.special")
+
+
+def normal_score(prior: Prior, x: Array) -> Array:
+    """Return the standard normal quantile of the share of a prior below x, NumPy or JAX; finite also at its ends."""
+    return _special(x).ndtri(_namespace(x).clip(prior.cdf(x), EDGE, 1 - EDGE))
 
 
 def _at_edge(exponent: float) -> float:
