@@ -19,9 +19,9 @@ if TYPE_CHECKING:
         is_cheaper,
         run_identity,
     )
+    from strandline.models.fields import WithFields, fields_of
     from strandline.models.identity import fingerprint
     from strandline.models.protocol import (
-        DrawsFields,
         ForwardModel,
         KeepsFolders,
         ModelInput,
@@ -34,11 +34,15 @@ if TYPE_CHECKING:
         declared_conditions,
         declared_failure_kinds,
         declared_inputs,
+        differentiated,
+        draws_fields,
         prepare_runs,
         require_conditions,
         require_inputs,
         same_unit,
         undeformed_interface,
+        vjp,
+        with_option,
         with_sensitivities,
         without_failure_budget,
     )

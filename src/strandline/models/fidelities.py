@@ -52,7 +52,7 @@ class WithCheaper:
                 remedy = "Let both models take the same inputs and return the same conditions."
                 raise unfit(f"{what} of the cheaper model", ", ".join(other) or "none", expected, remedy)
 
-    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> protocol.Simulation | Interface:
+    def __call__(self, inputs: Mapping[str, Any], workdir: Path) -> protocol.Simulation | Interface:
         if is_cheaper(inputs):
             return self.cheaper({name: value for name, value in inputs.items() if name != CHEAPER}, workdir)
         return self.model(inputs, workdir)
@@ -85,7 +85,7 @@ class WithCheaper:
         return getattr(self.model, name)
 
 
-def is_cheaper(inputs: Mapping[str, float]) -> bool:
+def is_cheaper(inputs: Mapping[str, Any]) -> bool:
     """Return whether a run is one by the cheaper model."""
     return CHEAPER in inputs
 

@@ -5,7 +5,8 @@ import sys
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from inspect import getmodulename
 from pathlib import Path
 from types import ModuleType
@@ -119,7 +120,9 @@ class PythonModel:
 
     Args:
         function: ``module:name``; the module must be in the study folder, installed, or on PYTHONPATH.
-        sensitivities: Whether to compute sensitivities too; the callable is then a dataclass with a field of that name.
+        sensitivities: Whether to compute sensitivities too; the callable is then a dataclass with a field of that name,
+            or a function with the attribute ``sensitivities = True``. It may return a `vjp` in their place: a run then
+            calls that once for each coordinate of each interface.
         folder: Folder of the study. If the module lies there, it and the modules beside it are imported from there;
             else this becomes None. Modules of two folders may have the same names.
 
@@ -163,11 +166,18 @@ class PythonModel:
             remedy = "Give it an attribute `fingerprint`, a text that changes whenever its results do."
             raise unfit(what, self.function, expected, remedy) from None
 
-    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Any:
+    def __call__(self, inputs: Mapping[str, Any], workdir: Path) -> Any:
         """Return the function's result, with points as an `Interface`; any other result makes the run invalid."""
         with modules_of(self.folder):
             result = self._target()(inputs, workdir)
+        if isinstance(result, protocol.Simulation) and result.vjp is not None:
+            return replace(result, vjp=partial(self._pulled_back, result.vjp))
         return result if isinstance(result, protocol.Simulation | Interface) else _polyline(result)
+
+    def _pulled_back(self, vjp: Any, factors: protocol.Factors) -> protocol.Gradient:
+        with modules_of(self.folder):
+            found: protocol.Gradient = vjp(factors)
+        return found
 
     def _function(self) -> Any:
         missing = "Correct the name, put the module beside study.yaml, install it, or put its folder on PYTHONPATH."

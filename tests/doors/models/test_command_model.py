@@ -3,10 +3,13 @@
 import shutil
 import sys
 
+import numpy as np
 import pytest
 from tests.unit.models.command.commands import ECHO, RESULT, filled, model, study
 
 from strandline.cli.main import main
+from strandline.models import WithFields
+from strandline.parameters import GaussianField, Support
 from strandline.runs import InProcess, RunRequest
 
 
@@ -138,3 +141,14 @@ def test_templates_are_boxed_in(folder):
         (folder / "in.j2").write_text(text + "{{ a }}")
         record = outcome(model(folder))
         assert (record.state, record.failure_kind) == ("failed", "template")
+
+
+@pytest.mark.smoke
+def test_a_field_reaches_the_simulator_as_a_file(folder):
+    (folder / "in.j2").write_text("{{ E_field }}")
+    (folder / "run.sh").write_text('(echo x,y; awk \'{print $1","$4}\' "$(cat input.txt)") > out.csv')
+    field = GaussianField(2.0, 0.3, 0.3, modes=3).on("E", Support.interval(0.0, 1.0, 20))
+    at = dict(zip(field.names, [1.0, -0.5, 0.3], strict=True))
+    (record,) = InProcess()(WithFields(model(folder), (field,)), [RunRequest("0123456789abcdef", at)])
+    values = field.values(np.array([*at.values()]))
+    np.testing.assert_allclose(points(record), np.column_stack([field.support.points[:, 0], values]), rtol=1e-12)

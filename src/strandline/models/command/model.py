@@ -1,6 +1,7 @@
 """A simulator that is run as a command, with templates for its input and a file for its result."""
 
 import contextlib
+import copy
 import errno
 import hashlib
 import json
@@ -15,7 +16,10 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, ClassVar, Literal
 
-from strandline.foundations import ForwardModelError, end_of, how_it_ended, unfit
+import numpy as np
+from jaxtyping import Float
+
+from strandline.foundations import ForwardModelError, end_of, how_it_ended, require, unfit
 from strandline.models.command import options
 from strandline.models.protocol import ModelInput, Simulation
 from strandline.readers import Reading
@@ -58,6 +62,9 @@ class CommandModel:
     Templates are rendered into the folder and files copied there; the command and those of `post` run there without a
     shell, and the interface is read from the result file. A run succeeds if its result exists, is newer than the start,
     complete and finite; the exit code alone is not enough. No process that the command started outlives the run.
+
+    A field E is rendered as ``{{ E_field }}``, the name of a file in the folder of the run with a line ``x y z value``
+    for each point, lengths in mm; or as ``{{ E_values }}``, the values alone, one a line.
 
     Args:
         command: Program and arguments as a list; with `shell`, one text.
@@ -102,6 +109,9 @@ class CommandModel:
     folder: Path = Path()
     failure_kinds: ClassVar[tuple[str, ...]] = KINDS
     _parts: "_Parts" = field(init=False, repr=False, compare=False)
+    _fields: Mapping[str, Float[np.ndarray, "point xyz"]] = field(
+        init=False, default_factory=dict, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "folder", self.folder.resolve())
@@ -135,19 +145,30 @@ class CommandModel:
 
     def require_names(self, unknown: Iterable[str], fixed: Iterable[str]) -> None:
         """Refuse templates with variables that are not inputs, and unknown inputs that no template uses."""
-        unknown, templates = list(unknown), list(self._parts.every_template())
+        scalars, templates = [name for name in unknown if name not in self._fields], [*self._parts.every_template()]
+        fields = (word for name in self._fields for word in options.words_of_field(name))
+        known = {*scalars, *fields, *fixed, PYTHON}
         for template in templates:
-            template.require_known({*unknown, *fixed, PYTHON})
-        for name in unknown:
+            template.require_known(known)
+        for name in scalars:
             if not any(name in template.names for template in templates):
                 what = f"the input {name} is used in no template and no command"
                 expected, remedy = f"{{{{ {name} }}}} somewhere", f"Put it there, or remove {name} from inputs."
                 raise unfit(what, "an input without effect", expected, remedy)
 
-    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
+    def with_field(self, name: str, points: Float[np.ndarray, "point xyz"]) -> "CommandModel":
+        """Return the model that takes an input as a field; refuse one that no template uses as such."""
+        words = options.words_of_field(name)
+        used = any(word in template.names for word in words for template in self._parts.every_template())
+        expected = " or ".join(f"{{{{ {word} }}}}" for word in words) + " in a template"
+        require(used, f"the field {name}", "used in no template and no command", expected, "Put one of them there.")
+        found = copy.copy(self)
+        object.__setattr__(found, "_fields", {**self._fields, name: points})
+        return found
+
+    def __call__(self, inputs: Mapping[str, Any], workdir: Path) -> Simulation:
         """Run the command in `workdir`; return its interfaces; a failure has kind, state and the last lines printed."""
-        values: dict[str, Any] = {name: float(value) for name, value in inputs.items()} | {PYTHON: sys.executable}
-        parts = self._parts
+        values, parts = self.values_in(inputs, workdir), self._parts
         self._fill(workdir, values)
         own = {**os.environ, **{name: item.rendered(values) for name, item in parts.environment.items()}}
         started = _now(workdir)
@@ -175,6 +196,18 @@ class CommandModel:
         if self.keep == "none" or (self.keep == "failed" and ok):
             return None
         return options.kept_folder(workdir, self.folder, key)
+
+    def values_in(self, inputs: Mapping[str, Any], workdir: Path) -> dict[str, Any]:
+        """Return the values of the templates' variables; write the files of fields into the folder of a run."""
+        values: dict[str, Any] = {PYTHON: sys.executable}
+        for name, value in inputs.items():
+            if name in self._fields:
+                file, content, listed = options.rendered_field(name, value, self._fields[name])
+                (workdir / file).write_text(content, encoding="utf-8")
+                values |= zip(options.words_of_field(name), (file, listed), strict=True)
+            else:
+                values[name] = float(value)
+        return values
 
     def _fill(self, workdir: Path, values: Mapping[str, Any]) -> None:
         for target, template in self._parts.templates:

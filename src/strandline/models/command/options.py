@@ -13,6 +13,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import jinja2
+import numpy as np
+from jaxtyping import Float
 from jinja2 import meta, nodes
 from jinja2.sandbox import ImmutableSandboxedEnvironment
 
@@ -89,6 +91,27 @@ def _written(value: Any) -> Any:
     while len(text) > LONGEST:
         text, digits = f"{value:.{digits}e}", digits - 1
     return text
+
+
+def words_of_field(name: str) -> tuple[str, str]:
+    """Return the variables of a field in a template: the file with its points and values, and the values alone."""
+    return f"{name}_field", f"{name}_values"
+
+
+def rendered_field(
+    name: str, values: Float[np.ndarray, " value"], points: Float[np.ndarray, "point xyz"]
+) -> tuple[str, str, str]:
+    """Return the name and the content of a field's file, a line ``x y z value`` for each point, and the values alone.
+
+    Raises ForwardModelError, ``template``, if there are not as many values as points.
+    """
+    if len(values) != len(points):
+        message = f"the field {name} has {len(values)} values for {len(points)} points: its mesh has changed"
+        raise ForwardModelError("template", message)
+    texts = [_written(value) for value in values.tolist()]
+    places = np.pad(points, ((0, 0), (0, 3 - points.shape[1]))).tolist()
+    rows = (" ".join([*map(_written, place), text]) for place, text in zip(places, texts, strict=True))
+    return f"{name}_field.txt", "\n".join(rows) + "\n", "\n".join(texts)
 
 
 def commands_of(command: object, post: object, *, shell: bool) -> tuple[tuple[InputTemplate, ...], ...]:

@@ -102,16 +102,34 @@ class Client:
     def jacobian(
         self, out: int, into: int, blocks: Sequence[Sequence[float]], described: Description
     ) -> Float[np.ndarray, "number input"]:
-        """Return d(block `out`)/d(block `into`), by ApplyJacobian for each input, or by Gradient for each output."""
+        """Return d(block `out`)/d(block `into`), by ApplyJacobian for each input, or by Gradient for each output.
+
+        A server that offers both gets fewer calls.
+        """
         rows, columns = described.output_sizes[out], described.input_sizes[into]
-        by_columns = described.support.get("ApplyJacobian", False)
+        few = columns <= rows or not described.support.get("Gradient")
+        by_columns = described.support.get("ApplyJacobian", False) and few
         feature, key = ("ApplyJacobian", "vec") if by_columns else ("Gradient", "sens")
         found = []
         for unit in np.eye(columns if by_columns else rows).tolist():
             asked = {"outWrt": out, "inWrt": into, "input": blocks, key: unit}
-            output = self._mapping(feature, asked).get("output")
-            found.append(self._vector(output, rows if by_columns else columns, feature))
+            found.append(self._derivative(feature, asked, rows if by_columns else columns))
         return np.stack(found, axis=1 if by_columns else 0)
+
+    def gradient(
+        self,
+        out: int,
+        into: int,
+        blocks: Sequence[Sequence[float]],
+        factors: Float[np.ndarray, " output"],
+        described: Description,
+    ) -> Vector:
+        """Return factors · d(block `out`)/d(block `into`), by a single Gradient."""
+        asked = {"outWrt": out, "inWrt": into, "input": blocks, "sens": factors.tolist()}
+        return self._derivative("Gradient", asked, described.input_sizes[into])
+
+    def _derivative(self, feature: str, asked: Mapping[str, Any], size: int) -> Vector:
+        return self._vector(self._mapping(feature, asked).get("output"), size, feature)
 
     def _sizes(self, endpoint: str, key: str) -> tuple[int, ...]:
         sizes = self._mapping(endpoint, {}).get(key)

@@ -11,9 +11,9 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from jaxtyping import Float
 
-from strandline.foundations import ForwardModelError, of_extra, unfit
+from strandline.foundations import ForwardModelError, of_extra, require, unfit
 from strandline.interface import Interface
-from strandline.models.protocol import ModelInput, Simulation
+from strandline.models.protocol import Factors, Gradient, ModelInput, Simulation
 from strandline.models.umbridge.client import PROTOCOL_VERSION, Client, Description
 from strandline.readers import TO_MM
 
@@ -54,6 +54,10 @@ class BlockLayout:
         if len({column.size for column in columns}) > 1:
             raise _unfit(blocks, f"as many numbers in each of the first {self.dim} blocks")
         return np.stack(list(columns), axis=1)
+
+    def blocks(self, points: Float[np.ndarray, "point xyz"]) -> list[Float[np.ndarray, " number"]]:
+        """Return the blocks that hold these coordinates, or factors for them."""
+        return [points.ravel()] if self.shape == "points" else [*points.T]
 
     def interface(self, blocks: Sequence[Float[np.ndarray, " number"]], factor: float) -> Interface:
         """Return the interface, `factor` mm per unit; fails as `points`, without triangles, or as InvalidInterface."""
@@ -116,6 +120,8 @@ class UMBridgeModel:
     this goes unnoticed: change `version`. Sensitivities are found by ApplyJacobian, one call for each input, or, if the
     server lacks it, by Gradient, one call for each coordinate.
 
+    An input that is a field has a block of its own, with its values in the order of its points.
+
     Args:
         url: URL of the server.
         name: Name of the model on the server.
@@ -175,19 +181,14 @@ class UMBridgeModel:
 
     @functools.cached_property
     def description(self) -> Description:
-        """The server's description of the model, requested once; fails as `Client.describe`, or with other blocks."""
-        described = self.client.describe()
-        sizes = tuple(len(block) for block in self.inputs.names)
-        if described.input_sizes != sizes:
-            taken = f"the model {self.name!r} takes blocks of {list(described.input_sizes)} inputs"
-            raise ForwardModelError("protocol", f"{taken}; `inputs` names blocks of {list(sizes)}")
-        return described
+        """The server's description of the model, requested once; fails as `Client.describe`."""
+        return self.client.describe()
 
     def require_server(self) -> None:
         """Return if the server answers; fails as `Client.describe`."""
         self.client.describe()
 
-    def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Simulation:
+    def __call__(self, inputs: Mapping[str, Any], workdir: Path) -> Simulation:
         """Return the interface that the server computes.
 
         Raises ForwardModelError: ``connection``, ``timeout``, ``protocol``, ``model_error`` or ``non_finite``, see the
@@ -198,25 +199,55 @@ class UMBridgeModel:
             odd = ", ".join(sorted(set(inputs) ^ known))
             expected = "the same names in the study (inputs, fixed) and in model.umbridge.inputs"
             raise ForwardModelError("inputs", f"{odd}: expected {expected}")
-        values = [[float(inputs[name]) for name in block] for block in self.inputs.names]
-        output = self.client.evaluate(values, self.description.output_sizes)
+        values = [np.concatenate([np.ravel(inputs[name]) for name in block]).tolist() for block in self.inputs.names]
+        described, sizes = self.description, [len(block) for block in values]
+        if list(described.input_sizes) != sizes:
+            taken = f"the model {self.name!r} takes blocks of {list(described.input_sizes)} inputs"
+            raise ForwardModelError("protocol", f"{taken}; `inputs` names blocks of {sizes}")
+        output = self.client.evaluate(values, described.output_sizes)
         interface = self.layout.interface(output, TO_MM[self.unit])
-        return Simulation.of(interface, {}, self._slopes(values) if self.sensitivities else None)
+        slopes = {"": self._slopes(values)} if self.sensitivities else {}
+        vjp = functools.partial(self._pulled_back, values) if described.support.get("Gradient") else None
+        return Simulation({"": interface}, {}, slopes, vjp)
 
-    def _slopes(self, values: list[list[float]]) -> dict[str, Float[np.ndarray, "point xyz"]]:
-        """Return d(points)/d(input) by input, mm per unit of the input."""
+    def _pulled_back(self, values: list[list[float]], factors: Factors) -> Gradient:
+        """Return d(Σ factors · coordinates)/d(input), by a call of Gradient for each pair of blocks."""
+        gradient: dict[str, Any] = {}
+        weights = self.layout.blocks(TO_MM[self.unit] * factors[""])
+        for into, block in enumerate(self.inputs.names):
+            parts = [self.client.gradient(out, into, values, one, self.description) for out, one in enumerate(weights)]
+            gradient |= _by_name(block, np.sum(parts, axis=0))
+        return gradient
+
+    def with_field(self, name: str, points: Float[np.ndarray, "point xyz"]) -> "UMBridgeModel":
+        """Return the model itself; refuse a field without a block of its own."""
+        blocks = [list(block) for block in self.inputs.names]
+        expected, remedy = f"a block [{name}] of its own", f"Write e.g. `inputs: [[{name}], [nu]]`."
+        require((name,) in self.inputs.names, f"the field {name}", f"inputs: {blocks}", expected, remedy)
+        return self
+
+    def _slopes(self, values: list[list[float]]) -> dict[str, Float[np.ndarray, "point xyz *of"]]:
+        """Return d(points)/d(input) by input, mm per unit of the input; by a field with an axis for its points."""
         described = self.description
         if not (described.support.get("ApplyJacobian") or described.support.get("Gradient")):
             message = "the server supports neither ApplyJacobian nor Gradient; leave sensitivities out"
             raise ForwardModelError("no_sensitivities", message)
-        slopes = {}
+        slopes: dict[str, np.ndarray] = {}
         for into, block in enumerate(self.inputs.names):
             outputs = range(self.layout.coordinate_blocks)
             by_output = [self.client.jacobian(out, into, values, described) for out in outputs]
-            for number, name in enumerate(block):
-                points = self.layout.points([jacobian[:, number] for jacobian in by_output])
-                slopes[name] = TO_MM[self.unit] * points
+            columns = [
+                TO_MM[self.unit] * self.layout.points([jacobian[:, number] for jacobian in by_output])
+                for number in range(len(values[into]))
+            ]
+            slopes |= _by_name(block, np.stack(columns))
         return slopes
+
+
+def _by_name(names: Sequence[str], found: Float[np.ndarray, "number *_"]) -> dict[str, Any]:
+    """Return the derivatives by the numbers of a block, by input; those by a field have its points as last axis."""
+    several = len(names) > 1 or len(found) == 1
+    return dict(zip(names, found, strict=True)) if several else {names[0]: np.moveaxis(found, 0, -1)}
 
 
 def _name_and_unit(item: Any) -> tuple[Any, Any]:
