@@ -264,7 +264,12 @@ def linearise(surrogate: FieldSurrogate, joint: JointErrors) -> Linearised:
     """Return the residuals around the inputs that fit best, by Gauss–Newton steps inside the box of the inputs."""
     low, high = surrogate.warping.low, surrogate.warping.high
     widths, model = high - low, joint.model
-    weak = np.diag(1e-6 * 12 / widths**2)  # a prior that keeps inputs in place that the data do not tell
+    middle, many = 0.5 * (low + high), surrogate.shares_kernel
+    weak = np.diag((1.0 if many else 1e-6) * 12 / widths**2)  # keeps inputs in place that the data do not tell
+
+    def badness(x: Point, field: NearField) -> float:
+        off = x - middle
+        return float(model.square(field.residuals)) + (float(off @ weak @ off) if many else 0.0)
 
     def around(x: Point) -> tuple[NearField, Slopes]:
         step = _DIFFERENCE * widths * np.where(x + _DIFFERENCE * widths > high, -1.0, 1.0)
@@ -272,18 +277,20 @@ def linearise(surrogate: FieldSurrogate, joint: JointErrors) -> Linearised:
         field = near_field(surrogate, joint, coefficients[0], linear=True)
         return field, field.slopes @ ((coefficients[1:] - coefficients[0]) / step[:, None]).T
 
-    tried = low + widths * qmc.Sobol(len(low), seed=np.random.default_rng(0)).random(TRIED)
+    sobol = qmc.Sobol(len(low), seed=np.random.default_rng(0))
+    tried = low + widths * (np.full((1, len(low)), 0.5) if many else sobol.random(TRIED))
     squares = model.square_of(*sums_of(joint, surrogate.points(surrogate.mean(tried)), surrogate.templates))
     x = tried[int(np.argmin(squares))]
     field, J = around(x)
     for _ in range(GAUSS_NEWTON_STEPS):
         r = field.residuals
-        moved = np.clip(x - np.linalg.solve(model.information(J) + weak, J.T @ model.solved(r)), low, high)
+        slope = J.T @ model.solved(r) + (weak @ (x - middle) if many else 0.0)
+        moved = np.clip(x - np.linalg.solve(model.information(J) + weak, slope), low, high)
         if (np.abs(moved - x) <= 1e-6 * widths).all():
             break
         for share in SHARES:
             field_moved, J_moved = around(x + share * (moved - x))
-            if model.square(field_moved.residuals) < model.square(r):
+            if badness(x + share * (moved - x), field_moved) < badness(x, field):
                 break
         else:
             break

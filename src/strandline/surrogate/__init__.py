@@ -5,7 +5,7 @@ derivatives. It knows neither simulators nor files.
 """
 
 from strandline.surrogate.feasibility import Feasibility, learn_feasibility
-from strandline.surrogate.field import FieldPrediction, FieldSurrogate, FieldTraining, fit_field
+from strandline.surrogate.field import MANY_INPUTS, FieldPrediction, FieldSurrogate, FieldTraining, fit_field
 from strandline.surrogate.field.correction import FEWEST_PAIRS, Correction, fit_correction
 from strandline.surrogate.field.correspondence import fields_of, flipped, odd_ones, stopped_early
 from strandline.surrogate.gaussian_process import GaussianProcess, batched_mean, condition

@@ -13,6 +13,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float
@@ -21,15 +22,18 @@ from strandline.foundations import one_thread, require
 from strandline.interface import Interface
 from strandline.surrogate.field.correspondence import PointLayout, by_condition, common_layout, fields_of
 from strandline.surrogate.field.mode_process import ModeData, ModeProcess, fit_mode
+from strandline.surrogate.field.shared_process import SharedProcess, fit_shared, mean_with_slopes
 from strandline.surrogate.hyperparameters import require_enough
 
 Fields = Float[np.ndarray, "run value"]
 Slopes = Float[np.ndarray, "run value dim"]
 AnySlopes = Float[np.ndarray, "run *value dim"]
 Weights = Float[np.ndarray, " value"]
+MOST_SHARED = 40  # largest number of modes that share a kernel
 MOST = 20  # largest number of modes with their own process
 STEP = 0.5  # derivatives enter the decomposition as a step of this many standard deviations of an input
 _NOTHING = 1e-14
+MANY_INPUTS = 6  # number of inputs from which all modes share a kernel, if there are derivatives
 SMALLEST_RATIO = 2.0  # an input whose box spans a smaller ratio is left as it is: all warps are nearly linear there
 LEADING = 3  # modes whose errors choose the warps
 ROWS, GROWTH = 160, 1.25
@@ -130,6 +134,10 @@ class Warping:
         shape = (len(x), *(1,) * (by_input.ndim - 2), len(self.names))
         return np.asarray(by_input / slopes.reshape(shape))
 
+    def by_physical(self, x: Float[np.ndarray, "run dim"], by_standardised: Float[np.ndarray, "run dim"]) -> AnySlopes:
+        """Return derivatives by the physical inputs, given those by the standardised ones."""
+        return np.asarray(by_standardised / self.gradients(x, np.ones_like(by_standardised)))
+
     def _scale(self) -> tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]]:
         """Return middle and standard deviation of a uniform distribution over the warped box."""
         box = zip(self.names, self.low, self.high, strict=True)
@@ -167,18 +175,23 @@ class Data:
         return sha256(b"".join(np.ascontiguousarray(one).tobytes() for one in some)).hexdigest()
 
 
-def fit_modes(
-    data: Data, warping: Warping, tolerance: float, most: int | None = None
-) -> tuple[Modes, tuple[ModeProcess, ...]]:
+Processes = tuple[ModeProcess, ...] | tuple[SharedProcess, ...]
+
+
+def fit_modes(data: Data, warping: Warping, tolerance: float, most: int | None = None) -> tuple[Modes, Processes]:
     """Return the modes and their processes; `most` limits their number, for comparisons."""
     z = warping.standardise(data.x)
     derivatives = None if data.gradients is None else warping.gradients(data.x, data.gradients)
-    modes = decompose(data.fields, data.weights, derivatives, tolerance=tolerance)
+    many = derivatives is not None and z.shape[1] >= MANY_INPUTS
+    least, limit = (tolerance / 8, MOST_SHARED) if many else (tolerance, MOST)
+    modes = decompose(data.fields, data.weights, derivatives, tolerance=least, most=limit)
     values = modes.coefficients(data.fields)
     slopes = None if derivatives is None else modes.by_input(derivatives)
     linear = slopes is not None or len(z) >= 2 * (z.shape[1] + 1)
     number = values.shape[1] if most is None else min(most, values.shape[1])
     observed = [ModeData(z, values[:, m], None if slopes is None else slopes[:, m], linear) for m in range(number)]
+    if many:
+        return modes, fit_shared(observed)
     return modes, tuple(fit_mode(one, quick=most is not None) for one in observed)
 
 
@@ -268,9 +281,14 @@ class FieldSurrogate:
     layouts: Mapping[str, PointLayout]
     warping: Warping
     modes: Modes
-    processes: tuple[ModeProcess, ...]
+    processes: Processes
     registration_error: float
     gradients: bool
+
+    @property
+    def shares_kernel(self) -> bool:
+        """Whether all modes share a kernel, as those of many inputs do."""
+        return isinstance(self.processes[0], SharedProcess)
 
     @property
     def ways(self) -> tuple[str, ...]:
@@ -283,16 +301,34 @@ class FieldSurrogate:
         return {name: layout.template for name, layout in self.layouts.items()}
 
     @property
+    def _shared(self) -> tuple[SharedProcess, ...]:
+        return cast(tuple[SharedProcess, ...], self.processes)
+
+    @property
     def runs(self) -> int:
         return len(self.processes[0].observed.z)
 
     def mean(self, x: Float[np.ndarray, "point dim"]) -> Float[np.ndarray, "point mode"]:
         """Return the predicted coefficients, mm."""
         z = self.warping.standardise(x)
+        if self.shares_kernel:
+            return mean_with_slopes(self._shared, z)[0]
         return np.stack([process.mean(z) for process in self.processes], axis=1)
+
+    def mean_with_slopes(
+        self, x: Float[np.ndarray, "point dim"]
+    ) -> tuple[
+        Float[np.ndarray, "point mode"], Callable[[Float[np.ndarray, "point mode"]], Float[np.ndarray, "point dim"]]
+    ]:
+        """Return the predicted coefficients, and a function of factors of them → the derivative of the sum by x."""
+        mean, by_standardised = mean_with_slopes(self._shared, self.warping.standardise(x))
+        return mean, lambda factors: self.warping.by_physical(x, by_standardised(factors))
 
     def predict(self, x: Float[np.ndarray, "point dim"]) -> FieldPrediction:
         z = self.warping.standardise(x)
+        if isinstance(first := self.processes[0], SharedProcess):
+            scales = [process.scale for process in self.processes]
+            return FieldPrediction(self.mean(x), np.outer(first.kernel.unexplained(z), scales))
         return FieldPrediction(self.mean(x), np.stack([process.variance(z) for process in self.processes], axis=1))
 
     def points(

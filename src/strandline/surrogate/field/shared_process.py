@@ -1,0 +1,205 @@
+"""Gaussian processes of the modes of a field for many inputs: one kernel for all modes, values and all derivatives.
+
+The covariance of two runs is exp(w · w'), with w the inputs from a centre amid the runs, weighed by how much they move
+the interface: w = Rᵀ (z - c) S, where R are eigenvectors of the mean of JᵀJ over the runs, J the derivatives, and S² a
+power of their eigenvalues times a factor. Power and factor have the largest evidence. A function of this process is
+linear in inputs that hardly move the interface, and its slope there depends on the others.
+
+Derivatives along directions that are orthogonal to all runs' w are independent of the values and of all derivatives
+along the runs' w, so the matrix to factorise has only as many rows for each run as there are runs, however many inputs
+(de Roos, Gessner and Hennig, High-dimensional Gaussian process inference with derivatives, 2021, use this too).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from strandline.foundations import NumericsError
+from strandline.surrogate.field.mode_process import LeftOutErrors, ModeData
+
+FACTORS, POWERS = (0.2, 0.3, 0.45, 0.7, 1.0, 1.4), (0.25, 0.5)
+"""Factors and powers of the eigenvalues that are tried."""
+LEAST = 1e-6  # least weight of an input, relative to the largest
+NUGGET = 1e-8
+_PRIOR_RUNS = 4.0  # weight of "the variances are right" against the residuals
+
+Points = Float[np.ndarray, "point dim"]
+
+
+@dataclass(frozen=True, eq=False)
+class SharedKernel:
+    """The kernel and its factors at the runs: `weighing` maps z - centre to w, `span` is a basis of the runs' w."""
+
+    centre: Float[np.ndarray, " dim"]
+    weighing: Float[np.ndarray, "dim dim"]
+    w: Float[np.ndarray, "run dim"]
+    span: Float[np.ndarray, "dim span"]
+    of_span: Float[np.ndarray, "row row"]
+    of_rest: Float[np.ndarray, "run run"]
+
+    def weighed(self, z: Points) -> Points:
+        return np.asarray((z - self.centre) @ self.weighing)
+
+    def unexplained(self, z: Points) -> Float[np.ndarray, " point"]:
+        """Return the variance that the runs leave, over that at the centre before any run: the same for all modes."""
+        w = self.weighed(z)
+        rest, half, other = self.reduced(w)
+        explained = np.einsum("rp,rp->p", half, half) + (rest**2).sum(axis=1) * np.einsum("rp,rp->p", other, other)
+        return np.asarray(np.maximum(np.exp((w**2).sum(axis=1)) - explained, 0.0))
+
+    def reduced(self, w: Points) -> tuple[Points, Float[np.ndarray, "row point"], Float[np.ndarray, "run point"]]:
+        """Return what of w is outside the span, and the roots of what the runs explain, along the span and outside."""
+        k, along = np.exp(w @ self.w.T), w @ self.span
+        rows = np.concatenate([k[:, :, None], k[:, :, None] * along[:, None, :]], axis=2)
+        half = solve_triangular(self.of_span, _value_first(rows).T, lower=True, check_finite=False)
+        return w - along @ self.span.T, half, solve_triangular(self.of_rest, k.T, lower=True, check_finite=False)
+
+
+def _value_first(rows: Float[np.ndarray, "some run part"]) -> Float[np.ndarray, "some row"]:
+    """Return values of all runs, then the derivatives run by run."""
+    return np.concatenate([rows[:, :, 0], rows[:, :, 1:].reshape(len(rows), -1)], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class SharedProcess:
+    """The process of one coefficient; inputs of all methods are standardised. See `ModeProcess`."""
+
+    observed: ModeData
+    kernel: SharedKernel
+    offset: float
+    by_value: Float[np.ndarray, " run"]
+    by_slope: Float[np.ndarray, "run dim"]
+    alpha: Float[np.ndarray, " row"]
+    size: float
+    widening: float = 1.0
+    nugget: float = NUGGET
+
+    def mean(self, z: Points) -> Float[np.ndarray, " point"]:
+        w = self.kernel.weighed(z)
+        k = np.exp(w @ self.kernel.w.T)
+        return np.asarray(self.offset + np.einsum("pr,pr->p", k, self.by_value + w @ self.by_slope.T))
+
+    def variance(self, z: Points) -> Float[np.ndarray, " point"]:
+        return np.asarray(self.scale * self.kernel.unexplained(z))
+
+    def covariance(self, z: Points, other: Float[np.ndarray, "other dim"]) -> Float[np.ndarray, "point other"]:
+        u, v = self.kernel.weighed(z), self.kernel.weighed(other)
+        (a_rest, a, a_other), (b_rest, b, b_other) = self.kernel.reduced(u), self.kernel.reduced(v)
+        explained = a.T @ b + (a_rest @ b_rest.T) * (a_other.T @ b_other)
+        return np.asarray(self.scale * (np.exp(u @ v.T) - explained))
+
+    @property
+    def scale(self) -> float:
+        """Variance of the process at the centre before any run."""
+        return self.size * self.widening
+
+    def left_out(self) -> LeftOutErrors:
+        """Return the errors of leave-one-run-out prediction, see `ModeProcess`: derivatives outside the span tell
+        nothing of the values at runs.
+        """
+        errors, variances = self._left_out
+        return LeftOutErrors(errors, self.widening * variances)
+
+    @cached_property
+    def _left_out(self) -> tuple[Float[np.ndarray, " run"], Float[np.ndarray, " run"]]:
+        n, q = len(self.kernel.w), self.kernel.span.shape[1]
+        P = cho_solve((self.kernel.of_span, True), np.eye(len(self.alpha)))
+        rows = np.concatenate([np.arange(n)[:, None], n + np.arange(n * q).reshape(n, q)], axis=1)
+        blocks = np.linalg.inv(P[rows[:, :, None], rows[:, None, :]])
+        return np.einsum("nk,nk->n", blocks[:, 0], self.alpha[rows]), self.size * blocks[:, 0, 0]
+
+
+def mean_with_slopes(
+    processes: Sequence[SharedProcess], z: Points
+) -> tuple[Float[np.ndarray, "point mode"], Callable[[Float[np.ndarray, "point mode"]], Points]]:
+    """Return the means of all modes, and a function of factors of the modes → the derivative of their sum by z."""
+    kernel = processes[0].kernel
+    w = kernel.weighed(z)
+    k = np.exp(w @ kernel.w.T)
+    values, slopes = (np.stack(one) for one in zip(*((p.by_value, p.by_slope) for p in processes), strict=True))
+    runs = values[:, None] + np.einsum("pd,mrd->mpr", w, slopes, optimize=True)
+    offsets = np.array([one.offset for one in processes])
+
+    def by_inputs(factors: Float[np.ndarray, "point mode"]) -> Points:
+        weighed = np.einsum("pm,mpr->pr", factors, runs)
+        along = (factors[:, :, None] * k[:, None, :]).reshape(len(z), -1) @ slopes.reshape(-1, w.shape[1])
+        return np.asarray(((k * weighed) @ kernel.w + along) @ kernel.weighing.T)
+
+    return offsets + np.einsum("pr,mpr->pm", k, runs), by_inputs
+
+
+def fit_shared(observed: Sequence[ModeData]) -> tuple[SharedProcess, ...]:
+    """Return a process of each mode, from values and derivatives at the same runs.
+
+    Raises:
+        NumericsError: No kernel has a covariance that can be factorised.
+    """
+    z = observed[0].z
+    slopes = np.stack([one.gradients for one in observed if one.gradients is not None], axis=1)
+    values = np.stack([one.values for one in observed], axis=1)
+    centre = np.median(z, axis=0)
+    nearest = int(np.argmin(((z - centre) ** 2).sum(axis=1)))
+    eigenvalues, R = np.linalg.eigh(np.einsum("rmi,rmj->ij", slopes, slopes) / len(z))
+    shares = np.maximum(eigenvalues / eigenvalues[-1], 0.0)
+    fits = (
+        _fitted(z - centre, values - values[nearest], slopes, R * factor * np.sqrt(np.maximum(shares**power, LEAST)))
+        for power in POWERS
+        for factor in FACTORS
+    )
+    best = max((one for one in fits if one is not None), key=lambda one: one[0], default=None)
+    if best is None:
+        raise NumericsError("no kernel was found for the modes of the field: do repeated runs differ?")
+    _, kernel_parts, alpha, by_value, by_slope, size = best
+    kernel = SharedKernel(centre, *kernel_parts)
+    found = []
+    for m, one in enumerate(observed):
+        process = SharedProcess(
+            one, kernel, values[nearest, m], by_value[:, m], by_slope[:, :, m], alpha[:, m], size[m]
+        )
+        errors, variances = process._left_out
+        surprise = float(np.sum(errors**2 / np.maximum(variances, 1e-300)))
+        widening = max(1.0, (surprise + _PRIOR_RUNS) / (len(z) + _PRIOR_RUNS))
+        object.__setattr__(process, "widening", widening)
+        found.append(process)
+    return tuple(found)
+
+
+def _fitted(z: Any, values: Any, slopes: Any, weighing: Any) -> tuple[Any, ...] | None:
+    """Return the log evidence, the parts of a `SharedKernel`, and the weights of values and derivatives."""
+    (n, dim), modes = z.shape, values.shape[1]
+    w = z @ weighing
+    by_w = np.linalg.solve(weighing, slopes.reshape(-1, dim).T).T.reshape(n, modes, dim)
+    U, sizes, _ = np.linalg.svd(w.T, full_matrices=False)
+    Q = U[:, sizes > 1e-9 * sizes[0]]
+    along, q = w @ Q, Q.shape[1]
+    E = np.exp(w @ w.T)
+    by_value = E[:, :, None] * along[:, None, :]
+    K = np.empty((n * (q + 1), n * (q + 1)))
+    K[:n, :n], K[:n, n:] = E, by_value.reshape(n, n * q)
+    K[n:, :n] = K[:n, n:].T
+    blocks = E[:, :, None, None] * np.einsum("ja,ib->ijab", along, along)
+    blocks[..., np.arange(q), np.arange(q)] += E[:, :, None]
+    K[n:, n:] = blocks.transpose(0, 2, 1, 3).reshape(n * q, n * q)
+    K[np.diag_indices_from(K)] += NUGGET
+    try:
+        L, _ = cho_factor(K, lower=True, overwrite_a=True, check_finite=False)
+        L_rest, _ = cho_factor(E + NUGGET * np.eye(n), lower=True)
+    except (np.linalg.LinAlgError, ValueError):
+        return None
+    by_span = by_w @ Q
+    rest = (by_w - by_span @ Q.T).reshape(n, modes * dim)
+    right = np.concatenate([values, by_span.transpose(0, 2, 1).reshape(n * q, modes)])
+    alpha, beta = cho_solve((L, True), right, check_finite=False), cho_solve((L_rest, True), rest)
+    rows = n * (1 + dim)
+    squares = (right * alpha).sum(axis=0) + (rest * beta).reshape(n, modes, dim).sum(axis=(0, 2))
+    size = np.maximum(squares / rows, 1e-300)
+    logs = [float(np.log(np.diagonal(one)).sum()) for one in (L, L_rest)]
+    weights = n * float(np.linalg.slogdet(weighing)[1])
+    evidence = -0.5 * rows * float(np.log(size).sum()) - modes * (logs[0] + (dim - q) * logs[1] + weights)
+    by_slope = np.einsum("nqm,dq->ndm", alpha[n:].reshape(n, q, modes), Q) + beta.reshape(n, modes, dim).swapaxes(1, 2)
+    return evidence, (weighing, w, Q, np.tril(L), np.tril(L_rest)), alpha, alpha[:n], by_slope, size
