@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from strandline.calibration.method import calibrate
     from strandline.calibration.misfit import ConditionMisfit, Misfit, Region, unlikely_errors
     from strandline.calibration.problem import (
+        MANY,
         STAGES,
         Calibration,
         Observer,

@@ -121,7 +121,8 @@ def misfit_of(
     model that were allowed for do to the residuals, mm; None if there are none. `fitted` tells whether sd and length of
     the observations' errors were inferred from these residuals.
     """
-    unseen = invisible(observations, posterior.space.names, fixed)
+    space = posterior.space
+    unseen = invisible(observations, space.shown, fixed)
     random = np.random.default_rng([seed, STREAM])
     try:
         residuals = Residuals.of(observations, measure, prediction.templates, explained)

@@ -195,7 +195,7 @@ def best_fit(residuals: Residuals, prediction: Prediction, posterior: Posterior)
     If a single run stands for all inputs, this is the MAP, and no input changes the residuals.
     """
     space, p = posterior.space, (np.arange(LEVELS) + 0.5) / LEVELS
-    quantiles = space.prior_quantiles(np.tile(p[:, None], (1, space.dim)))
+    quantiles = space.marginal_quantiles(p)
     prior = Weighted(quantiles, np.full(LEVELS, 1 / LEVELS))  # for means and standard deviations
     best = _around(posterior.map_estimate, residuals, prediction, posterior, prior)
     if prediction.run_alone:

@@ -4,6 +4,7 @@ They also show outputs in steps: those of a simulator that prints few digits, or
 of its mesh.
 """
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -22,11 +23,11 @@ from strandline.calibration.problem import Observer, Problem, Settings, Stopwatc
 from strandline.calibration.targets import FieldTarget, LogLikelihoodTarget, Target
 from strandline.foundations import NoCommonPoints, NumericsError, TooFewRuns, one_thread, require
 from strandline.interface import Interface
-from strandline.models import WithCheaper, first_runs
+from strandline.models import WithCheaper, asks_sensitivities, first_runs
 from strandline.parameters import ParameterSpace
 from strandline.posterior import Posterior
 from strandline.runs import Executor, Ledger, RunRecord, counted, run_batches, run_campaign, usable_cores
-from strandline.surrogate import LogLikelihoodSurrogate, fit_log_likelihood, fit_named, fit_of_the_user
+from strandline.surrogate import MANY_INPUTS, LogLikelihoodSurrogate, fit_log_likelihood, fit_named, fit_of_the_user
 
 Given = Float[np.ndarray, "run dim"] | Sequence[Mapping[str, float]]
 """The unknown inputs of runs, shape (run, dim), or all inputs of each by name."""
@@ -38,13 +39,16 @@ class TrainedSurrogate:
     """What was learnt from all forward runs.
 
     With a field, `knowledge`, the surrogates of the log-likelihood in `learnt` are for comparison; else it is None, and
-    `no_field` says why if the settings ask for one. `certificate` is an active design's, `set_aside` are unused runs.
+    `no_field` says why if the settings ask for one. `certificate` and `sampled`, the last posterior, are an active
+    design's, as `exact`, its draws of the true posterior, if there are any. `set_aside` are unused runs.
     """
 
     learnt: design.Learnt
     rounds: tuple[design.Round, ...] = ()
     knowledge: design.Knowledge | None = None
     certificate: design.Certificate | None = None
+    sampled: design.State | None = None
+    exact: design.ExactChain | None = None
     no_field: str | None = None
     set_aside: tuple[design.SetAside, ...] = ()
 
@@ -53,7 +57,8 @@ class TrainedSurrogate:
         if self.knowledge is None:
             return LogLikelihoodTarget(surrogates[0], space)
         known = self.knowledge.likelihood.inferred is None  # else they learnt the log-likelihood of a first guess
-        return FieldTarget(self.knowledge, space, self.certificate, next(iter(surrogates), None) if known else None)
+        beside = next(iter(surrogates), None) if known else None
+        return FieldTarget(self.knowledge, space, self.certificate, beside, self.sampled, self.exact)
 
     def misfit(self, problem: Problem, posterior: Posterior, *, effort: Effort, seed: int) -> Misfit:
         """Return whether the model explains the observations within the noise, whatever the inputs."""
@@ -119,9 +124,11 @@ class Learning:
             self.judge.forget_exceptions()
             asked = begin if choosing is None else choosing.asked
             return replace(self._instead(asked), no_field=str(error.value))
-        certificate = None if choosing is None else choosing.certificate
-        aside = self.judge.set_aside(learnt.records)
-        return TrainedSurrogate(learnt, knowledge=knowledge, certificate=certificate, set_aside=aside)
+        trained = TrainedSurrogate(learnt, knowledge=knowledge, set_aside=self.judge.set_aside(learnt.records))
+        if choosing is None:
+            return trained
+        sampled, exact = choosing.design.state, choosing.exact
+        return replace(trained, certificate=choosing.certificate, sampled=sampled, exact=exact)
 
     def _begin(self, given: Given | None) -> tuple[Float[np.ndarray, "run dim"], list[dict[str, float]]]:
         if given is None:
@@ -180,6 +187,7 @@ class Learning:
             points, records = np.concatenate([known.design, points]), (*known.records, *records)
         with self.watch("surrogate", self.tell):
             records = self.judge.usable(records)
+            _require_enough(records, self.problem.space.dim)
             training, log_likelihoods = _training_set(self.judge, points, records)
             surrogates = _trained(training, log_likelihoods, self.settings)
         return design.Learnt(points, records, training, log_likelihoods, surrogates)
@@ -203,9 +211,10 @@ class Learning:
                 knowledge, records = known_field(points, records, self.judge, space)
             else:
                 knowledge, records = choosing.design.state.knowledge, self.judge.usable(records)
+            informed = choosing is not None and choosing.informed
             training, log_likelihoods = _training_set(self.judge, points, records)
             surrogates = {}
-            if not self.settings.draft:
+            if not (self.settings.draft or informed):
                 with suppress(NumericsError, TooFewRuns):
                     surrogates = _trained(training, log_likelihoods, self.settings)
         return design.Learnt(points, records, training, log_likelihoods, surrogates, made), knowledge
@@ -223,7 +232,8 @@ class Learning:
                 self.tell.draws(batch)
             return batch
 
-        return run_batches(model, [inputs], choose, patience=choosing.active.patience, **common)
+        patience = math.inf if choosing.informed else choosing.active.patience
+        return run_batches(model, [inputs], choose, patience=patience, **common)
 
     def _active(self, active: design.Active) -> design.ActiveRuns:
         workers, model = getattr(self.executor, "workers", None) or usable_cores(), self.problem.model
@@ -245,6 +255,7 @@ class Learning:
             on_step=self.tell.step,
             told=self.tell.batch,
             particles=design.DRAFT_PARTICLES if self.settings.draft else None,
+            informed=both is None and asks_sensitivities(model) and self.problem.space.dim >= MANY_INPUTS,
         )
 
     def _inputs(self, points: Float[np.ndarray, "run dim"]) -> list[dict[str, float]]:
@@ -263,7 +274,7 @@ def known_field(
     measure = judge.discrepancies[judge.first]
     while True:
         used = judge.usable(records)
-        _require_enough(sum(record.ok for record in used), used, space.dim)
+        _require_enough(used, space.dim, slopes=all(record.sensitivities for record in used if record.ok))
         try:
             return design.learn(points, used, space, judge.observations, measure), used
         except NoCommonPoints as error:
@@ -289,20 +300,21 @@ def _training_set(
 ) -> tuple[Float[np.ndarray, "ok dim"], dict[str, Float[np.ndarray, " ok"]]]:
     """Return the inputs of the usable runs and their log-likelihood under each measure, NaN if a run has none."""
     succeeded = [i for i, record in enumerate(records) if record.ok]
-    _require_enough(len(succeeded), records, points.shape[1])
     values = {name: np.array([judge.value(name, records[i]) for i in succeeded]) for name in judge.likelihoods}
     return points[succeeded], values
 
 
-def _require_enough(succeeded: int, records: Sequence[RunRecord], dim: int) -> None:
-    if succeeded >= dim + 2:
+def _require_enough(records: Sequence[RunRecord], dim: int, *, slopes: bool = False) -> None:
+    """Refuse fewer successful runs than a surrogate needs; few are enough for a field if they have sensitivities."""
+    succeeded, needed = sum(record.ok for record in records), 3 if slopes else dim + 2
+    if succeeded >= needed:
         return
     kinds = Counter(record.failure_kind or record.state for record in records if not record.ok)
     shown = counted(dict(kinds.most_common(3))) or "none failed"
     last = next((record.message for record in records if record.message), "")
     look = f", or look at the failures with `strandline status`{'; e.g. ' + last.splitlines()[0] if last else '.'}"
     what = "every forward run failed" if succeeded == 0 else "too few successful forward runs"
-    value, expected = f"{succeeded} of {len(records)} ({shown})", f"at least {dim + 2} for {dim} input{'s' * (dim > 1)}"
+    value, expected = f"{succeeded} of {len(records)} ({shown})", f"at least {needed} for {dim} input{'s' * (dim > 1)}"
     raise TooFewRuns(what, value=value, expected=expected, remedy=f"Enlarge the design{look if kinds else '.'}")
 
 

@@ -19,12 +19,20 @@ from jaxtyping import Float
 
 from strandline.calibration.learning import Given, Learning
 from strandline.calibration.misfit import DRAFT, Effort
-from strandline.calibration.problem import Calibration, Observer, Problem, Settings, Stopwatch, observer_or_default
+from strandline.calibration.problem import (
+    MANY,
+    Calibration,
+    Observer,
+    Problem,
+    Settings,
+    Stopwatch,
+    observer_or_default,
+)
 from strandline.calibration.sampler_check import compare_halves
-from strandline.calibration.targets import LARGEST_DIM, Target, under_uncertainty
+from strandline.calibration.targets import LARGEST_DIM, FieldTarget, Target, under_uncertainty
 from strandline.foundations import require, use_double
 from strandline.likelihood import require_inferable
-from strandline.models import require_conditions, require_inputs
+from strandline.models import asks_sensitivities, require_conditions, require_inputs
 from strandline.parameters import ParameterSpace
 from strandline.posterior import GaussianApproximation, SobolIndices, laplace, log_prior_hessian, sobol_indices
 from strandline.runs import Executor, InProcess, Ledger
@@ -78,12 +86,16 @@ def calibrate(
     require_conditions((o.condition for o in problem.observations), problem.model)
     settings, executor, tell = settings or Settings(), executor or InProcess(), observer_or_default(observer)
     require_inferable(problem.observations, problem.measure, by_field=settings.surrogate == "field")
+    informed = settings.active is not None and asks_sensitivities(problem.model)
+    expected, remedy = f"at most {MANY} without sensitivities and an active design", "Add both, or leave out inputs."
+    require(informed or problem.space.dim <= MANY, "unknown inputs", problem.space.dim, expected, remedy)
     watch, space = Stopwatch(), problem.space
     learning = Learning(problem, settings, ledger, executor, tell, watch)
     trained = learning.train(given)
     target = trained.target(space)
     with watch("sampling", tell), target.threads():
-        sampling = _sample(target, space, settings, tell)
+        chains = target.chains(settings) if isinstance(target, FieldTarget) else None
+        sampling = chains or _sample(target, space, settings, tell)
         posterior = target.posterior(sampling)
     both = None
     if space.nuisance:
@@ -93,7 +105,7 @@ def calibrate(
         mode = posterior.map_estimate
         hessian = target.hessian(mode, posterior.sd) + log_prior_hessian(space, mode)
         checks = target.checks(sampling, posterior, both.cut if both else None, seed=settings.seed)
-        sensitivity = None if settings.draft else _sensitivity(space, target.values, settings.seed)
+        sensitivity = None if settings.draft or space.dim > MANY else _sensitivity(space, target.values, settings.seed)
         problem = replace(problem, observations=learning.judge.observations)
         misfit = trained.misfit(problem, posterior, effort=DRAFT if settings.draft else Effort(), seed=settings.seed)
     return Calibration(
@@ -156,7 +168,7 @@ def _sample_from(
 
 
 def _sensitivity(space: ParameterSpace, log_likelihood: Callable[[Any], Any], seed: int) -> SobolIndices | None:
-    """Return how much each input affects the log-likelihood; None if there is only one input."""
-    if space.dim == 1:
+    """Return how much each input affects the log-likelihood; None for one input, or correlated ones: they share it."""
+    if space.dim == 1 or space.correlation:
         return None
     return sobol_indices(log_likelihood, space, number=2048 if space.dim < 4 else 1024, seed=seed)

@@ -252,6 +252,8 @@ STAGES = {
     "report": "figures and report",
 }
 """Stages whose names in words differ from those in the program."""
+MANY = 30
+"""Inputs above which only a design with sensitivities can learn; second derivatives and Sobol indices take too long."""
 KERNEL = "ZMQInteractiveShell"  # shell of a Jupyter kernel; others have a terminal
 
 

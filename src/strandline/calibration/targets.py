@@ -16,8 +16,19 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import log_softmax, logsumexp
 
-from strandline.calibration.problem import Settings
-from strandline.design import SAMPLING, Certificate, FieldOutcome, Knowledge, VarianceEffect, simulator_noise
+from strandline.calibration.problem import MANY, Settings
+from strandline.design import (
+    SAMPLING,
+    Certificate,
+    ExactChain,
+    FieldOutcome,
+    Knowledge,
+    Normalised,
+    State,
+    VarianceEffect,
+    sample_by_chains,
+    simulator_noise,
+)
 from strandline.foundations import one_thread
 from strandline.likelihood import Mixture, differences, evaluated, predicted, second_differences
 from strandline.parameters import ParameterSpace
@@ -40,6 +51,7 @@ Matrix = Float[np.ndarray, "dim dim"]
 Points = Float[np.ndarray, "point dim"]
 Values = Float[np.ndarray, " point"]
 ZETA = 0.5  # share of the effective sample size that a tempering step keeps: enough for moments
+MIXED = 1.05  # largest R̂ of chains that have mixed
 FEWEST_PARTICLES = 250  # fewest particles for each value of the nuisance inputs: 150 gave errors of 5 % of an sd
 STREAM = 2  # keeps these random numbers apart from the two streams of the joint reading
 LARGEST_DIM = 3  # largest number of inputs, nuisance ones included, for which posteriors are also integrated directly
@@ -159,6 +171,20 @@ class FieldTarget:
     space: ParameterSpace
     certificate: Certificate | None = None
     beside: Predictor | None = None
+    sampled: State | None = None
+    exact: ExactChain | None = None
+
+    def chains(self, settings: Settings) -> SMCResult | None:
+        """Return draws by chains, which many inputs need: of the true posterior if there are any; else None.
+
+        Chains that do not mix, as in a curved valley, leave fewer inputs to tempered particles.
+        """
+        if self.exact is not None:
+            return self.exact.result(settings.particles)
+        if not self.knowledge.surrogate.shares_kernel:
+            return None
+        found, r_hat = sample_by_chains(self.knowledge, self.space, settings.seed, settings.particles, self.sampled)
+        return found if r_hat <= MIXED or self.space.dim > MANY else None
 
     @cached_property
     def compiled(self) -> BatchedLogDensity:
@@ -177,7 +203,11 @@ class FieldTarget:
         return self.knowledge.nearly_expected(x)
 
     def hessian(self, x: Point, scales: Point) -> Float[np.ndarray, "dim dim"]:
-        """Return second derivatives by central differences over a tenth of the scales."""
+        """Return second derivatives by central differences over a tenth of the scales; of many inputs those of a
+        parabola of the residuals (Gauss and Newton).
+        """
+        if self.space.dim > MANY:
+            return -Normalised(self.knowledge, self.space).information(x)
         return central_hessian(self.values, x, _STEP * scales, self.space.low, self.space.high)
 
     def threads(self) -> AbstractContextManager[Any]:
@@ -187,8 +217,11 @@ class FieldTarget:
     def posterior(self, sampling: SMCResult) -> Posterior:
         """Return the particles, reweighted from the sampled log-likelihood to the expected one by draws.
 
-        They keep their weights if hardly a particle would be left.
+        They keep their weights if hardly a particle would be left, or if they are draws of the true posterior.
         """
+        if self.exact is not None:
+            given = sampling.log_weights, sampling.log_likelihood, sampling.log_evidence
+            return _posterior(self.space, sampling, *given)
         expected = self.knowledge.expected(sampling.positions, plug_in=self.knowledge.plug_in(sampling.positions))
         log_weights = sampling.log_weights + expected - sampling.log_likelihood
         if np.exp(-logsumexp(2 * log_softmax(log_weights))) < LEAST_LEFT:

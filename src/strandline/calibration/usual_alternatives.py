@@ -19,7 +19,10 @@ Errors = Noise | PointErrors | UnknownErrors
 
 
 def usual_alternatives(now: Baseline, measures: Mapping[str, Discrepancy]) -> Iterator[Alternative]:
-    """Yield the usual alternatives to a study; the first of its measures makes the present posterior."""
+    """Yield the usual alternatives to a study; the first of its measures makes the present posterior.
+
+    The priors of a field's coefficients stay: they mean little each.
+    """
     yield from _priors(now.space)
     yield from _fixed(now.space)
     if now.knowledge is not None:
@@ -45,7 +48,7 @@ def other_priors(parameter: parameters.Parameter) -> Iterator[tuple[str, paramet
 def with_prior(space: parameters.ParameterSpace, priors: Mapping[str, parameters.Prior]) -> parameters.ParameterSpace:
     """Return the inputs with other priors, by name, truncated to the same box."""
     changed = {name: replace(space[name], prior=prior, box=space[name].interval) for name, prior in priors.items()}
-    return parameters.ParameterSpace(tuple(changed.get(one.name, one) for one in space))
+    return replace(space, parameters=tuple(changed.get(one.name, one) for one in space))
 
 
 def scaled_noise(noise: Errors, factor: float) -> Errors | None:
@@ -115,7 +118,7 @@ def _scaled(prior: parameters.Prior, factor: float) -> parameters.Prior | None:
 
 
 def _priors(space: parameters.ParameterSpace) -> Iterator[Alternative]:
-    for parameter in space:
+    for parameter in (one for one in space if one.of_field is None):
         for words, prior in other_priors(parameter):
             changed = with_prior(space, {parameter.name: prior})
             name, about = f"prior of {parameter.name} {words}", f"the prior of {parameter.name}"
@@ -126,6 +129,8 @@ def _fixed(space: parameters.ParameterSpace) -> Iterator[Alternative]:
     """Yield each nuisance input as known: the median of its prior."""
     for i in space.nuisance:
         one = space.parameters[i]
+        if any(one.name in pair for pair in space.correlation):  # the prior of the other one would change too
+            continue
         median = float(f"{float(one.truncated_prior.quantile(0.5)):.4g}")
         name, about = f"{one.name} known to be {median:g}", f"what is known of {one.name}"
         yield Alternative(name, "fix", about, space, fixed={one.name: median})

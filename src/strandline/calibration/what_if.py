@@ -62,6 +62,7 @@ class Alternative:
         left = any(self.space.names[i] not in self.fixed for i in self.space.calibrated)
         expected = "at least one calibrated input left"
         require(left, "inputs that are fixed", ", ".join(self.fixed), expected, "Fix fewer inputs.")
+        _ = self.free_space
 
     def __repr__(self) -> str:
         return f"<Alternative {self.name}>"
@@ -73,7 +74,7 @@ class Alternative:
 
     @cached_property
     def free_space(self) -> ParameterSpace:
-        return ParameterSpace(tuple(self.space.parameters[i] for i in self.free))
+        return self.space.subspace(self.free)
 
     def whole(self, x: Float[np.ndarray, "point free"]) -> Points:
         """Return points with the fixed inputs among the others."""
@@ -105,7 +106,7 @@ class Baseline:
 
     def __repr__(self) -> str:
         known = "priors only" if self.knowledge is None else "through the surrogate of the interface"
-        return f"<Present posterior of {', '.join(self.space.names)}: {len(self.draws)} draws, {known}>"
+        return f"<Present posterior of {', '.join(self.space.shown)}: {len(self.draws)} draws, {known}>"
 
     @cached_property
     def weighted(self) -> Weighted:

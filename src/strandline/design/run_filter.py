@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from strandline.discrepancy import Discrepancy, extent, oriented_like_runs, require_plausible
-from strandline.foundations import CampaignStopped, InvalidInput, NoCommonPoints, NumericsError, require
+from strandline.foundations import CampaignStopped, InvalidInput, NoCommonPoints, NumericsError, inputs_text, require
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood, noise_length
 from strandline.runs import EXCLUDED, FailurePolicy, RunRecord
@@ -179,7 +179,7 @@ class RunFilter:
             if record.failure_kind in KINDS and self.policy.aborts(record):
                 raise CampaignStopped(
                     f"run {record.key[:12]} cannot be used ({record.failure_kind}), and study.yaml says to stop then\n"
-                    f"at {', '.join(f'{name} = {x:.6g}' for name, x in record.inputs.items())}: {record.message}\n"
+                    f"at {inputs_text(record.inputs)}: {record.message}\n"
                     "All finished runs are kept. Fix the model and start a new ledger, or leave this run out: "
                     f"strandline runs STUDY --exclude {record.key[:12]} --why REASON"
                 )

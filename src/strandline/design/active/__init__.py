@@ -2,8 +2,10 @@
 
 from strandline.design.active.active_design import KINDS, ActiveDesign, Batch, Step
 from strandline.design.active.campaign import ActiveRuns, BatchReport, Certificate, FieldOutcome, VarianceEffect
+from strandline.design.active.chains import Normalised, sample_by_chains
 from strandline.design.active.checking import BatchCheck
 from strandline.design.active.choice import CRITERIA, Active, Criterion
+from strandline.design.active.exact_chain import ExactChain
 from strandline.design.active.posterior_check import simulator_noise
 from strandline.design.active.state import Knowledge, State, learn, posterior_state, training_of
 

@@ -7,7 +7,7 @@ ones, and those before them left out, agree with what was predicted.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -22,7 +22,7 @@ from strandline.parameters import ParameterSpace
 from strandline.posterior import subset
 from strandline.runs import RunRecord
 
-Kind = Literal["given", "initial", "posterior", "elsewhere", "check", "trial"]
+Kind = Literal["given", "initial", "posterior", "elsewhere", "check", "trial", "exact"]
 KINDS: dict[Kind, str] = {
     "given": "from an earlier analysis",
     "initial": "to begin with",
@@ -30,6 +30,7 @@ KINDS: dict[Kind, str] = {
     "elsewhere": "where the surrogate was contradicted or no run had looked",
     "check": "to check it, at draws of the posterior and elsewhere",
     "trial": "to try the correction of the cheaper model again",
+    "exact": "to draw from the true posterior",
 }
 """Kinds of batches, with what a report says of their runs, in its order."""
 FEW_INPUTS, HARDLY = 3, 0.3
@@ -156,7 +157,7 @@ class ActiveDesign:
         check, doubted = self._judged(found, records)
         self.steps.append(self._step(check))
         now = Situation(x, records, self.batches[-1].kind, check, doubted, self._left)
-        for phase in PHASES:
+        for phase in self.phases:
             decision = phase(self, now)
             if not isinstance(decision, str):
                 return decision
@@ -176,6 +177,11 @@ class ActiveDesign:
             return None
         found, self._odd = self.check.verdict(x, records)
         return found
+
+    @property
+    def phases(self) -> "tuple[Callable[[Any, Situation], Decision], ...]":
+        """What may be done after a batch besides learning where the posterior lies; the first one ready decides."""
+        return PHASES
 
     @property
     def _posterior(self) -> State:

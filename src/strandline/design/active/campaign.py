@@ -9,9 +9,12 @@ import numpy as np
 from jaxtyping import Float
 
 from strandline.design.active.active_design import ActiveDesign, Batch, Step
+from strandline.design.active.chains import chain_state
 from strandline.design.active.choice import Active
 from strandline.design.active.coverage_runs import SURE, least_found
+from strandline.design.active.exact_chain import ExactChain
 from strandline.design.active.fidelities import Fidelities, FidelityReport
+from strandline.design.active.informed_design import InformedDesign
 from strandline.design.active.posterior_check import NONE, SimulatorNoise
 from strandline.design.active.state import Knowledge, State, hidden_shift, learn, posterior_state
 from strandline.design.run_filter import RunFilter
@@ -26,6 +29,7 @@ NEXT = {
     "batch": "a batch",
     "check": "check",
     "trial": "the correction is tried again",
+    "exact": "draws of the true posterior",
     "done": "done, converged",
     "stop": "stop, not converged",
 }
@@ -56,7 +60,8 @@ class Certificate:
     posterior after each of the `batches`; the result is computed from the last one, and `checked` is the one with the
     last check. `found` is the smallest share of the prior's mass such that 95 % of all compact regions with this share
     hold a run. `fidelities` tells what a cheaper model was used for, `scattered` whether the simulator's own scatter
-    keeps it from converging, `overlooks` whether the runs were too few to find a region as small as `Active.unseen`.
+    keeps it from converging, `drawn` how many draws of the true posterior there are, in words, if there are any,
+    `overlooks` whether the runs were too few to find a region as small as `Active.unseen`.
     """
 
     converged: bool
@@ -67,6 +72,7 @@ class Certificate:
     found: float = 1.0
     fidelities: FidelityReport | None = None
     scattered: bool = False
+    drawn: str = ""
     overlooks: bool = False
 
     @property
@@ -109,6 +115,11 @@ class FieldOutcome:
     without_error: Mapping[str, Float[np.ndarray, " dim"]] | None = None
     scatter: SimulatorNoise = NONE
 
+    @property
+    def by_chains(self) -> bool:
+        """Whether the posterior was sampled by Hamiltonian chains, as that of many inputs is."""
+        return self.knowledge.surrogate.shares_kernel
+
     def __repr__(self) -> str:
         return f"<FieldOutcome {self.certificate or 'of a fixed design'!r}>"
 
@@ -149,8 +160,9 @@ def report_batch(design: ActiveDesign, space: ParameterSpace) -> BatchReport:
     if not design.converged and not design.reasons:
         kind = design.batches[-1].kind
         coming = kind if kind in NEXT else "batch"
-    figures = [(space.parameters[i].shown, float(step.mean[i]), float(step.sd[i])) for i in space.calibrated]
-    posterior = tuple(f"{shown} {with_sd(mean, sd)}" for shown, mean, sd in figures)
+    shown = [(one.shown, i) for i, one in enumerate(space) if not one.nuisance and one.name in space.scalars]
+    posterior = tuple(f"{name} {with_sd(float(step.mean[i]), float(step.sd[i]))}" for name, i in shown)
+    posterior += tuple(f"{one.name}: field of {one.count} modes" for one in space.fields)
     objection = "" if step.check is None or not step.check.reasons else step.check.reasons[0]
     moved = None if step.moved is None else step.moved.shift if step.moved.effective >= FAR else math.inf
     return BatchReport(len(design.steps), posterior, moved, coming, objection)
@@ -164,7 +176,7 @@ class ActiveRuns:
     the plain one. `judge` decides which runs can be used; `aside` returns a context in which each batch is chosen,
     `inputs` all inputs by name, given the unknown ones. `on_step` is called after each tempering step of the sampling
     that begins each choice, `told` with a report of each batch once the posterior is updated. By default, there are as
-    many `particles` as the number of inputs needs.
+    many `particles` as the number of inputs needs. An `informed` design is that of many inputs with sensitivities.
     """
 
     active: Active
@@ -180,6 +192,7 @@ class ActiveRuns:
     on_step: Callable[[StepInfo], None] | None = None
     told: Callable[[BatchReport], None] = lambda report: None
     particles: int | None = None
+    informed: bool = False
     design: ActiveDesign = field(init=False)
     _given: int = field(init=False, default=0)
     _told_dropped: bool = field(init=False, default=False)
@@ -190,13 +203,16 @@ class ActiveRuns:
         def state(x: Points, records: Sequence[RunRecord]) -> State:
             known = learn(x, records, self.space, self.judge.observations, self.discrepancy)
             seed = self.seed, len(x)
+            if self.informed and known.surrogate.shares_kernel:
+                return chain_state(known, self.space, seed, self.design.state)
             return posterior_state(known, self.space, seed, before=self.design.state, **sampling)
 
         def afresh(state: State) -> State:
             seed = self.seed, len(state.knowledge.x), AFRESH
             return posterior_state(state.knowledge, self.space, seed, **sampling)
 
-        self.design = ActiveDesign(
+        kind = InformedDesign if self.informed else ActiveDesign
+        self.design = kind(
             self.active,
             self.space,
             batch=self.batch,
@@ -276,7 +292,12 @@ class ActiveRuns:
         return [by_cheaper(entry) for entry in inputs] + inputs[:pairs]
 
     def _next(self, records: Sequence[RunRecord]) -> Batch | None:
-        """Return the next batch; the design stays unchanged if the runs do not define a field yet."""
+        """Return the next batch; the design stays unchanged if the runs do not define a field yet.
+
+        Draws of the true posterior are many, and nothing is learnt from them: the last ones are enough.
+        """
+        if self.exact is not None:
+            records = records[-len(self.design.batches[-1].points) :]
         points = self.points(records)
         while True:
             try:
@@ -294,6 +315,11 @@ class ActiveRuns:
         return np.concatenate([batch.points for batch in self.design.batches])
 
     @property
+    def exact(self) -> ExactChain | None:
+        """Chains that draw from the true posterior, if there are any."""
+        return self.design.exact if isinstance(self.design, InformedDesign) else None
+
+    @property
     def certificate(self) -> Certificate:
         """Grounds for trusting the posterior."""
         design = self.design
@@ -308,4 +334,5 @@ class ActiveRuns:
             overlooks=design.converged and design.overlooks(self._looked),
             fidelities=None if self.fidelities is None else self.fidelities.report(self._hidden(design.state)),
             scattered=design.scattered,
+            drawn="" if self.exact is None else self.exact.words,
         )

@@ -221,6 +221,9 @@ class BatchCheck:
     `reweighting` is by the draws whose run succeeded, and by the earlier runs if these settled it. It `passed` if all
     figures are within the tolerances; else `reasons` name those outside. `early` tells whether it was settled before
     the last draws, `left_out` how many earlier runs helped to settle it, each predicted from all others.
+
+    Of many inputs there is no reweighting: `ratio_sd` is the standard deviation of the logarithm of the true over the
+    predicted likelihood, `bound` the shift of a mean that the draws leave possible, in standard deviations of it.
     """
 
     draws: int
@@ -230,6 +233,8 @@ class BatchCheck:
     reasons: tuple[str, ...]
     early: bool = False
     left_out: int = 0
+    ratio_sd: float | None = None
+    bound: float | None = None
 
 
 def probes(draws: Float[np.ndarray, "draw dim"], least: int) -> Int[np.ndarray, " probe"]:

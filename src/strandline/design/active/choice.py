@@ -293,6 +293,8 @@ class Active:
         k_hat: Upper limit for the Pareto shape of these weights, unless 98 % of draws are effective, or 1 % of as many
             weights without a heavy tail have a larger one.
         effective: Share of draws that must be effective, between 0 and 1.
+        exact: With many inputs and sensitivities, whether to draw from the true posterior in the end, by a thousand or
+            more runs beyond `runs`: yes, no, or by default only if the design has not settled and these take a minute.
         patience: Once half a batch is done, the next does not wait for a run longer than this many times the longest
             before it; at least 1.
 
@@ -312,6 +314,7 @@ class Active:
     width: float = 0.15
     k_hat: float = 0.5
     effective: float = 0.8
+    exact: bool | None = None
     patience: float = 3.0
 
     def __post_init__(self) -> None:

@@ -1,0 +1,249 @@
+"""An active design for many inputs, with sensitivities: down to the best fit, then draws of the posterior.
+
+The surrogate's best fit is run until a run lies there. All further runs are draws, predicted before they are run: half
+of the posterior, half of the wider one with the root of its likelihood. Each batch is a check, and the surrogate learns
+from it; earlier draws count with the errors with which all other runs predict them. Last come places where no run has
+been.
+
+Let δ be the logarithm of the true over the predicted likelihood. Weights exp(δ) move the mean of a quantity by its
+covariance with δ. If δ has nothing to do with the quantity, n draws of the posterior show that its mean moves by no
+more than 1.65 sd(δ)/√n of its standard deviations, with 95 % probability. Of the wider draws, those matter that the
+true model likes more than predicted: their weights are the mass that the posterior misses.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import erfc, logsumexp
+from scipy.stats import norm
+
+from strandline.design.active.active_design import ActiveDesign, Batch, Decision, Situation
+from strandline.design.active.chains import WIDE, ChainState, Normalised
+from strandline.design.active.checking import BatchCheck
+from strandline.design.active.exact_chain import EFFECTIVE, ExactChain
+from strandline.runs import RunRecord
+
+ARRIVED = 1.0  # distance of the best fit from a run, in sds of the Laplace approximation, up to which a run lies there
+TOGETHER = 4  # fewest runs of a batch: to sample the posterior takes as long as many of a cheap simulator
+FEWEST = 8  # fewest draws of the posterior that can settle anything
+LARGEST_VARIANCE = 0.7  # largest variance of δ: half of the draws are effective
+BOUND = 0.25  # largest shift of a mean, in sds, that the draws may leave possible
+MISSED = 0.1  # largest share of the posterior's mass that wider draws may show to be missed
+PATIENT = 40  # draws after which those of the true posterior are considered
+AFFORDED = 60.0  # seconds that their runs may take in all; a certified field took 50 to 70 s beside its runs
+STEPS = 400  # most steps of these chains
+SURE = 3.0  # largest standard deviation of δ with which they begin: a tenth of their proposals is accepted
+MIXED = 1.2  # largest R̂ of the chains whose draws can settle anything
+WITHIN = 4.0  # a draw of an earlier posterior counts if its density is less than this many sds below the draws'
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """Log ratios δ at draws of the posterior, at wider ones, the logarithms of the latter's weights, and R̂ of the
+    chains that the last ones are from.
+    """
+
+    ratios: Float[np.ndarray, " draw"]
+    wide: Float[np.ndarray, " wide"]
+    wide_log: Float[np.ndarray, " wide"]
+    r_hat: float = 1.0
+
+    @property
+    def sd(self) -> float:
+        return float(np.std(self.ratios, ddof=1)) if len(self.ratios) > 1 else np.inf
+
+    @property
+    def bound(self) -> float:
+        """Shift of a mean that cannot be excluded, in its sds."""
+        return float(norm.ppf(0.95) * self.sd / np.sqrt(max(len(self.ratios), 1)))
+
+    @property
+    def missed(self) -> float:
+        """Mass of the true posterior at wider draws beyond that predicted, as a share of the predicted posterior's."""
+        if not len(self.wide):
+            return np.inf
+        level = logsumexp(self.ratios) - np.log(len(self.ratios))
+        with np.errstate(over="ignore"):
+            return float(np.mean(np.exp(self.wide_log) * np.maximum(np.expm1(self.wide - level), 0.0)))
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        if len(self.ratios) < FEWEST:
+            return (f"only {len(self.ratios)} draws so far",)
+        reasons = []
+        if self.sd**2 > LARGEST_VARIANCE:
+            reasons.append(f"log-likelihoods differ from those predicted by {self.sd:.2g}, standard deviation")
+        elif self.bound > BOUND:
+            reasons.append(f"{len(self.ratios)} draws leave a shift of a mean by {self.bound:.2g} sds possible")
+        if self.missed > MISSED:
+            reasons.append(f"draws around the posterior show {self.missed:.0%} of its mass where none was predicted")
+        if self.r_hat > MIXED:
+            reasons.append(f"chains of the posterior do not agree (R̂ {self.r_hat:.2f})")
+        return tuple(reasons)
+
+    @property
+    def check(self) -> BatchCheck:
+        """The draws as a check, passed if there are no reasons against it."""
+        reasons, figures = self.reasons, (self.sd, self.bound) if len(self.ratios) > 1 else (None, None)
+        return BatchCheck(len(self.ratios), 0, None, not reasons, reasons, ratio_sd=figures[0], bound=figures[1])
+
+
+class InformedDesign(ActiveDesign):
+    """Decides what to run next; see `ActiveDesign`."""
+
+    told: Told | None = None
+    exact: ExactChain | None = None
+
+    def __init__(self, *given: Any, **options: Any) -> None:
+        super().__init__(*given, **options)
+        self._wide: set[bytes] = set()
+
+    def next(self, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]) -> Batch | None:
+        if self.exact is not None:
+            return self._further(self.exact, x, records)
+        before, last = self.state, self.batches[-1]
+        self.state = self.learn(x, records)
+        if not isinstance(self.state, ChainState):
+            self.reasons = ("not all runs have sensitivities by all inputs at points that all runs share",)
+            return None
+        check = None
+        if last.kind == "check" and isinstance(before, ChainState):
+            self.told = self._told(before, last, x, records)
+            check = self.told.check
+        if last.kind == "elsewhere":
+            self._odd = self.check.surprises(last.points, x, records, before)
+        self.steps.append(self._step(check))
+        now = Situation(x, records, last.kind, check, False, self._left)
+        for phase in INFORMED_PHASES:
+            decision = phase(self, now)
+            if not isinstance(decision, str):
+                return decision
+        state = self._sampled
+        number = max(min(max(self._together, TOGETHER), now.left) // 2, 1)
+        random = np.random.default_rng([self.seed, len(x)])
+        chances = 0.9 * np.exp(state.log_weights) + 0.1 / len(state.positions)  # few may have nearly all the weight
+        draws = random.choice(len(state.positions), number, replace=False, p=chances / chances.sum())
+        wide = random.choice(len(state.wide), min(number, now.left - number), replace=False)
+        return self._noted(np.concatenate([state.positions[draws], state.wide[wide]]), "check")
+
+    @property
+    def _sampled(self) -> ChainState:
+        return cast(ChainState, self._posterior)
+
+    def _settle(self, now: Situation) -> Decision:
+        """Stop at a posterior that has passed its check, unless its draws are to be those of the true model, or there
+        are places where nobody has looked.
+        """
+        if now.kind == "elsewhere":
+            passed = not self._odd and not self.active.exact
+        else:
+            passed = now.check is not None and now.check.passed and not self.active.exact
+        if not passed:
+            return "not now"
+        unseen = self._not_looked_at(now.x, now.left) if now.kind == "check" and now.left > 0 else now.x[:0]
+        if len(unseen):
+            return self._noted(unseen, "elsewhere")
+        self.converged, self.reasons = True, ()
+        return None
+
+    def _draw_exactly(self, now: Situation) -> Decision:
+        """Begin to draw from the true posterior, if that is asked for, or affordable where nothing has settled."""
+        if self.told is None or self.active.exact is False or self.told.sd > SURE:
+            return "not now"
+        drawn = sum(len(batch.points) for batch in self.batches if batch.kind == "check")
+        ready = not self.told.reasons if self.active.exact else drawn >= PATIENT
+        if not (ready or now.left < 1):
+            return "not now"
+        accepted = float(erfc(self.told.sd / 2))
+        seconds = np.median([record.seconds for record in now.records if record.ok]) / self.batch
+        if not self.active.exact and 2 * EFFECTIVE / accepted * seconds > AFFORDED:
+            return "not now"
+        normal = Normalised(self._sampled.knowledge, self.space)
+        self.exact = ExactChain.of(self._sampled, normal, (self.seed, len(now.x)))
+        return self._noted(self.exact.propose(), "exact")
+
+    def _further(
+        self, chain: ExactChain, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]
+    ) -> Batch | None:
+        """Answer the proposals of the chains; return the next ones, None if there are draws enough."""
+        made = {row.tobytes(): record for row, record in zip(x, records, strict=True)}
+        found = [made[row.tobytes()] for row in self.batches[-1].points]
+        chain.take(np.array([self.check.log_likelihood(one) if one.ok else -np.inf for one in found]))
+        if chain.done:
+            self.converged, self.reasons = True, ()
+            return None
+        if len(chain.draws) >= STEPS:
+            self.reasons = (f"draws of the true posterior have not settled: {chain.words}",)
+            return None
+        return self._noted(chain.propose(), "exact")
+
+    def _descend(self, now: Situation) -> Decision:
+        state = self._sampled
+        if state.off <= ARRIVED or any(batch.kind == "check" for batch in self.batches):
+            return "not now"
+        return self._noted(state.mode[None], "posterior")
+
+    def _told(
+        self, before: ChainState, last: Batch, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]
+    ) -> Told:
+        """Return what the draws so far say: the last ones by their prediction, earlier ones by that of all others.
+
+        Draws of an earlier posterior count if they lie in this one, wider ones always.
+        """
+        state = self._sampled
+        knowledge, good = state.knowledge, [record for record in records if record.ok]
+        runs = knowledge.x[knowledge.ok]
+        places = {row.tobytes(): k for k, row in enumerate(runs)}
+        now = [row.tobytes() for row in last.points if row.tobytes() in places]
+        narrow, wide = ({row.tobytes(): k for k, row in enumerate(one)} for one in (before.positions, before.wide))
+        self._wide |= {key for key in now if key not in narrow}
+        told = _Ratios()
+        for key in now:
+            true = self.check.log_likelihood(good[places[key]])
+            if key in narrow:
+                told.narrow.append(true - before.log_expected[narrow[key]])
+            else:
+                told.wide(true - before.wide_expected[wide[key]], before.wide_log[wide[key]])
+        earlier = [row.tobytes() for batch in self.batches[:-1] if batch.kind == "check" for row in batch.points]
+        at = np.array([places[key] for key in earlier if key in places], int)
+        if not len(at):
+            return told.all(before.r_hat)
+        left_out = knowledge.likelihood.left_out(at)[0] + knowledge.log_feasibility(runs[at])
+        predicted = knowledge.expected(runs[at])
+        densities = state.log_expected + self.space.log_prior(state.positions)
+        inside = predicted + self.space.log_prior(runs[at]) >= densities.mean() - WITHIN * densities.std()
+        for k, place in enumerate(at):
+            ratio = self.check.log_likelihood(good[place]) - left_out[k]
+            if runs[place].tobytes() in self._wide:
+                told.wide(ratio, state.wide_level + (1 - WIDE) * predicted[k])
+            elif inside[k]:
+                told.narrow.append(ratio)
+        return told.all(before.r_hat)
+
+
+@dataclass
+class _Ratios:
+    """Log ratios as they are found."""
+
+    narrow: list[float] = field(default_factory=list)
+    of_wide: list[float] = field(default_factory=list)
+    logs: list[float] = field(default_factory=list)
+
+    def wide(self, ratio: float, log_weight: float) -> None:
+        self.of_wide.append(ratio)
+        self.logs.append(log_weight)
+
+    def all(self, r_hat: float) -> Told:
+        return Told(np.array(self.narrow), np.array(self.of_wide), np.array(self.logs), r_hat)
+
+
+INFORMED_PHASES: tuple[Callable[[InformedDesign, Situation], Decision], ...] = (
+    InformedDesign._settle,
+    InformedDesign._draw_exactly,
+    ActiveDesign._give_up,
+    InformedDesign._descend,
+)
+"""What the design may do after a batch besides drawing more: the first one ready decides."""
