@@ -31,16 +31,15 @@ from strandline.posterior.posterior import (
     InterfaceBand,
     Offsets,
     Posterior,
-    Weighted,
     histogram,
     histogram_mode,
     interface_band,
     normal_offsets,
     observed_offsets,
     prior_conflicts,
-    systematic_indices,
 )
 from strandline.posterior.quadrature import QuadratureResult, integrate, mixture
+from strandline.posterior.random_field import FieldPosterior, Functional
 from strandline.posterior.rank_tests import Band, Coverage, coverage_of, region_coverage_of, uniformity, weighted_ranks
 from strandline.posterior.sensitivity import SobolIndices, sobol_indices
 from strandline.posterior.under_uncertainty import (
@@ -51,11 +50,14 @@ from strandline.posterior.under_uncertainty import (
     nuisance_values,
     pooled,
 )
+from strandline.posterior.weighted import Weighted, systematic_indices
 
 __all__ = [
     "FLAT",
     "NEARLY_EQUAL",
     "Cut",
+    "FieldPosterior",
+    "Functional",
     "GaussianApproximation",
     "Histogram",
     "InterfaceBand",

@@ -19,7 +19,7 @@ from scipy.stats import chi2
 
 from strandline.foundations import NumericsError, require, side_by_side, use_double
 from strandline.parameters import ParameterSpace
-from strandline.posterior.posterior import Weighted, systematic_indices
+from strandline.posterior.weighted import Weighted, systematic_indices
 
 
 @dataclass(frozen=True, eq=False)

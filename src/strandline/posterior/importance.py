@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from scipy.special import logsumexp
 
 from strandline.foundations import require
-from strandline.posterior.posterior import Weighted
+from strandline.posterior.weighted import Weighted
 
 Verdict = Literal["good", "usable", "bad"]
 GOOD_BELOW, USABLE_BELOW = 0.5, 0.7

@@ -12,6 +12,7 @@ from strandline.foundations import require, whole_file
 from strandline.interface import Observation
 from strandline.parameters import RESERVED, Parameter, ParameterSpace
 from strandline.posterior.posterior import Posterior
+from strandline.posterior.random_field import FieldPosterior
 from strandline.posterior.under_uncertainty import Cut
 
 
@@ -28,7 +29,8 @@ def to_datatree(
 
     Groups: ``posterior`` (chain, draw) holds *equally weighted* draws, by default as many as there are particles, to
     which ArviZ's functions apply directly; ``weighted_posterior`` (particle) the particles with their weights,
-    log-likelihood and log prior; ``prior`` (chain, draw) draws of the prior; ``observed_data`` the observed interfaces.
+    log-likelihood and log prior; ``prior`` (chain, draw) draws of the prior; ``observed_data`` the observed interfaces;
+    ``field_NAME`` (point) what is known of a random field at its points.
     No time is recorded: the same posterior and seed, that of the resampling and of the draws from the prior, yield the
     same content.
 
@@ -49,6 +51,7 @@ def to_datatree(
     if cut is not None:
         chosen = cut.extended.equally_weighted(np.random.default_rng([seed, 2]), number)
         groups |= {"cut_posterior": _draws(posterior.space, chosen), "weighted_cut_posterior": _conditionals(cut)}
+    groups |= {f"field_{name}": _field(found) for name, found in posterior.fields.items()}
     if observed:
         groups["observed_data"] = _observed(observed)
     tree = xr.DataTree.from_dict(groups)
@@ -121,6 +124,20 @@ def _particles(posterior: Posterior) -> xr.Dataset:
         variables[name] = ("particle", column)
     figures = {"log_evidence": posterior.log_evidence, "effective_sample_size": posterior.ess}
     return xr.Dataset(variables, coords={"particle": np.arange(posterior.number)}, attrs=figures)
+
+
+def _field(found: FieldPosterior) -> xr.Dataset:
+    unit, support, low_high = found.field.unit, found.field.support, found.interval()
+    of: dict[str, Any] = {
+        "points": (("point", "xyz"), support.points, {"units": "mm"}),
+        "weight": ("point", support.weights, {"long_name": "length or area that a point stands for"}),
+        "mean": ("point", found.mean, {"units": unit}),
+        "sd": ("point", found.sd, {"units": unit}),
+        "low": ("point", low_high[0], {"units": unit, "long_name": "5 % quantile"}),
+        "high": ("point", low_high[1], {"units": unit, "long_name": "95 % quantile"}),
+        "share_of_prior_sd_left": ("point", found.share_left, {"units": "1"}),
+    }
+    return xr.Dataset(of, attrs={"prior": repr(found.field.prior), "share_of_variance": found.field.share})
 
 
 def _conditionals(cut: Cut) -> xr.Dataset:

@@ -6,17 +6,16 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.special import logsumexp, ndtr, ndtri
 
 from strandline.foundations import html_table, html_text, require, unit_text, with_sd
 from strandline.interface import Interface
 from strandline.parameters import LogUniform, ParameterSpace, Uniform
+from strandline.posterior.random_field import FieldPosterior, prior_draws
+from strandline.posterior.weighted import PerParticle, Weighted, generator, systematic_indices
 
-PerParticle = Float[np.ndarray, " particle"]
 MOST_SHOWN = 8  # inputs named in one line
 OFF, ROUNDING = 0.1, 1e-7
 """Logarithms of the weights' sum: normalised weights are below the first; rounding leaves more than the second if
@@ -28,35 +27,6 @@ LEAST_REMOVED = 0.05
 """Least share of the prior's variance that is taken to be removed: less is within the error of the draws."""
 LEVELS = (0.05, 0.5, 0.95)  # of a band of interfaces
 EDGE = 1e-12  # keeps normal quantiles finite
-
-
-@dataclass(frozen=True, eq=False)
-class Weighted:
-    """Draws with their weights, which sum to one."""
-
-    draws: Float[np.ndarray, "draw dim"]
-    weights: Float[np.ndarray, " draw"]
-
-    @property
-    def mean(self) -> Float[np.ndarray, " dim"]:
-        """Mean, shape (dim,)."""
-        return np.asarray(self.weights @ self.draws)
-
-    @property
-    def sd(self) -> Float[np.ndarray, " dim"]:
-        """Standard deviations, shape (dim,)."""
-        return np.asarray(np.sqrt(self.weights @ (self.draws - self.mean) ** 2))
-
-    @property
-    def ess(self) -> float:
-        """Effective sample size of the weights, 1 / Σ w²."""
-        return float(1.0 / np.sum(self.weights**2))
-
-    @property
-    def covariance(self) -> Float[np.ndarray, "dim dim"]:
-        """Second central moment, shape (dim, dim)."""
-        centred = self.draws - self.mean
-        return np.asarray((self.weights[:, None] * centred).T @ centred)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,14 +67,19 @@ class Posterior:
         rows = [
             (html_text(one.name), html.escape(unit_text(one.unit)), *(f"{value:.4g}" for value in row))
             for one, row in zip(self.space, columns, strict=True)
+            if one.name in self.space.scalars
         ]
-        return html_table(("input", "unit", "mean", "sd", "MAP", "5 %", "95 %"), rows)
+        fields = "".join(one._repr_html_() for one in self.fields.values())
+        head = ("input", "unit", "mean", "sd", "MAP", "5 %", "95 %")
+        return (html_table(head, rows) if rows else "") + fields
 
     @property
     def line(self) -> str:
-        """Mean ± standard deviation in one line: ``E = 399.6 ± 15 Pa, nu = 0.297 ± 0.059``."""
+        """Mean ± standard deviation of inputs and of means of fields: ``E = 399.6 ± 15 Pa, nu = 0.297 ± 0.059``."""
         rows = zip(self.space, self.mean.tolist(), self.sd.tolist(), strict=True)
-        parts = [f"{p.name} = {with_sd(middle, width)} {unit_text(p.unit)}".rstrip() for p, middle, width in rows]
+        shown = [row for row in rows if row[0].name in self.space.scalars]
+        parts = [f"{p.name} = {with_sd(middle, width)} {unit_text(p.unit)}".rstrip() for p, middle, width in shown]
+        parts += [one.line for one in self.fields.values()]
         more = f", and {len(parts) - MOST_SHOWN} more" if len(parts) > MOST_SHOWN else ""
         return ", ".join(parts[:MOST_SHOWN]) + more
 
@@ -112,6 +87,16 @@ class Posterior:
     def weights(self) -> PerParticle:
         """Normalised weights (particle,)."""
         return np.asarray(np.exp(self.log_weights))
+
+    @cached_property
+    def fields(self) -> dict[str, FieldPosterior]:
+        """What is known of each random field whose coefficients are among the inputs, by its name."""
+        if not (fields := self.space.fields):
+            return {}
+        prior, places = prior_draws(self.space), {name: k for k, name in enumerate(self.space.names)}
+        columns = {one.name: [places[name] for name in one.names] for one in fields}
+        given = ((one, self.draws[:, columns[one.name]], prior[:, columns[one.name]]) for one in fields)
+        return {one.name: FieldPosterior(one, draws, self.weights, before) for one, draws, before in given}
 
     @property
     def number(self) -> int:
@@ -189,23 +174,6 @@ class Posterior:
         return np.asarray(self.draws[systematic_indices(self.weights, size, generator(seed))])
 
 
-def systematic_indices(weights: PerParticle, number: int, rng: np.random.Generator) -> Int[np.ndarray, " draw"]:
-    """Return `number` particle indices, ascending, by systematic resampling: one uniform number, equal strides."""
-    positions = (rng.random() + np.arange(number)) / number
-    cumulative = np.cumsum(weights)
-    found = np.searchsorted(cumulative, positions * cumulative[-1], side="right")
-    return np.asarray(np.minimum(found, np.flatnonzero(weights)[-1]))
-
-
-def generator(seed: Any) -> np.random.Generator:
-    """Return a NumPy generator from an integer, a generator or a JAX key."""
-    if isinstance(seed, jax.Array):
-        is_typed = jnp.issubdtype(seed.dtype, jax.dtypes.prng_key)
-        words = jax.random.key_data(seed) if is_typed else seed
-        return np.random.default_rng(np.asarray(words).ravel())
-    return np.random.default_rng(seed)
-
-
 def _require_shapes(posterior: Posterior) -> None:
     number, dim = posterior.draws.shape
     lengths = [len(a) for a in (posterior.log_weights, posterior.log_likelihood, posterior.log_prior)]
@@ -225,13 +193,15 @@ def prior_conflicts(posterior: Posterior) -> Iterator[str]:
 
     If prior and model are right, the posterior mean of a normal input is itself a normal draw: its mean is that of the
     prior, and its variance the prior's minus the posterior's. Other priors are first mapped to the standard normal one.
+    The coefficients of a field together have as many false alarms as one input.
     """
-    shares = np.clip(posterior.space.prior_shares(posterior.draws), EDGE, 1 - EDGE)
+    shares = np.clip(posterior.space.marginal_shares(posterior.draws), EDGE, 1 - EDGE)
     normal = Weighted(ndtri(shares), posterior.weights)
     z = normal.mean / np.sqrt(np.maximum(1 - normal.sd**2, LEAST_REMOVED))
     for k, one in enumerate(posterior.space):
         p = float(2 * ndtr(-abs(z[k])))
-        if p < LEVEL and not isinstance(one.prior, FLAT):
+        level = LEVEL if one.of_field is None else LEVEL / one.of_field.count
+        if p < level and not isinstance(one.prior, FLAT):
             unit = "" if one.unit in ("", "1") else f" {one.unit}"
             yield (
                 f"The data contradict the prior of {one.name}, {one.prior}: a right prior and a right model would put "

@@ -10,6 +10,7 @@ from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
     from strandline.report.explore import DRAWS, by_name, rounded
+    from strandline.report.fields import fields_as_json, without_coefficients
     from strandline.report.fit import as_json, fit_as_json, nearest_runs, nothing_near
     from strandline.report.html import PANELS, said, save_page, small_share, template
     from strandline.report.page import FIGURES, add_check, click_page, remove_report, write_answer, write_report

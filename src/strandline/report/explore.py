@@ -13,9 +13,10 @@ from markupsafe import Markup
 from strandline.calibration import Calibration, Prediction, by_field, by_runs, prior_in_words
 from strandline.discrepancy import signed_distances
 from strandline.interface import Interface, node_normals
-from strandline.models import DrawsFields, ForwardModel, undeformed_interface
+from strandline.models import ForwardModel, draws_fields, undeformed_interface
 from strandline.parameters import ParameterSpace
 from strandline.posterior import systematic_indices
+from strandline.report.fields import without_coefficients
 from strandline.report.html import PANELS, PLOTLY, bundled, embedded, script_hash
 from strandline.runs import LOG_TITLE, RunRecord
 
@@ -157,7 +158,8 @@ def explore(
     plotly, script = PLOTLY.read_bytes(), bundled()
     packed = base64.b64encode(gzip.compress(plotly, mtime=0)).decode("ascii")
     style = Markup((PANELS / "panels.css").read_text(encoding="utf-8"))
-    large = {"data": embedded(data), "plotly": packed, "script": Markup(script), "style": style}
+    shown = without_coefficients(data, problem.space)
+    large = {"data": embedded(shown), "plotly": packed, "script": Markup(script), "style": style}
     return {
         **large,
         "size": sum(map(len, large.values())),
@@ -167,7 +169,7 @@ def explore(
         "of": len(every),
         "ok": sum(every[row].ok for row in rows),
         "outlines": len(outlines) if observed else None,
-        "flow": isinstance(problem.model, DrawsFields),
+        "flow": draws_fields(problem.model),
     }
 
 

@@ -16,7 +16,7 @@ from strandline.design import FieldOutcome
 from strandline.foundations import ForwardModelError
 from strandline.interface import GLOBAL, Interface, Observation
 from strandline.likelihood import evaluated, predicted
-from strandline.models import DrawsFields, undeformed_interface
+from strandline.models import draws_fields, undeformed_interface
 from strandline.parameters import ParameterSpace
 from strandline.posterior import (
     Histogram,
@@ -29,6 +29,7 @@ from strandline.posterior import (
     subset,
 )
 from strandline.report import plots
+from strandline.report.fields import random_field_figures
 from strandline.report.html import number
 from strandline.report.plots.picture import plot_surfaces
 from strandline.report.plots.style import Captioned
@@ -40,6 +41,8 @@ BEST_RUNS = ("best", "second", "third", "fourth", "fifth")
 """The runs whose offsets are drawn; the best one is at zero."""
 CONSPICUOUS = 0.05
 """Parts of an arc with a smaller p-value are marked in the figure."""
+SHARES = ("first", "first_low", "first_high", "total", "total_low", "total_high")
+"""What sensitivity indices have for each input."""
 DRAWS = 400
 GRID = 121
 NARROW_SHARE = 0.02
@@ -58,6 +61,7 @@ def figure_groups(calibration: Calibration, truth: Mapping[str, float] | None) -
         "surrogate": surrogate_figures(calibration),
         "sampler": _sampler(calibration),
         "posterior": _posterior(calibration, truth),
+        "random fields": random_field_figures(calibration, truth),
         "under uncertainty": _under_uncertainty(calibration, truth),
         "field": field_figures(calibration, truth),
     }
@@ -78,7 +82,7 @@ def fit_figures(calibration: Calibration) -> Iterator[Captioned]:
 def _data(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
     problem, space = calibration.problem, calibration.problem.space
     at = truth if truth is not None else {**problem.fixed, **space.as_mapping(calibration.posterior.map_estimate)}
-    if isinstance(problem.model, DrawsFields):
+    if draws_fields(problem.model):
         with suppress(ForwardModelError):
             figure = plots.plot_flow(problem.model.fields(at))
             several = len(problem.observations) > 1
@@ -125,9 +129,14 @@ def _examples(calibration: Calibration, undeformed: Interface | None) -> dict[st
 
 
 def _in_legend(space: ParameterSpace, values: Sequence[float] | Float[np.ndarray, " dim"]) -> str:
-    """Return inputs with their symbols, as a legend shows them."""
-    symbols = [replace(parameter, unit="1").figure_label() for parameter in space]
-    return ", ".join(f"{symbol} = {number(float(value), 3)}" for symbol, value in zip(symbols, values, strict=True))
+    """Return inputs with their symbols, and the mean of each field, as a legend shows them."""
+    by_name = dict(zip(space.names, map(float, values), strict=True))
+    shown = {replace(space[name], unit="1").figure_label(): by_name[name] for name in space.scalars}
+    for one in space.fields:
+        weights = one.support.weights / one.support.weights.sum()
+        (values,) = one.values_of_many(np.array([[by_name[name] for name in one.names]]))
+        shown[f"mean {one.name}"] = values @ weights
+    return ", ".join(f"{symbol} = {number(value, 3)}" for symbol, value in shown.items())
 
 
 def _offsets(calibration: Calibration) -> Iterator[Captioned]:
@@ -155,15 +164,17 @@ def failed_runs(calibration: Calibration) -> Iterator[Captioned]:
     space = calibration.problem.space
     kinds = ["" if record.ok else record.failure_kind or record.state for record in calibration.records]
     failed = Counter(filter(None, kinds))
-    if space.dim <= 2 or not failed:
+    if space.dim <= 2 or not failed or not space.scalars:
         return
-    inputs = np.array([[record.inputs[name] for name in space.names] for record in calibration.records], float)
+    inputs = np.array([[record.inputs[name] for name in space.scalars] for record in calibration.records], float)
     by_kind = {kind: inputs[[its == kind for its in kinds]] for kind, _ in failed.most_common()}
-    axes = plots.plot_failed_runs(space, inputs[[not its for its in kinds]], by_kind)
+    axes = plots.plot_failed_runs([space[name] for name in space.scalars], inputs[[not its for its in kinds]], by_kind)
     yield Captioned.of("failed_runs", "runs", axes)
 
 
 def _sampler(calibration: Calibration) -> Iterator[Captioned]:
+    if calibration.field is not None and calibration.field.by_chains:
+        return  # no tempering
     steps, halves = calibration.sampling.steps, calibration.sampling.halves
     course = ([getattr(step, name) for step in steps] for name in ("temperature", "ess", "acceptance"))
     particles = calibration.settings.particles if halves is None else len(halves[0].positions)
@@ -172,17 +183,18 @@ def _sampler(calibration: Calibration) -> Iterator[Captioned]:
 
 
 def _posterior(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
-    posterior, space = calibration.posterior, calibration.problem.space
-    if space.dim == 2:
-        names = (space.names[0], space.names[1])
+    posterior, names = calibration.posterior, calibration.problem.space.scalars
+    if len(names) == 2:
         figure = plots.plot_joint(posterior, names, laplace=calibration.laplace, truth=truth)
         yield Captioned.of("posterior", "posterior", figure, two=True)
         yield Captioned.of("particles", "posterior", plots.plot_particles(posterior, names))
-    elif space.dim > 2:
+    elif len(names) > 2:
         yield Captioned.of("posterior", "posterior", plots.plot_corner(posterior, truth=truth), two=False)
-    if space.dim > 3:
+    if len(names) > 3:
         yield Captioned.of("parallel", "posterior", plots.plot_parallel(posterior, truth=truth))
-    exact = _by_quadrature(space.names, calibration.quadrature)
+    if not names:
+        return
+    exact = _by_quadrature(posterior.space.names, calibration.quadrature)
     figure = plots.plot_marginals(posterior, exact=exact, truth=truth)
     yield Captioned.of("marginals", "posterior", figure, exact=bool(exact))
 
@@ -221,7 +233,7 @@ def _by_quadrature(names: Sequence[str], exact: QuadratureResult | None) -> dict
 
 def likelihood_figures(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
     """Yield likelihood, log-likelihood and the surrogate's standard deviation over two inputs."""
-    if calibration.problem.space.dim != 2:
+    if calibration.problem.space.dim != 2 or calibration.problem.space.fields:
         return
     if calibration.field is not None:
         first = next(iter(calibration.problem.discrepancies))
@@ -288,9 +300,11 @@ def surrogate_figures(calibration: Calibration) -> Iterator[Captioned]:
         by_field, tenth = calibration.field is not None, calibration.settings.fit is not None
         facts: dict[str, Any] = {"by_field": by_field, "tenth": tenth, "error": validation.loo_rms_near_mode}
         yield Captioned.of("leave_one_out", "surrogate", axes, **facts)
-    if calibration.sensitivity is not None:
-        symbols = [replace(parameter, unit="1").figure_label() for parameter in calibration.problem.space]
-        axes = plots.plot_sensitivity(calibration.sensitivity, symbols)
+    space = calibration.problem.space
+    if calibration.sensitivity is not None and space.scalars:
+        symbols = [replace(space[name], unit="1").figure_label() for name in space.scalars]
+        rows = {name: one[_scalar(space)] for name, one in vars(calibration.sensitivity).items() if name in SHARES}
+        axes = plots.plot_sensitivity(replace(calibration.sensitivity, **rows), symbols)
         yield Captioned.of("sensitivity", "surrogate", axes)
 
 
@@ -308,14 +322,20 @@ def field_figures(calibration: Calibration, truth: Mapping[str, float] | None) -
 
 def _history(calibration: Calibration, found: FieldOutcome, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
     steps, space = () if found.certificate is None else found.certificate.steps, calibration.problem.space
-    if len(steps) < 2:
+    if len(steps) < 2 or not space.scalars:
         return
     runs, mean, sd = (np.array([getattr(step, name) for step in steps], float) for name in ("runs", "mean", "sd"))
-    labels = [parameter.figure_label() for parameter in space]
+    mean, sd = mean[:, _scalar(space)], sd[:, _scalar(space)]
+    labels = [space[name].figure_label() for name in space.scalars]
     checked = np.array([step.kind == "check" for step in steps])
-    at = None if truth is None else [truth[name] for name in space.names]
+    at = None if truth is None else [truth[name] for name in space.scalars]
     figure = plots.plot_run_history(runs, mean, sd, labels, checked=checked, truth=at)
     yield Captioned.of("run_history", "certificate", figure)
+
+
+def _scalar(space: ParameterSpace) -> list[int]:
+    """Return the columns of the inputs that are no coefficients of a field."""
+    return [space.names.index(name) for name in space.scalars]
 
 
 def _errors(found: FieldOutcome, x: Float[np.ndarray, "draw dim"]) -> dict[str, plots.ErrorsAlong]:

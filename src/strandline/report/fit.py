@@ -18,7 +18,7 @@ from strandline.discrepancy import (
     noise_units,
     unit_mistake,
 )
-from strandline.foundations import InvalidInput, NumericsError
+from strandline.foundations import InvalidInput, NumericsError, inputs_text
 from strandline.interface import Observation
 from strandline.likelihood import InterfaceLikelihood, compared, noise_length, sd_of_distances
 from strandline.report.html import number
@@ -117,7 +117,7 @@ class Nearest:
     def message(self) -> str:
         """A sentence that nothing comes near, with the distance of the best run and the likely reason."""
         of = f" of {self.condition}" if self.condition else ""
-        where = ", ".join(f"{name} = {value:.4g}" for name, value in self.inputs.items())
+        where = inputs_text(self.inputs, 4)
         reason = "The model, the box or the noise is wrong."
         if max(self.extent_ratio, 1 / self.extent_ratio) >= TELLING:
             why = f": {mistake}" if (mistake := unit_mistake(self.extent_ratio)) else ""

@@ -21,6 +21,8 @@ MODULES = ("shared", "panels", "explore")
 """Those of a report; each comes after those that it imports from, and no two declare the same name."""
 MODULE_WORDS = re.compile(r'^import .* from "\./\w+\.js";\n|^export ', re.MULTILINE)
 NUMBER = re.compile(r"(?<![^\s(])[-+]?\d[\d.]*(e[-+]\d+)?(?![^\s,;)])")
+MOST_LISTED = 12
+"""Numbers up to which a list is shown in full."""
 PLAIN_DIGITS = 6
 """Digits up to which a number is written without a power of ten."""
 
@@ -75,6 +77,8 @@ def number(value: float | list[float] | None, digits: int = 4) -> str:
     if value is None:
         return "–"
     if isinstance(value, list):
+        if len(value) > MOST_LISTED:
+            return f"from {number(min(value), digits)} to {number(max(value), digits)}"
         return ", ".join(number(item, digits) for item in value)
     rounded = float(f"{value:.{digits}g}") + 0.0  # without the sign of a zero
     return str(numbers(f"{rounded:.{max(digits, PLAIN_DIGITS)}g}"))

@@ -78,7 +78,8 @@ def write_report(
 
     section: dict[str, Any] | None = None
     try:
-        section = explore(calibration, truth, pictures)
+        if calibration.problem.space.scalars:
+            section = explore(calibration, truth, pictures)
     except Exception as error:
         note("the section Explore", error)
     shown = _all_saved(groups, folder / FIGURES, note, draft=calibration.settings.draft)

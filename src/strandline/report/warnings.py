@@ -10,6 +10,7 @@ import numpy as np
 from strandline.calibration import Calibration, steps_of, unlikely_errors
 from strandline.design import FieldOutcome, SetAside, says_whether_runs_succeed
 from strandline.discrepancy import NormalOffset
+from strandline.foundations import inputs_text
 from strandline.interface import Interface, UnknownErrors
 from strandline.likelihood import noise_length, sd_of_distances
 from strandline.parameters import Parameter
@@ -178,7 +179,7 @@ def _stopped_early(calibration: Calibration) -> Iterator[str]:
 
 
 def _run(record: RunRecord | SetAside) -> dict[str, str]:
-    where = ", ".join(f"{name} = {value:.6g}" for name, value in record.inputs.items())
+    where = inputs_text(record.inputs)
     return {"key": record.key[:12], "where": where}
 
 

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     )
     from strandline.report.plots.joint import plot_hexagons, plot_joint, plot_marginal, plot_marginals, plot_particles
     from strandline.report.plots.pairs import plot_corner, plot_failed_runs, plot_parallel
+    from strandline.report.plots.random_field import plot_random_field
     from strandline.report.plots.style import mark_doubt
     from strandline.report.plots.surrogate import (
         ErrorsAlong,
@@ -53,6 +54,7 @@ __all__ = [
     "plot_candidates", "plot_caterpillar", "plot_check", "plot_conditions", "plot_corner", "plot_directions",
     "plot_failed_runs", "plot_field", "plot_field_error", "plot_flow", "plot_hexagons", "plot_interfaces",
     "plot_intervals", "plot_joint", "plot_leave_one_out", "plot_marginal", "plot_marginals", "plot_offsets",
-    "plot_parallel", "plot_particles", "plot_population", "plot_predictions", "plot_rank_bands", "plot_residuals",
+    "plot_parallel", "plot_particles", "plot_population", "plot_predictions", "plot_random_field", "plot_rank_bands",
+    "plot_residuals",
     "plot_run_history", "plot_run_offsets", "plot_sensitivity", "plot_tempering", "three_measures",
 ]  # fmt: skip

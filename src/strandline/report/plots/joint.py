@@ -220,8 +220,8 @@ def plot_marginals(
     truth: Mapping[str, float] | None = None,
     whole_box: bool = False,
 ) -> Figure:
-    """Draw the marginals of several inputs (by default of all of them), three or four in a row."""
-    chosen = posterior.space.names if names is None else tuple(names)
+    """Draw the marginals of several inputs, three or four in a row; by default of all but coefficients of fields."""
+    chosen = posterior.space.scalars if names is None else tuple(names)
     height, columns = 2.2 if len(chosen) < 3 else 1.8, 3 if len(chosen) <= 6 else 4
     figure, panels = style.panel_grid(len(chosen), height, columns=columns)
     for ax, name in zip(panels, chosen, strict=True):

@@ -16,9 +16,10 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from strandline.foundations import unfit
-from strandline.parameters import ParameterSpace
+from strandline.parameters import Parameter
 from strandline.posterior import Posterior
 from strandline.report.plots import joint, style
+from strandline.report.plots.random_field import plot_random_field
 
 MASSES = (0.68, 0.95)
 """Probabilities of the two regions."""
@@ -34,8 +35,11 @@ PANEL = 1.35
 def plot_corner(
     posterior: Posterior, names: Sequence[str] | None = None, *, truth: Mapping[str, float] | None = None
 ) -> Figure:
-    """Draw marginals with priors, and each pair's smallest regions that hold 68 and 95 %; `truth` may be partial."""
-    chosen = posterior.space.names if names is None else tuple(names)
+    """Draw marginals with priors, and each pair's smallest regions that hold 68 and 95 %; `truth` may be partial.
+
+    By default, all inputs but the coefficients of fields are drawn.
+    """
+    chosen = posterior.space.scalars if names is None else tuple(names)
     width = min(max(style.SINGLE, 0.5 + PANEL * len(chosen)), style.DOUBLE)
     figure = style.new_figure(width, width + 0.2)
     panels: Any = figure.subplots(len(chosen), len(chosen), squeeze=False)
@@ -87,7 +91,7 @@ class PosteriorPlots:
     posterior: Posterior
 
     def __repr__(self) -> str:
-        return "<plots: corner, joint, marginal, marginals, particles>"
+        return "<plots: corner, field, joint, marginal, marginals, particles>"
 
     def corner(self, **options: Any) -> Any:
         """Draw all marginals and the regions with 68 and 95 % of each pair of inputs; options of `plot_corner`."""
@@ -103,23 +107,40 @@ class PosteriorPlots:
 
     def marginal(self, name: str | None = None, *, ax: Any = None, **options: Any) -> Any:
         """Draw the marginal of an input, by default the first, with its prior; options of `plot_marginal`."""
-        return joint.plot_marginal(self.posterior, name or self.posterior.space.names[0], ax=ax, **options)
+        return joint.plot_marginal(self.posterior, name or self._scalars(1)[0], ax=ax, **options)
 
     def marginals(self, **options: Any) -> Any:
         """Draw the marginals of all inputs; options of `plot_marginals`."""
         return joint.plot_marginals(self.posterior, **self._known(options))
 
+    def field(self, name: str | None = None, **options: Any) -> Any:
+        """Draw what is known of a random field, by default the first; options of `plot_random_field`."""
+        known = self.posterior.fields
+        if not known or name not in (None, *known):
+            expected = f"one of {', '.join(known)}" if known else "a posterior of coefficients of a field"
+            raise unfit("field of the posterior", name, expected, "Correct the name.")
+        return plot_random_field(known[name or next(iter(known))], **options)
+
     def _known(self, options: dict[str, Any]) -> dict[str, Any]:
         """Return the options; refuse a truth of inputs that the posterior does not have."""
         for name in options.get("truth") or ():
             _ = self.posterior.space[name]
+        if options.get("names") is None:
+            self._scalars(1)
         return options
 
+    def _scalars(self, least: int) -> tuple[str, ...]:
+        """Return the inputs that are no coefficients of a field; refuse too few of them."""
+        names = self.posterior.space.scalars
+        if len(names) < least:
+            found = f"a posterior of {' and '.join([*names, *self.posterior.fields])} alone"
+            expected, instead = ("two inputs or more", "marginal") if names else ("inputs beside its fields", "field")
+            what = "joint density of two inputs" if least > 1 else "marginals"
+            raise unfit(what, found, f"a posterior of {expected}", f"Draw .plot.{instead}() instead.")
+        return names
+
     def _two(self, x: str | None, y: str | None) -> tuple[str, str]:
-        names = self.posterior.space.names
-        if len(names) < 2:
-            found, expected = f"a posterior of {names[0]} alone", "a posterior of two inputs or more"
-            raise unfit("joint density of two inputs", found, expected, "Draw .plot.marginal() instead.")
+        names = self.posterior.space.names if x and y else self._scalars(2)
         first = x or next(name for name in names if name != y)
         return first, y or next(name for name in names if name != first)
 
@@ -167,26 +188,31 @@ def plot_parallel(posterior: Posterior, *, truth: Mapping[str, float] | None = N
 
 @style.drawn(style.DOUBLE, 3.2)
 def plot_failed_runs(
-    space: ParameterSpace,
+    inputs: Sequence[Parameter],
     ok: Float[np.ndarray, "run dim"],
     failed: Mapping[str, Float[np.ndarray, "_ dim"]],
     *,
     ax: Axes = style.NEW,
 ) -> Axes:
     """Draw each run as a line across an axis for each input: grey if it succeeded, coloured by kind if it failed."""
-    _add_lines(ax, space.to_unit(ok), colors=style.GREY, linewidths=0.4, alpha=0.35, label=f"ok: {len(ok)}")
+    low, high = np.array([one.interval for one in inputs]).T
+
+    def shares(x: Float[np.ndarray, "run dim"]) -> Float[np.ndarray, "run dim"]:
+        return np.asarray((x - low) / (high - low))
+
+    _add_lines(ax, shares(ok), colors=style.GREY, linewidths=0.4, alpha=0.35, label=f"ok: {len(ok)}")
     for k, (kind, points) in enumerate(failed.items()):
         colour, dashes = style.CYCLE[(k + 1) % len(style.CYCLE)], style.DASHES[k % len(style.DASHES)]
         look = {"colors": colour, "linestyles": [dashes], "linewidths": 0.9, "alpha": 0.9}
-        _add_lines(ax, space.to_unit(points), label=f"{kind}: {len(points)}", **look)
-    _draw_axes(ax, [one.figure_label() for one in space], [one.interval for one in space])
+        _add_lines(ax, shares(points), label=f"{kind}: {len(points)}", **look)
+    _draw_axes(ax, [one.figure_label() for one in inputs], [one.interval for one in inputs])
     style.below(ax)
     return ax
 
 
 def _order(posterior: Posterior) -> tuple[str, ...]:
     nuisance = tuple(p.name for p in posterior.space if p.nuisance)
-    return (*(name for name in posterior.space.names if name not in nuisance), DENSITY, *nuisance)
+    return (*(name for name in posterior.space.scalars if name not in nuisance), DENSITY, *nuisance)
 
 
 def _add_lines(ax: Axes, heights: Float[np.ndarray, "line axis"], **look: Any) -> LineCollection:

@@ -227,7 +227,8 @@ class Captioned:
 
 def marked(captioned: Captioned, doubt: str | None) -> Captioned:
     """Return the figure, with the doubt written on it if it shows a posterior."""
-    if doubt is not None and (captioned.section in OF_POSTERIOR or captioned.name.startswith("predictive")):
+    of_posterior = captioned.section in OF_POSTERIOR or captioned.name.startswith(("predictive", "random_field"))
+    if doubt is not None and of_posterior:
         mark_doubt(captioned.figure, doubt)
     return captioned
 
