@@ -22,9 +22,19 @@ if TYPE_CHECKING:
     from strandline.foundations import ForwardModelError, InvalidInput, NumericsError, StrandlineError
     from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
     from strandline.likelihood import InterfaceLikelihood
-    from strandline.models import ForwardModel, ModelInput, PythonModel, Simulation
+    from strandline.models import ForwardModel, ModelInput, PythonModel, Simulation, WithFields
     from strandline.models.biofilm import Biofilm
-    from strandline.parameters import LogNormal, LogUniform, Normal, Parameter, ParameterSpace, ScaledBeta, Uniform
+    from strandline.parameters import (
+        GaussianField,
+        LogNormal,
+        LogUniform,
+        Normal,
+        Parameter,
+        ParameterSpace,
+        ScaledBeta,
+        Support,
+        Uniform,
+    )
     from strandline.posterior import Posterior
     from strandline.posterior.quadrature import integrate
     from strandline.questions.compare import compare
@@ -48,6 +58,8 @@ __all__ = [  # noqa: RUF022
     "ScaledBeta",
     "Parameter",
     "ParameterSpace",
+    "GaussianField",
+    "Support",
     "Interface",
     "Observation",
     "PointErrors",
@@ -58,6 +70,7 @@ __all__ = [  # noqa: RUF022
     "Simulation",
     "Biofilm",
     "PythonModel",
+    "WithFields",
     "RunRecord",
     "Ledger",
     "InProcess",

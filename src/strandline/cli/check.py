@@ -76,10 +76,15 @@ def _about(study: "Study", record: "RunRecord") -> Iterator[str]:
     from strandline.report import small_share
     from strandline.studies import read_lines, turned_lines
 
-    for parameter in study.space:
+    for parameter in (study.space[name] for name in study.space.scalars):
         cut = f", {small_share(parameter.mass_cut)} of its mass cut off by the box" if parameter.mass_cut else ""
         nuisance = ", nuisance" if parameter.nuisance else ""
         yield f"{parameter.label()}: {parameter.prior}{cut}{nuisance}"
+    for one in study.space.fields:
+        kept = f"{one.count} modes keep {one.share:.1%} of its variance at {len(one.support.points)} points"
+        yield f"{one.name}: {one.words}; {kept}"
+    if study.space.correlation:
+        yield "correlated: " + ", ".join(f"{a} and {b} {r:g}" for (a, b), r in study.space.correlation.items())
     conditions = tuple(study.observed or record.interfaces)
     if any(conditions):
         yield f"observed conditions: {', '.join(conditions)}"
@@ -180,6 +185,7 @@ def _drawn(study: "Study", record: "RunRecord") -> Path:
 def _forward_run(study: "Study") -> tuple["RunRecord", str]:
     import numpy as np
 
+    from strandline.foundations import inputs_text
     from strandline.models import prepare_runs
     from strandline.studies import differentiating, require_ok
 
@@ -192,7 +198,8 @@ def _forward_run(study: "Study") -> tuple["RunRecord", str]:
     if not record.ok:
         show_remains(record)
     require_ok(record, "at the medians of the priors")
-    shown = ", ".join(f"{name} = {value:.6g}" for name, value in inputs.items())
+    named = {name: inputs[name] for name in (*study.fixed, *study.space.scalars)}
+    shown = inputs_text(named) if named else "the medians of the priors"
     figures = ", ".join(f"{name} {value:.4g}" for name, value in record.diagnostics.items())
     return record, f"forward run at {shown}: ok in {record.seconds:.1f} s{f' ({figures})' if figures else ''}"
 

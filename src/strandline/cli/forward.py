@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from strandline.cli import options
-from strandline.foundations import decimal
+from strandline.foundations import decimal, inputs_text
 from strandline.studies import require_temporary, told_if_unwritable
 
 if TYPE_CHECKING:
@@ -59,15 +59,17 @@ def command(
 ) -> None:
     """Make one forward run of STUDY's model; nothing goes into the ledger.
 
-    Fixed quantities have the values of study.yaml unless set. A run that fails is an answer too: exit code 0 with
-    --json, 1 without; no CSV is written then. The search for its reason has no budget here, as it has in a campaign.
-    A model of several conditions writes a file for each of them: with --csv shape.csv, shape-CONDITION.csv.
+    Fixed quantities have the values of study.yaml unless set, coefficients of a field are 0. A run that fails is an
+    answer too: exit code 0 with --json, 1 without; no CSV is written then. The search for its reason has no budget
+    here, as it has in a campaign. A model of several conditions writes a file for each of them: with --csv shape.csv,
+    shape-CONDITION.csv.
     """
     from strandline.models import declared_conditions, with_sensitivities, without_failure_budget
     from strandline.studies import check_complete, load_study
 
     loaded = load_study(study)
-    inputs = {**loaded.fixed, **settings}
+    coefficients = {one.name: 0.0 for one in loaded.space if one.of_field is not None}
+    inputs = {**coefficients, **loaded.fixed, **settings}
     names = (*loaded.space.names, *loaded.fixed)
     check_complete(inputs, names, loaded.model, "--set", add="Add --set {name}=VALUE.")
     model = without_failure_budget(with_sensitivities(loaded.model) if sensitivities else loaded.model)
@@ -137,7 +139,7 @@ def attempted(model: "ForwardModel", inputs: Mapping[str, float]) -> "RunRecord"
 
     require_temporary()
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # one solve is too small to benefit from threads
-    what = f"the run at {', '.join(f'{name} = {value:.6g}' for name, value in inputs.items())}"
+    what = f"the run at {inputs_text(inputs)}"
     with (
         tempfile.TemporaryDirectory(prefix="strandline-") as folder,
         told_if_slow(what, lambda text: click.echo(text, err=True)),
@@ -159,7 +161,7 @@ def _write_fields(model: Any, inputs: Mapping[str, float], folder: Path | None, 
         if plot:
             target = (folder or Path()) / (f"forward-{condition}.png" if condition else "forward.png")
             _require_target(target)
-            title = ", ".join(f"{name} = {value:g}" for name, value in inputs.items())
+            title = inputs_text(inputs)
             figure: Any = plot_flow(fields, title=f"{condition}: {title}" if condition else title)
             figure.savefig(target, dpi=160)
             written.append(target)

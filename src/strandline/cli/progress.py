@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 
 from strandline.calibration import STAGES, Observer, part_note, run_note, step_note
 from strandline.calibration import Settings as Stated
+from strandline.foundations import inputs_text
 from strandline.runs import Executor, RunRecord, told_folder
 from strandline.runs import Progress as Runs
 from strandline.runs import note as journal_note
@@ -161,7 +162,7 @@ def set_aside_lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def _run_lines(record: RunRecord, kept: Path) -> list[str]:
-    inputs = ", ".join(f"{name} = {value:.6g}" for name, value in record.inputs.items())
+    inputs = inputs_text(record.inputs)
     state = record.state if record.ok else f"{record.state} ({record.failure_kind})"
     folders = sorted(kept.glob(f"{record.key[:KEY]}-*"), key=lambda path: (len(path.name), path.name))
     told = told_folder(record) or (f"its folder: {folders[-1]}" if folders else "no folder is kept")

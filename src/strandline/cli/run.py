@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from strandline.studies import Study
 
 from strandline.cli import options
-from strandline.foundations import ResultsNotWritten
+from strandline.foundations import ResultsNotWritten, with_sd
 
 
 def _keys(context: click.Context, option: click.Parameter, start: str) -> list[CompletionItem]:
@@ -251,9 +251,15 @@ def show(summary: Mapping[str, Any], report: Path | None, *, as_json: bool = Fal
         f"\n{summary['study']}: {runs['ok']} forward runs ok, {runs['failed']} failed {kinds}"
         f"({runs['new']} new, {runs['reused']} reused)"
     )
-    click.echo(f"{'input':>10} {'unit':>7} {'mean':>10} {'sd':>9} {'median':>10} {'5 %':>10} {'95 %':>10} {'MAP':>10}")
+    head = f"{'input':>10} {'unit':>7} {'mean':>10} {'sd':>9} {'median':>10} {'5 %':>10} {'95 %':>10} {'MAP':>10}"
+    if summary["inputs"]:
+        click.echo(head)
     for name, item in summary["inputs"].items():
         click.echo(_row(name, item, "" if item["unit"] == "1" else item["unit"]))
+    for name, one in summary.get("fields", {}).items():
+        mean, unit = one["functionals"]["mean"], "" if one["unit"] == "1" else f" {one['unit']}"
+        shown = f"field of {one['modes']} modes, mean {with_sd(mean['mean'], mean['sd'])}{unit}"
+        click.echo(f"{name}: {shown}\n{one['statement']}")
     for reading, content in (summary["under_uncertainty"] or {}).items():
         click.echo(f"under uncertainty, {reading} reading (MAP: fullest of {content['map_bins']} bins per input):")
         for name, item in content["inputs"].items():
@@ -286,8 +292,15 @@ def show(summary: Mapping[str, Any], report: Path | None, *, as_json: bool = Fal
 
 def _certified(certificate: Mapping[str, Any]) -> str:
     """Return a line on the last check of an active design."""
+    if certificate.get("exact"):
+        return f"converged: {certificate['exact']}"
     check = certificate["check"]
-    shift = max(abs(value) for value in check["shift"].values())
+    if check["effective"] is None:
+        return (
+            f"converged: at {check['draws']} draws of the posterior the logarithm of the true over the predicted "
+            f"likelihood has sd {check['ratio_sd']:.2g}; this leaves a shift of a mean by {check['bound']:.2g} sd possible"
+        )
+    shift = max(map(abs, (*check["shift"].values(), check.get("largest_shift", 0.0))))
     if check["by"] == "left-out runs":
         return (
             f"converged: {check['draws']} runs at hand, each predicted from the others, give {check['effective']:.0%} "

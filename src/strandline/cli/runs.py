@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from strandline.cli import options
-from strandline.foundations import read_json, require, unfit
+from strandline.foundations import inputs_text, read_json, require, unfit
 from strandline.runs import EXCLUDED, LOG_TITLE, STATES, Details, Driver, Overview, Run
 from strandline.studies import LEDGER, SUMMARY
 
@@ -77,7 +77,7 @@ def _driver(driver: Driver, state: "StudyProgress") -> str:
 
 
 def _inputs(run: "RunReported") -> str:
-    return ", ".join(f"{name} = {value:.6g}" for name, value in run.inputs.items())
+    return inputs_text(run.inputs)
 
 
 def _figure(value: float) -> str:

@@ -1,6 +1,7 @@
 """`strandline serve`, `view`: a study's model for other programs, by UM-Bridge, and a study in the browser."""
 
 import signal
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,7 +58,9 @@ def _announce(study: "Study", server: "UMBridgeServer", host: str) -> None:
     if not is_loopback(host) and server.door.token is None:
         click.echo(f"warning: whoever reaches {host} over the network can make runs here", err=True)
     click.echo(f"{study.name}: serving {server.url}")
-    click.echo(f"  inputs: [{', '.join(parameter.label() for parameter in study.space)}]")
+    inputs = groupby(study.space, key=lambda one: (one.of_field, "" if one.of_field else one.name))
+    several = ([one.label() for one in some] for _, some in inputs)
+    click.echo(f"  inputs: [{', '.join(' … '.join(dict.fromkeys((one[0], one[-1]))) for one in several)}]")
     kept = study.model.keep if isinstance(study.model, KeepsFolders) else "none"
     if kept != "none":
         click.echo(f"  folders of {'all' if kept == 'all' else 'failed'} runs are kept in {study.folder / RUNS}")

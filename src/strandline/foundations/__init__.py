@@ -56,6 +56,7 @@ if TYPE_CHECKING:
         figure_text,
         html_table,
         html_text,
+        inputs_text,
         is_label,
         is_name,
         listed,

@@ -5,13 +5,16 @@
 
 import html
 import re
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TypeGuard
 
 LONGEST = 64
 """Maximum number of characters in a name or a unit."""
 NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 NOT_IN_NAMES = frozenset("/\\=$")
+MOST_NUMBERED = 12
+"""Inputs of one name with a number, as E_7, up to which a text lists each."""
 
 
 def is_label(text: object) -> TypeGuard[str]:
@@ -28,6 +31,15 @@ def listed(words: Sequence[str], last: str = "and") -> str:
     """Return one or more words as a list in a sentence: ``a, b and c``; `last` is the word before the last one."""
     *others, end = words
     return f"{', '.join(others)} {last} {end}" if others else end
+
+
+def inputs_text(inputs: Mapping[str, float], digits: int = 6) -> str:
+    """Return inputs in words: ``nu = 0.3, load = 1``; of many with one name and a number, only how many: the
+    coefficients of a field."""
+    stems = {name: found[1] for name in inputs if (found := re.fullmatch(r"(.+)_\d+", name))}
+    many = {stem: count for stem, count in Counter(stems.values()).items() if count > MOST_NUMBERED}
+    shown = (f"{name} = {value:.{digits}g}" for name, value in inputs.items() if stems.get(name) not in many)
+    return ", ".join([*shown, *(f"{count} coefficients of {stem}" for stem, count in many.items())])
 
 
 def decimal(text: str) -> float | None:

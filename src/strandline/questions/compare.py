@@ -18,7 +18,7 @@ from strandline import calibration
 from strandline.foundations import InvalidInput, InvalidStudy, one_thread, read_json, require, use_double
 from strandline.interface import Interface, Noise, PointErrors, UnknownErrors
 from strandline.likelihood import adapted
-from strandline.parameters import ParameterSpace, Uniform
+from strandline.parameters import Uniform
 from strandline.posterior import Weighted
 from strandline.questions.answer import Answer
 from strandline.questions.comparison import ComparedStudy, answer_of, describe_comparison, may_err, not_flat
@@ -109,7 +109,7 @@ def compare(
         for name, study in named.items()
     }
     tell.stage("evidence")
-    shared = tuple(name for name in loaded[0].space.names if all(name in one.space.names for one in loaded))
+    shared = tuple(name for name in loaded[0].space.scalars if all(name in one.space.scalars for one in loaded))
     found, widened = _found(compared, odds, seed), not_flat(compared, shared)
     flat = _found(compared, odds, seed, widened) if widened else None
     parts = [Weighted(one.columns(shared), one.weights) for one in posteriors.values()]
@@ -180,9 +180,8 @@ def _found(
 
 def _evidence(one: ComparedStudy, seed: int, flat: Sequence[str]) -> calibration.Evidence:
     draws = Weighted(one.posterior.draws, one.posterior.weights)
-    space = ParameterSpace(
-        tuple(replace(p, prior=Uniform(*p.interval)) if p.name in flat else p for p in one.study.space)
-    )
+    priors = tuple(replace(p, prior=Uniform(*p.interval)) if p.name in flat else p for p in one.study.space)
+    space = replace(one.study.space, parameters=priors)
     found = calibration.log_evidence(one.knowledge, space, draws, np.random.default_rng(seed))
     return replace(found, log=found.log + one.constant)
 

@@ -120,7 +120,7 @@ def _model(found: ModelComparison, name: str, one: ComparedStudy) -> dict[str, A
         "study_sha256": one.study.text_digest,
         "posterior_sha256": posterior_digest(posterior),
         "model": one.study.runs.identity,
-        "inputs": list(one.study.space.names),
+        "inputs": list(one.study.space.shown),
         "fixed": dict(one.study.fixed),
         "model_error": may_err(one.study),
         "runs": one.knowledge.surrogate.runs,
@@ -223,7 +223,7 @@ def _occam(found: ModelComparison, compared: Mapping[str, ComparedStudy], shared
     """Yield a remark on each model with inputs of its own that the data narrow much."""
     for name in found.order:
         one = compared[name]
-        own = {other: one.narrowing(other) for other in one.study.space.names if other not in shared}
+        own = {other: one.narrowing(other) for other in one.study.space.scalars if other not in shared}
         narrowed = {other: factor for other, factor in own.items() if factor > 1}
         if sum(map(math.log, narrowed.values())) >= NARROWED:
             yield remark("pays_for_width", name=name, factors=narrowed)

@@ -34,7 +34,7 @@ from strandline.interface import Noise, PointErrors, UnknownErrors
 from strandline.posterior import Band, Coverage, Posterior
 from strandline.questions import answer
 from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require_seed
-from strandline.report import Captioned, plots
+from strandline.report import Captioned, plots, without_coefficients
 from strandline.runs import Progress
 
 __all__ = ["coverage"]
@@ -104,7 +104,7 @@ def coverage(
         found = CoverageFound(study.space.names, made)
     tell.stage("report")
     content = _described(study, found, experiment, quality, source=source, seed=seed, measure=name)
-    return _answer(content, found, study.folder).written(draft=study.settings.draft)
+    return _answer(without_coefficients(content, study.space), found, study.folder).written(draft=study.settings.draft)
 
 
 def _replicates(
@@ -277,7 +277,8 @@ def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
     }
     yield Captioned.of("coverage_ranks", "coverage", plots.plot_rank_bands(bands))
     found = {name: item["intervals"] for name, item in content["inputs"].items()}
-    yield Captioned.of("coverage_intervals", "coverage", plots.plot_intervals(found))
+    if found:
+        yield Captioned.of("coverage_intervals", "coverage", plots.plot_intervals(found))
 
 
 def _of_inputs(content: Mapping[str, Any]) -> answer.Part:

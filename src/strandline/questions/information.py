@@ -28,7 +28,7 @@ the fewest inputs in each is chosen (varimax; Kaiser 1958).
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -297,7 +297,7 @@ def scale_of(space: ParameterSpace) -> Scale:
     """Return the scale of the inputs of a study; those whose box has no negative values enter by their logarithms."""
     logarithmic = space.low >= 0
     p = (np.arange(QUANTILES) + 0.5) / QUANTILES
-    draws = Scale(logarithmic, np.ones(space.dim)).of(space.prior_quantiles(np.repeat(p[:, None], space.dim, axis=1)))
+    draws = Scale(logarithmic, np.ones(space.dim)).of(space.marginal_quantiles(p))
     return Scale(logarithmic, np.asarray(draws.std(axis=0)))
 
 
@@ -310,20 +310,32 @@ class Direction:
 
 
 def directions_left(
-    scale: Scale, x: Float[np.ndarray, "draw dim"], informations: Informations
+    scale: Scale, x: Float[np.ndarray, "draw dim"], informations: Informations, columns: Sequence[int] | None = None
 ) -> tuple[Direction, ...]:
-    """Return the combinations of the inputs, from the least to the best known after the experiment.
+    """Return the combinations of the inputs, or of those in `columns`, from the least to the best known afterwards.
 
     The covariance is averaged over draws `x` of the prior, with the Fisher information of the physical inputs at each.
     """
     factors = [scale.factors(row) for row in x]
     unit = np.eye(x.shape[1])
     left = [np.linalg.inv(unit + np.outer(f, f) * one) for f, one in zip(factors, informations, strict=True)]
-    return directions_of(np.asarray(np.mean(left, axis=0)))
+    return directions_of(np.asarray(np.mean(left, axis=0)), columns)
 
 
-def directions_of(covariance: Matrix) -> tuple[Direction, ...]:
-    """Return the principal axes of a covariance of scaled inputs, the widest first; the unknown ones rotated."""
+def shown_columns(space: ParameterSpace) -> list[int]:
+    """Return the columns of the inputs that are no coefficients of a field."""
+    return [k for k, one in enumerate(space) if one.of_field is None]
+
+
+def directions_of(covariance: Matrix, columns: Sequence[int] | None = None) -> tuple[Direction, ...]:
+    """Return the principal axes of a covariance of scaled inputs, the widest first; the unknown ones rotated.
+
+    With `columns`, they are those of these inputs, whatever the others are, whose weights are 0.
+    """
+    if columns is not None and len(columns) < len(covariance):
+        some = directions_of(covariance[np.ix_(columns, columns)]) if len(columns) else ()
+        places = np.eye(len(covariance))[:, columns]
+        return tuple(replace(one, weights=places @ one.weights) for one in some)
     values, vectors = np.linalg.eigh(covariance)
     unknown = values > HARDLY**2
     axes = np.hstack([_varimax(vectors[:, unknown]), vectors[:, ~unknown]])

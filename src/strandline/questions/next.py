@@ -29,11 +29,12 @@ from strandline.questions.information import (
     linear_outlook,
     ranked,
     scale_of,
+    shown_columns,
 )
 from strandline.questions.knowledge import PointRuns, problem_of, require_seed, runs_at
 from strandline.questions.observing import Observing, View
 from strandline.questions.prospects import answers_from_posterior
-from strandline.report import Captioned, plots
+from strandline.report import Captioned, plots, without_coefficients
 from strandline.runs import Executor, RunRecord
 
 __all__ = ["next_experiment"]
@@ -93,7 +94,7 @@ def next_experiment(
             made = answers_from_prior(study, candidates, runs=runs, executor=executor, observer=tell)
     tell.stage("report")
     content = _described(study, made, seed=seed, seconds=time.perf_counter() - begun)
-    return _answer(content, made, study.folder).written(draft=study.settings.draft)
+    return _answer(without_coefficients(content, study.space), made, study.folder).written(draft=study.settings.draft)
 
 
 def _candidates(study: studies.Study, *, after: bool) -> tuple[Candidate, ...]:
@@ -219,11 +220,14 @@ def _best(study: studies.Study, found: Answers, answers: Sequence[CandidateAnswe
     if best.outlook.gain < NOTHING:
         return f"{of}None of the candidates teaches much; the best is {label} with {best.outlook.gain:.2f} nats."
     now, names = found.now.sd, study.space.names
-    ratios = {names[k]: best.outlook.sd[k] / now[k] for k in study.space.calibrated}
-    least = min(ratios, key=lambda name: ratios[name])
-    fall = f"the standard deviation of {least} is expected to fall by {100 * (1 - ratios[least]):.0f} %."
+    shown = set(study.space.calibrated) & set(shown_columns(study.space))
+    ratios = {names[k]: best.outlook.sd[k] / now[k] for k in sorted(shown)}
+    fall = ""
+    if ratios:
+        least = min(ratios, key=lambda name: ratios[name])
+        fall = f"; the standard deviation of {least} is expected to fall by {100 * (1 - ratios[least]):.0f} %"
     words = f"Choose {label}" if number == 1 and len(answers) > 1 else label
-    text = f"{of}{words[0].upper() if not of else words[0]}{words[1:]}: {best.outlook.gain:.2f} nats; {fall}"
+    text = f"{of}{words[0].upper() if not of else words[0]}{words[1:]}: {best.outlook.gain:.2f} nats{fall}."
     if best.failing is not None and best.failing > RISKY:
         text += f" It fails with a probability of {100 * best.failing:.0f} %, though."
     close = [_words(one.candidate, again) for one in answers[1:] if one.worth > best.worth - AS_GOOD]
@@ -348,7 +352,7 @@ def answers_from_prior(
         now=now,
         errors=errors,
         answers=tuple(_before(study, errors, candidate, at, now) for candidate in asked),
-        directions=directions_left(scale_of(space), np.array([one.x for one in good]), planned),
+        directions=directions_left(scale_of(space), np.array([one.x for one in good]), planned, shown_columns(space)),
         new=made.new,
         reused=made.reused,
     )

@@ -92,7 +92,7 @@ class SpecimenFiles:
             if (part := getattr(self.source, kind)) is not None:
                 changed = {kind: part.model_copy(update={FILE: there})}
         found = studies.read_observation(self.study.folder, self.source.model_copy(update=changed), self.study.model)
-        noise = studies.build_noise(self.content.noise, tuple(self.content.inputs), found)
+        noise = studies.build_noise(self.content.noise, self.study.space.names, found)
         if self.study.undeformed is not None:
             noise = studies.with_errors_of(self.study.undeformed, noise, found.interface, conditions=1)
         studies.require_fits(noise, found.interface)
@@ -206,7 +206,7 @@ def _posterior(entry: Mapping[str, Any], space: ParameterSpace) -> SpecimenPoste
     return SpecimenPosterior(
         name=entry["specimen"],
         given=entry["given"],
-        space=ParameterSpace(tuple(space[name] for name in entry["inputs"])),
+        space=space.subspace(space.names.index(name) for name in entry["inputs"]),
         effective=entry["effective"],
         by=entry["by"],
         certified=Certified(entry["shift"], entry["surprise"]),

@@ -161,7 +161,8 @@ class Population:
 
     def __repr__(self) -> str:
         means, sds = self.mean.mean(axis=0), self.sd.mean(axis=0)
-        shown = (f"{name} {with_sd(a, b)}" for name, a, b in zip(self.space.names, means, sds, strict=True))
+        rows = zip(self.space, means, sds, strict=True)
+        shown = (f"{one.name} {with_sd(a, b)}" for one, a, b in rows if one.of_field is None)
         return f"<Population of {len(self.mixtures.means)} specimens: {', '.join(shown)}>"
 
     @property

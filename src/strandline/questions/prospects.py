@@ -20,6 +20,7 @@ from strandline.questions.information import (
     directions_of,
     expected_outlook,
     scale_of,
+    shown_columns,
 )
 from strandline.questions.knowledge import PointRuns, field_knowledge, problem_of, runs_at, runs_to_learn_from
 from strandline.runs import Executor
@@ -104,7 +105,8 @@ class AfterExperiment:
     def directions(self) -> tuple[Direction, ...]:
         """The combinations of the inputs, from the least to the best known."""
         scaled = scale_of(self.study.space).of(self.now.draws)
-        return directions_of(Weighted(scaled, self.now.weights).covariance)
+        columns = shown_columns(self.study.space)
+        return directions_of(Weighted(scaled, self.now.weights).covariance, columns)
 
     def known(self, setting: Setting) -> dict[int, float]:
         """Return the values of uncertain inputs that an experiment sets, by column."""

@@ -54,7 +54,7 @@ class Start:
 
     @cached_property
     def unknown(self) -> ParameterSpace:
-        return ParameterSpace(tuple(self.space.parameters[i] for i in self.columns))
+        return self.space.subspace(self.columns.tolist())
 
     @cached_property
     def points(self) -> Float[np.ndarray, "draw unknown"]:
@@ -198,8 +198,8 @@ class SpecimenPosterior:
     certified: Certified
 
     def __repr__(self) -> str:
-        pairs = zip(self.space.names, self.mean, self.sd, strict=True)
-        shown = ", ".join(f"{name} = {with_sd(mean, sd)}" for name, mean, sd in pairs)
+        rows = zip(self.space, self.mean, self.sd, strict=True)
+        shown = ", ".join(f"{one.name} = {with_sd(mean, sd)}" for one, mean, sd in rows if one.of_field is None)
         return f"<SpecimenPosterior of {self.name}: {shown}; {self.certified.verdict}>"
 
     @property

@@ -12,11 +12,12 @@ from jaxtyping import Float
 
 from strandline.foundations import whole_file, with_sd
 from strandline.questions.answer import Answer, Part, Symbol, Table, digits, label_and_unit, remark
+from strandline.questions.information import shown_columns
 from strandline.questions.many import RefusedSpecimen
 from strandline.questions.opened import Specimens
 from strandline.questions.population import FEWEST_SPECIMENS, Population, Shrunk
 from strandline.questions.specimen import TOLERATED_SHIFT, SpecimenPosterior
-from strandline.report import Captioned, axis_label, plots
+from strandline.report import Captioned, axis_label, plots, without_coefficients
 from strandline.studies import facts_of, named
 
 QUANTILES = ("q05", "q50", "q95")
@@ -66,7 +67,8 @@ def describe_specimens(
         if found.population is None or found.shrunk is None
         else _population(found.population, found.shrunk),
     }
-    return {**content, "remarks": list(_remarks(content))}
+    shown: dict[str, Any] = without_coefficients({**content, "remarks": list(_remarks(content))}, study.space)
+    return shown
 
 
 def _specimen(one: SpecimenPosterior, lifted: Shrunk | None, i: int) -> dict[str, Any]:
@@ -74,6 +76,7 @@ def _specimen(one: SpecimenPosterior, lifted: Shrunk | None, i: int) -> dict[str
         name: {"mean": float(one.mean[d]), "sd": float(one.sd[d]), **_quantiles(one.quantiles[:, d])}
         for d, name in enumerate(one.space.names)
     }
+    shown = shown_columns(one.space)
     entry: dict[str, Any] = {
         "specimen": one.name,
         "given": dict(one.given),
@@ -81,7 +84,7 @@ def _specimen(one: SpecimenPosterior, lifted: Shrunk | None, i: int) -> dict[str
         **vars(one.certified),
         **named(one, "effective", "by"),
         "inputs": inputs,
-        "correlation": (one.covariance / np.outer(one.sd, one.sd)).tolist(),
+        "correlation": (one.covariance / np.outer(one.sd, one.sd))[np.ix_(shown, shown)].tolist(),
     }
     if lifted is not None:
         for d, name in enumerate(one.space.names):

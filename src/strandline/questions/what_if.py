@@ -15,7 +15,7 @@ from strandline.likelihood import FieldLikelihood
 from strandline.posterior import Weighted
 from strandline.questions.answer import Answer, Part, Symbol, Table, facts_of_surrogate, moments, remark
 from strandline.questions.knowledge import baseline_of, require_seed
-from strandline.report import Captioned, axis_label, plots
+from strandline.report import Captioned, axis_label, plots, without_coefficients
 from strandline.runs import Progress
 
 __all__ = ["what_if"]
@@ -68,7 +68,9 @@ def what_if(
         tell.stage("alternatives")
         answers = tuple(sorted(_answers(now, tried, seed, tell), key=_rank))
     tell.stage("report")
-    return _answer(_described(study, now, answers, seed), answers, study.folder).written(draft=study.settings.draft)
+    return _answer(
+        without_coefficients(_described(study, now, answers, seed), now.space), answers, study.folder
+    ).written(draft=study.settings.draft)
 
 
 def _answers(
@@ -300,6 +302,8 @@ def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
         for one in content["alternatives"]
         if one["by"] is not None
     ]
+    if not inputs:
+        return
     figure = plots.plot_alternatives({axis_label(item): item for item in inputs.values()}, alternatives)
     yield Captioned.of("what_if", "what_if", figure, **content["limits"])
 

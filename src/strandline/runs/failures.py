@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from strandline.foundations import CampaignStopped, ForwardModelError, require, require_types
+from strandline.foundations import CampaignStopped, ForwardModelError, inputs_text, require, require_types
 from strandline.models import ForwardModel
 from strandline.runs.ledger.ledger_schema import EXCLUDED
 from strandline.runs.ledger.record import RunRecord
@@ -150,7 +150,7 @@ def _mostly_failed(failed: Sequence[RunRecord], made: int) -> CampaignStopped:
 
 def _told(record: RunRecord) -> str:
     """Return the inputs of a run, the reason why it failed, and the end of its log."""
-    inputs = ", ".join(f"{name} = {value:.6g}" for name, value in record.inputs.items())
+    inputs = inputs_text(record.inputs)
     reason, *lines = (record.message or "no message").splitlines()
     last = [f"  {line.rstrip()}" for line in lines if line.strip()][-LINES_SHOWN:]
     return "\n".join([f"at {inputs}: {reason}", *last])

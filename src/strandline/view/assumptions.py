@@ -137,12 +137,17 @@ def _changes(study: Study, name: str, asked: Asked, present: Path, target: Path)
     """Return the values that differ in the new study, which takes over the runs of the present one."""
     content = studies.load_yaml(study.text)
     changes: dict[tuple[str, ...], Any] = {("name",): name}
-    for key, prior in asked.priors.items():
-        changes["inputs", key, "prior"] = dict(prior)
-        changes["inputs", key, "box"] = content["inputs"][key].get("box", list(study.space[key].interval))
-    for key, value in asked.fixed.items():
-        changes["inputs", key] = studies.REMOVED
-        changes["fixed", key] = value
+    of_fields = {f"{one.name}_{which}": (one.name, which) for one in study.space.fields for which in one.prior.unknown}
+    for key, other in (*asked.priors.items(), *asked.fixed.items()):
+        if key in of_fields:  # the sd or length of a field
+            of, which = of_fields[key]
+            changes["inputs", of, "field", which] = dict(other) if isinstance(other, Mapping) else other
+        elif isinstance(other, Mapping):
+            changes["inputs", key, "prior"] = dict(other)
+            changes["inputs", key, "box"] = content["inputs"][key].get("box", list(study.space[key].interval))
+        else:
+            changes["inputs", key] = studies.REMOVED
+            changes["fixed", key] = other
     if asked.noise != 1 or asked.length_um is not None:
         changes["noise",] = _noise(study, asked)
     if asked.measure is not None:

@@ -365,6 +365,8 @@ class Server:
     """
 
     def __init__(self, study: Study, *, port: int = 0, patience: float = PATIENCE, height: int = 900) -> None:
+        words = "an input that is no coefficient of a field", "Read the report, which shows fields."
+        require(len(study.space.scalars) > 0, "inputs of the page", "fields alone", *words)
         self.viewed, self.token = ViewedStudy(study), secrets.token_urlsafe(24)
         self._patience, self._height = patience, height
         try:

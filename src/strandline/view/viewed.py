@@ -15,12 +15,21 @@ from matplotlib.tri import LinearTriInterpolator, Triangulation
 from strandline import studies
 from strandline.calibration import AlternativePosterior, Baseline, by_field, interim_posterior
 from strandline.design import Knowledge
-from strandline.foundations import InvalidInput, InvalidStudy, NumericsError, one_thread, read_json, require, use_double
+from strandline.foundations import (
+    InvalidInput,
+    InvalidStudy,
+    NumericsError,
+    listed,
+    one_thread,
+    read_json,
+    require,
+    use_double,
+)
 from strandline.interface import Interface
-from strandline.models import DrawsFields, ForwardModel, declared_conditions
+from strandline.models import ForwardModel, declared_conditions, draws_fields
 from strandline.posterior import reliability_threshold, systematic_indices
 from strandline.questions import baseline_of, field_knowledge
-from strandline.report import explore
+from strandline.report import explore, without_coefficients
 from strandline.runs import EXCLUDED, OPEN, Attempt, Details, Ledger, Overview
 from strandline.studies import STUDY, SUMMARY, Study, observations_of
 from strandline.view.assumptions import SEED, answer_to, asked_by, knobs_of, number_in
@@ -196,7 +205,7 @@ class ViewedStudy:
     study: Study
 
     def __post_init__(self) -> None:
-        self.feed = RunsFeed(self.study.ledger_path, self.study.space.names)
+        self.feed = RunsFeed(self.study.ledger_path, self.study.space.scalars)
         self.newest = PosteriorFeed(self.study)
 
     @property
@@ -204,15 +213,25 @@ class ViewedStudy:
         study, observed = self.study, dict[str, Interface | None](observations_of(self.study)) or {"": None}
         links = {name: f"api/picture?{urlencode({'condition': name})}" for name in observed}
         pictures = {name: studies.picture_behind(study, name, link) for name, link in links.items()}
-        return {
+        fields = listed([one.name for one in study.space.fields]) if study.space.fields else ""
+        content = {
             "name": study.name,
             "folder": str(study.folder),
             "inputs": explore.inputs_as_json(study.space),
             "fixed": dict(study.fixed),
             "truth": study.truth,
-            "flow": isinstance(study.model, DrawsFields),
+            "held": f"The coefficients of {fields} are at their posterior mean, or 0 without a posterior."
+            if fields
+            else "",
+            "flow": draws_fields(study.model),
             "conditions": explore.conditions_as_json(study.model, observed, pictures),
         }
+        return self._shown(content)
+
+    def _shown(self, content: dict[str, Any]) -> dict[str, Any]:
+        """Return what the page gets: nothing of the coefficients of fields."""
+        shown: dict[str, Any] = without_coefficients(content, self.study.space)
+        return shown
 
     def require_ledger(self) -> None:
         """Refuse a ledger that is gone although the study has results or the page has shown runs."""
@@ -236,13 +255,15 @@ class ViewedStudy:
     def state(self) -> dict[str, Any]:
         progress = studies.progress_as_planned(self.study)
         summary = read_json(self.study.folder / SUMMARY) if progress.results == "current" else {}
-        return {
-            **progress.as_dict(),
-            "version": self.feed.version,
-            "edited": self._edited,
-            "posterior": len(self.newest.shown.history),
-            "summary": {name: summary.get(name) for name in OF_SUMMARY if name in summary},
-        }
+        return self._shown(
+            {
+                **progress.as_dict(),
+                "version": self.feed.version,
+                "edited": self._edited,
+                "posterior": len(self.newest.shown.history),
+                "summary": {name: summary.get(name) for name in OF_SUMMARY if name in summary},
+            }
+        )
 
     @property
     def _edited(self) -> bool:
@@ -261,7 +282,7 @@ class ViewedStudy:
         with Overview(self.study.ledger_path) as overview:
             exclusion = overview.exclusions().get(key)
             details = overview.details([attempt.number]).get(attempt.number, Details("", "", {}))
-        return {
+        found_run = {
             "row": place,
             "key": key,
             "number": attempt.number,
@@ -276,6 +297,7 @@ class ViewedStudy:
             "diagnostics": {name: value for name, value in details.diagnostics.items() if math.isfinite(value)},
             "interfaces": self._interfaces(key) if attempt.state == "ok" else {},
         }
+        return self._shown(found_run)
 
     def _interfaces(self, key: str) -> dict[str, Any]:
         """Return the interfaces of a run by condition, with the signed distances of the observed points, µm."""
@@ -294,15 +316,17 @@ class ViewedStudy:
             return {**out, "why_none": shown.why_none}
         quality = now.quality
         known = None if quality is None else {"error_um": 1e3 * quality.median, "hidden_um": 1e3 * quality.hidden}
-        return {
-            **out,
-            "why_none": "",
-            "mean": explore.by_name(self.study.space, now.mean),
-            "sd": explore.by_name(self.study.space, now.sd),
-            "draws": explore.columns(self.study.space, few.draws),
-            "bands": _bands(now),
-            "surrogate": known,
-        }
+        return self._shown(
+            {
+                **out,
+                "why_none": "",
+                "mean": explore.by_name(self.study.space, now.mean),
+                "sd": explore.by_name(self.study.space, now.sd),
+                "draws": explore.columns(self.study.space, few.draws),
+                "bands": _bands(now),
+                "surrogate": known,
+            }
+        )
 
     def predict(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Return the interface that the surrogate predicts at some inputs."""
@@ -325,7 +349,7 @@ class ViewedStudy:
             raise InvalidInput("posterior", value=shown.why_none, expected="a posterior", remedy="Wait for runs.")
         use_double()
         with one_thread():
-            return self._answered(answer_to(asked, self.study, now, again=again), now, again=again)
+            return self._shown(self._answered(answer_to(asked, self.study, now, again=again), now, again=again))
 
     def _answered(self, answer: AlternativePosterior, now: Baseline, *, again: bool) -> dict[str, Any]:
         space, threshold = self.study.space, reliability_threshold(len(now.draws))
@@ -353,14 +377,19 @@ class ViewedStudy:
     def flow(self, given: Mapping[str, Any], condition: str) -> dict[str, Any]:
         """Return velocity, pressure and displacement at some inputs, by a run of the model."""
         words, known = "a model that offers its fields", declared_conditions(self.study.model)
-        require(isinstance(self.study.model, DrawsFields), "flow", type(self.study.model).__name__, words)
+        require(draws_fields(self.study.model), "flow", type(self.study.model).__name__, words)
         require(not condition or condition in known, "condition", condition, f"one of {', '.join(known)}")
         inputs = {**self.study.fixed, **self.study.space.as_mapping(self._inputs(given))}
         return _flow_on_grid(self.study.model, inputs, condition)
 
     def _inputs(self, given: Mapping[str, Any]) -> Float[np.ndarray, " dim"]:
-        space = self.study.space
-        return np.array([number_in(name, given.get(name), *space[name].interval) for name in space.names])
+        """Return the inputs that the page sends, with the coefficients of fields at their posterior mean, else 0."""
+        now, space = self.newest.shown.now, self.study.space
+        x = np.zeros(space.dim) if now is None else np.array(now.mean)
+        for k, one in enumerate(space):
+            if one.of_field is None:
+                x[k] = number_in(one.name, given.get(one.name), *one.interval)
+        return x
 
 
 def _bands(now: Baseline) -> dict[str, dict[str, Any]]:

@@ -6,13 +6,17 @@ import signal
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 
+import numpy as np
 import pytest
 from tests.doors.runs.dying import KilledWhileLoading
 from tests.doors.runs.processes import Unloadable, hanging_driver, pids, processes_of_group, wait_until
+from tests.unit.models.test_fields import AT, FIELD, MODEL
 
 from strandline.foundations import InvalidInput
-from strandline.runs import InProcess, LocalProcesses
+from strandline.models import PythonModel, WithFields, with_sensitivities
+from strandline.runs import InProcess, LocalProcesses, RunRequest
 from strandline.runs.worker import WorkerSlot, packed_model
 from strandline.testing.executors import CHECKS, CRASH_CHECKS, TIMEOUT_CHECKS, WAITING_CHECKS, requests_for
 from strandline.testing.models import Cantilever, Counted, Faulty
@@ -27,6 +31,13 @@ BESIDE = ["yields_in_order_of_completion", "pulls_when_a_worker_is_free", "stops
 def test_local_processes_conform(workers, names):
     for name in names:
         (CHECKS | CRASH_CHECKS)[name](LocalProcesses(workers), workers=workers)
+
+
+def test_derivatives_by_a_vjp_come_back_from_a_process():
+    model = WithFields(PythonModel("tests.unit.models.strips:pulled", sensitivities=True), (FIELD,))
+    (found,) = LocalProcesses(1)(model, iter([RunRequest("key", AT)]))
+    for name, slopes in with_sensitivities(MODEL)(AT, Path()).sensitivities[""].items():
+        np.testing.assert_allclose(found.sensitivities[""][name], slopes, atol=1e-12)
 
 
 def test_local_processes_stop_hanging_runs():

@@ -4,7 +4,6 @@ These runs have their own ledger, check.sqlite: the design's ledger stays the sa
 be locked, deleted or reused without the other.
 """
 
-import dataclasses
 import hashlib
 import time
 from collections import Counter
@@ -21,7 +20,7 @@ from strandline.calibration import Observer, observer_or_default
 from strandline.foundations import InvalidInput, InvalidStudy, TooFewRuns, read_json, write_json
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
-from strandline.models import ForwardModel, undeformed_interface
+from strandline.models import ForwardModel, undeformed_interface, with_option
 from strandline.report import add_check
 from strandline.runs import Executor, Ledger, RunRecord, run_campaign, run_key
 from strandline.studies.foresight.first_run import observations_of, turned_like
@@ -108,7 +107,8 @@ def _inputs(found: CheckedDraws) -> dict[str, dict[str, Any]]:
     def moments(i: int) -> dict[str, float]:
         return {name: float(getattr(found.result, name)[i]) for name in MOMENTS}
 
-    return {one.name: {"unit": one.unit, **moments(i)} for i, one in enumerate(found.posterior.space)}
+    space = found.posterior.space
+    return {one.name: {"unit": one.unit, **moments(i)} for i, one in enumerate(space) if one.name in space.scalars}
 
 
 def _remarks(study: Study, found: CheckedDraws) -> Iterator[str]:
@@ -133,7 +133,7 @@ def _remarks(study: Study, found: CheckedDraws) -> Iterator[str]:
 def _differences(found: CheckedDraws) -> Iterator[str]:
     result = found.result
     for name, shift, ratio in zip(found.posterior.space.names, result.shift, result.sd_ratio, strict=True):
-        if abs(shift) > SHIFT_SHOWN or abs(ratio - 1) > RATIO_SHOWN:
+        if name in found.posterior.space.scalars and (abs(shift) > SHIFT_SHOWN or abs(ratio - 1) > RATIO_SHOWN):
             yield (
                 f"{name}: the true model moves the mean by {shift:+.2f} standard deviations and changes the standard "
                 f"deviation by a factor of {ratio:.2f}: take the reweighted figures."
@@ -278,6 +278,5 @@ def _run(
 
 def plain_model(study: Study) -> ForwardModel:
     """Return the model without sensitivities, which are not needed here."""
-    model: Any = study.model
-    plain: ForwardModel = dataclasses.replace(model, sensitivities=False) if study.sensitivities else model
+    plain: ForwardModel = with_option(study.model, "sensitivities", False) if study.sensitivities else study.model
     return plain

@@ -16,7 +16,7 @@ from strandline.discrepancy import (
     require_plausible,
     squared_distances,
 )
-from strandline.foundations import ForwardModelError, InvalidInput, InvalidStudy, NumericsError
+from strandline.foundations import ForwardModelError, InvalidInput, InvalidStudy, NumericsError, inputs_text
 from strandline.interface import Interface, Observation, PointErrors, UnknownErrors
 from strandline.likelihood import compared, noise_length, sd_of_distances
 from strandline.models import SolvesOnFinerMesh, undeformed_interface
@@ -69,7 +69,7 @@ def require_ok(record: RunRecord, what: str, remedy: str = "") -> RunRecord:
     """Return a run that ended ok; refuse another one."""
     if record.ok:
         return record
-    shown = ", ".join(f"{name} = {value:.6g}" for name, value in record.inputs.items())
+    shown = inputs_text(record.inputs)
     said = (record.message or "no message").partition("\n")[0]
     value, expected = f"{record.failure_kind or record.state} at {shown}", "a run that ends with an interface"
     remedy = f"{remedy or 'Look at the simulator, or move the priors to where it runs.'} It says: {said}"
@@ -150,7 +150,7 @@ def shape_lines(study: Study, record: RunRecord) -> Iterator[str]:
 
 def early_doubts(study: Study, record: RunRecord) -> Iterator[str]:
     """Yield what one run, whatever its inputs, shows to be wrong: a body on the other side, ends that are far apart."""
-    faced, at = facing(study, record), ", ".join(f"{name} = {value:.6g}" for name, value in record.inputs.items())
+    faced, at = facing(study, record), inputs_text(record.inputs)
     yield from (line for line in turned_lines(faced) if line.startswith("warning"))
     for condition, observed in faced.observed.items():
         run, of = record.interfaces[condition], f" ({condition})" if condition else ""

@@ -62,7 +62,8 @@ def expected_sd(study: Study, interfaces: Interfaces, slopes: Slopes, observed: 
     Raises InvalidInput if the measure refuses the interfaces, or no noise variance of it fits the errors of the points;
     NumericsError if the slopes give no finite widths.
     """
-    prior = np.diag(1 / _prior_sd(study.space) ** 2)
+    root = _prior_sd(study.space)[:, None] * study.space.root
+    prior = np.linalg.inv(root @ root.T)
     if not all(np.isfinite(one).all() for one in slopes.values()):
         raise NumericsError("the slopes of the interface give no finite widths")
     try:
@@ -139,17 +140,21 @@ def _curvature(squares: Float[np.ndarray, " move"], steps: _OfInputs) -> Float[n
 
 def width_lines(study: Study, sd: Float[np.ndarray, " dim"], source: str) -> Iterator[str]:
     """Yield the expected standard deviation of each input, and a warning for inputs that the data barely constrain."""
-    prior = _prior_sd(study.space)
-    shown = [f"{p.name} ± {s:.3g} ({s / w:.2g} of its prior)" for p, s, w in zip(study.space, sd, prior, strict=True)]
+    left = dict(zip(study.space.names, sd / _prior_sd(study.space), strict=True))
+    scalars = [(p, s) for p, s in zip(study.space, sd, strict=True) if p.name in study.space.scalars]
+    shown = [f"{p.name} ± {s:.3g} ({left[p.name]:.2g} of its prior)" for p, s in scalars]
+    for one in study.space.fields:
+        known = sum(left[name] <= HARDLY for name in one.coefficients)
+        shown.append(f"{one.name}: {known} of {one.count} coefficients below {HARDLY:g} of their prior")
     yield f"expected posterior (linearised, from {source}): {', '.join(shown)}"
-    blind = [p.name for p, s, w in zip(study.space, sd, prior, strict=True) if s > HARDLY * w and not p.nuisance]
+    blind = [p.name for p, _ in scalars if left[p.name] > HARDLY and not p.nuisance]
     if blind:
         yield f"warning: with this noise the data barely constrain {', '.join(blind)}"
 
 
 def _prior_sd(space: ParameterSpace) -> Float[np.ndarray, " dim"]:
     """Return half the width of the central 68.3 % of each prior."""
-    low, high = (space.prior_quantiles(np.full((1, space.dim), p))[0] for p in (0.1587, 0.8413))
+    low, high = space.marginal_quantiles(np.array([0.1587, 0.8413]))
     return np.asarray(0.5 * (high - low))
 
 

@@ -137,7 +137,8 @@ class ObservationFile(_Read):  # type: ignore[misc]
 
     model_config = ConfigDict(use_attribute_docstrings=True)
     synthetic: dict[str, Number] | None = None
-    """instead of `file`: a value for each input; the model makes the observation"""
+    """instead of `file`: a value for each input; the model makes the observation; coefficients of a field, `E_1`, are 0
+    by default"""
     image: ImageFile | None = None
     """instead of `file`: [a picture](../how-to/picture.md) in which the interface is found"""
     stack: StackFile | None = None

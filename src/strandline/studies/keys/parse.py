@@ -33,7 +33,7 @@ WORDS = {
     "too_short": "at least one entry",
 }
 """What was expected, in plain words, by pydantic's name of the mistake; pydantic's own words otherwise."""
-INTERNAL = {ONE, SEVERAL, "[key]", "float", "int", "str", "Quantity", "Stop", "dict"}
+INTERNAL = {ONE, SEVERAL, "[key]", "float", "int", "str", "Quantity", "Stop", "dict", "FieldPoints"}
 """pydantic's own names in locations that are not keys of the file."""
 
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
 from strandline.design import FEWEST_POINTS, Active, Refinement
+from strandline.parameters import GaussianField
 from strandline.runs import DaskCluster, InProcess, LocalProcesses, SlurmArray
 from strandline.smc import SMCSettings
 from strandline.studies.keys import schema
@@ -208,7 +209,7 @@ Points = Annotated[schema.Whole, Field(ge=FEWEST_POINTS, le=schema.MOST)]
 
 def _ordered(part: tuple[float, float]) -> tuple[float, float]:
     if not part[0] < part[1]:
-        raise ValueError("pairs of shares of the interface's length, e.g. [[0, 0.5], [0.5, 1]]")
+        raise ValueError("two numbers, the lower one first, e.g. [0, 0.5]")
     return part
 
 
@@ -279,11 +280,53 @@ def _symbol(value: str) -> str:
     return value.strip()
 
 
+Prior = Annotated[dict[str, list[schema.Number]], Field(min_length=1, max_length=1)]
+
+
+class FieldPoints(schema.Section):
+    """Where a simulator without points of its own takes a field."""
+
+    file: schema.Text | None = None
+    """where the simulator takes it; by default `at: solid`, the points of the built-in cell; else a table of points,
+    relative to the study folder, separated by commas: a first line `x,y` or `x,y,z`, and a column `weight` if they
+    stand for different areas"""
+    unit: Literal["mm", "um", "µm", "m"] | None = None
+    """unit of length in the `file`: `mm`, `um`, `µm` or `m`"""
+    interval: Annotated[tuple[schema.Number, schema.Number], AfterValidator(_ordered)] | None = None
+    """instead of `file`: `{interval: [0, 1], points: 200}`, mm, the middles of equal parts"""
+    points: Annotated[schema.Whole, Field(ge=2, le=2000)] | None = None
+    """how many parts"""
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> "FieldPoints":
+        if self.model_fields_set not in ({"file", "unit"}, {"interval", "points"}):
+            raise ValueError("{file: points.csv, unit: mm} or {interval: [0, 1], points: 200}")
+        return self
+
+
+FIELD = schema.Options(
+    GaussianField,
+    also={
+        "sd": (schema.Number | Prior, ...),
+        "length": (schema.Number | Prior, ...),
+        "at": (
+            Annotated[
+                Literal["solid"] | FieldPoints,
+                Field(description="where the simulator takes it: `solid` (the built-in cell), or points"),
+            ],
+            "solid",
+        ),
+    },
+)
+
+
 class Input(schema.Section):
     """An unknown input."""
 
-    prior: Annotated[dict[str, list[schema.Number]], Field(min_length=1, max_length=1)]
-    """a [distribution](#priors) with its numbers"""
+    prior: Prior | None = None
+    """a [distribution](#priors) with its numbers; required without `field`"""
+    field: Annotated[Mapping[str, Any], FIELD] | None = None
+    """instead of `prior`: the input varies from point to point, as a Gaussian field"""
     unit: schema.Unit | None = None
     """the model's unit, a label: nothing is converted; omit for a pure number"""
     box: tuple[schema.Number, schema.Number] | None = None
@@ -293,6 +336,23 @@ class Input(schema.Section):
     label: Annotated[str, AfterValidator(_symbol)] | None = None
     """symbol in figures, report and tables, e.g. `V̇_in`: one line of up to 30 characters; an underscore starts a
     subscript; default: the name"""
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> "Input":
+        if (self.prior is None) == (self.field is None):
+            raise ValueError("either `prior: {uniform: [low, high]}` or `field: {mean: …, sd: …, length: …}`")
+        if self.field is not None and not self.model_fields_set <= {"field", "unit"}:
+            raise ValueError("`field` with `unit` only")
+        return self
+
+
+class Correlation(schema.Section):
+    """A correlation between two inputs."""
+
+    between: tuple[schema.Name, schema.Name]
+    """two inputs that are correlated a priori, `[E, nu]`; their own priors stay"""
+    value: Annotated[schema.Number, Field(gt=-1, lt=1)]
+    """correlation of the normal quantiles of their priors (a Gaussian copula), between -1 and 1"""
 
 
 class StudyFile(schema.Section):
@@ -310,6 +370,7 @@ class StudyFile(schema.Section):
     fixed: dict[schema.Name, schema.Number | Quantity] = {}
     """a known input: a number in the model's unit"""
     inputs: Annotated[dict[schema.Name, Input], Field(min_length=1)]
+    correlation: list[Correlation] = []
     observation: Observed
     discrepancy: schema.Choice | Annotated[list[schema.Choice], Field(min_length=1)]
     """a [measure](#measures) with its options, or a list of them"""

@@ -95,6 +95,7 @@ EXAMPLES = {
     "pendant-drop": "A photograph: the surface tension of a hanging drop.",
     "oct": "Two OCT scans: the stiffness of a biofilm.",
     "creep": "A creep test: stiffness and relaxation time of a biofilm.",
+    "stiffness-field": "A map: the stiffness of a biofilm that varies from place to place.",
 }
 """Name of each example and what it shows."""
 OWN = ("biofilm", "python", "command")  # examples of a simulator whose observed interface may be replaced

@@ -2,16 +2,26 @@
 
 import dataclasses
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
 from strandline.design.candidates import WHOLE, Candidate, Look, candidates
-from strandline.foundations import InvalidStudy
-from strandline.models import ForwardModel, ModelInput, UsesNames, declared_conditions, declared_inputs, same_unit
-from strandline.parameters import PRIORS, Parameter, ParameterSpace, Prior
+from strandline.foundations import InvalidStudy, require, unfit
+from strandline.models import (
+    ForwardModel,
+    ModelInput,
+    UsesNames,
+    declared_conditions,
+    declared_inputs,
+    fields_of,
+    same_unit,
+)
+from strandline.parameters import PRIORS, GaussianField, Parameter, ParameterSpace, Prior, RandomField, Support
 from strandline.readers import TO_MM
 from strandline.studies.keys.parse import entry, made, open_entry, refused_at, require_parts
 from strandline.studies.keys.study_file import Input, Next, Quantity, StudyFile
@@ -20,34 +30,114 @@ from strandline.studies.load.observed import require_condition
 MASS_CUT_ACCEPTED = 0.5  # largest share of an unbounded prior's mass that may lie outside the box
 
 
-def build_space(inputs: Mapping[str, Input], model: ForwardModel) -> ParameterSpace:
-    """Return the unknown inputs, checked against what the model declares."""
+def build_space(study: StudyFile, model: ForwardModel) -> ParameterSpace:
+    """Return the unknown inputs, checked against what the model declares; those of fields are in place of these."""
     declared = {item.name: item for item in declared_inputs(model)}
-    parameters = tuple(_parameter(name, item, declared.get(name)) for name, item in inputs.items())
+    fields = {one.name: one.parameters for one in fields_of(model)}
+    parameters: list[Parameter] = []
+    for name, item in study.inputs.items():
+        parameters += fields[name] if name in fields else [_parameter(name, item, declared.get(name))]
     for parameter in parameters:
         _check_name(parameter.name, declared, f"inputs.{parameter.name}")
         for bound in parameter.interval:
             _check_range(bound, declared, parameter.name, f"inputs.{parameter.name}: end of the design box")
     with refused_at("inputs"):
-        return ParameterSpace(parameters)
+        space = ParameterSpace(tuple(parameters))
+    pairs = {one.between: one.value for one in study.correlation}
+    require(len(pairs) == len(study.correlation), "correlation", "a pair of inputs twice", "each pair once")
+    with refused_at():
+        space = replace(space, correlation=pairs)
+    _require_compiled(space)
+    return space
 
 
-def build_fixed(study: StudyFile, model: ForwardModel) -> dict[str, float]:
+def _require_compiled(space: ParameterSpace) -> None:
+    """Refuse a prior of correlated inputs whose cdf JAX cannot compile."""
+    try:
+        jax.eval_shape(space.log_prior, np.zeros(space.dim, np.float32))
+    except Exception as error:
+        found = f"a cdf that fails with {type(error).__name__}"
+        raise _refused("priors of correlated inputs", found, "one that works on JAX arrays under jax.jit") from None
+
+
+def build_fields(inputs: Mapping[str, Input], model: ForwardModel, folder: Path) -> tuple[RandomField, ...]:
+    """Return the inputs that are fields, at the points where the model takes them."""
+    declared = {item.name: item for item in declared_inputs(model)}
+    given = {name: item for name, item in inputs.items() if item.field is not None}
+    return tuple(_field(name, item, model, declared, folder) for name, item in given.items())
+
+
+def _field(
+    name: str, item: Input, model: ForwardModel, declared: Mapping[str, ModelInput], folder: Path
+) -> RandomField:
+    place, options, own = f"inputs.{name}.field", dict(item.field or {}), declared.get(name)
+    _check_name(name, declared, f"inputs.{name}")
+    _require_unit(item.unit, own, f"inputs.{name}", "give the field in that unit")
+    for key in ("sd", "length"):
+        if isinstance(options[key], Mapping):
+            options[key] = build_prior(options[key], f"{place}.{key}")
+    at = options.pop("at", "solid")
+    with refused_at(f"inputs.{name}"):
+        prior = GaussianField(**options)
+        if own is not None and own.low >= 0:
+            words = f"true: the model takes values in {own.range_text()}", "Leave it out."
+            require(prior.log, f"log of the field {name}", "false", *words)
+        return prior.on(name, _support(name, at, model, folder), own.unit if own else item.unit or "1")
+
+
+def _support(name: str, at: Any, model: Any, folder: Path) -> Support:
+    """Return the points at which a model takes a field."""
+    if "interval" in at:
+        low, high = at["interval"]
+        return Support.interval(low, high, at["points"])
+    if "file" in at:
+        return _points(folder / at["file"], TO_MM[at["unit"]])
+    expected = (
+        "{file: points.csv, unit: mm} or {interval: [0, 1], points: 200}: this simulator has no points of its own"
+    )
+    require(hasattr(model, "field_support"), f"field.at of {name}", at, expected, "State the points.")
+    found: Support = model.field_support(name)
+    return found
+
+
+COLUMNS = ("x", "y", "z", "weight")
+
+
+def _points(path: Path, factor: float) -> Support:
+    """Return the points in a table, mm, and their weights, by default equal ones."""
+    what, expected = f"points of a field, {path.name}", "a readable table of numbers, its first line x,y or x,y,z"
+    try:
+        titles, *lines = path.read_text(encoding="utf-8-sig").splitlines()
+        names = [title.strip().lower() for title in titles.split(",")]
+        table = np.loadtxt(lines, delimiter=",", ndmin=2)
+    except (OSError, ValueError) as error:
+        raise unfit(what, " ".join(str(error).split()), expected, "Correct the file, or its name.") from None
+    found = [names.index(name) for name in COLUMNS if name in names]
+    right = "x" in names and len(found) == len(names) == table.shape[1] and len(table) > 1
+    require(right, what, f"{len(table)} rows, first line {titles!r}", expected, "Add a first line of names.")
+    weights = table[:, names.index("weight")] if "weight" in names else np.ones(len(table))
+    sound = np.isfinite(table).all(axis=1) & (weights > 0)
+    bad = int(np.argmin(sound)) + 2
+    require(sound.all(), f"{what}, line {bad}", lines[bad - 2], "finite numbers, a weight above 0", "Correct the line.")
+    return Support(factor * table[:, [names.index(name) for name in COLUMNS[:3] if name in names]], weights)
+
+
+def build_fixed(study: StudyFile, model: ForwardModel, space: ParameterSpace) -> dict[str, float]:
     """Return the known inputs; together with the unknown ones they must be all that the model takes."""
     declared = {item.name: item for item in declared_inputs(model)}
     if isinstance(model, UsesNames):
         with refused_at():
-            model.require_names(study.inputs, study.fixed)
+            model.require_names(space.names, study.fixed)
     for name, given in study.fixed.items():
         if isinstance(given, Quantity):
             _require_unit(given.unit, declared.get(name), f"fixed.{name}", "convert the value")
     fixed = {name: float(one.value if isinstance(one, Quantity) else one) for name, one in study.fixed.items()}
     check_values(fixed, model, "fixed")
     for name in fixed:
-        if name in study.inputs:
+        if name in space.names:
             what, remedy = f"{name} is both fixed and an input", f"Remove {name} from fixed or from inputs."
             raise InvalidStudy(what, value=fixed[name], expected="one of the two", remedy=remedy)
-    missing = [name for name in declared if name not in fixed and name not in study.inputs]
+    missing = [name for name in declared if name not in fixed and name not in space.names]
     if missing:
         what = f"no value for {', '.join(missing)}, which the model takes"
         expected = "a prior under inputs or a number under fixed"
@@ -80,7 +170,7 @@ def check_complete(
 
 def _parameter(name: str, item: Input, declared: ModelInput | None) -> Parameter:
     _require_unit(item.unit, declared, f"inputs.{name}", "give its prior in that unit")
-    prior = build_prior(item.prior, f"inputs.{name}.prior")
+    prior = build_prior(item.prior or {}, f"inputs.{name}.prior")
     with refused_at(f"inputs.{name}"):
         unit = declared.unit if declared else item.unit or "1"
         parameter = Parameter(name, prior, unit, item.box, item.nuisance, symbol=item.label or "")

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from strandline.calibration import Settings
+from strandline.calibration import MANY, Settings
 from strandline.design import Active, Refinement
 from strandline.foundations import InvalidStudy, lookup
 from strandline.interface import Noise, PointErrors, UnknownErrors
@@ -20,8 +20,8 @@ from strandline.studies.keys.observation import COLUMN, IMAGE, ConditionNoise
 from strandline.studies.keys.parse import entry, made, open_entry, parse_study, refused_at, require_parts
 from strandline.studies.keys.study_file import ExecutorChoice, Failures, StudyFile
 from strandline.studies.load import observed as observing
-from strandline.studies.load.inputs import build_fixed, build_space, check_complete, read_candidates
-from strandline.studies.load.models import build_discrepancies, build_model, with_cheaper
+from strandline.studies.load.inputs import build_fields, build_fixed, build_space, check_complete, read_candidates
+from strandline.studies.load.models import build_discrepancies, build_model, with_cheaper, with_fields
 from strandline.studies.load.photographed import undeformed_in, with_errors_of
 from strandline.studies.load.study import Study, failure_words
 
@@ -40,19 +40,22 @@ def study_of(folder: Path, content: StudyFile, text: str) -> Study:
     """Return the study that a study file states."""
     undeformed = undeformed_in(content.model, folder)
     model = build_model(content.model, folder, sensitivities=content.sensitivities, undeformed=undeformed)
-    model = with_cheaper(model, content, folder, undeformed)
+    fields = build_fields(content.inputs, model, folder)
+    model = with_cheaper(with_fields(model, fields), content, folder, undeformed)
     reuse = tuple(_reused_ledger(folder, other) for other in content.reuse)
-    space, fixed = build_space(content.inputs, model), build_fixed(content, model)
+    space = build_space(content, model)
+    fixed = build_fixed(content, model, space)
     truth, synthetic_noise = None, None
     if not isinstance(content.observation, list) and content.observation.synthetic is not None:
-        truth, disturbed = dict(content.observation.synthetic), content.observation.noise
+        truth = {one.name: 0.0 for one in space if one.of_field is not None} | content.observation.synthetic
+        disturbed = content.observation.noise
         check_complete(truth, (*space.names, *fixed), model, "observation.synthetic")
         if disturbed is not None:
             seed = content.seed if disturbed.seed is None else disturbed.seed
             synthetic_noise = observing.SyntheticNoise(disturbed.sd, seed)
     read = {} if truth is not None else observing.read_observations(folder, content.observation, model)
     observed = {condition: one.interface for condition, one in read.items()}
-    noise, noises = _noises(content, model, read)
+    noise, noises = _noises(content, model, read, space.names)
     if undeformed is not None:
         undeformed = replace(undeformed, noises={name: noises.get(name, noise) for name in read})
         with_errors = partial(with_errors_of, undeformed, conditions=len(read))
@@ -74,7 +77,7 @@ def study_of(folder: Path, content: StudyFile, text: str) -> Study:
         pictures={condition: one.picture for condition, one in read.items() if one.picture is not None},
         stacks={condition: one.stack for condition, one in read.items() if one.stack is not None},
         undeformed=undeformed,
-        settings=build_settings(content, model),
+        settings=build_settings(content, model, space.dim),
         executor=build_executor(content.executor, folder),
         reuse=reuse,
         candidates=read_candidates(content.next, model, space, fixed),
@@ -91,11 +94,11 @@ def study_of(folder: Path, content: StudyFile, text: str) -> Study:
 
 
 def _noises(
-    content: StudyFile, model: ForwardModel, read: Mapping[str, observing.Found]
+    content: StudyFile, model: ForwardModel, read: Mapping[str, observing.Found], names: tuple[str, ...]
 ) -> tuple[Noise | PointErrors | UnknownErrors, dict[str, Noise | PointErrors | UnknownErrors]]:
     for condition in content.noise.conditions:
         observing.require_condition(condition, declared_conditions(model), "noise.conditions")
-    names, stated = tuple(content.inputs), dict[str, ConditionNoise](content.noise.conditions)
+    stated = dict[str, ConditionNoise](content.noise.conditions)
     if content.noise.sd in (COLUMN, IMAGE):
         stated = {**dict.fromkeys(read, content.noise), **stated}
     for name, one in read.items():
@@ -129,19 +132,24 @@ FEW_INPUTS = 3  # most inputs with one length scale for all in a surrogate of th
 SLURM = "slurm"  # folder in the study that holds the batches of SLURM arrays
 
 
-def build_settings(content: StudyFile, model: ForwardModel) -> Settings:
-    """Return how the posterior is computed."""
+def build_settings(content: StudyFile, model: ForwardModel, dim: int) -> Settings:
+    """Return how the posterior of `dim` inputs is computed."""
     smc, sobol = dict(content.sampler.smc), content.design.sobol
     particles = smc.pop("particles")
     refine = build_refinement(content.design.refine, particles)
     with refused_at("sampler.smc"):
         sampler = SMCSettings(**smc)
-    dim, log_likelihood = len(content.inputs), content.surrogate.log_likelihood
+    log_likelihood = content.surrogate.log_likelihood
     active = build_active(content.design.active, dim, sensitivities=content.sensitivities)
     if sobol is not None and sobol.runs < dim + 2:
         expected = f"at least {dim + 2} runs for {dim} input(s); 100 are a start"
         raise InvalidStudy("design.sobol.runs", value=sobol.runs, expected=expected, remedy="Enlarge the design.")
     by_field = active is not None or content.surrogate.field is not None
+    if dim > MANY and not (active is not None and content.sensitivities):
+        expected = f"at most {MANY} inputs, or the keys `sensitivities: true` and `design: {{active: …}}`"
+        raise InvalidStudy(
+            "inputs", value=f"{dim} unknown ones", expected=expected, remedy="Add them, or take fewer modes."
+        )
     kernel, fit = (None, None) if log_likelihood is None else (log_likelihood.kernel, log_likelihood.fit)
     kernel = kernel or ("matern32" if dim <= FEW_INPUTS or not by_field else "matern32_product")
     scramble = (content.design.active or {}).get("scramble") if sobol is None else sobol.scramble

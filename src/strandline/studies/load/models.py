@@ -10,7 +10,18 @@ from pydantic import ConfigDict
 
 from strandline.discrepancy import DISCREPANCIES, Discrepancy, apart
 from strandline.foundations import InvalidInput, InvalidStudy, read_json, require
-from strandline.models import CHEAPER, MODELS, ForwardModel, UsesNames, WithCheaper, by_cheaper, with_sensitivities
+from strandline.models import (
+    CHEAPER,
+    MODELS,
+    ForwardModel,
+    UsesNames,
+    WithCheaper,
+    WithFields,
+    by_cheaper,
+    fields_of,
+    with_sensitivities,
+)
+from strandline.parameters import RandomField
 from strandline.runs import RunRecord
 from strandline.studies.keys.folder import SUMMARY
 from strandline.studies.keys.parse import checked, made, open_entry, refused_at, require_parts
@@ -75,6 +86,14 @@ def build_discrepancies(
     return result
 
 
+def with_fields(model: ForwardModel, fields: tuple[RandomField, ...]) -> ForwardModel:
+    """Return the model with the fields among its inputs; the model itself if there are none."""
+    if not fields:
+        return model
+    with refused_at("inputs"):
+        return WithFields(model, fields)
+
+
 def differentiating(model: ForwardModel) -> ForwardModel | None:
     """Return `model` with sensitivities switched on; None if it has none."""
     try:
@@ -124,7 +143,8 @@ def with_cheaper(
         remedy = "Write e.g. fidelities: [{model: {command: {…}}, cost: 0.1}]."
         raise InvalidStudy(what, value=f"with {', '.join(differing)} beside it", expected=expected, remedy=remedy)
     with refused_at("fidelities"):
-        cheaper = build_model(choice, folder, sensitivities=content.sensitivities, undeformed=undeformed)
+        other = build_model(choice, folder, sensitivities=content.sensitivities, undeformed=undeformed)
+        cheaper = with_fields(other, fields_of(model))
         if isinstance(cheaper, UsesNames):
             cheaper.require_names(content.inputs, content.fixed)
         return WithCheaper(model, cheaper, stated.cost)

@@ -58,11 +58,14 @@ class Study:
     as_loaded: "Study | None" = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
-        unknown, model = ", ".join(self.space.names), type(self.model).__name__
+        unknown, model = ", ".join(self.space.shown), type(self.model).__name__
         return f"<Study {self.name}: {unknown} of {model}, {self.settings.planned_runs} runs, {self.folder}>"
 
     def _repr_html_(self) -> str:
-        priors = [(html_text(p.name), html.escape(p.unit), html.escape(repr(p.prior))) for p in self.space]
+        scalars = [self.space[name] for name in self.space.scalars]
+        priors = [
+            (html_text(p.name), *map(html.escape, (p.unit, repr(p.prior)))) for p in (*scalars, *self.space.fields)
+        ]
         facts = [("model", html.escape(type(self.model).__name__)), ("folder", html.escape(str(self.folder)))]
         facts += [("runs", str(self.settings.planned_runs)), ("measures", ", ".join(self.discrepancies))]
         facts += [(html.escape(name), f"{value:g}") for name, value in self.fixed.items()]

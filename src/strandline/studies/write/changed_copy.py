@@ -49,7 +49,7 @@ def changed_study(folder: Path, settings: Sequence[str], into: Path | None = Non
 
 def _same_model(present: Path, changes: Changes, text: str) -> bool:
     """Return whether runs of the study fit its copy: one with another model can take none over."""
-    if all(keys[0] != "model" for keys in changes):
+    if all(keys[0] not in ("model", "inputs") for keys in changes):  # of these, the prior of a field
         return True
     try:
         other = changed_text(text, changes)

@@ -15,8 +15,9 @@ from strandline.design import BatchCheck, FidelityReport, FieldOutcome, Step, sh
 from strandline.discrepancy import Discrepancy
 from strandline.interface import Observation, UnknownErrors, steady_lengths
 from strandline.likelihood import InterfaceLikelihood, NoisePosterior, adapted, compared
+from strandline.parameters import ParameterSpace
 from strandline.posterior import MarginalPosterior, Posterior, QuadratureResult, mixture
-from strandline.report import as_json, find_warnings, fit_as_json, nearest_runs
+from strandline.report import as_json, fields_as_json, find_warnings, fit_as_json, nearest_runs, without_coefficients
 from strandline.runs import EXCLUDED, outcome_digest
 from strandline.studies.foresight.check import outcomes
 from strandline.studies.foresight.measure_doubts import contradictions
@@ -34,7 +35,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
     """Return the summary as plain numbers, texts, lists and dicts."""
     sampling, field, nearest = calibration.sampling, calibration.field, _nearest(calibration)
     posterior, exact, laplace = calibration.posterior, calibration.quadrature, calibration.laplace
-    return {
+    content = {
         **facts_of(study, study.settings.seed),
         "draft": study.settings.draft,
         "runs": outcomes(calibration.all_runs) | {"new": new_runs, "reused": reused_runs},
@@ -53,6 +54,8 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "truth": None if study.truth is None else dict(study.truth),
         "synthetic_noise": None if study.synthetic_noise is None else asdict(study.synthetic_noise),
         "inputs": _inputs(calibration),
+        "correlation": [{"between": list(pair), "value": value} for pair, value in study.space.correlation.items()],
+        "fields": fields_as_json(posterior),
         "log_evidence": posterior.log_evidence,
         "likelihood": _likelihood(calibration),
         "pictures": read_how(study),
@@ -63,17 +66,18 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "comparison": comparison(calibration),
         "measures": {name: _surrogate(s) for name, s in calibration.surrogates.items()},
         "sampler": {
+            "kind": "chains" if field is not None and field.by_chains else "smc",
             "particles": study.settings.particles,
             **named(study.settings.smc, "rejuvenation_steps", "zeta"),
             "tempering_steps": len(sampling.steps),
             "likelihood_evaluations": sampling.likelihood_evaluations,
             "ess": sampling.ess if field is None else posterior.ess,
         },
-        "gaussian": {"covariance": calibration.gaussian.covariance.tolist()},
+        "gaussian": {"covariance": _of_scalars(calibration.gaussian.covariance, posterior.space)},
         "laplace": {
             "definite": laplace.definite,
             "eigenvalues": laplace.eigenvalues.tolist(),
-            "covariance": None if laplace.covariance is None else laplace.covariance.tolist(),
+            "covariance": _of_scalars(laplace.covariance, posterior.space),
         },
         "quadrature_check": None if exact is None else _compared(posterior.space.names, posterior, exact),
         "sampler_check": sampler_check(calibration),
@@ -86,6 +90,8 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         ],
         "seconds": dict(calibration.seconds),
     }
+    shown: dict[str, Any] = without_coefficients(content, posterior.space)
+    return shown
 
 
 def sampler_check(calibration: Calibration) -> dict[str, Any] | None:
@@ -137,8 +143,14 @@ def _reading(reading: MarginalPosterior) -> dict[str, Any]:
     return {
         "inputs": dict(zip(reading.names, _moments(reading), strict=True)),
         "map_bins": reading.map_bins,
-        "covariance": reading.covariance.tolist(),
+        "covariance": _of_scalars(reading.covariance, reading.extended.space.calibrated_space),
     }
+
+
+def _of_scalars(covariance: Float[np.ndarray, "dim dim"] | None, space: ParameterSpace) -> list[list[float]] | None:
+    """Return a covariance without the coefficients of fields; posterior.nc has their draws."""
+    kept = [space.names.index(name) for name in space.scalars]
+    return None if covariance is None else covariance[np.ix_(kept, kept)].tolist()
 
 
 def _moments(found: Posterior | MarginalPosterior) -> list[dict[str, float]]:
@@ -273,6 +285,7 @@ def field_surrogate(calibration: Calibration, found: FieldOutcome) -> dict[str, 
         },
         "variance_effect": {
             "shift": _by_name(names, found.effect.shift),
+            "largest_shift": float(np.abs(found.effect.shift).max()),
             "sd_ratio": _by_name(names, found.effect.sd_ratio),
             "effective": found.effect.effective,
         },
@@ -342,6 +355,7 @@ def certificate(calibration: Calibration) -> dict[str, Any] | None:
         "converged": given.converged,
         "verdict": "converged" if given.converged else "not converged: " + "; ".join(given.reasons),
         "scattered": given.scattered,
+        "exact": given.drawn or None,
         "runs": len(calibration.all_runs),
         "batches": [{"kind": batch.kind, "runs": len(batch.points)} for batch in given.batches],
         "check": None if checked is None else _check(checked, given.checked, names),
@@ -379,14 +393,15 @@ def comparison(calibration: Calibration) -> dict[str, Any] | None:
 
 def _check(found: BatchCheck, step: Step | None, names: tuple[str, ...]) -> dict[str, Any]:
     weights, moments = found.reweighting, ("shift", "shift_error", "sd_ratio")
-    of: dict[str, Any] = dict.fromkeys(("k_hat", "effective", *moments))
+    of: dict[str, Any] = dict.fromkeys(("k_hat", "effective", "largest_shift", *moments))
     if weights is not None:
         k_hat, each = weights.smoothed.k_hat, weights.smoothed.log_weights
         of = {"k_hat": k_hat if np.isfinite(k_hat) else None, "effective": weights.smoothed.ess / len(each)}
         of |= {name: _by_name(names, getattr(weights, name)) for name in moments}
+        of["largest_shift"] = float(np.abs(weights.shift).max())
     return {
         "by": "left-out runs" if step is not None and step.kind == "given" else "runs at draws of the posterior",
-        **named(found, "passed", "draws", "failed", "left_out", "early"),
+        **named(found, "passed", "draws", "failed", "left_out", "early", "ratio_sd", "bound"),
         "reasons": list(found.reasons),
         **of,
     }

@@ -67,6 +67,7 @@ function moveTo(inputs) {
 }
 
 export function mountSliders() {
+  byId("held").textContent = shared.facts.held;
   showSliders();
   byId("to-mean").addEventListener("click", () => shared.posterior?.mean && moveTo(shared.posterior.mean));
   byId("to-run").addEventListener("click", () => shared.run && moveTo(shared.run.inputs));
