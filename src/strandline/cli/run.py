@@ -298,7 +298,7 @@ def _certified(certificate: Mapping[str, Any]) -> str:
     if check["effective"] is None:
         return (
             f"converged: at {check['draws']} draws of the posterior the logarithm of the true over the predicted "
-            f"likelihood has sd {check['ratio_sd']:.2g}; this leaves a shift of a mean by {check['bound']:.2g} sd possible"
+            f"likelihood has sd {check['ratio_sd']:.2g}; a shift of a mean by {check['bound']:.2g} sd stays possible"
         )
     shift = max(map(abs, (*check["shift"].values(), check.get("largest_shift", 0.0))))
     if check["by"] == "left-out runs":
