@@ -22,7 +22,7 @@ from scipy.stats import norm
 
 from strandline.design.active.active_design import ActiveDesign, Batch, Decision, Situation
 from strandline.design.active.chains import WIDE, ChainState, Normalised
-from strandline.design.active.checking import BatchCheck
+from strandline.design.active.checking import MOST_FAILED, BatchCheck
 from strandline.design.active.exact_chain import EFFECTIVE, ExactChain
 from strandline.runs import RunRecord
 
@@ -42,14 +42,16 @@ WITHIN = 4.0  # a draw of an earlier posterior counts if its density is less tha
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """Log ratios δ at draws of the posterior, at wider ones, the logarithms of the latter's weights, and R̂ of the
-    chains that the last ones are from.
+    """Log ratios δ at draws of the posterior, at wider ones, the logarithms of the latter's weights, R̂ of the chains
+    that the last ones are from, and how many of the last draws of the posterior were run and failed.
     """
 
     ratios: Float[np.ndarray, " draw"]
     wide: Float[np.ndarray, " wide"]
     wide_log: Float[np.ndarray, " wide"]
     r_hat: float = 1.0
+    failed: int = 0
+    drawn: int = 1
 
     @property
     def sd(self) -> float:
@@ -74,6 +76,8 @@ class Told:
         if len(self.ratios) < FEWEST:
             return (f"only {len(self.ratios)} draws so far",)
         reasons = []
+        if self.failed > max(1.0, MOST_FAILED * self.drawn):
+            reasons.append(f"{self.failed} of {self.drawn} runs at draws of the posterior failed")
         if self.sd**2 > LARGEST_VARIANCE:
             reasons.append(f"log-likelihoods differ from those predicted by {self.sd:.2g}, standard deviation")
         elif self.bound > BOUND:
@@ -87,8 +91,9 @@ class Told:
     @property
     def check(self) -> BatchCheck:
         """The draws as a check, passed if there are no reasons against it."""
-        reasons, figures = self.reasons, (self.sd, self.bound) if len(self.ratios) > 1 else (None, None)
-        return BatchCheck(len(self.ratios), 0, None, not reasons, reasons, ratio_sd=figures[0], bound=figures[1])
+        number, reasons = len(self.ratios), self.reasons
+        figures = {"ratio_sd": self.sd, "bound": self.bound} if number > 1 else {}
+        return BatchCheck(number, self.failed, None, not reasons, reasons, **figures)
 
 
 class InformedDesign(ActiveDesign):
@@ -200,6 +205,10 @@ class InformedDesign(ActiveDesign):
         now = [row.tobytes() for row in last.points if row.tobytes() in places]
         narrow, wide = ({row.tobytes(): k for k, row in enumerate(one)} for one in (before.positions, before.wide))
         self._wide |= {key for key in now if key not in narrow}
+        drawn = [row.tobytes() for batch in self.batches if batch.kind == "check" for row in batch.points]
+        drawn = [key for key in drawn if key not in self._wide and key not in wide]
+        lost = {row.tobytes() for row in knowledge.x[~knowledge.ok]}
+        failed = sum(key in lost for key in drawn), max(len(drawn), 1)
         told = _Ratios()
         for key in now:
             true = self.check.log_likelihood(good[places[key]])
@@ -210,7 +219,7 @@ class InformedDesign(ActiveDesign):
         earlier = [row.tobytes() for batch in self.batches[:-1] if batch.kind == "check" for row in batch.points]
         at = np.array([places[key] for key in earlier if key in places], int)
         if not len(at):
-            return told.all(before.r_hat)
+            return told.all(before.r_hat, failed)
         left_out = knowledge.likelihood.left_out(at)[0] + knowledge.log_feasibility(runs[at])
         predicted = knowledge.expected(runs[at])
         densities = state.log_expected + self.space.log_prior(state.positions)
@@ -221,7 +230,7 @@ class InformedDesign(ActiveDesign):
                 told.wide(ratio, state.wide_level + (1 - WIDE) * predicted[k])
             elif inside[k]:
                 told.narrow.append(ratio)
-        return told.all(before.r_hat)
+        return told.all(before.r_hat, failed)
 
 
 @dataclass
@@ -236,8 +245,8 @@ class _Ratios:
         self.of_wide.append(ratio)
         self.logs.append(log_weight)
 
-    def all(self, r_hat: float) -> Told:
-        return Told(np.array(self.narrow), np.array(self.of_wide), np.array(self.logs), r_hat)
+    def all(self, r_hat: float, failed: tuple[int, int]) -> Told:
+        return Told(np.array(self.narrow), np.array(self.of_wide), np.array(self.logs), r_hat, *failed)
 
 
 INFORMED_PHASES: tuple[Callable[[InformedDesign, Situation], Decision], ...] = (
