@@ -92,8 +92,8 @@ class Told:
     def check(self) -> BatchCheck:
         """The draws as a check, passed if there are no reasons against it."""
         number, reasons = len(self.ratios), self.reasons
-        figures = {"ratio_sd": self.sd, "bound": self.bound} if number > 1 else {}
-        return BatchCheck(number, self.failed, None, not reasons, reasons, **figures)
+        sd, bound = (self.sd, self.bound) if number > 1 else (None, None)
+        return BatchCheck(number, self.failed, None, not reasons, reasons, ratio_sd=sd, bound=bound)
 
 
 class InformedDesign(ActiveDesign):
