@@ -2,7 +2,9 @@
 A stretch that is stiffer than the rest
 =======================================
 
-Where is a strip stiff? It bends under its weight by w″ = M/B, and its bending stiffness B is a field of 15 unknowns.
+Where is a strip stiff? It bends by w″ = M/B, and the logarithm of its stiffness B is a field of 15 unknowns. From 29
+runs, B over the stretch is 1.61 ± 0.23; the truth is 1.81, the prior 1.13 ± 0.54. Towards the free end no moment bends
+the strip, and the prior is what is left.
 """
 
 import numpy as np

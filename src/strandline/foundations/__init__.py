@@ -60,6 +60,7 @@ if TYPE_CHECKING:
         is_label,
         is_name,
         listed,
+        names_text,
         unit_text,
         with_sd,
     )

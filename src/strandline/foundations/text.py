@@ -42,6 +42,15 @@ def inputs_text(inputs: Mapping[str, float], digits: int = 6) -> str:
     return ", ".join([*shown, *(f"{count} coefficients of {stem}" for stem, count in many.items())])
 
 
+def names_text(names: Iterable[str]) -> str:
+    """Return names in words: ``E_1 … E_80, nu``; of many with one name and a number, the first and the last."""
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        found = re.fullmatch(r"(.+)_\d+", name)
+        groups.setdefault(found[1] + "_" if found else name, []).append(name)
+    return ", ".join(f"{one[0]} … {one[-1]}" if len(one) > MOST_NUMBERED else ", ".join(one) for one in groups.values())
+
+
 def decimal(text: str) -> float | None:
     """Return `text` as a number if it consists of the digits 0 to 9 with a point and an exponent, else None.
 

@@ -310,7 +310,8 @@ def field_warnings(calibration: Calibration, found: FieldOutcome) -> Iterator[st
     if max(shift, ratio) > EFFECT:
         yield _said("uncertain_surrogate", shift=shift, sd=float(np.expm1(ratio)) if ratio < TENFOLD else None)
     yield from likely_to_fail(1.0 - found.feasible)
-    if late := sum(record.ok for record in calibration.records) - int(found.knowledge.ok.sum()):
+    late = sum(record.ok for record in calibration.records) - int(found.knowledge.ok.sum())
+    if late and not (certificate is not None and certificate.drawn):  # its proposals are answered, not learnt from
         yield _said("late", number=late)
     checked = None if certificate is None or certificate.checked is None else certificate.checked.check
     if checked is not None and checked.failed:

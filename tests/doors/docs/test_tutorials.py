@@ -164,7 +164,8 @@ def test_studies_and_commands_of_a_page_are_valid(page: str, tmp_path: Path, mon
         elif step.kind == "command":
             folder = parsed(step)
             if step.text.startswith("strandline init"):
-                study = write_example("biofilm", folder).parent
+                example = step.text.partition("--example ")[2] or "biofilm"
+                study = write_example(example, folder).parent
             if step.text.startswith("strandline forward") and "--csv" in step.text:
                 # In place of the interfaces that the command would write.
                 model, file = load_study(folder).model, Path(step.text.split("--csv ")[1].split()[0])

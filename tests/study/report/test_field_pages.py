@@ -8,7 +8,7 @@ from tests.study.report.pages import Page, data_in
 from tests.study.report.strips import FIELD, TILT, strip_study
 
 from strandline.cli.run import show
-from strandline.foundations import inputs_text, with_sd
+from strandline.foundations import inputs_text, names_text, with_sd
 from strandline.report import write_report
 from strandline.report.page import methods_paragraph
 
@@ -70,3 +70,8 @@ def test_inputs_in_a_line_leave_out_many_coefficients():
     assert inputs_text({"nu": 0.123456789, **few}) == "nu = 0.123457, E_1 = 1, E_2 = 2, E_3 = 3"
     many = {f"E_{k}": float(k) for k in range(1, 101)}
     assert inputs_text({"nu": 0.25, **many, "E_sd": 0.5}) == "nu = 0.25, E_sd = 0.5, 100 coefficients of E"
+
+
+def test_many_names_are_the_first_and_the_last():
+    assert names_text(["nu", "E_1", "E_2"]) == "nu, E_1, E_2"
+    assert names_text(["nu", *(f"E_{k}" for k in range(1, 101)), "E_sd"]) == "nu, E_1 … E_100, E_sd"

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from strandline.foundations import InvalidInput, InvalidStudy, lookup, suggestion
+from strandline.foundations import InvalidInput, InvalidStudy, lookup, names_text, suggestion
 from strandline.studies.keys.folder import STUDY
 from strandline.studies.keys.observation import ONE, SEVERAL, ConditionFile
 from strandline.studies.keys.schema import PLAIN, Options, annotation_of, keys_within, stated
@@ -189,7 +189,7 @@ def entry(registry: Mapping[str, Any], name: str, place: str) -> Any:
     """Return the entry `name` of one of our own registries; refuse an unknown name and suggest the nearest one."""
     if name not in registry:
         remedy = suggestion(name, registry, "Choose one of them.")
-        raise InvalidStudy(place, value=name, expected=f"one of {', '.join(registry)}", remedy=remedy)
+        raise InvalidStudy(place, value=name, expected=f"one of {names_text(registry)}", remedy=remedy)
     return registry[name]
 
 
