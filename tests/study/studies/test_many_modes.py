@@ -39,7 +39,7 @@ def test_it_settles_with_fewer_runs_than_inputs_and_says_how(finished, capsys):
     assert (check["effective"], check["draws"] >= 8) == (None, True)
     assert 0 < check["ratio_sd"] < 0.84
     assert 0 < check["bound"] <= 0.25
-    assert f"has sd {check['ratio_sd']:.2g}; this leaves a shift of a mean by {check['bound']:.2g} sd" in printed
+    assert f"has sd {check['ratio_sd']:.2g}; a shift of a mean by {check['bound']:.2g} sd stays" in printed
     page = (finished / "report.html").read_text("utf-8")
     assert f"standard deviation of {check['ratio_sd']:.2g}, which leaves" in page
     words = "a Gaussian field of its logarithm (median 1 Pa, sd 0.4, length 0.3 mm, covariance matern32)"
