@@ -9,13 +9,15 @@ from filelock import BaseFileLock, FileLock, Timeout
 from strandline.foundations import LedgerError
 from strandline.runs.ledger.ledger_schema import last_driver
 
+GRACE = 0.5  # seconds in which a process that a killed driver was just starting lets go of its lock
+
 
 def locked(path: Path) -> BaseFileLock:
     """Acquire and return the driver's lock on a ledger; refuse if another holds it, or the folder is not writable."""
     lock = FileLock(path.with_suffix(".lock"))
     try:
         path.parent.resolve(strict=True)  # the lock would create a missing folder
-        lock.acquire(timeout=0)
+        lock.acquire(timeout=GRACE)
     except Timeout:
         found = f"another run is using it, {last_driver(path)}"
         remedy = "Wait for the other run to end, or stop it; finished runs are kept."
