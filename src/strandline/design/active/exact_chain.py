@@ -41,6 +41,7 @@ class ExactChain:
 
     @classmethod
     def of(cls, state: ChainState, normal: Normalised, seed: tuple[int, ...]) -> "ExactChain":
+        """Return chains that start from draws of the surrogate's posterior."""
         random = np.random.default_rng(seed)
         start = normal.places(state.positions[random.choice(len(state.positions), CHAINS, replace=False)])
         return cls(state, normal, random, start, start)

@@ -73,6 +73,7 @@ class Told:
 
     @property
     def reasons(self) -> tuple[str, ...]:
+        """Why the draws settle nothing yet, in words; none if they do."""
         if len(self.ratios) < FEWEST:
             return (f"only {len(self.ratios)} draws so far",)
         reasons = []
@@ -107,6 +108,7 @@ class InformedDesign(ActiveDesign):
         self._wide: set[bytes] = set()
 
     def next(self, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]) -> Batch | None:
+        """Return the next batch, given all runs that have ended; None to stop."""
         if self.exact is not None:
             return self._further(self.exact, x, records)
         before, last = self.state, self.batches[-1]
