@@ -45,6 +45,7 @@ if TYPE_CHECKING:
         with_option,
         with_sensitivities,
         without_failure_budget,
+        without_sensitivities,
     )
     from strandline.models.python import PythonModel
 else:

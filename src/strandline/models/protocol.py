@@ -21,7 +21,7 @@ __all__ = [
     "PreparesRuns", "Sensitivities", "Simulation", "SolvesOnFinerMesh", "TakesFields", "UsesNames",
     "asks_sensitivities", "declared_conditions", "declared_failure_kinds", "declared_inputs", "differentiated",
     "draws_fields", "prepare_runs", "require_conditions", "require_inputs", "same_unit", "the_only_interface",
-    "undeformed_interface", "vjp", "with_option", "with_sensitivities", "without_failure_budget",
+    "undeformed_interface", "vjp", "with_option", "with_sensitivities", "without_failure_budget", "without_sensitivities",
 ]  # fmt: skip
 
 Sensitivities = Mapping[str, Mapping[str, Float[np.ndarray, "point xyz *of"]]]
@@ -282,6 +282,20 @@ def with_sensitivities(model: Any) -> Any:
     expected = "a dataclass with a field `sensitivities: bool`, or a function with the attribute `sensitivities = True`"
     remedy = "Leave sensitivities out, or give the model one of these."
     raise unfit("sensitivities of the model", "this model offers none", expected, remedy)
+
+
+def without_sensitivities(model: Any) -> Any:
+    """Return `model` without sensitivities, the same object each time; unchanged if it has no field for them."""
+    global _last_without
+    if not _has_field(model, "sensitivities"):
+        return model
+    if _last_without is None or _last_without[0] is not model:
+        _last_without = model, with_option(model, "sensitivities", False)
+    return _last_without[1]
+
+
+_last_without: tuple[Any, Any] | None = None
+"""A model and the one without sensitivities, which keeps what it has prepared from run to run."""
 
 
 def vjp(

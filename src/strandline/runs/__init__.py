@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from strandline.foundations.doors import door
 
 if TYPE_CHECKING:
-    from strandline.runs.batches import run_batches
+    from strandline.runs.batches import PlainBatch, run_batches
     from strandline.runs.campaign import Progress, run_campaign
     from strandline.runs.executors import EXECUTORS, Executor, InProcess, LocalProcesses, usable_cores, with_workers
     from strandline.runs.executors.dask import DaskCluster

@@ -14,6 +14,10 @@ from strandline.runs.ledger.record import RunRecord, RunRequest
 
 Batch = Sequence[Mapping[str, float]]
 """Inputs by name of the runs that are chosen together."""
+class PlainBatch(list[Mapping[str, float]]):
+    """A batch of which no sensitivities are needed, whatever the model is asked for."""
+
+
 Choose = Callable[[tuple[RunRecord, ...]], Batch]
 """Returns the batch that follows from these records; an empty one ends the campaign."""
 SHORTEST_PATIENCE_SECONDS = 1.0
@@ -110,7 +114,7 @@ class _BatchCourse:
     def _next(self) -> list[RunRequest]:
         """Choose the next batch; return those of its runs that must be made, if any."""
         try:
-            batch = list(self.choose(self.campaign.results()))
+            batch = self.choose(self.campaign.results())
         except StopIteration as error:
             raise InvalidInput(
                 "choice of the next batch",
@@ -124,7 +128,7 @@ class _BatchCourse:
     def _begun(self, batch: Batch) -> list[RunRequest]:
         """Make `batch` the last one; return those of its runs that must be made."""
         before = len(self.campaign.order)
-        requests = self.campaign.add(batch)
+        requests = self.campaign.add(batch, plain=isinstance(batch, PlainBatch))
         self.last = frozenset(self.campaign.order[before:])
         return requests
 

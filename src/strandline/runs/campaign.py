@@ -104,24 +104,25 @@ class Campaign:
         self.requests: dict[str, RunRequest] = {}
         self.before: dict[str, tuple[int, int]] = {}
         self.settled: dict[str, RunRecord] = {}
+        self.failed = 0
         self.reused = 0
         self.made: list[RunRecord] = []
         self.outstanding: set[str] = set()
         self.outages = Outages(model)
         self.pending = self.add(inputs)
 
-    def add(self, inputs: Sequence[Mapping[str, float]]) -> list[RunRequest]:
-        """Add runs to the end of the design; return those that must be made."""
+    def add(self, inputs: Sequence[Mapping[str, float]], *, plain: bool = False) -> list[RunRequest]:
+        """Add runs to the end of the design, `plain` ones without sensitivities; return those that must be made."""
         keys = [run_key(run_identity(self.model, self.identity, entry), entry) for entry in inputs]
         new = {
-            key: RunRequest(key, dict(entry))
+            key: RunRequest(key, dict(entry), plain)
             for key, entry in zip(keys, inputs, strict=True)
             if key not in self.requests
         }
         self.order += keys
         self.requests |= new
         known = self.ledger.latest(new)
-        asked = asks_sensitivities(self.model)
+        asked = asks_sensitivities(self.model) and not plain
         again = {key for key, record in known.items() if self.policy.tries_again(record)}
         self.before |= {key: (self.ledger.attempts(key), self.ledger.open_attempts(key)) for key in again}
         settled = {
@@ -129,7 +130,8 @@ class Campaign:
             for key, record in known.items()
             if key not in again and record.settles(sensitivities=asked) and not self._deserves_another(record)
         }
-        self.settled |= settled
+        for record in settled.values():
+            self._settle(record)
         self.reused += len(settled)
         self.outstanding |= self._still_out(self.ledger.open_runs(new))
         return self._plan(new.values())
@@ -171,7 +173,7 @@ class Campaign:
                 if self._deserves_another(record):
                     starts.put_back(self.requests[record.key])
                 else:
-                    self.settled[record.key] = record
+                    self._settle(record)
                     self.made.append(record)
                 if self.on_record is not None:
                     self.on_record(record, self._progress())
@@ -192,8 +194,13 @@ class Campaign:
         """Stop the campaign if the policy says so."""
         if self.policy.aborts(record):
             raise aborted(record)
-        self.policy.require_worth_going_on(self.made)
+        if not record.ok or len(self.made) <= self.policy.stop_after:
+            self.policy.require_worth_going_on(self.made)
         self.outages.require_server()
+
+    def _settle(self, record: RunRecord) -> None:
+        self.settled[record.key] = record
+        self.failed += not record.ok
 
     def _plan(self, candidates: Iterable[RunRequest]) -> list[RunRequest]:
         """Return the runs that may be tried (again); settle those that have used up their attempts."""
@@ -202,7 +209,7 @@ class Campaign:
             if request.key in self.settled:
                 continue
             if request.key not in self.outstanding and self._given_up_on(request.key):
-                self.settled[request.key] = self._given_up(request)
+                self._settle(self._given_up(request))
             else:
                 pending.append(request)
         return pending
@@ -247,10 +254,9 @@ class Campaign:
         return RunRecord(request.key, request.inputs, "killed", failure_kind="lost", message=message)
 
     def _progress(self) -> Progress:
-        ok = sum(record.ok for record in self.settled.values())
-        finished = len(self.settled)
-        elapsed = time.monotonic() - self.began
-        return Progress(len(self.requests), finished, ok, finished - ok, self.reused, elapsed, self.outages.suspected)
+        finished, failed = len(self.settled), self.failed
+        elapsed, total = time.monotonic() - self.began, len(self.requests)
+        return Progress(total, finished, finished - failed, failed, self.reused, elapsed, self.outages.suspected)
 
 
 class Starts:

@@ -8,6 +8,7 @@ Analysis 16, 2021, 667).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -68,7 +69,7 @@ class Chains:
         pairs = np.minimum.accumulate(np.where(np.minimum.accumulate(pairs > 0, axis=0), pairs, 0.0), axis=0)
         return float((number * chains / np.maximum(2 * pairs.sum(axis=0) - 1, 1e-3)).min())
 
-    @property
+    @cached_property
     def _halves(self) -> Float[np.ndarray, "step half dim"]:
         """Return normal scores of the ranks, in halves of the chains."""
         number = len(self.draws) // 2

@@ -22,7 +22,7 @@ from strandline.discrepancy import Discrepancy
 from strandline.foundations import NoCommonPoints, TooFewRuns, html_table, one_thread, with_sd
 from strandline.models import by_cheaper
 from strandline.parameters import ParameterSpace
-from strandline.runs import RunRecord
+from strandline.runs import PlainBatch, RunRecord
 from strandline.smc import StepInfo
 
 NEXT = {
@@ -262,6 +262,8 @@ class ActiveRuns:
                 batch = self.design.more_of_the_first()
                 if batch is None:
                     raise
+        if self.exact is not None and batch is not None:
+            return PlainBatch(self.inputs(batch.points))
         return [] if batch is None else self._runs(batch)
 
     def _report(self) -> BatchReport:

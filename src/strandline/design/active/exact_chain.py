@@ -15,10 +15,10 @@ from jaxtyping import Float
 from strandline.design.active.chains import ChainState, Normalised, drawn_result
 from strandline.smc import Chains, SMCResult, hamiltonian
 
-CHAINS, MOVES = 32, 10
+CHAINS, MOVES = 16, 10
 """Chains side by side, whose proposals are run together; moves on the surrogate for each."""
 WARM = 0.25  # share of the steps that come before the draws
-FEWEST, EACH = 40, 5
+FEWEST, EACH = 60, 10
 """Steps before the chains may end, and between two looks at them."""
 R_HAT, EFFECTIVE = 1.02, 1000.0
 """Largest R̂ and fewest effective draws of the worst input with which the chains end."""

@@ -76,6 +76,8 @@ def _arrays(record: RunRecord) -> Iterator[tuple[str, str, str, str, bytes]]:
     for condition, by_input in record.sensitivities.items():
         for name, derivative in by_input.items():
             yield "sensitivity", condition, name, *_row(derivative.astype("<f8"))
+        if not by_input:
+            yield "sensitivity", condition, "", *_row(np.empty(0))
 
 
 def _with_arrays(record: RunRecord, rows: Sequence[tuple[Any, ...]]) -> RunRecord:
@@ -87,7 +89,9 @@ def _with_arrays(record: RunRecord, rows: Sequence[tuple[Any, ...]]) -> RunRecor
         if role == "points":
             interfaces[condition] = _interface(data, shape, cells[condition][4], cells[condition][3])
         elif role == "sensitivity":
-            sensitivities.setdefault(condition, {})[name] = _unpacked(data, shape, "<f8")
+            of_condition = sensitivities.setdefault(condition, {})
+            if name:
+                of_condition[name] = _unpacked(data, shape, "<f8")
     return replace(record, interfaces=interfaces, sensitivities=sensitivities)
 
 

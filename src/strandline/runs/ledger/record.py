@@ -37,10 +37,13 @@ FOLDER_TITLE = "its folder: "
 
 @dataclass(frozen=True)
 class RunRequest:
-    """A run to be made: its content address and its inputs by name."""
+    """A run to be made: its content address and its inputs by name; a `plain` one without sensitivities, even if the
+    model is asked for them.
+    """
 
     key: str
     inputs: Mapping[str, float]
+    plain: bool = False
 
 
 NOT_NOW = RunRequest("", {})
@@ -56,7 +59,8 @@ class RunRecord:
     evidence of the failure; `seconds` are wall-clock time. If it did not end ``ok``, `failure_kind` is a short
     machine-readable reason, `message` the reason in words, with the last lines of the log, and `log` the end of its
     standard output and error. `origin` is the ledger that it was copied from; None for a run made here. `sensitivities`
-    are derivatives d(points)/d(input) by condition and input, mm per unit of the input; empty if not requested.
+    are derivatives d(points)/d(input) by condition and input, mm per unit of the input; empty if not requested, of a
+    plain run those of each condition.
     """
 
     key: str
@@ -112,11 +116,13 @@ def run_key(fingerprint: str, inputs: Mapping[str, float]) -> str:
 def attempt(model: ForwardModel, request: RunRequest, workdir: Path) -> RunRecord:
     """Call `model` in the empty folder `workdir` and return its outcome; of its exceptions only Ctrl-C is passed on."""
     begin, log = time.perf_counter(), ""
+    plain = request.plain and models.asks_sensitivities(model)
     try:
+        model = models.without_sensitivities(model) if plain else model
         with _working_directory_kept():
             returned = model(dict(request.inputs), workdir)
         good = checked(returned, model, request.inputs)
-        figures, slopes = _figures(good.diagnostics), good.sensitivities
+        figures, slopes = _figures(good.diagnostics), dict.fromkeys(good.interfaces, {}) if plain else good.sensitivities
         ending = RunRecord(request.key, request.inputs, "ok", good.interfaces, figures, sensitivities=slopes)
     except ForwardModelError as error:
         ending, log = ended(request, error.state, error.kind, error.message, error.evidence), error.log

@@ -330,7 +330,7 @@ class StudyRuns:
             return False
         known = all(record.inputs[name] == value for name, value in study.fixed.items())
         box = zip(study.space.names, study.space.low, study.space.high, strict=True)
-        useful = not study.sensitivities or not record.ok or bool(record.sensitivities)
+        useful = not study.sensitivities or not record.ok or any(record.sensitivities.values())
         return known and useful and all(low <= record.inputs[name] <= high for name, low, high in box)
 
     @property

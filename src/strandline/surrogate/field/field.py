@@ -12,6 +12,7 @@ import math
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from hashlib import sha256
 from typing import cast
 
@@ -100,8 +101,8 @@ def decompose(
 class Warp:
     """A monotone map of one input, and its derivative."""
 
-    apply: Callable[[Float[np.ndarray, " run"]], Float[np.ndarray, " run"]]
-    slope: Callable[[Float[np.ndarray, " run"]], Float[np.ndarray, " run"]]
+    apply: Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
+    slope: Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
 
 
 WARPS = {
@@ -123,21 +124,30 @@ class Warping:
     high: Float[np.ndarray, " dim"]
 
     def standardise(self, x: Float[np.ndarray, "run dim"]) -> Float[np.ndarray, "run dim"]:
-        middle, spread = self._scale()
-        columns = [WARPS[name].apply(x[:, j]) for j, name in enumerate(self.names)]
-        return np.asarray((np.stack(columns, axis=1) - middle) / spread)
+        middle, spread = self._scale
+        z = np.empty(x.shape)
+        for warp, columns in self._alike:
+            z[:, columns] = warp.apply(x[:, columns])
+        return np.asarray((z - middle) / spread)
 
     def gradients(self, x: Float[np.ndarray, "run dim"], by_input: AnySlopes) -> AnySlopes:
         """Return derivatives with respect to the standardised inputs, given those by the physical ones."""
-        _, spread = self._scale()
-        slopes = np.stack([WARPS[name].slope(x[:, j]) for j, name in enumerate(self.names)], axis=1) / spread
+        slopes = np.empty(x.shape)
+        for warp, columns in self._alike:
+            slopes[:, columns] = warp.slope(x[:, columns])
         shape = (len(x), *(1,) * (by_input.ndim - 2), len(self.names))
-        return np.asarray(by_input / slopes.reshape(shape))
+        return np.asarray(by_input / (slopes / self._scale[1]).reshape(shape))
 
     def by_physical(self, x: Float[np.ndarray, "run dim"], by_standardised: Float[np.ndarray, "run dim"]) -> AnySlopes:
         """Return derivatives by the physical inputs, given those by the standardised ones."""
         return np.asarray(by_standardised / self.gradients(x, np.ones_like(by_standardised)))
 
+    @cached_property
+    def _alike(self) -> list[tuple[Warp, list[int]]]:
+        """The different warps, and the inputs that have each."""
+        return [(WARPS[one], [j for j, n in enumerate(self.names) if n == one]) for one in dict.fromkeys(self.names)]
+
+    @cached_property
     def _scale(self) -> tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]]:
         """Return middle and standard deviation of a uniform distribution over the warped box."""
         box = zip(self.names, self.low, self.high, strict=True)

@@ -11,12 +11,12 @@ along the runs' w, so the matrix to factorise has only as many rows for each run
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from strandline.foundations import NumericsError
@@ -51,6 +51,14 @@ class SharedKernel:
         rest, half, other = self.reduced(w)
         explained = np.einsum("rp,rp->p", half, half) + (rest**2).sum(axis=1) * np.einsum("rp,rp->p", other, other)
         return np.asarray(np.maximum(np.exp((w**2).sum(axis=1)) - explained, 0.0))
+
+    @cached_property
+    def left_out(self) -> tuple[Int[np.ndarray, "run part"], Float[np.ndarray, "run part"]]:
+        """Return the rows of each run, and the covariances of its value with these, given all other runs."""
+        n, q = len(self.w), self.span.shape[1]
+        P = cho_solve((self.of_span, True), np.eye(len(self.of_span)))
+        rows = np.concatenate([np.arange(n)[:, None], n + np.arange(n * q).reshape(n, q)], axis=1)
+        return rows, np.linalg.inv(P[rows[:, :, None], rows[:, None, :]])[:, 0]
 
     def reduced(self, w: Points) -> tuple[Points, Float[np.ndarray, "row point"], Float[np.ndarray, "run point"]]:
         """Return what of w is outside the span, and the roots of what the runs explain, along the span and outside."""
@@ -102,16 +110,8 @@ class SharedProcess:
         """Return the errors of leave-one-run-out prediction, see `ModeProcess`: derivatives outside the span tell
         nothing of the values at runs.
         """
-        errors, variances = self._left_out
-        return LeftOutErrors(errors, self.widening * variances)
-
-    @cached_property
-    def _left_out(self) -> tuple[Float[np.ndarray, " run"], Float[np.ndarray, " run"]]:
-        n, q = len(self.kernel.w), self.kernel.span.shape[1]
-        P = cho_solve((self.kernel.of_span, True), np.eye(len(self.alpha)))
-        rows = np.concatenate([np.arange(n)[:, None], n + np.arange(n * q).reshape(n, q)], axis=1)
-        blocks = np.linalg.inv(P[rows[:, :, None], rows[:, None, :]])
-        return np.einsum("nk,nk->n", blocks[:, 0], self.alpha[rows]), self.size * blocks[:, 0, 0]
+        rows, values = self.kernel.left_out
+        return LeftOutErrors(np.einsum("nk,nk->n", values, self.alpha[rows]), self.scale * values[:, 0])
 
 
 def mean_with_slopes(
@@ -161,11 +161,10 @@ def fit_shared(observed: Sequence[ModeData]) -> tuple[SharedProcess, ...]:
         process = SharedProcess(
             one, kernel, values[nearest, m], by_value[:, m], by_slope[:, :, m], alpha[:, m], size[m]
         )
-        errors, variances = process._left_out
-        surprise = float(np.sum(errors**2 / np.maximum(variances, 1e-300)))
+        told = process.left_out()
+        surprise = float(np.sum(told.errors**2 / np.maximum(told.variances, 1e-300)))
         widening = max(1.0, (surprise + _PRIOR_RUNS) / (len(z) + _PRIOR_RUNS))
-        object.__setattr__(process, "widening", widening)
-        found.append(process)
+        found.append(replace(process, widening=widening))
     return tuple(found)
 
 
