@@ -81,8 +81,10 @@ inputs.E.field.length: 0.01 | inputs.E: length of the field E | got 0.01 mm | at
 inputs.E.field.length: {uniform: [0, 1]} | inputs.E: length of the field E
 inputs.E.field.length: [1]; inputs.E.field.sd: high | inputs.E.field
 inputs.E.field.sd: {uniform: [1]} | inputs.E.field.sd.uniform | 2 numbers
+inputs.E.field.sd: 50 | inputs.E: sd of a field: got 50 | at most 3 | unit of the field, or set log to false
+inputs.E.field.sd: {uniform: [0.1, 50]} | inputs.E: sd of a field | at most 3
 inputs.E.field.modes: 31 | modes of the field E: got 31 | at most 30, its points
-inputs.E.field.mean: -1 | inputs.E: mean of a field: got -1 | above 0
+inputs.E.field.mean: -1 | inputs.E: mean of a field: got -1 | above 0 | set log to false
 inputs.E.field.covariance: cubic | covariance of a field: got cubic | matern32
 inputs.E.field.log: false | log of the field E | (0, inf]
 inputs.E.unit: MPa | unit of inputs.E: got MPa
