@@ -115,8 +115,9 @@ class GaussianField:
         np.fill_diagonal(distances, np.inf)
         spacing = float(np.median(distances.min(axis=1)))
         if self.shortest < spacing:
-            expected = f"at least {spacing:.3g} mm, the distance of neighbouring points"
-            raise unfit(f"length of the field {name}", f"{self.shortest:.3g} mm", expected, "Take a longer one.")
+            value, which = (self.length, "a lower end of ") if "length" in self.unknown else (f"{self.length:g} mm", "")
+            expected = f"{which}at least {spacing:.3g} mm, the distance of neighbouring points"
+            raise unfit(f"length of the field {name}", value, expected, "Raise it.")
         if modes is None:
             variances, _ = _eigen(self, support, self.shortest)
             modes = min(count, int(np.searchsorted(np.cumsum(variances), KEPT * support.weights.sum())) + 1)

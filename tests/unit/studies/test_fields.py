@@ -78,7 +78,7 @@ def test_a_copy_with_another_field_takes_over_no_runs(folder):
 REFUSED = """
 inputs.E.field.length: GONE | inputs.E.field.length | Add it
 inputs.E.field.length: 0.01 | inputs.E: length of the field E | got 0.01 mm | at least 0.0333 mm
-inputs.E.field.length: {uniform: [0, 1]} | inputs.E: length of the field E
+inputs.E.field.length: {uniform: [0, 1]} | inputs.E: length of the field E | low=0 | a lower end of at least 0.0333 mm
 inputs.E.field.length: [1]; inputs.E.field.sd: high | inputs.E.field
 inputs.E.field.sd: {uniform: [1]} | inputs.E.field.sd.uniform | 2 numbers
 inputs.E.field.sd: 50 | inputs.E: sd of a field: got 50 | at most 3 | unit of the field, or set log to false
