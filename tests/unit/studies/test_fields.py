@@ -107,7 +107,7 @@ model.biofilm.partition: three_parts | inputs.E: the model has no such input
 model.biofilm.anchors: {E: [300, 500], nu: 0.3, V_in: 100} | without partition, branches and anchors
 inputs.E.field.at: {interval: [0, 1], points: 30} | points of the field E: got 30 points | at: solid
 inputs.E.field.length: 0.001 | length of the field E
-inputs.E.field.modes: 40 | inputs: got 40 unknown ones | at most 30 inputs, or the keys `sensitivities: true`
+inputs.E.field.modes: 40 | unknown inputs: got 40 | at most 30, or sensitivities (`sensitivities: true`) and an active
 observation.synthetic.E_999: 1 | E_999 | E_1 … E_
 """
 
