@@ -55,7 +55,6 @@ if TYPE_CHECKING:
     from strandline.calibration.method import calibrate
     from strandline.calibration.misfit import ConditionMisfit, Misfit, Region, unlikely_errors
     from strandline.calibration.problem import (
-        MANY,
         STAGES,
         Calibration,
         Observer,
@@ -63,6 +62,7 @@ if TYPE_CHECKING:
         Settings,
         observer_or_default,
         part_note,
+        require_learnable,
         run_note,
         step_note,
     )

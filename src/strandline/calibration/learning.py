@@ -53,6 +53,7 @@ class TrainedSurrogate:
     set_aside: tuple[design.SetAside, ...] = ()
 
     def target(self, space: ParameterSpace) -> Target:
+        """Return the log-likelihood to sample: of the field if there is one, else of the first measure's surrogate."""
         surrogates = [one.process for one in self.learnt.surrogates.values()]
         if self.knowledge is None:
             return LogLikelihoodTarget(surrogates[0], space)

@@ -27,6 +27,7 @@ from strandline.calibration.problem import (
     Settings,
     Stopwatch,
     observer_or_default,
+    require_learnable,
 )
 from strandline.calibration.sampler_check import compare_halves
 from strandline.calibration.targets import LARGEST_DIM, FieldTarget, Target, under_uncertainty
@@ -86,9 +87,7 @@ def calibrate(
     require_conditions((o.condition for o in problem.observations), problem.model)
     settings, executor, tell = settings or Settings(), executor or InProcess(), observer_or_default(observer)
     require_inferable(problem.observations, problem.measure, by_field=settings.surrogate == "field")
-    informed = settings.active is not None and asks_sensitivities(problem.model)
-    expected, remedy = f"at most {MANY} without sensitivities and an active design", "Add both, or leave out inputs."
-    require(informed or problem.space.dim <= MANY, "unknown inputs", problem.space.dim, expected, remedy)
+    require_learnable(problem.space.dim, settings.active, sensitivities=asks_sensitivities(problem.model))
     watch, space = Stopwatch(), problem.space
     learning = Learning(problem, settings, ledger, executor, tell, watch)
     trained = learning.train(given)

@@ -257,6 +257,13 @@ MANY = 30
 KERNEL = "ZMQInteractiveShell"  # shell of a Jupyter kernel; others have a terminal
 
 
+def require_learnable(dim: int, active: Active | None, *, sensitivities: bool) -> None:
+    """Refuse more unknown inputs than can be learnt, unless an active design has sensitivities by them."""
+    expected = f"at most {MANY}, or sensitivities (`sensitivities: true`) and an active design"
+    right = dim <= MANY or (sensitivities and active is not None)
+    require(right, "unknown inputs", dim, expected, "Add both, or leave out inputs, such as modes of a field.")
+
+
 def run_note(state: Progress) -> str:
     """Return how many runs have ended well, how many not, and the time left, or that a server is waited for."""
     rest = ", waiting for the model's server" if state.waiting else _left(state)

@@ -14,6 +14,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from strandline.foundations import unfit
 from strandline.models.protocol import ForwardModel
 
 OWN = "strandline"
@@ -28,6 +29,9 @@ def fingerprint(model: ForwardModel) -> str:
     all instances. Otherwise it is a hash of the class or function, the file that defines it, the files of the same
     package that this file imports, and the fields except `sensitivities`, which change no interface. Of what was typed
     into a notebook or a terminal, only the source of the class or function counts.
+
+    Raises:
+        InvalidInput: There is no source, as of what `exec` made.
     """
     own = getattr(model, "fingerprint", None)
     if isinstance(own, str):
@@ -37,9 +41,22 @@ def fingerprint(model: ForwardModel) -> str:
     try:
         kind, sources = "python-files", sources_of(subject.__module__)
     except OSError:
-        kind, sources = "python", inspect.getsource(subject)
+        kind, sources = "python", _typed(subject)
     text = json.dumps([subject.__module__, subject.__qualname__, sources, fields], default=repr)
     return f"{kind}:{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+
+
+def _typed(subject: Any) -> str:
+    """Return the source of what was typed into a notebook or a terminal.
+
+    There is none of what ``exec`` made, and its bytecode would change with the version of Python.
+    """
+    try:
+        return inspect.getsource(subject)
+    except (OSError, TypeError):
+        expected = "a file or a notebook cell that defines it, or its own attribute `fingerprint`"
+        remedy = "Define it in a file, or give it a text as `fingerprint` that changes with its results."
+        raise unfit("source of the model", subject.__qualname__, expected, remedy) from None
 
 
 def _options_beside(model: Any) -> str:

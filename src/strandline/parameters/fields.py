@@ -34,6 +34,7 @@ COVARIANCES: dict[str, Callable[[Any], Any]] = {
 """Correlation of a field at two points by distance over length; Rasmussen and Williams (2006), section 4.2."""
 COEFFICIENT_BOX = (-5.0, 5.0)  # interval of each coefficient: a millionth of its prior's mass lies outside
 KEPT = 0.99  # share of the variance that the modes keep if their number is not given
+MOST_LOG_SD = 3.0  # largest sd of a logarithm, a factor of 20 at a point: more is a number in the unit of the field
 TAIL = 1e-3  # mass of the prior of an unknown sd or length on either side of its box, where it has no bound above 0
 LENGTHS = 32  # in the box of an unknown length, between which the modes of many draws are interpolated
 STEP = 1e-3  # step of the central difference by the length, as a share of it: rounding and curvature err by about 1e-6
@@ -70,7 +71,7 @@ class GaussianField:
             variance.
 
     Raises:
-        InvalidInput: A number that is not positive; no such covariance.
+        InvalidInput: A number that is not positive; with `log` an sd above 3; no such covariance.
     """
 
     mean: float
@@ -82,10 +83,14 @@ class GaussianField:
 
     def __post_init__(self) -> None:
         require_types(self)
-        least = {"sd": _box(self.sd)[0], "length": self.shortest, "modes": self.modes, "mean": self.mean}
-        for name, value in least.items():
-            right = value is None or value > 0 or (name == "mean" and not self.log)
+        for name, value in {"sd": _box(self.sd)[0], "length": self.shortest, "modes": self.modes}.items():
+            right = value is None or value > 0
             require(right, f"{name} of a field", getattr(self, name), "a number above 0", "Correct it.")
+        remedy = "Give the median, or set log to false: the field itself is then Gaussian."
+        require(self.mean > 0 or not self.log, "mean of a field", self.mean, "its median, above 0", remedy)
+        log_sd = not self.log or _box(self.sd)[1] <= MOST_LOG_SD
+        remedy = "Divide it by the mean if it is in the unit of the field, or set log to false."
+        require(log_sd, "sd of a field", self.sd, f"at most {MOST_LOG_SD:g}, as sd of the natural logarithm", remedy)
         known = self.covariance in COVARIANCES
         require(known, "covariance of a field", self.covariance, f"one of {', '.join(COVARIANCES)}", "Correct it.")
 
@@ -110,8 +115,9 @@ class GaussianField:
         np.fill_diagonal(distances, np.inf)
         spacing = float(np.median(distances.min(axis=1)))
         if self.shortest < spacing:
-            expected = f"at least {spacing:.3g} mm, the distance of neighbouring points"
-            raise unfit(f"length of the field {name}", f"{self.shortest:.3g} mm", expected, "Take a longer one.")
+            value, which = (self.length, "a lower end of ") if "length" in self.unknown else (f"{self.length:g} mm", "")
+            expected = f"{which}at least {spacing:.3g} mm, the distance of neighbouring points"
+            raise unfit(f"length of the field {name}", value, expected, "Raise it.")
         if modes is None:
             variances, _ = _eigen(self, support, self.shortest)
             modes = min(count, int(np.searchsorted(np.cumsum(variances), KEPT * support.weights.sum())) + 1)

@@ -8,7 +8,7 @@ import numpy as np
 
 from strandline.calibration import Calibration
 from strandline.parameters import ParameterSpace
-from strandline.posterior import Posterior
+from strandline.posterior import FieldPosterior, Posterior
 from strandline.report import plots
 from strandline.report.plots.random_field import directions
 from strandline.report.plots.style import Captioned
@@ -17,15 +17,26 @@ from strandline.report.plots.style import Captioned
 def random_field_figures(calibration: Calibration, truth: Mapping[str, float] | None) -> Iterator[Captioned]:
     """Yield a sheet for each random field."""
     for name, found in calibration.posterior.fields.items():
-        field, known = found.field, None
-        if truth is not None and set(field.names) <= set(truth):
-            known = field.values(np.array([truth[one] for one in field.names]))
+        field, true = found.field, _true(found, truth)
         kind = ("line", "plane", "space")[len(directions(field.support.points)) - 1]
-        figure = plots.plot_random_field(found, truth=known)
+        figure = plots.plot_random_field(found, truth=None if true is None else field.values(true.inputs)[0])
         yield Captioned.of("random_field", f"field {name}", figure, of=name, kind=kind, log=field.prior.log)
 
 
-def fields_as_json(posterior: Posterior) -> dict[str, Any]:
+def _true(found: FieldPosterior, truth: Mapping[str, float] | None) -> FieldPosterior | None:
+    """Return a field of which the true inputs are the only draw, if they are known."""
+    if truth is None or not set(found.field.names) <= set(truth):
+        return None
+    inputs = np.array([[truth[one] for one in found.field.names]])
+    return FieldPosterior(found.field, inputs, np.ones(1), inputs)
+
+
+def _functionals(found: FieldPosterior, true: FieldPosterior | None) -> dict[str, Any]:
+    known = {} if true is None else {which: {"truth": one.mean} for which, one in true.functionals.items()}
+    return {which: asdict(one) | known.get(which, {}) for which, one in found.functionals.items()}
+
+
+def fields_as_json(posterior: Posterior, truth: Mapping[str, float] | None) -> dict[str, Any]:
     """Return what summary.json says of each random field."""
     return {
         name: {
@@ -34,7 +45,7 @@ def fields_as_json(posterior: Posterior) -> dict[str, Any]:
             "share_of_variance": found.field.share,
             "prior": found.field.words,
             "points": len(found.share_left),
-            "functionals": {which: asdict(one) for which, one in found.functionals.items()},
+            "functionals": _functionals(found, _true(found, truth)),
             "share_of_prior_sd_left": {
                 "least": float(found.share_left.min()),
                 "median": float(np.median(found.share_left)),

@@ -3,9 +3,10 @@
 import json
 import re
 
+import numpy as np
 import pytest
 from tests.study.report.pages import Page, data_in
-from tests.study.report.strips import FIELD, TILT, strip_study
+from tests.study.report.strips import FIELD, TILT, TRUTH, strip_study
 
 from strandline.cli.run import show
 from strandline.foundations import inputs_text, names_text, with_sd
@@ -39,6 +40,7 @@ def test_the_report_has_a_section_on_the_field_and_lists_no_coefficient(finished
     for name, one in summary["fields"]["B"]["functionals"].items():
         assert name in text
         assert f"{one['mean']:.4g}" in text
+        assert f"{one['truth']:.4g}" in text
     assert ("Explore" in text) == bool(scalars)
     if scalars:
         data = data_in(page)
@@ -54,6 +56,8 @@ def test_the_summary_has_the_field_and_no_coefficient(finished, capsys):
     assert not COEFFICIENT.search(json.dumps(rest))
     assert of["share_of_variance"] == FIELD.share
     assert (of["modes"], of["points"], list(of["functionals"])) == (10, 41, list(known.functionals))
+    values = FIELD.values(np.array([list(TRUTH.values())]))
+    assert of["functionals"]["mean"]["truth"] == pytest.approx(values.mean())
     left = of["share_of_prior_sd_left"]
     assert 0 < left["least"] < left["median"] < left["largest"]
     assert known.share_left[:12].max() < left["largest"], "the base of the strip is known best"

@@ -44,7 +44,7 @@ def test_scalars_are_listed_and_coefficients_are_not(folder):
     assert of["statement"] in text
     assert "Hamiltonian Monte Carlo" in text
     assert "tempering" not in text
-    assert repr(sl.load_study(folder)).startswith("<Study beam: E_length, load, E of WithFields")
+    assert repr(sl.load_study(folder)).startswith("<Study beam: E_length, load, E of PythonModel")
 
 
 def test_draws_of_the_true_posterior_are_named(folder, capsys):

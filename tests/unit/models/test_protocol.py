@@ -109,6 +109,16 @@ def test_options_count_where_a_class_states_one_fingerprint_for_all():
     assert fingerprint(Declared(5.0)) == "mine-1"
 
 
+def test_a_model_without_source_states_its_own_fingerprint():
+    made = {}
+    exec("def model(inputs, workdir): ...\nclass Model: ...", made)
+    for model, name in ((made["model"], "model"), (made["Model"](), "Model")):
+        with pytest.raises(InvalidInput, match=f"source of the model: got {name}; .* `fingerprint`"):
+            fingerprint(model)
+    made["model"].fingerprint = "mine-2"
+    assert fingerprint(made["model"]) == "mine-2"
+
+
 def test_two_loads_are_the_beam_under_each_with_its_derivatives(tmp_path):
     """Central differences; and a Python model hands the request for sensitivities on."""
     python, model = PythonModel("strandline.testing.studies:two_loads"), TwoLoads(sensitivities=True)

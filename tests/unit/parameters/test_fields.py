@@ -121,7 +121,7 @@ REFUSED = {
     "one of matern12, matern32": {"covariance": "cubic"},
     "modes of the field E: got 201; expected at most 200, its points": {"modes": 201},
     "length of the field E: got 0.004 mm; expected at least 0.005 mm": {"length": 0.004},
-    "length of the field E: got 0.001 mm": {"length": Uniform(0.0, 1.0)},
+    "a lower end of at least 0.005 mm": {"length": Uniform(0.0, 1.0)},
 }
 
 

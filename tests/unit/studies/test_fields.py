@@ -78,11 +78,13 @@ def test_a_copy_with_another_field_takes_over_no_runs(folder):
 REFUSED = """
 inputs.E.field.length: GONE | inputs.E.field.length | Add it
 inputs.E.field.length: 0.01 | inputs.E: length of the field E | got 0.01 mm | at least 0.0333 mm
-inputs.E.field.length: {uniform: [0, 1]} | inputs.E: length of the field E
+inputs.E.field.length: {uniform: [0, 1]} | inputs.E: length of the field E | low=0 | a lower end of at least 0.0333 mm
 inputs.E.field.length: [1]; inputs.E.field.sd: high | inputs.E.field
 inputs.E.field.sd: {uniform: [1]} | inputs.E.field.sd.uniform | 2 numbers
+inputs.E.field.sd: 50 | inputs.E: sd of a field: got 50 | at most 3 | unit of the field, or set log to false
+inputs.E.field.sd: {uniform: [0.1, 50]} | inputs.E: sd of a field | at most 3
 inputs.E.field.modes: 31 | modes of the field E: got 31 | at most 30, its points
-inputs.E.field.mean: -1 | inputs.E: mean of a field: got -1 | above 0
+inputs.E.field.mean: -1 | inputs.E: mean of a field: got -1 | above 0 | set log to false
 inputs.E.field.covariance: cubic | covariance of a field: got cubic | matern32
 inputs.E.field.log: false | log of the field E | (0, inf]
 inputs.E.unit: MPa | unit of inputs.E: got MPa
@@ -105,7 +107,7 @@ model.biofilm.partition: three_parts | inputs.E: the model has no such input
 model.biofilm.anchors: {E: [300, 500], nu: 0.3, V_in: 100} | without partition, branches and anchors
 inputs.E.field.at: {interval: [0, 1], points: 30} | points of the field E: got 30 points | at: solid
 inputs.E.field.length: 0.001 | length of the field E
-inputs.E.field.modes: 40 | inputs: got 40 unknown ones | at most 30 inputs, or the keys `sensitivities: true`
+inputs.E.field.modes: 40 | unknown inputs: got 40 | at most 30, or sensitivities (`sensitivities: true`) and an active
 observation.synthetic.E_999: 1 | E_999 | E_1 … E_
 """
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from strandline.design.active.active_design import ActiveDesign, Batch, Step
 from strandline.design.active.chains import chain_state
 from strandline.design.active.choice import Active
-from strandline.design.active.coverage_runs import SURE, least_found
+from strandline.design.active.coverage_runs import MOST_SEEN, SURE, least_found
 from strandline.design.active.exact_chain import ExactChain
 from strandline.design.active.fidelities import Fidelities, FidelityReport
 from strandline.design.active.informed_design import InformedDesign
@@ -59,9 +59,9 @@ class Certificate:
     It `converged` if it stopped because its tolerances were met; else `reasons` say why not, in words. `steps` are the
     posterior after each of the `batches`; the result is computed from the last one, and `checked` is the one with the
     last check. `found` is the smallest share of the prior's mass such that 95 % of all compact regions with this share
-    hold a run. `fidelities` tells what a cheaper model was used for, `scattered` whether the simulator's own scatter
-    keeps it from converging, `drawn` how many draws of the true posterior there are, in words, if there are any,
-    `overlooks` whether the runs were too few to find a region as small as `Active.unseen`.
+    hold a run; None for more than ten inputs. `fidelities` tells what a cheaper model was used for, `scattered` whether
+    the simulator's own scatter keeps it from converging, `drawn` how many draws of the true posterior there are, in
+    words, if there are any, `overlooks` whether the runs were too few to find a region as small as `Active.unseen`.
     """
 
     converged: bool
@@ -69,7 +69,7 @@ class Certificate:
     steps: tuple[Step, ...]
     batches: tuple[Batch, ...]
     checked: Step | None
-    found: float = 1.0
+    found: float | None = 1.0
     fidelities: FidelityReport | None = None
     scattered: bool = False
     drawn: str = ""
@@ -78,6 +78,8 @@ class Certificate:
     @property
     def statement(self) -> str:
         """What the runs have seen of the prior, in words."""
+        if self.found is None:
+            return "Of so many inputs, runs cannot say whether another region fits."
         if self.found >= 1:
             return "The runs are too few to say whether another region fits."
         return (
@@ -332,7 +334,7 @@ class ActiveRuns:
             steps=tuple(design.steps),
             batches=tuple(design.batches),
             checked=checks[-1] if checks else None,
-            found=least_found(self._looked, self.space),
+            found=least_found(self._looked, self.space) if self.space.dim <= MOST_SEEN else None,
             overlooks=design.converged and design.overlooks(self._looked),
             fidelities=None if self.fidelities is None else self.fidelities.report(self._hidden(design.state)),
             scattered=design.scattered,

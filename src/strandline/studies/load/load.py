@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from strandline.calibration import MANY, Settings
+from strandline.calibration import Settings, require_learnable
 from strandline.design import Active, Refinement
 from strandline.foundations import InvalidStudy, lookup
 from strandline.interface import Noise, PointErrors, UnknownErrors
@@ -145,11 +145,8 @@ def build_settings(content: StudyFile, model: ForwardModel, dim: int) -> Setting
         expected = f"at least {dim + 2} runs for {dim} input(s); 100 are a start"
         raise InvalidStudy("design.sobol.runs", value=sobol.runs, expected=expected, remedy="Enlarge the design.")
     by_field = active is not None or content.surrogate.field is not None
-    if dim > MANY and not (active is not None and content.sensitivities):
-        expected = f"at most {MANY} inputs, or the keys `sensitivities: true` and `design: {{active: …}}`"
-        raise InvalidStudy(
-            "inputs", value=f"{dim} unknown ones", expected=expected, remedy="Add them, or take fewer modes."
-        )
+    with refused_at():
+        require_learnable(dim, active, sensitivities=content.sensitivities)
     kernel, fit = (None, None) if log_likelihood is None else (log_likelihood.kernel, log_likelihood.fit)
     kernel = kernel or ("matern32" if dim <= FEW_INPUTS or not by_field else "matern32_product")
     scramble = (content.design.active or {}).get("scramble") if sobol is None else sobol.scramble

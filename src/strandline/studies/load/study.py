@@ -58,7 +58,7 @@ class Study:
     as_loaded: "Study | None" = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
-        unknown, model = ", ".join(self.space.shown), type(self.model).__name__
+        unknown, model = ", ".join(self.space.shown), self._simulator
         return f"<Study {self.name}: {unknown} of {model}, {self.settings.planned_runs} runs, {self.folder}>"
 
     def _repr_html_(self) -> str:
@@ -66,11 +66,18 @@ class Study:
         priors = [
             (html_text(p.name), *map(html.escape, (p.unit, repr(p.prior)))) for p in (*scalars, *self.space.fields)
         ]
-        facts = [("model", html.escape(type(self.model).__name__)), ("folder", html.escape(str(self.folder)))]
+        facts = [("model", html.escape(self._simulator)), ("folder", html.escape(str(self.folder)))]
         facts += [("runs", str(self.settings.planned_runs)), ("measures", ", ".join(self.discrepancies))]
         facts += [(html.escape(name), f"{value:g}") for name, value in self.fixed.items()]
         inputs = html_table(("input", "unit", "prior"), priors, caption=self.name)
         return inputs + html_table(("study", ""), facts)
+
+    @property
+    def _simulator(self) -> str:
+        model = self.model
+        while isinstance(model, models.WithFields | models.WithCheaper):
+            model = model.model
+        return type(model).__name__
 
     @cached_property
     def runs(self) -> "StudyRuns":

@@ -55,7 +55,7 @@ def summarise(study: Study, calibration: Calibration, *, new_runs: int, reused_r
         "synthetic_noise": None if study.synthetic_noise is None else asdict(study.synthetic_noise),
         "inputs": _inputs(calibration),
         "correlation": [{"between": list(pair), "value": value} for pair, value in study.space.correlation.items()],
-        "fields": fields_as_json(posterior),
+        "fields": fields_as_json(posterior, study.truth),
         "log_evidence": posterior.log_evidence,
         "likelihood": _likelihood(calibration),
         "pictures": read_how(study),

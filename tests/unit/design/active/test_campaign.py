@@ -119,9 +119,11 @@ def test_settings_have_ranges():
 
 
 def test_a_certificate_says_what_may_have_been_missed():
-    few, many = (Certificate(False, ("no runs are left",), (), (), None, found) for found in (1.0, 0.07))
+    made = (Certificate(False, ("no runs are left",), (), (), None, found) for found in (1.0, 0.07, None))
+    few, many, blind = made
     assert few.statement == "The runs are too few to say whether another region fits."
     assert "compact region that fits, if it holds 7% or more of the prior's mass" in many.statement
+    assert blind.statement == "Of so many inputs, runs cannot say whether another region fits."
 
 
 @pytest.mark.stand_in
