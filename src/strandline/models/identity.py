@@ -9,10 +9,12 @@ import json
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+
+import numpy as np
 
 from strandline.foundations import unfit
 from strandline.models.protocol import ForwardModel
@@ -42,8 +44,15 @@ def fingerprint(model: ForwardModel) -> str:
         kind, sources = "python-files", sources_of(subject.__module__)
     except OSError:
         kind, sources = "python", _typed(subject)
-    text = json.dumps([subject.__module__, subject.__qualname__, sources, fields], default=repr)
+    text = json.dumps([subject.__module__, subject.__qualname__, sources, fields], default=_exactly)
     return f"{kind}:{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+
+
+def _exactly(value: Any) -> str:
+    """Return the text of a value; that of a long array, which NumPy cuts, is a hash."""
+    if isinstance(value, np.ndarray) and value.size > np.get_printoptions()["threshold"]:
+        return f"{value.dtype}{value.shape}{hashlib.sha256(value.tobytes()).hexdigest()}"
+    return repr(value)
 
 
 def _typed(subject: Any) -> str:
@@ -80,6 +89,9 @@ def _options_beside(model: Any) -> str:
 def _described(model: ForwardModel) -> tuple[Any, dict[str, Any]]:
     """Return the function, or the class and the fields, that `model` is made of."""
     instance: Any = model
+    if isinstance(instance, partial):
+        subject, fields = _described(instance.func)
+        return subject, {**fields, "args": instance.args, "keywords": instance.keywords}
     subject = instance if inspect.isfunction(instance) else type(instance)
     is_record = dataclasses.is_dataclass(instance) and not isinstance(instance, type)
     fields = dataclasses.asdict(instance) if is_record else {}

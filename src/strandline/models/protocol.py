@@ -21,7 +21,8 @@ __all__ = [
     "PreparesRuns", "Sensitivities", "Simulation", "SolvesOnFinerMesh", "TakesFields", "UsesNames",
     "asks_sensitivities", "declared_conditions", "declared_failure_kinds", "declared_inputs", "differentiated",
     "draws_fields", "prepare_runs", "require_conditions", "require_inputs", "same_unit", "the_only_interface",
-    "undeformed_interface", "vjp", "with_option", "with_sensitivities", "without_failure_budget", "without_sensitivities",
+    "undeformed_interface", "vjp", "with_option", "with_sensitivities", "without_failure_budget",
+    "without_sensitivities",
 ]  # fmt: skip
 
 Sensitivities = Mapping[str, Mapping[str, Float[np.ndarray, "point xyz *of"]]]

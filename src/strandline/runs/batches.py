@@ -14,6 +14,8 @@ from strandline.runs.ledger.record import RunRecord, RunRequest
 
 Batch = Sequence[Mapping[str, float]]
 """Inputs by name of the runs that are chosen together."""
+
+
 class PlainBatch(list[Mapping[str, float]]):
     """A batch of which no sensitivities are needed, whatever the model is asked for."""
 

@@ -3,6 +3,7 @@
 import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -32,6 +33,10 @@ INPUTS = {"E": 400.0, "load": 1e-5}
 class Plain:
     def __call__(self, inputs: Mapping[str, float], workdir: Path) -> Interface:
         return LINE
+
+
+def shaped(inputs: Mapping[str, float], workdir: Path, shape: object) -> Interface:
+    return LINE
 
 
 @dataclass(frozen=True)
@@ -107,6 +112,15 @@ def test_options_count_where_a_class_states_one_fingerprint_for_all():
     assert fingerprint(Labelled()) == fingerprint(Labelled(sensitivities=True)) == "mine-1"
     assert fingerprint(Labelled(5.0)) == 'mine-1/{"size": 5.0}'
     assert fingerprint(Declared(5.0)) == "mine-1"
+
+
+def test_the_arguments_of_a_partial_model_count_and_all_entries_of_a_long_array():
+    long = np.zeros(5000)
+    changed = long.copy()
+    changed[2000] = 1.0
+    models = [partial(shaped, shape=one) for one in (1.0, 2.0, long, changed)]
+    assert len({fingerprint(one) for one in (*models, partial(Sensitive(), shape=1.0))}) == 5
+    assert fingerprint(models[3]) == fingerprint(partial(shaped, shape=changed.copy()))
 
 
 def test_a_model_without_source_states_its_own_fingerprint():

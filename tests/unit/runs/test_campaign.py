@@ -10,7 +10,20 @@ from tests.unit.runs import fakes
 from tests.unit.runs.fakes import Elsewhere, Moody, Noted, Seen, Served, begun_before, campaign, counts, design, states
 
 from strandline.foundations import CampaignStopped, ForwardModelError, InvalidInput, LedgerError, NumericsError
-from strandline.runs import Counts, FailurePolicy, InProcess, Ledger, Progress, Retry, RunRecord, attempt, run_campaign
+from strandline.models import fingerprint
+from strandline.runs import (
+    Counts,
+    FailurePolicy,
+    InProcess,
+    Ledger,
+    PlainBatch,
+    Progress,
+    Retry,
+    RunRecord,
+    attempt,
+    run_batches,
+    run_campaign,
+)
 from strandline.runs.campaign import Starts
 from strandline.runs.failures import IN_A_ROW, Outages
 from strandline.runs.ledger.ledger_schema import INTERRUPTED
@@ -75,6 +88,22 @@ def test_runs_without_sensitivities_are_made_again_where_they_are_asked_for(path
     assert alike(campaign(path, plain, inputs, idle), second, strict=False), "the newer outcome counts"
     assert idle.calls == []
     assert fakes.repeated(path) == 2
+
+
+def test_a_plain_batch_is_run_without_sensitivities_and_settles(path):
+    asked, inputs = TwoLoads(sensitivities=True), design(300, 400)
+    common = {"executor": InProcess(), "policy": FailurePolicy()}
+
+    def further(records):
+        return PlainBatch(design(500)) if len(records) == 2 else []
+
+    with Ledger.open(path, model=fingerprint(asked)) as ledger:
+        made = run_batches(asked, [inputs], further, ledger=ledger, **common)
+        assert [list(record.sensitivities["light"]) for record in made] == [["E", "load"], ["E", "load"], []]
+        assert [record.settles(sensitivities=True) for record in made] == [True] * 3
+    idle = Noted()
+    assert alike(made, campaign(path, asked, [*inputs, *design(500)], idle))
+    assert idle.calls == []
 
 
 def dying(model, requests):

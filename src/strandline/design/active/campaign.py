@@ -242,7 +242,7 @@ class ActiveRuns:
     def points(self, records: Sequence[RunRecord]) -> Points:
         return np.array([[record.inputs[name] for name in self.space.names] for record in records], float)
 
-    def __call__(self, records: Sequence[RunRecord]) -> list[dict[str, float]]:
+    def __call__(self, records: Sequence[RunRecord]) -> Sequence[Mapping[str, float]]:
         """Return the inputs of the next batch, none to stop; more of the first design if too few runs succeeded."""
         with self.aside(), one_thread():
             if self.fidelities is not None:

@@ -122,7 +122,8 @@ def attempt(model: ForwardModel, request: RunRequest, workdir: Path) -> RunRecor
         with _working_directory_kept():
             returned = model(dict(request.inputs), workdir)
         good = checked(returned, model, request.inputs)
-        figures, slopes = _figures(good.diagnostics), dict.fromkeys(good.interfaces, {}) if plain else good.sensitivities
+        figures = _figures(good.diagnostics)
+        slopes = {condition: {} for condition in good.interfaces} if plain else good.sensitivities
         ending = RunRecord(request.key, request.inputs, "ok", good.interfaces, figures, sensitivities=slopes)
     except ForwardModelError as error:
         ending, log = ended(request, error.state, error.kind, error.message, error.evidence), error.log

@@ -131,13 +131,13 @@ def test_chains_accepted_by_the_true_model_are_right_even_with_a_wrong_surrogate
     tilted = Tilted(knowledge(12), SPACE)
     state = chain_state(knowledge(12), SPACE, (1,), None)
     chain = ExactChain.of(state, tilted, (3,))
-    for _ in range(300):
+    for _ in range(600):
         chain.take(true_log_likelihood(chain.propose()))
     mean, width = off(chain.result(4000).positions)
     assert mean < 0.25
     assert width < 0.15
     believed = ExactChain.of(state, tilted, (3,))
-    for _ in range(100):
+    for _ in range(200):
         believed.propose()
         believed.take(tilted.roughly(tilted.inputs(believed.proposed)))
     assert max(off(believed.result(4000).positions)) > 0.25
