@@ -5,7 +5,7 @@ of 1 µm at one or three inflow rates. Printed are, for each truth, runs, second
 whether the mean modulus, lie in their 90 % intervals; at the end their means.
 
     python -m verification.validation.active.stiffness_fields [--rates 1|3] [--modes 100] [--seeds 10] [--first 0]
-        [--workers 2]
+        [--mesh default] [--workers 2]
 """
 
 import argparse
@@ -30,10 +30,10 @@ ERRORS = PointErrors(0.001)
 LEVEL = 0.9
 
 
-def one(seed: int, rates: int, modes: int) -> tuple[int, float, float, bool, bool, str]:
+def one(seed: int, rates: int, modes: int, mesh: str = "default") -> tuple[int, float, float, bool, bool, str]:
     """Return runs, seconds of the process, share of points covered, whether the mean is, and convergence."""
     use_double()
-    plain = Biofilm(inflow_rates=RATES[rates])
+    plain = Biofilm(mesh=mesh, inflow_rates=RATES[rates])
     field = GaussianField(400.0, 0.5, 0.15, modes=modes).on("E", plain.field_support("E"), "Pa")
     space = ParameterSpace(field.parameters)
     fixed = {"nu": 0.3} | ({"V_in": 100.0} if rates == 1 else {})
@@ -77,12 +77,15 @@ def main() -> None:
     parser.add_argument("--modes", type=int, default=100)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--mesh", default="default")
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
     rows = []
     with ProcessPoolExecutor(given.workers, get_context("spawn")) as pool:
         seeds = range(given.first, given.first + given.seeds)
-        for seed, row in zip(seeds, pool.map(partial(one, rates=given.rates, modes=given.modes), seeds), strict=True):
+        for seed, row in zip(
+            seeds, pool.map(partial(one, rates=given.rates, modes=given.modes, mesh=given.mesh), seeds), strict=True
+        ):
             rows.append(row)
             runs, seconds, share, inside, _, words = row
             print(f"{seed}: {runs} runs, {seconds:.0f} CPU-s, covered {share:.1%}, mean {inside}; {words}", flush=True)

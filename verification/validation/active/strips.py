@@ -6,7 +6,7 @@ from the true model: by Hamiltonian chains, or, where it is planted with a trap,
 largest error of the field's mean, in its sds, and of its sd, over all points.
 
     python -m verification.validation.active.strips [--dims 10 20] [--seeds 20] [--workers 2] [--exact no|auto|yes]
-        [--planted length|jump|mode|matters]
+        [--planted length|jump|mode|matters] [--runs 120]
 """
 
 import argparse
@@ -139,7 +139,7 @@ def observed(strip: Strip, seed: int) -> Float[np.ndarray, " 40"]:
     return np.asarray(BENDING @ (1 / values) + NOISE * random.standard_normal(40))
 
 
-def one(seed: int, dim: int, planted: str, exact: bool | None) -> str:
+def one(seed: int, dim: int, planted: str, exact: bool | None, runs: int = 120) -> str:
     """Return what a calibration finds, as a line."""
     use_double()
     strip = Strip(dim, planted)
@@ -147,7 +147,7 @@ def one(seed: int, dim: int, planted: str, exact: bool | None) -> str:
     seen = Observation(Interface.polyline(np.stack([SEEN, truth.seen], axis=1)), NOISE**2)
     space = ParameterSpace(strip.field.parameters)
     problem = Problem(strip, space, {}, (seen,), {"tracked": TrackedPoints()})
-    active = Active(runs=120, exact=exact)
+    active = Active(runs=runs, exact=exact)
     begun = time.process_time()
     found = calibrate(problem, Settings(runs=3, surrogate="field", active=active, seed=seed))
     seconds = time.process_time() - begun
@@ -172,13 +172,14 @@ def main() -> None:
     parser.add_argument("--dims", type=int, nargs="+", default=[10, 20])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--runs", type=int, default=120)
     parser.add_argument("--exact", choices=("no", "auto", "yes"), default="auto")
     parser.add_argument("--planted", choices=("", "length", "jump", "mode", "matters"), default="")
     given = parser.parse_args()
     exact = {"no": False, "auto": None, "yes": True}[given.exact]
     with ProcessPoolExecutor(given.workers, get_context("spawn")) as pool:
         for dim in given.dims:
-            of_one = partial(one, dim=dim, planted=given.planted, exact=exact)
+            of_one = partial(one, dim=dim, planted=given.planted, exact=exact, runs=given.runs)
             for line in pool.map(of_one, range(given.seeds)):
                 print(line, flush=True)
 
