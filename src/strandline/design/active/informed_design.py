@@ -1,9 +1,9 @@
 """An active design for many inputs, with sensitivities: down to the best fit, then draws of the posterior.
 
-The surrogate's best fit is run until a run lies there. All further runs are draws, predicted before they are run: of the
-posterior, and one in four of the wider one with the root of its likelihood. Each batch is a check, and the surrogate learns
-from it; earlier draws count with the errors with which all other runs predict them. Last come places where no run has
-been.
+The surrogate's best fit is run until a run lies there. All further runs are draws, predicted before they are run: of
+the posterior, and one in four of the wider one with the root of its likelihood. Each batch is a check, and the
+surrogate learns from it; earlier draws count with the errors with which all other runs predict them. Last come places
+where no run has been.
 
 Let δ be the logarithm of the true over the predicted likelihood. Weights exp(δ) move the mean of a quantity by its
 covariance with δ. If δ has nothing to do with the quantity, n draws of the posterior show that its mean moves by no
