@@ -1,12 +1,12 @@
 """Variational Gaussians for the field of a strip: solves until their bound settles, and how wrong they are.
 
 BlackJAX stands in for QUEENS (`RPVI`, with which `BMFIA` ends), which pip cannot install: a Gaussian of full rank or of
-independent coefficients, Adam, exact gradients, a start at the prior. Rate and draws of a step are as in QUEENS' examples
-(0.02 to 0.05; 2 to 10), without its natural gradient. Truths, seeds and the chains on the true model are those of
-`.strips`. A bound has settled when its mean over 1000 solves is less than 0.5 above that of the 1000 before. Printed are
-the largest error of the field's mean, in its sds, and of its sd. With `--decay` the rate falls to 0 at the last solve.
+independent coefficients, Adam, exact gradients, a start at the prior. Rate and draws of a step are as in QUEENS' tests
+(0.02 to 0.05; 2 to 10), without its natural gradient. Truths, seeds and the chains on the true model are as in
+`.strips`. A bound has settled when its mean over 1000 solves is less than 0.5 above that of the 1000 before. Printed
+are the largest errors of the field's mean, in sds, and of its sd. With `--decay` the rate falls to 0 at the last solve.
 
-    python -m verification.validation.active.variational [--dims 10 20] [--solves 20000] [--rate 0.05] [--decay]
+    python -m verification.validation.active.variational [--dims 10 20] [--solves 20000] [--rate 0.02] [--decay]
 """
 
 import argparse
@@ -106,7 +106,7 @@ def main() -> None:
     parser.add_argument("--dims", type=int, nargs="+", default=[10, 20, 50, 100])
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--solves", type=int, default=20_000)
-    parser.add_argument("--rate", type=float, default=0.05)
+    parser.add_argument("--rate", type=float, default=0.02)
     parser.add_argument("--decay", action="store_true")
     parser.add_argument("--draws", type=int, default=10)
     given = parser.parse_args()
