@@ -20,6 +20,7 @@ CHAINS, MOVES = 16, 10
 WARM = 0.25  # share of the steps that come before the draws
 FEWEST, EACH = 60, 10
 """Steps before the chains may end, and between two looks at them."""
+STEPS = 800  # most steps
 R_HAT, EFFECTIVE = 1.02, 1000.0
 """Largest R̂ and fewest effective draws of the worst input with which the chains end."""
 
@@ -104,3 +105,11 @@ class ExactChain:
             return False
         found = self.chains
         return found.r_hat <= R_HAT and found.effective >= EFFECTIVE
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether the last step is made, or half of the draws that are needed will not be there by then."""
+        steps = len(self.draws)
+        if steps < FEWEST * 2 or steps % EACH:
+            return False
+        return steps >= STEPS or self.chains.effective * STEPS < EFFECTIVE / 2 * steps

@@ -36,7 +36,6 @@ UNEXPECTED = 1.0  # log ratio above which a wider draw counts for this: with 0, 
 PATIENT = 40  # draws after which those of the true posterior are considered
 AFFORDED = 60.0  # seconds that their runs may take in all; a certified field took 50 to 70 s beside its runs
 WIDER = 4  # one draw in so many is wider: with half of them, 20 strips of 20 inputs took 35 runs (median), not 33
-STEPS = 800  # most steps of these chains
 SURE = 3.0  # largest standard deviation of δ with which they begin: a tenth of their proposals is accepted
 MIXED = 1.2  # largest R̂ of the chains whose draws can settle anything
 WITHIN = 4.0  # a draw of an earlier posterior counts if its density is less than this many sds below the draws'
@@ -187,7 +186,7 @@ class InformedDesign(ActiveDesign):
         if chain.done:
             self.converged, self.reasons = True, ()
             return None
-        if len(chain.draws) >= STEPS:
+        if chain.hopeless:
             self.reasons = (f"draws of the true posterior have not settled: {chain.words}",)
             return None
         return self._noted(chain.propose(), "exact")
