@@ -19,14 +19,14 @@ from multiprocessing import get_context
 
 import numpy as np
 from jaxtyping import Bool, Float
-from verification.validation.active.designs import play
 from verification.validation.tables import arguments, show, table
 
 from strandline.design import sobol
 from strandline.design.active import Active, ActiveDesign, State, learn, posterior_state
+from strandline.design.active.active_design import Batch
 from strandline.design.active.coverage_runs import least_found
 from strandline.discrepancy import TrackedPoints
-from strandline.foundations import use_double
+from strandline.foundations import TooFewRuns, one_thread, use_double
 from strandline.interface import Interface, Observation
 from strandline.likelihood import InterfaceLikelihood
 from strandline.parameters import Parameter, ParameterSpace, Uniform
@@ -235,14 +235,25 @@ def played(model: Model, seed: int, active: Active) -> Found:
         "afresh": lambda state: posterior_state(state.knowledge, space, (seed, len(state.knowledge.x), 1)),
     }
     design = ActiveDesign(active, space, batch=4, seed=seed, scramble=seed, **functions)
-    first = space.to_physical(sobol(4 + 2 * space.dim, space.dim, scramble=seed))
-    *_, (x, _, _) = play(design, first, lambda x: [model.run(row) for row in x])
+    x = space.to_physical(sobol(4 + 2 * space.dim, space.dim, scramble=seed))
+    design.start(x)
+    records = [model.run(row) for row in x]
+    while (batch := _next(design, x, records)) is not None:
+        x, records = np.concatenate([x, batch.points]), records + [model.run(row) for row in batch.points]
     true = true_moments(model, seen)
     off = np.abs(design.state.mean - true.mean) / true.sd
     width = np.abs(np.log(design.state.sd / true.sd))
     right = bool(off.max() < MEAN_OFF and width.max() < WIDTH_OFF)
     reason = "scatter" if design.scattered else "; ".join(design.reasons[1:2])
     return Found(design.converged, right, len(x), least_found(x, space), reason)
+
+
+def _next(design: ActiveDesign, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]) -> Batch | None:
+    try:
+        with one_thread():
+            return design.next(x, records)
+    except TooFewRuns:
+        return design.more_of_the_first()
 
 
 def _task(name: str, seed: int, active: Active) -> Found:

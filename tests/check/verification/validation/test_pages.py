@@ -85,6 +85,6 @@ def test_the_tables_of_pyvbmc_follow_from_the_published_steps():
 def test_commands_of_the_page_of_results_exist():
     page = (RESULTS / "index.md").read_text("utf-8")
     commands = re.findall(r"`python -m (verification[a-z_.]+)`", page)
-    commands += [f"verification.validation{name}" for name in re.findall(r"`(\.[a-z_]+)`", page)]
+    commands += [f"verification.validation{name}" for name in re.findall(r"`(\.[a-z_.]+)`", page)]
     assert len(commands) > 20
     assert [name for name in commands if find_spec(name) is None] == []
