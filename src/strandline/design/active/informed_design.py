@@ -27,6 +27,7 @@ from strandline.design.active.exact_chain import EFFECTIVE, ExactChain
 from strandline.runs import RunRecord
 
 ARRIVED = 1.0  # distance of the best fit from a run, in sds of the Laplace approximation, up to which a run lies there
+HALVED = 6  # times that the way to a best fit is halved where runs fail
 TOGETHER = 4  # fewest runs of a batch: to sample the posterior takes as long as many of a cheap simulator
 FEWEST = 8  # fewest draws of the posterior that can settle anything
 LARGEST_VARIANCE = 0.7  # largest variance of δ: half of the draws are effective
@@ -192,10 +193,18 @@ class InformedDesign(ActiveDesign):
         return self._noted(chain.propose(), "exact")
 
     def _descend(self, now: Situation) -> Decision:
-        state = self._sampled
-        if state.off <= ARRIVED or any(batch.kind == "check" for batch in self.batches):
+        """Run the best fit, or, after runs that failed, half of the way to it from the nearest good one, a quarter, …"""
+        state, failed = self._sampled, 0
+        while failed < len(now.records) and not now.records[-1 - failed].ok:
+            failed += 1
+        begun = any(batch.kind == "check" for batch in self.batches)
+        if state.off <= ARRIVED or begun or failed > HALVED:
             return "not now"
-        return self._noted(state.mode[None], "posterior")
+        normal, known = Normalised(state.knowledge, self.space), state.knowledge
+        mode, runs = normal.places(state.mode[None])[0], normal.places(known.x[known.ok])
+        away = np.linalg.norm(np.linalg.solve(state.root, (runs - mode).T), axis=0)
+        nearest = runs[int(away.argmin())]
+        return self._noted(normal.inputs((nearest + 0.5**failed * (mode - nearest))[None]), "posterior")
 
     def _told(
         self, before: ChainState, last: Batch, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]

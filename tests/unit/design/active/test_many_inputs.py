@@ -178,6 +178,23 @@ def test_a_design_of_eight_inputs_settles_on_the_true_posterior_in_few_runs():
     assert width < 0.25
 
 
+def test_where_runs_fail_the_way_to_the_best_fit_is_halved_and_then_given_up():
+    found, x = design(), over_prior(SPACE, 3)
+    found.start(x)
+    records = [record(one) for one in x]
+    reached = []
+    while (batch := found.next(x, records)).kind == "posterior":
+        x = np.concatenate([x, batch.points])
+        records.append(sl.RunRecord(batch.points.tobytes().hex(), records[0].inputs, "failed"))
+        reached.append(batch.points[0])
+    assert batch.kind == "check"
+    places = Normalised(found.state.knowledge, SPACE).places
+    away = np.linalg.norm(places(np.array(reached))[:, None] - places(x[:3]), axis=2)
+    nearest = away[:, away[-1].argmin()]
+    np.testing.assert_allclose(nearest[1:] / nearest[:-1], 0.5, rtol=0.1)
+    assert len(reached) == 7
+
+
 def told(ratios, wide=0.0, number=20):
     differ = ratios * np.random.default_rng(11).standard_normal(number)
     return Told(differ, np.full(number, wide), np.zeros(number))
