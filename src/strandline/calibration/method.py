@@ -33,7 +33,7 @@ from strandline.calibration.sampler_check import compare_halves
 from strandline.calibration.targets import LARGEST_DIM, FieldTarget, Target, under_uncertainty
 from strandline.foundations import require, use_double
 from strandline.likelihood import require_inferable
-from strandline.models import asks_sensitivities, require_conditions, require_inputs
+from strandline.models import WithCheaper, asks_sensitivities, require_conditions, require_inputs
 from strandline.parameters import ParameterSpace
 from strandline.posterior import GaussianApproximation, SobolIndices, laplace, log_prior_hessian, sobol_indices
 from strandline.runs import Executor, InProcess, Ledger
@@ -87,7 +87,14 @@ def calibrate(
     require_conditions((o.condition for o in problem.observations), problem.model)
     settings, executor, tell = settings or Settings(), executor or InProcess(), observer_or_default(observer)
     require_inferable(problem.observations, problem.measure, by_field=settings.surrogate == "field")
-    require_learnable(problem.space.dim, settings.active, sensitivities=asks_sensitivities(problem.model))
+    active, model = settings.active, problem.model
+    require_learnable(
+        problem.space.dim,
+        active=active is not None,
+        sensitivities=asks_sensitivities(model),
+        exact=active is not None and active.exact,
+        cheaper=isinstance(model, WithCheaper),
+    )
     watch, space = Stopwatch(), problem.space
     learning = Learning(problem, settings, ledger, executor, tell, watch)
     trained = learning.train(given)

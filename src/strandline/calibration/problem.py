@@ -23,7 +23,7 @@ from strandline.models import ForwardModel
 from strandline.parameters import ParameterSpace
 from strandline.runs import FailurePolicy, Progress, RunRecord
 from strandline.smc import SMCResult, SMCSettings, StepInfo
-from strandline.surrogate import LogLikelihoodSurrogate, fit_named, kernel_named
+from strandline.surrogate import MANY_INPUTS, LogLikelihoodSurrogate, fit_named, kernel_named
 
 
 @dataclass(frozen=True)
@@ -257,11 +257,16 @@ MANY = 30
 KERNEL = "ZMQInteractiveShell"  # shell of a Jupyter kernel; others have a terminal
 
 
-def require_learnable(dim: int, active: Active | None, *, sensitivities: bool) -> None:
-    """Refuse more unknown inputs than can be learnt, unless an active design has sensitivities by them."""
+def require_learnable(dim: int, *, active: bool, sensitivities: bool, exact: bool | None, cheaper: bool) -> None:
+    """Refuse more unknown inputs than can be learnt, unless an active design has sensitivities by them, and `exact`
+    draws where no chains are made.
+    """
     expected = f"at most {MANY}, or sensitivities (`sensitivities: true`) and an active design"
-    right = dim <= MANY or (sensitivities and active is not None)
+    right = dim <= MANY or (sensitivities and active)
     require(right, "unknown inputs", dim, expected, "Add both, or leave out inputs, such as modes of a field.")
+    many = sensitivities and dim >= MANY_INPUTS and not cheaper
+    expected = f"sensitivities (`sensitivities: true`), {MANY_INPUTS} unknown inputs or more, and no cheaper model"
+    require(many or not exact, "exact", "true", expected, "Leave `exact` out, or change these.")
 
 
 def run_note(state: Progress) -> str:

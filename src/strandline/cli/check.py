@@ -64,8 +64,10 @@ def command(study: Path, plot: bool, as_json: bool, widths: bool) -> None:
     number = sum(line.startswith("warning") for line in lines)
     doubts = f", with {number} warning{'s' * (number > 1)}" if number else ""
     rounds = f" ({settings.runs} and {refine.rounds} rounds of {refine.runs})" if refine.rounds else ""
-    most = "at most " if settings.active is not None else ""
-    lines.append(f"{most}{planned} forward runs planned{rounds}, {known} of them known already")
+    active = settings.active
+    most = "at most " if active is not None else ""
+    exactly = "; then a thousand or more, to draw exactly" if active is not None and active.exact else ""
+    lines.append(f"{most}{planned} forward runs planned{rounds}, {known} of them known already{exactly}")
     click.echo("\n  ".join([f"{loaded.name}: study.yaml is sound{doubts}", *lines]))
     if picture is not None:
         click.echo(f"wrote {picture}")

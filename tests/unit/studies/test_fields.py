@@ -108,6 +108,7 @@ model.biofilm.anchors: {E: [300, 500], nu: 0.3, V_in: 100} | without partition, 
 inputs.E.field.at: {interval: [0, 1], points: 30} | points of the field E: got 30 points | at: solid
 inputs.E.field.length: 0.001 | length of the field E
 inputs.E.field.modes: 40 | unknown inputs: got 40 | at most 30, or sensitivities (`sensitivities: true`) and an active
+design: {active: {runs: 60, exact: true}} | exact: got true | `sensitivities: true`
 observation.synthetic.E_999: 1 | E_999 | E_1 … E_
 """
 

@@ -195,7 +195,8 @@ def drawn_result(
     """Return draws of chains, up to `number` and as many as are effective, in two halves of independent chains.
 
     The log-likelihood is the surrogate's by default. The evidence is that of a bridge (Meng and Wong, Statistica Sinica
-    6, 1996, 831) to a normal distribution with the mean and the covariance of the other half's draws.
+    6, 1996, 831) to a normal distribution with the mean of the other half's draws, and their covariance, less their
+    correlations if they are few.
     """
     steps, chains, _ = found.draws.shape
     every = max(-(-steps * chains // max(int(min(number, found.effective)), 1)), 1)
@@ -234,7 +235,9 @@ def _bridge(
     random: np.random.Generator,
 ) -> float:
     """Return the logarithm of the integral of the density, from draws of it."""
-    near: Any = multivariate_normal(other.mean(axis=0), np.cov(other.T) + LEAST * np.eye(u.shape[1]))
+    covariance, few = np.cov(other.T), min(1.0, u.shape[1] / len(other))  # of few draws, it is singular
+    covariance += few * (np.diag(np.diag(covariance)) - covariance) + LEAST * np.eye(u.shape[1])
+    near: Any = multivariate_normal(other.mean(axis=0), covariance)
     from_near = near.rvs(len(u), random_state=random)
     ours, theirs = log_density - near.logpdf(u), normal.log_density(from_near) - near.logpdf(from_near)
     log_ratio = float(np.median(ours))

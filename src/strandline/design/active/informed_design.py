@@ -23,6 +23,7 @@ from scipy.stats import norm
 from strandline.design.active.active_design import ActiveDesign, Batch, Decision, Situation
 from strandline.design.active.chains import WIDE, ChainState, Normalised
 from strandline.design.active.checking import MOST_FAILED, BatchCheck
+from strandline.design.active.choice import Active
 from strandline.design.active.exact_chain import EFFECTIVE, ExactChain
 from strandline.runs import RunRecord
 
@@ -36,7 +37,7 @@ MISSED = 0.1  # largest share of the posterior's mass that wider draws may show 
 UNEXPECTED = 1.0  # log ratio above which a wider draw counts for this: with 0, scatter by 0.4 alone would show 16 %
 PATIENT = 40  # draws after which those of the true posterior are considered
 AFFORDED = 60.0  # seconds that their runs may take in all; a certified field took 50 to 70 s beside its runs
-WIDER = 4  # one draw in so many is wider: with half of them, 20 strips of 20 inputs took 35 runs (median), not 33
+WIDER = 4  # one draw in so many is wider if none surprised: with half, 20 strips of 20 inputs took 35 runs, not 33
 SURE = 3.0  # largest standard deviation of δ with which they begin: a tenth of their proposals is accepted
 MIXED = 1.2  # largest R̂ of the chains whose draws can settle anything
 WITHIN = 4.0  # a draw of an earlier posterior counts if its density is less than this many sds below the draws'
@@ -66,13 +67,16 @@ class Told:
 
     @property
     def missed(self) -> float:
-        """Mass of the true posterior at wider draws beyond that predicted, as a share of the predicted posterior's."""
+        """Mass of the true posterior at wider draws beyond that predicted, as a share of the predicted posterior's.
+
+        A draw counts for no more than all of it: once it has run, the surrogate knows of it.
+        """
         if not len(self.wide):
             return np.inf
         level = logsumexp(self.ratios) - np.log(len(self.ratios))
         with np.errstate(over="ignore"):
             beyond = np.where(self.wide - level > UNEXPECTED, np.expm1(self.wide - level), 0.0)
-            return float(np.mean(np.exp(self.wide_log) * beyond))
+            return float(np.mean(np.minimum(np.exp(self.wide_log) * beyond, 1.0)))
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -133,13 +137,23 @@ class InformedDesign(ActiveDesign):
                 return decision
         state = self._sampled
         together = min(max(self._together, TOGETHER), now.left)
-        beyond = together // WIDER
+        missing = self.told is not None and self.told.missed > MISSED
+        beyond = together // (2 if missing else WIDER)
         number = together - beyond
         random = np.random.default_rng([self.seed, len(x)])
         chances = 0.9 * np.exp(state.log_weights) + 0.1 / len(state.positions)  # few may have nearly all the weight
         draws = random.choice(len(state.positions), number, replace=False, p=chances / chances.sum())
         wide = random.choice(len(state.wide), beyond, replace=False)
         return self._noted(np.concatenate([state.positions[draws], state.wide[wide]]), "check")
+
+    @property
+    def _seeks(self) -> bool:
+        """Whether a smaller share is to be seen than by default: of seven inputs, that takes 25 runs beside some 20."""
+        return self.active.unseen < Active.unseen
+
+    def overlooks(self, x: Float[np.ndarray, "run dim"]) -> bool:
+        """Return whether the runs were too few for that."""
+        return self._seeks and super().overlooks(x)
 
     @property
     def _sampled(self) -> ChainState:
@@ -155,7 +169,8 @@ class InformedDesign(ActiveDesign):
             passed = now.check is not None and now.check.passed and not self.active.exact
         if not passed:
             return "not now"
-        unseen = self._not_looked_at(now.x, now.left) if now.kind == "check" and now.left > 0 else now.x[:0]
+        looks = self._seeks and now.kind == "check" and now.left > 0
+        unseen = self._not_looked_at(now.x, now.left) if looks else now.x[:0]
         if len(unseen):
             return self._noted(unseen, "elsewhere")
         self.converged, self.reasons = True, ()
@@ -193,7 +208,7 @@ class InformedDesign(ActiveDesign):
         return self._noted(chain.propose(), "exact")
 
     def _descend(self, now: Situation) -> Decision:
-        """Run the best fit, or, after runs that failed, half of the way to it from the nearest good one, a quarter, …"""
+        """Run the best fit, or, after failed runs, half of the way to it from the nearest good one, a quarter, …"""
         state, failed = self._sampled, 0
         while failed < len(now.records) and not now.records[-1 - failed].ok:
             failed += 1

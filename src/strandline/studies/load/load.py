@@ -140,13 +140,15 @@ def build_settings(content: StudyFile, model: ForwardModel, dim: int) -> Setting
     with refused_at("sampler.smc"):
         sampler = SMCSettings(**smc)
     log_likelihood = content.surrogate.log_likelihood
+    with refused_at():
+        given, cheaper = content.design.active, bool(content.fidelities)
+        exact, asked = (given or {}).get("exact"), content.sensitivities
+        require_learnable(dim, active=given is not None, sensitivities=asked, exact=exact, cheaper=cheaper)
     active = build_active(content.design.active, dim, sensitivities=content.sensitivities)
     if sobol is not None and sobol.runs < dim + 2:
         expected = f"at least {dim + 2} runs for {dim} input(s); 100 are a start"
         raise InvalidStudy("design.sobol.runs", value=sobol.runs, expected=expected, remedy="Enlarge the design.")
     by_field = active is not None or content.surrogate.field is not None
-    with refused_at():
-        require_learnable(dim, active, sensitivities=content.sensitivities)
     kernel, fit = (None, None) if log_likelihood is None else (log_likelihood.kernel, log_likelihood.fit)
     kernel = kernel or ("matern32" if dim <= FEW_INPUTS or not by_field else "matern32_product")
     scramble = (content.design.active or {}).get("scramble") if sobol is None else sobol.scramble
