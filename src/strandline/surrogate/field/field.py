@@ -126,15 +126,15 @@ class Warping:
     def standardise(self, x: Float[np.ndarray, "run dim"]) -> Float[np.ndarray, "run dim"]:
         middle, spread = self._scale
         z = np.empty(x.shape)
-        for warp, columns in self._alike:
-            z[:, columns] = warp.apply(x[:, columns])
+        for name, columns in self._alike:
+            z[:, columns] = WARPS[name].apply(x[:, columns])
         return np.asarray((z - middle) / spread)
 
     def gradients(self, x: Float[np.ndarray, "run dim"], by_input: AnySlopes) -> AnySlopes:
         """Return derivatives with respect to the standardised inputs, given those by the physical ones."""
         slopes = np.empty(x.shape)
-        for warp, columns in self._alike:
-            slopes[:, columns] = warp.slope(x[:, columns])
+        for name, columns in self._alike:
+            slopes[:, columns] = WARPS[name].slope(x[:, columns])
         shape = (len(x), *(1,) * (by_input.ndim - 2), len(self.names))
         return np.asarray(by_input / (slopes / self._scale[1]).reshape(shape))
 
@@ -143,9 +143,9 @@ class Warping:
         return np.asarray(by_standardised / self.gradients(x, np.ones_like(by_standardised)))
 
     @cached_property
-    def _alike(self) -> list[tuple[Warp, list[int]]]:
-        """The different warps, and the inputs that have each."""
-        return [(WARPS[one], [j for j, n in enumerate(self.names) if n == one]) for one in dict.fromkeys(self.names)]
+    def _alike(self) -> list[tuple[str, list[int]]]:
+        """The names of the different warps, and the inputs that have each."""
+        return [(one, [j for j, n in enumerate(self.names) if n == one]) for one in dict.fromkeys(self.names)]
 
     @cached_property
     def _scale(self) -> tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]]:
