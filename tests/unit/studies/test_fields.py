@@ -69,6 +69,14 @@ def test_the_check_names_the_share_of_variance_and_no_coefficient(folder, capsys
     assert "E_length = 0.22" in said
 
 
+def test_medians_of_coefficients_are_zero_without_rounding(tmp_path, capsys):
+    (tmp_path / "broken.py").write_text("def strip(inputs, workdir): return None")
+    changed_study(tmp_path, {"model.python.function": "broken:strip"}, **{**STUDY, "fixed": {}})
+    with pytest.raises(SystemExit):
+        main(["check", str(tmp_path)])
+    assert "E_1 = 0, E_2 = 0" in capsys.readouterr().err
+
+
 def test_a_copy_with_another_field_takes_over_no_runs(folder):
     other = copied(folder, ["inputs.E.field.mean=300"])
     assert load_study(other).reuse == ()
