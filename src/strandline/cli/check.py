@@ -192,6 +192,7 @@ def _forward_run(study: "Study") -> tuple["RunRecord", str]:
     from strandline.studies import differentiating, require_ok
 
     medians = study.space.prior_quantiles(np.full((1, study.space.dim), 0.5))[0]
+    medians[np.abs(medians) < 1e-12 * study.space.prior_sd] = 0.0  # rounding of a quantile
     inputs = {**study.fixed, **study.space.as_mapping(medians)}
     prepare_runs(study.model)  # its time is not the run's
     record = attempted(differentiating(study.model) or study.model, inputs)

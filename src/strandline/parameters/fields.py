@@ -44,14 +44,28 @@ Values = Float[np.ndarray, "*some point"]
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """Points at which a simulator takes the values of a field, mm, and the length or area that each stands for."""
+    """Points at which a simulator takes the values of a field, mm, and the length or area that each stands for.
+
+    Raises:
+        InvalidInput: Points or weights of another shape, or a weight that is not above 0.
+    """
 
     points: Float[np.ndarray, "point xyz"]
     weights: Float[np.ndarray, " point"]
 
+    def __post_init__(self) -> None:
+        shape, weights = np.shape(self.points), np.asarray(self.weights)
+        places = len(shape) == 2 and 1 <= shape[1] <= 3
+        require(places, "shape of a field's points", shape, "(points, 1 to 3 coordinates)", "Correct it.")
+        right = weights.shape == shape[:1]
+        require(right, "shape of a field's weights", weights.shape, f"{shape[:1]}, one for each point", "Correct it.")
+        require((weights > 0).all(), "least weight of a field", f"{weights.min():g}", "above 0", "Correct it.")
+
     @classmethod
     def interval(cls, low: float, high: float, points: int) -> "Support":
         """Return the middles of equal parts of an interval, mm."""
+        require(low < high, "interval of a field", (low, high), "the lower end first", "Correct it.")
+        require(points > 0, "points of a field", points, "at least 1", "Correct it.")
         width = (high - low) / points
         return cls(low + width * (np.arange(points)[:, None] + 0.5), np.full(points, width))
 

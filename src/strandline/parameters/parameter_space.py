@@ -146,9 +146,10 @@ class ParameterSpace:
     def _require_correlation(self) -> None:
         seen = set[frozenset[str]]()
         for pair, value in self.correlation.items():
-            what, both = f"correlation of {' and '.join(map(str, pair))}", frozenset(pair)
+            names, both = " and ".join(map(str, pair)), frozenset(pair)
+            what = f"correlation of {names}"
             right = len(both) == 2 and both <= {*self.names} and both not in seen
-            require(right, what, pair, f"two of the inputs {', '.join(self.names)}, once", "Correct the names.")
+            require(right, what, names, f"two of the inputs {', '.join(self.names)}, once", "Correct the names.")
             require(is_finite(value) and -1 < value < 1, what, value, "a number above -1 and below 1", "Correct it.")
             nuisance = {self[name].nuisance for name in pair}
             expected = "both nuisance or both calibrated: the cut reading takes them as independent"

@@ -31,6 +31,7 @@ from strandline.calibration import (
 )
 from strandline.foundations import InvalidStudy, one_thread, require, use_double
 from strandline.interface import Noise, PointErrors, UnknownErrors
+from strandline.parameters import ParameterSpace
 from strandline.posterior import Band, Coverage, Posterior
 from strandline.questions import answer
 from strandline.questions.knowledge import chosen_measure, digest_of, field_knowledge, require_seed
@@ -182,7 +183,7 @@ def _described(
             "left_out_error_um": answer.TO_MICROMETRES * quality.left_out,
         },
         "calibrated": found.calibrated,
-        "remarks": list(found.remarks),
+        "remarks": [*found.remarks, *_of_fields(study.space)],
         "inputs": _inputs(study, found),
         "log_likelihood": {
             "inside": found.fit_band.inside,
@@ -197,6 +198,12 @@ def _described(
             "effective": float(np.median([one.effective for one in found.replicates])),
         },
     }
+
+
+def _of_fields(space: ParameterSpace) -> Iterator[str]:
+    for one in space.fields:
+        count = f"The ranks of all {one.count} coefficients of the field {one.name} count"
+        yield f"{count}, but are not listed. Its values at points and its means were not tested."
 
 
 def _inputs(study: studies.Study, found: CoverageFound) -> dict[str, Any]:
@@ -261,7 +268,7 @@ def _answer(content: dict[str, Any], found: CoverageFound, folder: Path) -> answ
         sentence=sentence,
         remarks=remarks,
         good=content["calibrated"],
-        parts=[_of_inputs(content), answer.Part("How it was tested", lines=noise, notes="how_covered")],
+        parts=[*_of_inputs(content), answer.Part("How it was tested", lines=noise, notes="how_covered")],
         content=content,
         found=found,
         page=folder / "coverage.html",
@@ -281,7 +288,7 @@ def _drawn(content: Mapping[str, Any]) -> Iterator[Captioned]:
         yield Captioned.of("coverage_intervals", "coverage", plots.plot_intervals(found))
 
 
-def _of_inputs(content: Mapping[str, Any]) -> answer.Part:
+def _of_inputs(content: Mapping[str, Any]) -> Iterator[answer.Part]:
     head = "input", "unit", "p of the ranks", "50 % intervals", "90 % intervals", "mean z", "sd of z", "mean sd"
     rows = [
         (
@@ -293,4 +300,5 @@ def _of_inputs(content: Mapping[str, Any]) -> answer.Part:
         )
         for item in content["inputs"].values()
     ]
-    return answer.Part("The inputs", answer.Table((*head, "sd / limit"), rows), notes="covered_inputs")
+    if rows:
+        yield answer.Part("The inputs", answer.Table((*head, "sd / limit"), rows), notes="covered_inputs")

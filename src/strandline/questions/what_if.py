@@ -43,12 +43,14 @@ def what_if(
         observer: Receives the progress.
 
     Raises:
-        InvalidInput: A negative seed, or an empty list of alternatives.
+        InvalidInput: A negative seed, an empty list of alternatives, or a study whose inputs are all fields.
         InvalidStudy: The study is not finished, its folder cannot be written to, or an alternative does not fit it.
         LedgerError: The ledger is damaged, or belongs to another model.
     """
     studies.require_study(study)
     require_seed(seed, "what-if")
+    some = "an input that is no coefficient of a field", "Read the report, which shows fields."
+    require(len(study.space.scalars) > 0, "inputs of what-if", "fields alone", *some)
     words = "at least one", "Leave them out to ask the usual questions."
     require(alternatives is None or len(alternatives) > 0, "alternatives", "none", *words)
     stated = studies.StudyFile.model_validate(studies.load_yaml(study.text)).what_if

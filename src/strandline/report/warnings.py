@@ -87,7 +87,8 @@ def find_warnings(calibration: Calibration, *, turned: Sequence[str] = ()) -> It
     yield from _bounds_of(calibration.posterior, "posterior")
     if (found := calibration.under_uncertainty) is not None:
         yield from _bounds_of(found.cut.extended, "cut reading", found.cut.names)
-    if not calibration.laplace.definite:
+    chains = calibration.field is not None and calibration.field.by_chains
+    if not (chains or calibration.laplace.definite):
         yield _said("no_laplace")
 
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,9 +10,12 @@ from tests.study.report.pages import Page, data_in
 from tests.study.report.strips import FIELD, TILT, TRUTH, strip_study
 
 from strandline.cli.run import show
+from strandline.design import FieldOutcome
 from strandline.foundations import inputs_text, names_text, with_sd
+from strandline.posterior import laplace
 from strandline.report import write_report
 from strandline.report.page import methods_paragraph
+from strandline.report.warnings import find_warnings
 
 COEFFICIENT = re.compile(r"\bB(_|<sub>)\d")
 FIGURES = ["field_error", "interfaces", "predictive", "random_field_B", "residuals", "tempering"]
@@ -67,6 +71,14 @@ def test_the_summary_has_the_field_and_no_coefficient(finished, capsys):
     assert f"B: field of 10 modes, mean {with_sd(mean['mean'], mean['sd'])} N mm^2" in printed
     assert (of["statement"] in printed, "B_1" in printed, "median" in printed) == (True, False, bool(scalars))
     assert ("B: field of 10 modes" in repr(calibration), "B_1" in repr(calibration)) == (True, False)
+
+
+def test_chains_need_no_laplace_approximation(finished, monkeypatch):
+    signs = np.diag([1.0, *[-1.0] * (finished[1].posterior.space.dim - 1)])
+    rough = replace(finished[1], laplace=laplace(signs, finished[1].posterior.map_estimate))
+    assert any("no Laplace approximation" in one for one in find_warnings(rough))
+    monkeypatch.setattr(FieldOutcome, "by_chains", True)
+    assert not any("no Laplace approximation" in one for one in find_warnings(rough))
 
 
 def test_inputs_in_a_line_leave_out_many_coefficients():

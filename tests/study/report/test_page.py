@@ -119,6 +119,12 @@ def test_the_page_leaves_out_what_there_is_not_and_shows_symbols_and_units(beam:
     assert text.count("E<sub>x</sub>") >= 2
 
 
+def test_prior_correlations_are_stated(beam: Finished) -> None:
+    correlated = beam.outcome.summary | {"correlation": [{"between": ["E", "tilt"], "value": 0.6}]}
+    assert ", with a correlation of 0.6 between E and tilt." in methods_paragraph(correlated)
+    assert "(of normal quantiles): 0.6 between E and tilt." in Page(rendered(correlated)).text
+
+
 def planted(*given: Any, **options: Any) -> Any:
     raise RuntimeError("no ink")
 

@@ -45,3 +45,8 @@ def test_it_settles_with_fewer_runs_than_inputs_and_says_how(finished, capsys):
     words = "a Gaussian field of its logarithm (median 1 Pa, sd 0.4, length 0.3 mm, covariance matern32)"
     assert words in methods_paragraph(summary)
     assert "a forward run at load = 1.5, and a known field." in page
+    main(["coverage", str(finished), "--replicates", "20", "--from", "posterior"])
+    assert f"all {POINTS} coefficients of the field E count, but are not listed" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["what-if", str(finished)])
+    assert "inputs of what-if: got fields alone" in capsys.readouterr().err

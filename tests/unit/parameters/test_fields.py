@@ -132,6 +132,22 @@ def test_what_makes_no_field_is_refused_in_a_line(words):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("words", "made"),
+    [
+        ("interval of a field", lambda: Support.interval(2, 0, 80)),
+        ("points of a field: got 0", lambda: Support.interval(0, 2, 0)),
+        ("shape of a field's points", lambda: Support(S, LINE.weights)),
+        ("shape of a field's weights", lambda: Support(LINE.points, LINE.weights[1:])),
+        ("least weight of a field: got 0", lambda: Support(LINE.points, np.arange(200.0))),
+    ],
+)
+def test_what_makes_no_support_is_refused_in_a_line(words, made):
+    with pytest.raises(InvalidInput, match=words) as caught:
+        made()
+    assert "\n" not in str(caught.value)
+
+
 def test_values_of_many_draws_are_those_of_each_one():
     points, random = Support.interval(0.0, 1.0, 40), np.random.default_rng(0)
     field = GaussianField(400.0, LogUniform(0.2, 0.8), LogUniform(0.05, 1.0), modes=12).on("E", points)

@@ -69,6 +69,14 @@ def test_the_check_names_the_share_of_variance_and_no_coefficient(folder, capsys
     assert "E_length = 0.22" in said
 
 
+def test_medians_of_coefficients_are_zero_without_rounding(tmp_path, capsys):
+    (tmp_path / "broken.py").write_text("def strip(inputs, workdir): return None")
+    changed_study(tmp_path, {"model.python.function": "broken:strip"}, **{**STUDY, "fixed": {}})
+    with pytest.raises(SystemExit):
+        main(["check", str(tmp_path)])
+    assert "E_1 = 0, E_2 = 0" in capsys.readouterr().err
+
+
 def test_a_copy_with_another_field_takes_over_no_runs(folder):
     other = copied(folder, ["inputs.E.field.mean=300"])
     assert load_study(other).reuse == ()
@@ -98,12 +106,14 @@ inputs.E.field.at: {file: bare.csv, unit: mm} | bare.csv: got 1 rows, first line
 inputs.E.field.at: {file: text.csv, unit: mm}; inputs.E.field.at: {file: ragged.csv, unit: mm} | readable table
 inputs.F: {field: {mean: 1, sd: 1, length: 1}} | inputs.F: the model has no such input
 inputs.E_1: {prior: {uniform: [0, 1]}} | names of the inputs | all names different
-correlation: [{between: [E, load], value: 0.5}] | correlation of E and load | two of the inputs
+correlation: [{between: [E, load], value: 0.5}] | correlation.between: got E and load | two of E_length, load
+correlation: [{between: [load, E_1], value: 0.5}] | got load and E_1 | two of E_length, load
+correlation: [{between: [load, load], value: 0.5}] | correlation of load and load: got load and load | two of
 correlation: [{between: [load, E_1], value: 0.5}, {between: [load, E_1], value: 0.4}] | each pair once
 correlation: [{between: [load, E_1], value: 1.5}] | correlation.0.value | less than 1
 """
 REFUSED_CELL = """
-model.biofilm.partition: three_parts | inputs.E: the model has no such input
+model.biofilm.partition: three_parts | inputs.E: field of the biofilm model | without partition
 model.biofilm.anchors: {E: [300, 500], nu: 0.3, V_in: 100} | without partition, branches and anchors
 inputs.E.field.at: {interval: [0, 1], points: 30} | points of the field E: got 30 points | at: solid
 inputs.E.field.length: 0.001 | length of the field E

@@ -123,7 +123,7 @@ def _seen(study: Study, condition: str, simulated: Interface, observed: Interfac
 
 def _steps(seen: Observation, measure: discrepancy.Discrepancy, slope: Float[np.ndarray, "point xyz dim"]) -> _OfInputs:
     """Return the change of each input that moves the interface by as much as the noise hides."""
-    return np.asarray(noise_length(seen, measure) / np.maximum(np.linalg.norm(slope, axis=1).max(axis=0), 1e-300))
+    return np.asarray(noise_length(seen, measure) / np.maximum(np.linalg.norm(slope, axis=1).max(axis=0), 1e-100))
 
 
 def _moved(

@@ -350,7 +350,8 @@ class Correlation(schema.Section):
     """A correlation between two inputs."""
 
     between: tuple[schema.Name, schema.Name]
-    """two inputs that are correlated a priori, `[E, nu]`; their own priors stay"""
+    """a list, `correlation: [{between: [E, nu], value: -0.5}]`: two inputs that are correlated a priori, no
+    coefficients of a field; their own priors stay"""
     value: Annotated[schema.Number, Field(gt=-1, lt=1)]
     """correlation of the normal quantiles of their priors (a Gaussian copula), between -1 and 1"""
 

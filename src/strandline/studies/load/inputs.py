@@ -45,6 +45,10 @@ def build_space(study: StudyFile, model: ForwardModel) -> ParameterSpace:
         space = ParameterSpace(tuple(parameters))
     pairs = {one.between: one.value for one in study.correlation}
     require(len(pairs) == len(study.correlation), "correlation", "a pair of inputs twice", "each pair once")
+    for pair in pairs:
+        expected = f"two of {', '.join(space.scalars) or 'none'}, the inputs that are no coefficients of a field"
+        right = {*pair} <= {*space.scalars}
+        require(right, "correlation.between", " and ".join(pair), expected, "Correct the names.", InvalidStudy)
     with refused_at():
         space = replace(space, correlation=pairs)
     _require_compiled(space)
@@ -71,7 +75,8 @@ def _field(
     name: str, item: Input, model: ForwardModel, declared: Mapping[str, ModelInput], folder: Path
 ) -> RandomField:
     place, options, own = f"inputs.{name}.field", dict(item.field or {}), declared.get(name)
-    _check_name(name, declared, f"inputs.{name}")
+    if not hasattr(model, "field_support"):  # else this says why the model takes no such field
+        _check_name(name, declared, f"inputs.{name}")
     _require_unit(item.unit, own, f"inputs.{name}", "give the field in that unit")
     for key in ("sd", "length"):
         if isinstance(options[key], Mapping):
