@@ -36,6 +36,7 @@ BOUND = 0.25  # largest shift of a mean, in sds, that the draws may leave possib
 MISSED = 0.1  # largest share of the posterior's mass that wider draws may show to be missed
 UNEXPECTED = 1.0  # log ratio above which a wider draw counts for this: with 0, scatter by 0.4 alone would show 16 %
 PATIENT = 40  # draws after which those of the true posterior are considered
+LOST = 0.25  # share of them that may fail
 AFFORDED = 60.0  # seconds that their runs may take in all; a certified field took 50 to 70 s beside its runs
 WIDER = 4  # one draw in so many is wider if none surprised: with half, 20 strips of 20 inputs took 35 runs, not 33
 SURE = 3.0  # largest standard deviation of δ with which they begin: a tenth of their proposals is accepted
@@ -85,7 +86,7 @@ class Told:
             return (f"only {len(self.ratios)} draws so far",)
         reasons = []
         if self.failed > max(1.0, MOST_FAILED * self.drawn):
-            reasons.append(f"{self.failed} of {self.drawn} runs at draws of the posterior failed")
+            reasons.append(self.losses)
         if self.sd**2 > LARGEST_VARIANCE:
             reasons.append(f"log-likelihoods differ from those predicted by {self.sd:.2g}, standard deviation")
         elif self.bound > BOUND:
@@ -95,6 +96,10 @@ class Told:
         if self.r_hat > MIXED:
             reasons.append(f"chains of the posterior do not agree (R̂ {self.r_hat:.2f})")
         return tuple(reasons)
+
+    @property
+    def losses(self) -> str:
+        return f"{self.failed} of {self.drawn} runs at draws of the posterior failed"
 
     @property
     def check(self) -> BatchCheck:
@@ -207,6 +212,14 @@ class InformedDesign(ActiveDesign):
             return None
         return self._noted(chain.propose(), "exact")
 
+    def _lose(self, now: Situation) -> Decision:
+        """Stop where many of a number of draws failed: the surrogate does not learn in many inputs where runs fail."""
+        told = self.told
+        if told is None or told.drawn < PATIENT or told.failed < LOST * told.drawn:
+            return "not now"
+        self.reasons = (told.losses,)
+        return None
+
     def _descend(self, now: Situation) -> Decision:
         """Run the best fit, or, after failed runs, half of the way to it from the nearest good one, a quarter, …"""
         state, failed = self._sampled, 0
@@ -283,6 +296,7 @@ INFORMED_PHASES: tuple[Callable[[InformedDesign, Situation], Decision], ...] = (
     InformedDesign._settle,
     InformedDesign._draw_exactly,
     ActiveDesign._give_up,
+    InformedDesign._lose,
     InformedDesign._descend,
 )
 """What the design may do after a batch besides drawing more: the first one ready decides."""

@@ -195,6 +195,23 @@ def test_where_runs_fail_the_way_to_the_best_fit_is_halved_and_then_given_up():
     assert len(reached) == 7
 
 
+def test_a_design_ends_where_half_of_its_draws_fail(monkeypatch):
+    monkeypatch.setattr("strandline.design.active.informed_design.PATIENT", 18)
+    found, x = design(), over_prior(SPACE, 3)
+    found.start(x)
+    records = [record(one) for one in x]
+    while (batch := found.next(x, records)) is not None:
+        fails = [batch.kind == "check" and k % 2 == 0 for k in range(len(batch.points))]
+        x = np.concatenate([x, batch.points])
+        records += [
+            replace(record(one), state="failed", interfaces={}, sensitivities={}) if lost else record(one)
+            for one, lost in zip(batch.points, fails, strict=True)
+        ]
+    assert not found.converged
+    assert "at draws of the posterior failed" in found.reasons[0]
+    assert len(x) < 60
+
+
 def told(ratios, wide=0.0, number=20):
     differ = ratios * np.random.default_rng(11).standard_normal(number)
     return Told(differ, np.full(number, wide), np.zeros(number))
