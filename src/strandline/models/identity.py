@@ -41,7 +41,7 @@ def fingerprint(model: ForwardModel) -> str:
     subject, fields = _described(model)
     sources: Any
     try:
-        kind, sources = "python-files", sources_of(subject.__module__)
+        kind, sources = "python-files", sources_of(str(subject.__module__))
     except OSError:
         kind, sources = "python", _typed(subject)
     text = json.dumps([subject.__module__, subject.__qualname__, sources, fields], default=_exactly)

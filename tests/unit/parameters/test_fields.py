@@ -132,6 +132,7 @@ def test_what_makes_no_field_is_refused_in_a_line(words):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.stand_in
 @pytest.mark.parametrize(
     ("words", "made"),
     [
