@@ -125,7 +125,7 @@ def test_the_arguments_of_a_partial_model_count_and_all_entries_of_a_long_array(
 
 def test_a_model_without_source_states_its_own_fingerprint():
     made = {}
-    exec("def model(inputs, workdir): ...\nclass Model: ...", made)
+    exec("def model(inputs, workdir): ...\nclass Model:\n    def __call__(self, inputs, workdir): ...", made)
     for model, name in ((made["model"], "model"), (made["Model"](), "Model")):
         with pytest.raises(InvalidInput, match=f"source of the model: got {name}; .* `fingerprint`"):
             fingerprint(model)
