@@ -223,7 +223,7 @@ def test_draws_that_differ_or_show_mass_elsewhere_do_not_settle_anything():
     assert "20 draws" not in told(0.3).reasons
     assert "of its mass" in told(0.3, wide=1.5).reasons[-1]
     assert "only" in told(0.3, number=4).reasons[0]
-    assert "possible" in told(0.75, number=9).reasons[0]
+    assert "possible" in told(0.75, number=13).reasons[0]
     assert "5 of 20 runs" in replace(told(0.3), failed=5, drawn=20).reasons[0]
     assert "agree" in replace(told(0.3), r_hat=1.5).reasons[0]
     assert not replace(told(0.3), wide=np.full(20, -2.0)).reasons
