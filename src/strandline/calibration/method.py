@@ -82,19 +82,8 @@ def calibrate(
         good = value is None or (isinstance(value, kind) and not isinstance(value, type))
         expected = "Settings, e.g. Settings(runs=100)" if kind is Settings else "an executor, e.g. LocalProcesses(2)"
         require(good, what, value, expected, "Make one, or leave it out.")
-    units = {one.name: one.unit for one in problem.space.parameters}
-    require_inputs(units, problem.fixed, problem.model)
-    require_conditions((o.condition for o in problem.observations), problem.model)
     settings, executor, tell = settings or Settings(), executor or InProcess(), observer_or_default(observer)
-    require_inferable(problem.observations, problem.measure, by_field=settings.surrogate == "field")
-    active, model = settings.active, problem.model
-    require_learnable(
-        problem.space.dim,
-        active=active is not None,
-        sensitivities=asks_sensitivities(model),
-        exact=active is not None and active.exact,
-        cheaper=isinstance(model, WithCheaper),
-    )
+    _require_sound(problem, settings)
     watch, space = Stopwatch(), problem.space
     learning = Learning(problem, settings, ledger, executor, tell, watch)
     trained = learning.train(given)
@@ -129,6 +118,21 @@ def calibrate(
         turned=learning.judge.turned,
         misfit=misfit,
         sampler_check=compare_halves(sampling, posterior),
+    )
+
+
+def _require_sound(problem: Problem, settings: Settings) -> None:
+    """Refuse a problem that the model does not fit, or that cannot be learnt with these settings."""
+    model, active = problem.model, settings.active
+    require_inputs({one.name: one.unit for one in problem.space.parameters}, problem.fixed, model)
+    require_conditions((o.condition for o in problem.observations), model)
+    require_inferable(problem.observations, problem.measure, by_field=settings.surrogate == "field")
+    require_learnable(
+        problem.space.dim,
+        active=active is not None,
+        sensitivities=asks_sensitivities(model),
+        exact=active is not None and active.exact,
+        cheaper=isinstance(model, WithCheaper),
     )
 
 

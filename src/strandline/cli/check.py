@@ -66,7 +66,7 @@ def command(study: Path, plot: bool, as_json: bool, widths: bool) -> None:
     rounds = f" ({settings.runs} and {refine.rounds} rounds of {refine.runs})" if refine.rounds else ""
     active = settings.active
     most = "at most " if active is not None else ""
-    exactly = "; then a thousand or more, to draw exactly" if active is not None and active.exact else ""
+    exactly = "; then a thousand or more to draw from the true posterior" if active is not None and active.exact else ""
     lines.append(f"{most}{planned} forward runs planned{rounds}, {known} of them known already{exactly}")
     click.echo("\n  ".join([f"{loaded.name}: study.yaml is sound{doubts}", *lines]))
     if picture is not None:

@@ -79,7 +79,7 @@ class Certificate:
     def statement(self) -> str:
         """What the runs have seen of the prior, in words."""
         if self.found is None:
-            return "Of so many inputs, runs cannot say whether another region fits."
+            return "With so many inputs, the runs cannot tell whether another region fits."
         if self.found >= 1:
             return "The runs are too few to say whether another region fits."
         return (

@@ -282,8 +282,8 @@ class Active:
         check: Most posterior draws, besides 6 to 10 that reach into the tails, at which to run the true model before
             stopping, at least 20; fewer if they leave no doubt.
         unseen: Share of the prior's mass, 0.02 to 1: before it stops, the design looks for modes elsewhere until a
-            region of this share holds a run with 95 % probability. Half the share costs about twice the runs; 1 looks
-            nowhere, nor does 0.1 or more with six inputs and sensitivities.
+            region of this share holds a run with 95 % probability. Half the share costs about twice the runs; with
+            1 it does not look. With six inputs or more and sensitivities, it looks only for shares below 0.1.
         change: Largest change over the last batch for a check to begin: of a mean in standard deviations, of a standard
             deviation in natural logarithms; batches with fewer runs than inputs count together, with sensitivities
             those with fewer than half as many.

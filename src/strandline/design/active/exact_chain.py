@@ -108,7 +108,7 @@ class ExactChain:
 
     @property
     def hopeless(self) -> bool:
-        """Whether the last step is made, or half of the draws that are needed will not be there by then."""
+        """Whether the last step is done, or the chains are too slow to have half of the draws by then."""
         steps = len(self.draws)
         if steps < FEWEST * 2 or steps % EACH:
             return False

@@ -40,7 +40,7 @@ LOST = 0.25  # share of them that may fail
 AFFORDED = 60.0  # seconds that their runs may take in all; a certified field took 50 to 70 s beside its runs
 WIDER = 2  # one draw in so many is wider: with 4, a strip with a trap was certified wrong in one of six designs
 SURE = 3.0  # largest standard deviation of δ with which they begin: a tenth of their proposals is accepted
-MIXED = 1.2  # largest R̂ of the chains whose draws can settle anything
+MIXED = 1.1  # largest R̂ of the chains whose draws can settle anything: with 1.2, a strip with a trap was off by one sd
 WITHIN = 4.0  # a draw of an earlier posterior counts if its density is less than this many sds below the draws'
 
 
@@ -153,11 +153,11 @@ class InformedDesign(ActiveDesign):
 
     @property
     def _seeks(self) -> bool:
-        """Whether a smaller share is to be seen than by default: of seven inputs, that takes 25 runs beside some 20."""
+        """Whether to look for a smaller share than the default one, which takes 25 runs with seven inputs."""
         return self.active.unseen < Active.unseen
 
     def overlooks(self, x: Float[np.ndarray, "run dim"]) -> bool:
-        """Return whether the runs were too few for that."""
+        """Return whether it was to look elsewhere, and the runs were too few for that."""
         return self._seeks and super().overlooks(x)
 
     @property
@@ -213,7 +213,7 @@ class InformedDesign(ActiveDesign):
         return self._noted(chain.propose(), "exact")
 
     def _lose(self, now: Situation) -> Decision:
-        """Stop where many of a number of draws failed: the surrogate does not learn in many inputs where runs fail."""
+        """Stop once a quarter of the draws have failed: the surrogate of many inputs does not learn where runs fail."""
         told = self.told
         if told is None or told.drawn < PATIENT or told.failed < LOST * told.drawn:
             return "not now"

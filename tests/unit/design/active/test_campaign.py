@@ -123,7 +123,7 @@ def test_a_certificate_says_what_may_have_been_missed():
     few, many, blind = made
     assert few.statement == "The runs are too few to say whether another region fits."
     assert "compact region that fits, if it holds 7% or more of the prior's mass" in many.statement
-    assert blind.statement == "Of so many inputs, runs cannot say whether another region fits."
+    assert blind.statement == "With so many inputs, the runs cannot tell whether another region fits."
 
 
 @pytest.mark.stand_in
