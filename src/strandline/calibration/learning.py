@@ -48,7 +48,7 @@ class TrainedSurrogate:
     knowledge: design.Knowledge | None = None
     certificate: design.Certificate | None = None
     sampled: design.State | None = None
-    exact: design.ExactChain | None = None
+    exact: design.ExactDraws | None = None
     no_field: str | None = None
     set_aside: tuple[design.SetAside, ...] = ()
 

@@ -20,7 +20,7 @@ from strandline.calibration.problem import MANY, Settings
 from strandline.design import (
     SAMPLING,
     Certificate,
-    ExactChain,
+    ExactDraws,
     FieldOutcome,
     Knowledge,
     Normalised,
@@ -172,7 +172,7 @@ class FieldTarget:
     certificate: Certificate | None = None
     beside: Predictor | None = None
     sampled: State | None = None
-    exact: ExactChain | None = None
+    exact: ExactDraws | None = None
 
     def chains(self, settings: Settings) -> SMCResult | None:
         """Return draws by chains, which many inputs need: of the true posterior if there are any; else None.
@@ -180,7 +180,7 @@ class FieldTarget:
         Chains that do not mix, as in a curved valley, leave fewer inputs to tempered particles.
         """
         if self.exact is not None:
-            return self.exact.result(settings.particles)
+            return self.exact.result()
         if not self.knowledge.surrogate.shares_kernel:
             return None
         found, r_hat = sample_by_chains(self.knowledge, self.space, settings.seed, settings.particles, self.sampled)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
         BatchReport,
         Certificate,
         Criterion,
-        ExactChain,
+        ExactDraws,
         FieldOutcome,
         Knowledge,
         Normalised,

@@ -7,7 +7,7 @@ import pytest
 from tests.unit.models.strips import POINTS, S, Strip
 
 import strandline as sl
-from strandline.design.active import Active, exact_chain
+from strandline.design.active import Active, exact_draws
 from strandline.discrepancy import TrackedPoints
 from strandline.foundations import InvalidInput
 from strandline.likelihood import InterfaceLikelihood
@@ -41,9 +41,8 @@ def stop_after(number):
 
 
 def test_draws_of_the_true_posterior_go_on_after_a_stop_with_the_same_bits(tmp_path, monkeypatch):
-    monkeypatch.setattr(exact_chain, "FEWEST", 5)
-    monkeypatch.setattr(exact_chain, "EFFECTIVE", 60.0)
-    monkeypatch.setattr(exact_chain, "R_HAT", 2.0)
+    monkeypatch.setattr(exact_draws, "FEWEST", 4)
+    monkeypatch.setattr(exact_draws, "EFFECTIVE", 60.0)
     settings = sl.Settings(runs=3, surrogate="field", active=Active(runs=60, exact=True), seed=1)
     whole = sl.calibrate(problem(), settings, ledger=tmp_path / "whole.sqlite")
     assert whole.certificate.converged

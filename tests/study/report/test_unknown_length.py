@@ -49,9 +49,9 @@ def test_scalars_are_listed_and_coefficients_are_not(folder):
 
 def test_draws_of_the_true_posterior_are_named(folder, capsys):
     summary = json.loads((folder / "summary.json").read_text())
-    words = "1081 effective draws from 5120 runs, R̂ 1.014, 84% of proposals accepted"
+    words = "1513 effective draws from 3360 runs, Pareto k̂ 0.28"
     summary["certificate"] = {"converged": True, "exact": words, "check": None, "statement": "The end."}
-    assert f"whose proposals runs of the model accepted or refused: {words}." in methods_paragraph(summary)
+    assert f"each draw weighted by a run of the model: {words}." in methods_paragraph(summary)
     show(summary, None)
     assert f"converged: {words}\nThe end." in capsys.readouterr().out
 

@@ -5,7 +5,7 @@ from strandline.design.active.campaign import ActiveRuns, BatchReport, Certifica
 from strandline.design.active.chains import Normalised, sample_by_chains
 from strandline.design.active.checking import BatchCheck
 from strandline.design.active.choice import CRITERIA, Active, Criterion
-from strandline.design.active.exact_chain import ExactChain
+from strandline.design.active.exact_draws import ExactDraws
 from strandline.design.active.posterior_check import simulator_noise
 from strandline.design.active.state import Knowledge, State, learn, posterior_state, training_of
 

@@ -12,7 +12,7 @@ from strandline.design.active.active_design import ActiveDesign, Batch, Step
 from strandline.design.active.chains import chain_state
 from strandline.design.active.choice import Active
 from strandline.design.active.coverage_runs import MOST_SEEN, SURE, least_found
-from strandline.design.active.exact_chain import ExactChain
+from strandline.design.active.exact_draws import ExactDraws
 from strandline.design.active.fidelities import Fidelities, FidelityReport
 from strandline.design.active.informed_design import InformedDesign
 from strandline.design.active.posterior_check import NONE, SimulatorNoise
@@ -319,8 +319,8 @@ class ActiveRuns:
         return np.concatenate([batch.points for batch in self.design.batches])
 
     @property
-    def exact(self) -> ExactChain | None:
-        """Chains that draw from the true posterior, if there are any."""
+    def exact(self) -> ExactDraws | None:
+        """Draws of the true posterior, if there are any."""
         return self.design.exact if isinstance(self.design, InformedDesign) else None
 
     @property

@@ -32,7 +32,7 @@ STEPS, STILL = 20, 1e-3
 """Most Gauss–Newton steps, and the length below which they have arrived."""
 PART, MOST_PARTS = 50, 12
 """Steps between two looks at the chains of the final posterior, and most of these."""
-R_HAT, EFFECTIVE = 1.02, 1000.0
+R_HAT, EFFECTIVE = 1.02, 3000.0
 """Largest R̂ and fewest effective draws of the worst input with which they end."""
 BRIDGED, LEAST = 50, 1e-9
 """Iterations of the bridge; least variance of its normal distribution."""
@@ -182,49 +182,46 @@ def sample_by_chains(
             found = Chains.joined(parts[1:] or parts)
             if len(parts) > 1 and found.r_hat <= R_HAT and found.effective >= EFFECTIVE:
                 break
-        return drawn_result(normal, found, number, random), found.r_hat
+        return drawn_result(normal, found, random, number), found.r_hat
 
 
 def drawn_result(
     normal: Normalised,
     found: Chains,
-    number: int,
     random: np.random.Generator,
-    log_likelihood: Float[np.ndarray, "step chain"] | None = None,
+    number: int | None = None,
+    true: tuple[Float[np.ndarray, "step chain"], Float[np.ndarray, "step chain"]] | None = None,
 ) -> SMCResult:
-    """Return draws of chains, up to `number` and as many as are effective, in two halves of independent chains.
+    """Return draws of chains, in two halves of independent ones: all, or up to `number` and as many as are effective.
 
-    The log-likelihood is the surrogate's by default. The evidence is that of a bridge (Meng and Wong, Statistica Sinica
-    6, 1996, 831) to a normal distribution with the mean of the other half's draws, and their covariance, less their
-    correlations if they are few.
+    `true` are the log-likelihoods of another model and their excess over the chains', which weighs the draws; those of
+    no likelihood are left out. The evidence is that of a bridge (Meng and Wong, Statistica Sinica 6, 1996, 831) to a
+    normal distribution with the mean of the other half's draws, and their covariance, less their correlations if they
+    are few.
     """
     steps, chains, _ = found.draws.shape
-    every = max(-(-steps * chains // max(int(min(number, found.effective)), 1)), 1)
-    halves = [np.concatenate(list(found.draws[:, k::2].swapaxes(0, 1)))[::every] for k in (0, 1)]
+    every = 1 if number is None else max(-(-steps * chains // max(int(min(number, found.effective)), 1)), 1)
+
+    def half(k: int, of: Float[np.ndarray, "step chain *dim"]) -> Any:
+        return np.concatenate(list(of[:, k::2].swapaxes(0, 1)))[::every]
+
+    halves = [half(k, found.draws) for k in (0, 1)]
     x = [normal.inputs(one) for one in halves]
-    if log_likelihood is None:
-        logs = [normal.roughly(one) for one in x]
-    else:
-        logs = [np.concatenate(list(log_likelihood[:, k::2].T))[::every] for k in (0, 1)]
+    logs = [normal.roughly(one) for one in x]
     densities = [log - 0.5 * (u**2).sum(axis=1) for log, u in zip(logs, halves, strict=True)]
     pairs = zip(halves, densities, halves[::-1], strict=True)
     evidence = float(np.mean([_bridge(normal, *one, random) for one in pairs]))
-    step = StepInfo(1.0, float(len(halves[0])), found.accepted, False, evidence, 1.0)
-    return joined(
-        *(
-            SMCResult(
-                at,
-                np.full(len(at), -np.log(len(at))),
-                log,
-                normal.space.log_prior(at),
-                evidence,
-                float(len(at)),
-                (step,),
-                steps * chains // 2,
-            )
-            for at, log in zip(x, logs, strict=True)
-        )
-    )
+    results = []
+    for k in (0, 1):
+        excess = np.zeros(len(x[k])) if true is None else half(k, true[1])
+        values, some = logs[k] if true is None else half(k, true[0]), np.isfinite(excess)
+        at, of_all = x[k][some], evidence + float(logsumexp(excess)) - np.log(len(excess))
+        weights = log_softmax(excess[some])
+        effective = float(np.exp(-logsumexp(2 * weights)))
+        step = StepInfo(1.0, effective, found.accepted, False, of_all, 1.0)
+        prior, number_of = normal.space.log_prior(at), steps * chains // 2
+        results.append(SMCResult(at, weights, values[some], prior, of_all, effective, (step,), number_of))
+    return joined(*results)
 
 
 def _bridge(

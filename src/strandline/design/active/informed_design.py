@@ -17,14 +17,14 @@ from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import erfc, logsumexp
+from scipy.special import logsumexp
 from scipy.stats import norm
 
 from strandline.design.active.active_design import ActiveDesign, Batch, Decision, Situation
 from strandline.design.active.chains import WIDE, ChainState, Normalised
 from strandline.design.active.checking import MOST_FAILED, BatchCheck
 from strandline.design.active.choice import Active
-from strandline.design.active.exact_chain import EFFECTIVE, ExactChain
+from strandline.design.active.exact_draws import EFFECTIVE, ExactDraws, Expecting
 from strandline.runs import RunRecord
 
 ARRIVED = 1.0  # distance of the best fit from a run, in sds of the Laplace approximation, up to which a run lies there
@@ -37,9 +37,11 @@ MISSED = 0.1  # largest share of the posterior's mass that wider draws may show 
 UNEXPECTED = 1.0  # log ratio above which a wider draw counts for this: with 0, scatter by 0.4 alone would show 16 %
 PATIENT = 40  # draws after which those of the true posterior are considered
 LOST = 0.25  # share of them that may fail
-AFFORDED = 60.0  # seconds that their runs may take in all; a certified field took 50 to 70 s beside its runs
+AFFORDED, SHARE = 60.0, 0.1
+"""Seconds that their runs may take in all, as a certified field took 50 to 70 s beside its runs; share of the runs that
+this estimate takes to be effective: of strips of 50 and 100 inputs, 30 to 80 in a hundred are."""
 WIDER = 2  # one draw in so many is wider: with 4, a strip with a trap was certified wrong in one of six designs
-SURE = 3.0  # largest standard deviation of δ with which they begin: a tenth of their proposals is accepted
+SURE = 5.0  # largest sd of δ with which they begin: that of the last surrogate, which has learnt, was 1 on 100 inputs
 MIXED = 1.1  # largest R̂ of the chains whose draws can settle anything: with 1.2, a strip with a trap was off by one sd
 WITHIN = 4.0  # a draw of an earlier posterior counts if its density is less than this many sds below the draws'
 
@@ -114,7 +116,7 @@ class InformedDesign(ActiveDesign):
     """Decides what to run next; see `ActiveDesign`."""
 
     told: Told | None = None
-    exact: ExactChain | None = None
+    exact: ExactDraws | None = None
 
     def __init__(self, *given: Any, **options: Any) -> None:
         super().__init__(*given, **options)
@@ -189,28 +191,27 @@ class InformedDesign(ActiveDesign):
         ready = not self.told.reasons if self.active.exact else drawn >= PATIENT
         if not (ready or now.left < 1):
             return "not now"
-        accepted = float(erfc(self.told.sd / 2))
         seconds = np.median([record.seconds for record in now.records if record.ok]) / self.batch
-        if not self.active.exact and 2 * EFFECTIVE / accepted * seconds > AFFORDED:
+        if not self.active.exact and EFFECTIVE / SHARE * seconds > AFFORDED:
             return "not now"
-        normal = Normalised(self._sampled.knowledge, self.space)
-        self.exact = ExactChain.of(self._sampled, normal, (self.seed, len(now.x)))
+        normal = Expecting(self._sampled.knowledge, self.space)
+        self.exact = ExactDraws.of(self._sampled, normal, (self.seed, len(now.x)))
         return self._noted(self.exact.propose(), "exact")
 
     def _further(
-        self, chain: ExactChain, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]
+        self, exact: ExactDraws, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]
     ) -> Batch | None:
-        """Answer the proposals of the chains; return the next ones, None if there are draws enough."""
+        """Weigh the last draws; return the next ones, None if there are enough."""
         made = {row.tobytes(): record for row, record in zip(x, records, strict=True)}
         found = [made[row.tobytes()] for row in self.batches[-1].points]
-        chain.take(np.array([self.check.log_likelihood(one) if one.ok else -np.inf for one in found]))
-        if chain.done:
+        exact.take(np.array([self.check.log_likelihood(one) if one.ok else -np.inf for one in found]))
+        if exact.done:
             self.converged, self.reasons = True, ()
             return None
-        if chain.hopeless:
-            self.reasons = (f"draws of the true posterior have not settled: {chain.words}",)
+        if exact.hopeless:
+            self.reasons = (f"draws of the true posterior have not settled: {exact.words}",)
             return None
-        return self._noted(chain.propose(), "exact")
+        return self._noted(exact.propose(), "exact")
 
     def _lose(self, now: Situation) -> Decision:
         """Stop once a quarter of the draws have failed: the surrogate of many inputs does not learn where runs fail."""

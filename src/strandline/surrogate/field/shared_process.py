@@ -22,8 +22,8 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from strandline.foundations import NumericsError
 from strandline.surrogate.field.mode_process import LeftOutErrors, ModeData
 
-FACTORS, POWERS = (0.2, 0.3, 0.45, 0.7, 1.0, 1.4), (0.25, 0.5)
-"""Factors and powers of the eigenvalues that are tried."""
+FACTORS, FIRST, POWERS = (0.2, 0.3, 0.45, 0.7, 1.0, 1.4, 2.0, 2.8), 4, (0.25, 0.5)
+"""Factors of the eigenvalues' powers, which of them is tried first, and these powers."""
 LEAST = 1e-6  # least weight of an input, relative to the largest
 NUGGET = 1e-8
 _PRIOR_RUNS = 4.0  # weight of "the variances are right" against the residuals
@@ -146,16 +146,9 @@ def fit_shared(observed: Sequence[ModeData]) -> tuple[SharedProcess, ...]:
     nearest = int(np.argmin(((z - centre) ** 2).sum(axis=1)))
     eigenvalues, R = np.linalg.eigh(np.einsum("rmi,rmj->ij", slopes, slopes) / len(z))
     shares = np.maximum(eigenvalues / eigenvalues[-1], 0.0)
-    fits = (
-        _fitted(z - centre, values - values[nearest], slopes, R * factor * np.sqrt(np.maximum(shares**power, LEAST)))
-        for power in POWERS
-        for factor in FACTORS
-    )
-    best = max((one for one in fits if one is not None), key=lambda one: one[0], default=None)
-    if best is None:
-        raise NumericsError("no kernel was found for the modes of the field: do repeated runs differ?")
-    _, kernel_parts, alpha, by_value, by_slope, size = best
-    kernel = SharedKernel(centre, *kernel_parts)
+    best = _likeliest(z - centre, values - values[nearest], slopes, R, shares)
+    _, (weighing, w, span, *factors), alpha, by_value, by_slope, size = best
+    kernel = SharedKernel(centre, weighing, w, span, *(np.tril(one) for one in factors))
     found = []
     for m, one in enumerate(observed):
         process = SharedProcess(
@@ -166,6 +159,25 @@ def fit_shared(observed: Sequence[ModeData]) -> tuple[SharedProcess, ...]:
         widening = max(1.0, (surprise + _PRIOR_RUNS) / (len(z) + _PRIOR_RUNS))
         found.append(replace(process, widening=widening))
     return tuple(found)
+
+
+def _likeliest(z: Any, values: Any, slopes: Any, R: Any, shares: Any) -> tuple[Any, ...]:
+    """Return what `_fitted` does of the kernel with the largest evidence, which has one maximum over the factors."""
+    best: tuple[Any, ...] | None = None
+    for power in POWERS:
+        tried: dict[int, float] = {}
+        now, last = FIRST, None
+        while now != last:
+            last, near = now, [k for k in (now, now + 1, now - 1) if 0 <= k < len(FACTORS)]
+            for k in (k for k in near if k not in tried):
+                one = _fitted(z, values, slopes, R * FACTORS[k] * np.sqrt(np.maximum(shares**power, LEAST)))
+                tried[k] = -np.inf if one is None else one[0]
+                if one is not None and (best is None or one[0] > best[0]):
+                    best = one
+            now = max(near, key=tried.__getitem__)
+    if best is None:
+        raise NumericsError("no kernel was found for the modes of the field: do repeated runs differ?")
+    return best
 
 
 def _fitted(z: Any, values: Any, slopes: Any, weighing: Any) -> tuple[Any, ...] | None:
@@ -201,4 +213,4 @@ def _fitted(z: Any, values: Any, slopes: Any, weighing: Any) -> tuple[Any, ...] 
     weights = n * float(np.linalg.slogdet(weighing)[1])
     evidence = -0.5 * rows * float(np.log(size).sum()) - modes * (logs[0] + (dim - q) * logs[1] + weights)
     by_slope = np.einsum("nqm,dq->ndm", alpha[n:].reshape(n, q, modes), Q) + beta.reshape(n, modes, dim).swapaxes(1, 2)
-    return evidence, (weighing, w, Q, np.tril(L), np.tril(L_rest)), alpha, alpha[:n], by_slope, size
+    return evidence, (weighing, w, Q, L, L_rest), alpha, alpha[:n], by_slope, size

@@ -12,7 +12,7 @@ from tests.unit.models.strips import KERNEL, POINTS, S, Strip
 import strandline as sl
 from strandline.design.active import Active, learn
 from strandline.design.active.chains import CHAINS, Normalised, chain_state, drawn_result, sample_by_chains
-from strandline.design.active.exact_chain import ExactChain
+from strandline.design.active.exact_draws import ExactDraws, Expecting
 from strandline.design.active.informed_design import InformedDesign, Told
 from strandline.design.refinement import over_prior
 from strandline.discrepancy import TrackedPoints
@@ -115,36 +115,33 @@ def test_the_evidence_of_a_normal_density_is_exact():
 
     normal, random = Plain(knowledge(12), SPACE), np.random.default_rng(10)
     draws = 0.5 * random.standard_normal((200, CHAINS, DIM))
-    found = drawn_result(normal, Chains(draws, 1.0, 0.1), 4000, random)
+    found = drawn_result(normal, Chains(draws, 1.0, 0.1), random, 4000)
     assert found.log_evidence == pytest.approx(DIM * np.log(0.5), abs=0.02)
 
 
-class Tilted(Normalised):
+class Tilted(Expecting):
     """A surrogate that is wrong along two inputs."""
 
     def roughly(self, x):
-        return super().roughly(x) + self.places(x)[:, :2].sum(axis=1)
+        return super().roughly(x) + 0.5 * self.places(x)[:, :2].sum(axis=1)
 
 
-def test_chains_accepted_by_the_true_model_are_right_even_with_a_wrong_surrogate(monkeypatch):
-    monkeypatch.setattr("strandline.design.active.exact_chain.MOVES", 3)
+def test_draws_weighted_by_the_true_model_are_right_even_with_a_wrong_surrogate():
     tilted = Tilted(knowledge(12), SPACE)
     state = chain_state(knowledge(12), SPACE, (1,), None)
-    chain = ExactChain.of(state, tilted, (3,))
-    for _ in range(600):
-        chain.take(true_log_likelihood(chain.propose()))
-    mean, width = off(chain.result(4000).positions)
-    assert mean < 0.25
-    assert width < 0.15
-    believed = ExactChain.of(state, tilted, (3,))
-    for _ in range(200):
-        believed.propose()
-        believed.take(tilted.roughly(tilted.inputs(believed.proposed)))
-    assert max(off(believed.result(4000).positions)) > 0.25
-    before = chain.u
-    chain.propose()
-    chain.take(np.full(len(before), -np.inf))
-    assert (chain.u == before).all()
+    draws, believed = (ExactDraws.of(state, tilted, (3,)) for _ in range(2))
+    for k in range(60):
+        x = draws.propose()
+        draws.take(np.where(np.arange(len(x)) == k % 7, -np.inf, true_log_likelihood(x)))
+        believed.take(tilted.roughly(believed.propose()))
+    found = draws.result()
+    mean, width = off(found.positions, np.exp(found.log_weights))
+    assert mean < 0.15
+    assert width < 0.1
+    assert np.isfinite(found.log_likelihood).all()
+    assert len(found.positions) == 60 * (CHAINS - 1)
+    assert found.ess == pytest.approx(draws.weights.ess, rel=0.1)
+    assert max(off(believed.result().positions)) > 0.25
 
 
 def design(**options):
