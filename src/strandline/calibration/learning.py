@@ -150,7 +150,10 @@ class Learning:
     def _first(self, number: int) -> Float[np.ndarray, "run dim"]:
         space, scramble = self.problem.space, self.settings.scramble
         if self.settings.active is not None:
-            return design.over_prior(space, number, scramble=scramble)
+            first = design.over_prior(space, number, scramble=scramble)
+            return (
+                np.concatenate([first, design.beside(first[0], space)]) if self.settings.active.differences else first
+            )
         return space.to_physical(design.sobol(number, space.dim, scramble=scramble))
 
     def _refined(self, first: Float[np.ndarray, "run dim"], refinement: design.Refinement) -> TrainedSurrogate:
@@ -256,7 +259,9 @@ class Learning:
             on_step=self.tell.step,
             told=self.tell.batch,
             particles=design.DRAFT_PARTICLES if self.settings.draft else None,
-            informed=both is None and asks_sensitivities(model) and self.problem.space.dim >= MANY_INPUTS,
+            informed=both is None
+            and (active.differences or asks_sensitivities(model))
+            and self.problem.space.dim >= MANY_INPUTS,
         )
 
     def _inputs(self, points: Float[np.ndarray, "run dim"]) -> list[dict[str, float]]:

@@ -129,9 +129,8 @@ def _require_sound(problem: Problem, settings: Settings) -> None:
     require_inferable(problem.observations, problem.measure, by_field=settings.surrogate == "field")
     require_learnable(
         problem.space.dim,
-        active=active is not None,
+        active=active,
         sensitivities=asks_sensitivities(model),
-        exact=active is not None and active.exact,
         cheaper=isinstance(model, WithCheaper),
     )
 

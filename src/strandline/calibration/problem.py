@@ -257,16 +257,20 @@ MANY = 30
 KERNEL = "ZMQInteractiveShell"  # shell of a Jupyter kernel; others have a terminal
 
 
-def require_learnable(dim: int, *, active: bool, sensitivities: bool, exact: bool | None, cheaper: bool) -> None:
-    """Refuse more unknown inputs than can be learnt, unless an active design has sensitivities by them, and `exact`
-    draws where no chains are made.
+def require_learnable(dim: int, *, active: Active | None, sensitivities: bool, cheaper: bool) -> None:
+    """Refuse more unknown inputs than can be learnt, unless an active design has sensitivities by them, `exact` draws
+    where no chains are made, and `differences` that are of no use.
     """
-    expected = f"at most {MANY}, or sensitivities (`sensitivities: true`) and an active design"
-    right = dim <= MANY or (sensitivities and active)
+    exact, differences = (False, False) if active is None else (active.exact, active.differences)
+    expected = f"at most {MANY}, or an active design with sensitivities (`sensitivities: true`, or `differences: true`)"
+    right = dim <= MANY or (active is not None and (sensitivities or differences))
     require(right, "unknown inputs", dim, expected, "Add both, or leave out inputs, such as modes of a field.")
-    many = sensitivities and dim >= MANY_INPUTS and not cheaper
-    expected = f"sensitivities (`sensitivities: true`), {MANY_INPUTS} unknown inputs or more, and no cheaper model"
-    require(many or not exact, "exact", "true", expected, "Leave `exact` out, or change these.")
+    many, remedy = dim >= MANY_INPUTS and not cheaper, "Leave it out, or change these."
+    expected = f"{MANY_INPUTS} unknown inputs or more, no cheaper model, and "
+    slopes = "sensitivities (`sensitivities: true`, or `differences: true`)"
+    require((many and (sensitivities or differences)) or not exact, "exact", "true", expected + slopes, remedy)
+    alone = many and not sensitivities
+    require(alone or not differences, "differences", "true", expected + "no sensitivities of the model", remedy)
 
 
 def run_note(state: Progress) -> str:

@@ -207,7 +207,7 @@ class FieldTarget:
         parabola of the residuals (Gauss and Newton).
         """
         if self.space.dim > MANY:
-            return -Normalised(self.knowledge, self.space).information(x)
+            return -Normalised(self.space, self.knowledge).information(x)
         return central_hessian(self.values, x, _STEP * scales, self.space.low, self.space.high)
 
     def threads(self) -> AbstractContextManager[Any]:

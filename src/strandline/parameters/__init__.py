@@ -4,6 +4,7 @@ In: names, units, fixed values, densities. Out: the space of inputs that designs
 """
 
 from strandline.parameters.fields import COVARIANCES, GaussianField, RandomField, Support
+from strandline.parameters.normal_scores import NormalScores
 from strandline.parameters.parameter_space import RESERVED, Parameter, ParameterSpace
 from strandline.parameters.priors import PRIORS, LogNormal, LogUniform, Normal, Prior, ScaledBeta, Truncated, Uniform
 
@@ -13,6 +14,7 @@ __all__ = [
     "LogNormal",
     "LogUniform",
     "Normal",
+    "NormalScores",
     "Parameter",
     "ParameterSpace",
     "Prior",

@@ -4,8 +4,8 @@ For S3 and S5, the largest errors of the mean of E or ν, in sds, and of its sd,
 S6, the largest shift of a mean that importance weights of the true model at 100 draws tell, in sds, and the share of
 draws that they take away; these runs do not count. A coarse run counts as 0.3 of a run, derivatives do not count.
 
-    python -m verification.validation.active.designs [S3 S5 S6] [--options none|sensitivities|both] [--seeds 5]
-        [--workers 2]
+    python -m verification.validation.active.designs [S3 S5 S6] [--options none|differences|sensitivities|both]
+        [--seeds 5] [--workers 2]
 """
 
 import tempfile
@@ -30,7 +30,12 @@ from strandline.runs import InProcess, Ledger, LocalProcesses, run_campaign
 from strandline.studies import Study, changed_study, load_study, run_study
 
 NAMES = {"S3": "biofilm-uniform-active", "S5": "biofilm-inflow-active", "S6": "biofilm-parts-active"}
-OPTIONS = {"none": (), "sensitivities": ("sensitivities=true",), "both": ("sensitivities=true", "fidelities=[coarse]")}
+OPTIONS = {
+    "none": (),
+    "differences": ("design.active.differences=true",),
+    "sensitivities": ("sensitivities=true",),
+    "both": ("sensitivities=true", "fidelities=[coarse]"),
+}
 INTERVALS = (12, 6, 6)
 """Intervals of the table of true interfaces, in load, Poisson's ratio and inflow."""
 DRAWS = 100  # draws of S6: enough to see a shift of 0.1 sd

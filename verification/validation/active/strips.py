@@ -5,8 +5,8 @@ points with noise of 1 % of the tip's displacement; the observation's field has 
 from the true model: by Hamiltonian chains, or, where it is planted with a trap, by tempered particles. Printed are the
 largest error of the field's mean, in its sds, and of its sd, over all points.
 
-    python -m verification.validation.active.strips [--dims 10 20] [--seeds 20] [--workers 2] [--exact no|auto|yes]
-        [--planted length|jump|mode|matters] [--runs 120]
+    python -m verification.validation.active.strips [--dims 10 20] [--seeds 20] [--first 0] [--workers 2]
+        [--exact no|auto|yes] [--planted length|jump|mode|matters] [--runs 120] [--differences]
 """
 
 import argparse
@@ -87,7 +87,9 @@ class Strip:
         xi = np.array([inputs[name] for name in self.field.names])
         w, J = self.shapes(xi[None])[0][0], self.slopes(xi)
         by = {name: np.stack([np.zeros(40), J[:, k]], axis=1) for k, name in enumerate(self.field.names)}
-        return Simulation.of(Interface.polyline(np.stack([SEEN, w], axis=1)), sensitivities=by)
+        return Simulation.of(
+            Interface.polyline(np.stack([SEEN, w], axis=1)), sensitivities=by if self.sensitivities else None
+        )
 
 
 @dataclass(frozen=True)
@@ -139,15 +141,15 @@ def observed(strip: Strip, seed: int) -> Float[np.ndarray, " 40"]:
     return np.asarray(BENDING @ (1 / values) + NOISE * random.standard_normal(40))
 
 
-def one(seed: int, dim: int, planted: str, exact: bool | None, runs: int = 120) -> str:
+def one(seed: int, dim: int, planted: str, exact: bool | None, runs: int = 120, *, differences: bool = False) -> str:
     """Return what a calibration finds, as a line."""
     use_double()
-    strip = Strip(dim, planted)
+    strip = Strip(dim, planted, not differences)
     truth = Truth(strip, observed(strip, seed))
     seen = Observation(Interface.polyline(np.stack([SEEN, truth.seen], axis=1)), NOISE**2)
     space = ParameterSpace(strip.field.parameters)
     problem = Problem(strip, space, {}, (seen,), {"tracked": TrackedPoints()})
-    active = Active(runs=runs, exact=exact)
+    active = Active(runs=runs, exact=exact, differences=differences)
     begun = time.process_time()
     found = calibrate(problem, Settings(runs=3, surrogate="field", active=active, seed=seed))
     seconds = time.process_time() - begun
@@ -171,16 +173,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--dims", type=int, nargs="+", default=[10, 20])
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--runs", type=int, default=120)
     parser.add_argument("--exact", choices=("no", "auto", "yes"), default="auto")
     parser.add_argument("--planted", choices=("", "length", "jump", "mode", "matters"), default="")
+    parser.add_argument("--differences", action="store_true")
     given = parser.parse_args()
     exact = {"no": False, "auto": None, "yes": True}[given.exact]
     with ProcessPoolExecutor(given.workers, get_context("spawn")) as pool:
         for dim in given.dims:
-            of_one = partial(one, dim=dim, planted=given.planted, exact=exact, runs=given.runs)
-            for line in pool.map(of_one, range(given.seeds)):
+            of_one = partial(
+                one, dim=dim, planted=given.planted, exact=exact, runs=given.runs, differences=given.differences
+            )
+            for line in pool.map(of_one, range(given.first, given.first + given.seeds)):
                 print(line, flush=True)
 
 

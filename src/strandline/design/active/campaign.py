@@ -203,7 +203,8 @@ class ActiveRuns:
         sampling: dict[str, Any] = {"on_step": self.on_step, "particles": self.particles}
 
         def state(x: Points, records: Sequence[RunRecord]) -> State:
-            known = learn(x, records, self.space, self.judge.observations, self.discrepancy)
+            of = self.judge.observations, self.discrepancy
+            known = learn(x, records, self.space, *of, shared=self.active.differences)
             seed = self.seed, len(x)
             if self.informed and known.surrogate.shares_kernel:
                 return chain_state(known, self.space, seed, self.design.state)

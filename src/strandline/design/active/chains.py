@@ -1,21 +1,20 @@
-"""The posterior of many inputs, by chains in the normal quantiles of their priors.
+"""The posterior of many inputs, by chains in their normal scores.
 
-There the prior of each input is standard normal, so a bounded one needs no walls. The chains start from draws of the
-Laplace approximation at the mode, which Gauss–Newton steps on the surrogate reach.
+The chains start from draws of the Laplace approximation at the mode, which Gauss–Newton steps on the surrogate reach.
 """
 
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import log_softmax, logsumexp, ndtr, ndtri
+from scipy.special import log_softmax, logsumexp
 from scipy.stats import multivariate_normal
 
 from strandline.design.active.state import STREAM, Knowledge, State
 from strandline.foundations import one_thread
-from strandline.parameters import ParameterSpace, Prior
+from strandline.parameters import NormalScores, ParameterSpace
 from strandline.smc import LEAPS, Chains, SMCResult, StepInfo, hamiltonian, joined
 
 CHAINS = 48  # chains side by side: the first half of the posterior, the others of one with the root of the likelihood
@@ -36,44 +35,16 @@ R_HAT, EFFECTIVE = 1.02, 3000.0
 """Largest R̂ and fewest effective draws of the worst input with which they end."""
 BRIDGED, LEAST = 50, 1e-9
 """Iterations of the bridge; least variance of its normal distribution."""
-EDGE = 1e-12  # least share of a prior beyond a point
 
 Points = Float[np.ndarray, "point dim"]
 
 
 @dataclass(frozen=True, eq=False)
-class Normalised:
-    """Surrogate and prior as functions of u, standard normal a priori."""
+class Normalised(NormalScores):
+    """Surrogate and prior as functions of the inputs' normal scores."""
 
     knowledge: Knowledge
-    space: ParameterSpace
     powers: Float[np.ndarray, " chain"] | float = 1.0
-
-    def inputs(self, u: Points) -> Points:
-        """Return the inputs at points u."""
-        q = ndtr(u @ self.space.root.T)
-        x = np.empty_like(q)
-        for prior, columns in self._alike:
-            x[:, columns] = prior.quantile(np.clip(q[:, columns], EDGE, 1 - EDGE).ravel()).reshape(len(q), -1)
-        return np.asarray(x)
-
-    def places(self, x: Points) -> Points:
-        return np.asarray(ndtri(np.clip(self.space.prior_shares(x), EDGE, 1 - EDGE)))
-
-    def pulled(self, by_inputs: Float[np.ndarray, "row dim"], u: Points, x: Points) -> Float[np.ndarray, "row dim"]:
-        """Return derivatives by u, given those by the inputs: of each point, or several of one."""
-        q, logs = u @ self.space.root.T, np.empty_like(u)
-        for prior, columns in self._alike:
-            logs[:, columns] = np.asarray(prior.log_density(x[:, columns].ravel())).reshape(len(u), -1)
-        return np.asarray((by_inputs * np.exp(-0.5 * q**2 - logs) / np.sqrt(2 * np.pi)) @ self.space.root)
-
-    @cached_property
-    def _alike(self) -> list[tuple[Prior, list[int]]]:
-        """The different priors, and the inputs that have each."""
-        found: dict[Prior, list[int]] = {}
-        for k, one in enumerate(self.space):
-            found.setdefault(one.truncated_prior, []).append(k)
-        return list(found.items())
 
     def log_likelihood(self, coefficients: Float[np.ndarray, "point mode"]) -> Float[np.ndarray, " point"]:
         likelihood = self.knowledge.likelihood
@@ -169,7 +140,7 @@ def sample_by_chains(
     knowledge: Knowledge, space: ParameterSpace, seed: int, number: int, before: State | None
 ) -> tuple[SMCResult, float]:
     """Return up to `number` draws of the posterior, as many as are effective, and R̂; the chains start from `before`."""
-    random, normal = np.random.default_rng([seed, STREAM, 1]), Normalised(knowledge, space)
+    random, normal = np.random.default_rng([seed, STREAM, 1]), Normalised(space, knowledge)
     with one_thread():
         state = before if isinstance(before, ChainState) else chain_state(knowledge, space, (seed,), None)
         u, step = normal.places(state.last)[: CHAINS // 2].repeat(2, axis=0), state.step
@@ -248,7 +219,7 @@ def _bridge(
 def chain_state(knowledge: Knowledge, space: ParameterSpace, seed: tuple[int, ...], before: State | None) -> ChainState:
     """Return the posterior that `knowledge` leads to; the same arguments give the same result to the bit."""
     random = np.random.default_rng([*seed, STREAM])
-    normal = Normalised(knowledge, space)
+    normal = Normalised(space, knowledge)
     with one_thread():
         runs = normal.places(knowledge.x[knowledge.ok])
         best = runs[int(np.argmax(normal.log_density(runs)))]
@@ -259,7 +230,7 @@ def chain_state(knowledge: Knowledge, space: ParameterSpace, seed: tuple[int, ..
         start = mode + random.standard_normal((CHAINS, space.dim)) @ root.T
         if earlier is not None and earlier.off < 1.0:
             start = normal.places(earlier.last)
-        both = Normalised(knowledge, space, np.repeat([1.0, WIDE], CHAINS // 2))
+        both = Normalised(space, knowledge, np.repeat([1.0, WIDE], CHAINS // 2))
         warm = hamiltonian(both.log_density, both.force, start, root, random, steps=WARM, step=0.2, adapt=True)
         root = root_of(np.mean([normal.curvature(one)[1] for one in warm.last[:AVERAGED]], axis=0))
         warm = hamiltonian(both.log_density, both.force, warm.last, root, random, steps=WARM, step=0.4, adapt=True)

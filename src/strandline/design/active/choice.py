@@ -295,6 +295,8 @@ class Active:
         effective: Share of draws that must be effective, between 0 and 1.
         exact: With many inputs and sensitivities, whether to draw from the true posterior in the end, by a thousand or
             more runs beyond `runs`: yes, no, or by default only if the design has not settled and these take a minute.
+        differences: With six inputs or more and a model without sensitivities, whether further runs give each run those
+            that matter, by finite differences along the directions in which the interface moves.
         patience: Once half a batch is done, the next does not wait for a run longer than this many times the longest
             before it; at least 1.
 
@@ -315,6 +317,7 @@ class Active:
     k_hat: float = 0.5
     effective: float = 0.8
     exact: bool | None = None
+    differences: bool = False
     patience: float = 3.0
 
     def __post_init__(self) -> None:

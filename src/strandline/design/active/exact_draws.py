@@ -20,6 +20,7 @@ CHAINS, MOVES = 48, 10
 FEWEST, MOST = 10, 270
 """Fewest and most batches."""
 EFFECTIVE = 1500.0  # effective draws of the worst input with which they end: with 1000, means of 100 were .1 sd off
+R_HAT = 1.05  # largest R̂ of the surrogate's chains: in a trap, all once stood still, and all weights were equal
 
 
 class Expecting(Normalised):
@@ -46,7 +47,7 @@ class ExactDraws:
     def of(cls, state: ChainState, normal: Normalised, seed: tuple[int, ...]) -> "ExactDraws":
         """Return chains that start from draws of the surrogate's posterior."""
         random = np.random.default_rng(seed)
-        chosen = random.choice(len(state.positions), CHAINS, p=np.exp(state.log_weights))
+        chosen = random.choice(len(state.positions), CHAINS, replace=False)
         return cls(state, normal, random, normal.places(state.positions[chosen]))
 
     def propose(self) -> Float[np.ndarray, "chain dim"]:
@@ -84,7 +85,8 @@ class ExactDraws:
     @property
     def effective(self) -> float:
         """Effective number of draws for the worst input: of the weights, less what the chains repeat."""
-        return self.weights.ess * min(1.0, self.chains.effective / (CHAINS * len(self.draws)))
+        share = self.chains.effective / (CHAINS * len(self.draws))
+        return self.weights.ess * min(share, 1.0)
 
     def result(self) -> SMCResult:
         """Return the draws with their true log-likelihoods, weighted, in two halves of independent chains."""
@@ -99,7 +101,7 @@ class ExactDraws:
 
     @property
     def done(self) -> bool:
-        if len(self.draws) < FEWEST:
+        if len(self.draws) < FEWEST or not self.chains.r_hat <= R_HAT:
             return False
         return self.effective >= EFFECTIVE and self.weights.k_hat < reliability_threshold(CHAINS * len(self.draws))
 

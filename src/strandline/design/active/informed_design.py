@@ -25,11 +25,13 @@ from strandline.design.active.chains import WIDE, ChainState, Normalised
 from strandline.design.active.checking import MOST_FAILED, BatchCheck
 from strandline.design.active.choice import Active
 from strandline.design.active.exact_draws import EFFECTIVE, ExactDraws, Expecting
+from strandline.parameters import NormalScores, ParameterSpace
 from strandline.runs import RunRecord
 
 ARRIVED = 1.0  # distance of the best fit from a run, in sds of the Laplace approximation, up to which a run lies there
 HALVED = 6  # times that the way to a best fit is halved where runs fail
 TOGETHER = 4  # fewest runs of a batch: to sample the posterior takes as long as many of a cheap simulator
+ALONE = 12  # the same of runs without sensitivities, which tell less
 FEWEST = 12  # fewest draws of the posterior that can settle anything: with 8, that strip was off by 0.4 sds once in six
 LARGEST_VARIANCE = 0.7  # largest variance of δ: half of the draws are effective
 BOUND = 0.25  # largest shift of a mean, in sds, that the draws may leave possible
@@ -40,6 +42,8 @@ LOST = 0.25  # share of them that may fail
 AFFORDED, SHARE = 60.0, 0.1
 """Seconds that their runs may take in all, as a certified field took 50 to 70 s beside its runs; share of the runs that
 this estimate takes to be effective: of strips of 50 and 100 inputs, 30 to 80 in a hundred are."""
+STEP, NARROWER = 0.3, 0.95
+"""Differences along all directions, in prior sds; largest sd, in prior sds, along directions that the data inform."""
 WIDER = 2  # one draw in so many is wider: with 4, a strip with a trap was certified wrong in one of six designs
 SURE = 5.0  # largest sd of δ with which they begin: that of the last surrogate, which has learnt, was 1 on 100 inputs
 MIXED = 1.1  # largest R̂ of the chains whose draws can settle anything: with 1.2, a strip with a trap was off by one sd
@@ -112,6 +116,18 @@ class Told:
         return BatchCheck(number, self.failed, None, not reasons, reasons, ratio_sd=sd, bound=bound)
 
 
+def beside(
+    x: Float[np.ndarray, " dim"], space: ParameterSpace, root: Float[np.ndarray, "dim dim"] | None = None
+) -> Float[np.ndarray, "run dim"]:
+    """Return inputs of which the differences from those given tell the slopes: along all directions, or, given a root
+    of the posterior's covariance in normal scores, one of its sds along those in which it is narrower than the prior.
+    """
+    scores, dim = NormalScores(space), len(x)
+    U, sds, _ = (np.eye(dim), STEP * np.ones(dim), None) if root is None else np.linalg.svd(root)
+    steps = (U * sds)[:, sds < NARROWER]
+    return scores.inputs(scores.places(x[None]) + steps.T)
+
+
 class InformedDesign(ActiveDesign):
     """Decides what to run next; see `ActiveDesign`."""
 
@@ -144,7 +160,7 @@ class InformedDesign(ActiveDesign):
             if not isinstance(decision, str):
                 return decision
         state = self._sampled
-        together = min(max(self._together, TOGETHER), now.left)
+        together = min(max(self._together, ALONE if self.active.differences else TOGETHER), now.left)
         beyond = together // WIDER
         number = together - beyond
         random = np.random.default_rng([self.seed, len(x)])
@@ -194,7 +210,7 @@ class InformedDesign(ActiveDesign):
         seconds = np.median([record.seconds for record in now.records if record.ok]) / self.batch
         if not self.active.exact and EFFECTIVE / SHARE * seconds > AFFORDED:
             return "not now"
-        normal = Expecting(self._sampled.knowledge, self.space)
+        normal = Expecting(self.space, self._sampled.knowledge)
         self.exact = ExactDraws.of(self._sampled, normal, (self.seed, len(now.x)))
         return self._noted(self.exact.propose(), "exact")
 
@@ -229,11 +245,14 @@ class InformedDesign(ActiveDesign):
         begun = any(batch.kind == "check" for batch in self.batches)
         if state.off <= ARRIVED or begun or failed > HALVED:
             return "not now"
-        normal, known = Normalised(state.knowledge, self.space), state.knowledge
+        normal, known = Normalised(self.space, state.knowledge), state.knowledge
         mode, runs = normal.places(state.mode[None])[0], normal.places(known.x[known.ok])
         away = np.linalg.norm(np.linalg.solve(state.root, (runs - mode).T), axis=0)
         nearest = runs[int(away.argmin())]
-        return self._noted(normal.inputs((nearest + 0.5**failed * (mode - nearest))[None]), "posterior")
+        there = normal.inputs((nearest + 0.5**failed * (mode - nearest))[None])
+        if self.active.differences and not failed:
+            there = np.concatenate([there, beside(there[0], self.space, state.root)])
+        return self._noted(there, "posterior")
 
     def _told(
         self, before: ChainState, last: Batch, x: Float[np.ndarray, "run dim"], records: Sequence[RunRecord]

@@ -9,7 +9,7 @@ particles go on to that of the measure in the same way.
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
@@ -121,8 +121,10 @@ def learn(
     space: ParameterSpace,
     observations: tuple[Observation, ...],
     discrepancy: Discrepancy,
+    *,
+    shared: bool = False,
 ) -> Knowledge:
-    """Return what is learnt from these runs; nothing else matters.
+    """Return what is learnt from these runs; nothing else matters. Modes may share a kernel (`FieldTraining`).
 
     Raises:
         TooFewRuns: too few runs succeeded.
@@ -131,7 +133,7 @@ def learn(
     """
     ok = np.array([record.ok for record in records], bool)
     hidden = hidden_shift(observations, discrepancy)
-    training = training_of(x, records, space, [seen.condition for seen in observations])
+    training = replace(training_of(x, records, space, [seen.condition for seen in observations]), shared=shared)
     surrogate = fit_field(training, tolerance=_tolerance(observations, discrepancy))
     likelihood = FieldLikelihood(surrogate, observations, discrepancy)
     if likelihood.inferred is not None:

@@ -140,11 +140,9 @@ def build_settings(content: StudyFile, model: ForwardModel, dim: int) -> Setting
     with refused_at("sampler.smc"):
         sampler = SMCSettings(**smc)
     log_likelihood = content.surrogate.log_likelihood
-    with refused_at():
-        given, cheaper = content.design.active, bool(content.fidelities)
-        exact, asked = (given or {}).get("exact"), content.sensitivities
-        require_learnable(dim, active=given is not None, sensitivities=asked, exact=exact, cheaper=cheaper)
     active = build_active(content.design.active, dim, sensitivities=content.sensitivities)
+    with refused_at():
+        require_learnable(dim, active=active, sensitivities=content.sensitivities, cheaper=bool(content.fidelities))
     if sobol is not None and sobol.runs < dim + 2:
         expected = f"at least {dim + 2} runs for {dim} input(s); 100 are a start"
         raise InvalidStudy("design.sobol.runs", value=sobol.runs, expected=expected, remedy="Enlarge the design.")
@@ -188,7 +186,7 @@ def build_active(given: Mapping[str, Any] | None, dim: int, *, sensitivities: bo
     if given is None:
         return None
     options = {name: value for name, value in given.items() if name != "scramble"}
-    options.setdefault("initial", 3 if sensitivities else 4 + 2 * dim)
+    options.setdefault("initial", 3 if sensitivities or options.get("differences") is True else 4 + 2 * dim)
     with refused_at("design.active"):
         return Active(**options)
 

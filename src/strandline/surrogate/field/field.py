@@ -175,10 +175,11 @@ class Data:
     fields: Fields
     weights: Weights
     gradients: Slopes | None
+    shared: bool = False
 
     def first(self, number: int) -> "Data":
         gradients = None if self.gradients is None else self.gradients[:number]
-        return Data(self.x[:number], self.fields[:number], self.weights, gradients)
+        return Data(self.x[:number], self.fields[:number], self.weights, gradients, self.shared)
 
     def fingerprint(self) -> str:
         some = [self.x, self.fields, self.weights, *([] if self.gradients is None else [self.gradients])]
@@ -192,7 +193,7 @@ def fit_modes(data: Data, warping: Warping, tolerance: float, most: int | None =
     """Return the modes and their processes; `most` limits their number, for comparisons."""
     z = warping.standardise(data.x)
     derivatives = None if data.gradients is None else warping.gradients(data.x, data.gradients)
-    many = derivatives is not None and z.shape[1] >= MANY_INPUTS
+    many = (derivatives is not None or data.shared) and z.shape[1] >= MANY_INPUTS
     least, limit = (tolerance / 8, MOST_SHARED) if many else (tolerance, MOST)
     modes = decompose(data.fields, data.weights, derivatives, tolerance=least, most=limit)
     values = modes.coefficients(data.fields)
@@ -262,7 +263,8 @@ class FieldTraining:
     """Successful runs: physical inputs, and the interfaces of each run by condition.
 
     `gradients` are derivatives d(points)/d(inputs) of each run by condition (point, xyz, dim), mm per unit of the
-    input; None: there are none. `low` and `high` are corners of the box of the inputs.
+    input; None: there are none. `low` and `high` are corners of the box of the inputs. Modes of six inputs and more
+    share a kernel if there are derivatives, or if they are to be `shared`.
     """
 
     x: Float[np.ndarray, "run dim"]
@@ -270,6 +272,7 @@ class FieldTraining:
     gradients: Sequence[Mapping[str, Float[np.ndarray, "_ xyz dim"]]] | None
     low: Float[np.ndarray, " dim"]
     high: Float[np.ndarray, " dim"]
+    shared: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -409,7 +412,7 @@ def fit_field(training: FieldTraining, *, tolerance: float = TOLERANCE) -> Field
     require(np.ptp(fields, axis=0).any(), "interfaces of the runs", found, *words)
     gradients = _gradients(training, layouts) if all(one.by_nodes for one in layouts.values()) else None
     weights = np.concatenate([np.repeat(layout.weights, layout.template.dim) for layout in layouts.values()])
-    data = Data(training.x, fields, weights, gradients)
+    data = Data(training.x, fields, weights, gradients, training.shared)
     with one_thread():
         warping = choose_warping(data, Warping(("identity",) * dim, training.low, training.high), tolerance)
         modes, processes = fit_modes(data, warping, tolerance)

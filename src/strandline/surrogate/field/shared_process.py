@@ -26,6 +26,7 @@ FACTORS, FIRST, POWERS = (0.2, 0.3, 0.45, 0.7, 1.0, 1.4, 2.0, 2.8), 4, (0.25, 0.
 """Factors of the eigenvalues' powers, which of them is tried first, and these powers."""
 LEAST = 1e-6  # least weight of an input, relative to the largest
 NUGGET = 1e-8
+ROUNDS = 2  # times that slopes are predicted from values alone, where there are no others, to weigh the inputs
 _PRIOR_RUNS = 4.0  # weight of "the variances are right" against the residuals
 
 Points = Float[np.ndarray, "point dim"]
@@ -65,6 +66,8 @@ class SharedKernel:
         k, along = np.exp(w @ self.w.T), w @ self.span
         rows = np.concatenate([k[:, :, None], k[:, :, None] * along[:, None, :]], axis=2)
         half = solve_triangular(self.of_span, _value_first(rows).T, lower=True, check_finite=False)
+        if not self.span.shape[1]:
+            return 0.0 * w, half, half  # there are no derivatives
         return w - along @ self.span.T, half, solve_triangular(self.of_rest, k.T, lower=True, check_finite=False)
 
 
@@ -139,14 +142,20 @@ def fit_shared(observed: Sequence[ModeData]) -> tuple[SharedProcess, ...]:
     Raises:
         NumericsError: No kernel has a covariance that can be factorised.
     """
-    z = observed[0].z
-    slopes = np.stack([one.gradients for one in observed if one.gradients is not None], axis=1)
+    z, slopes = observed[0].z, None
+    if all(one.gradients is not None for one in observed):
+        slopes = np.stack([one.gradients for one in observed if one.gradients is not None], axis=1)
     values = np.stack([one.values for one in observed], axis=1)
     centre = np.median(z, axis=0)
     nearest = int(np.argmin(((z - centre) ** 2).sum(axis=1)))
-    eigenvalues, R = np.linalg.eigh(np.einsum("rmi,rmj->ij", slopes, slopes) / len(z))
-    shares = np.maximum(eigenvalues / eigenvalues[-1], 0.0)
-    best = _likeliest(z - centre, values - values[nearest], slopes, R, shares)
+    away, changes = z - centre, values - values[nearest]
+    guess = slopes
+    if slopes is None:
+        guess = np.linalg.lstsq(z - z[nearest], changes, rcond=None)[0].T[None]
+        for _ in range(ROUNDS):
+            _, (weighing, w, *_), _, by_value, by_slope, _ = _likeliest(away, changes, None, guess)
+            guess = _slopes(w, by_value, by_slope) @ weighing.T
+    best = _likeliest(away, changes, slopes, guess)
     _, (weighing, w, span, *factors), alpha, by_value, by_slope, size = best
     kernel = SharedKernel(centre, weighing, w, span, *(np.tril(one) for one in factors))
     found = []
@@ -161,8 +170,20 @@ def fit_shared(observed: Sequence[ModeData]) -> tuple[SharedProcess, ...]:
     return tuple(found)
 
 
-def _likeliest(z: Any, values: Any, slopes: Any, R: Any, shares: Any) -> tuple[Any, ...]:
-    """Return what `_fitted` does of the kernel with the largest evidence, which has one maximum over the factors."""
+def _slopes(w: Any, by_value: Any, by_slope: Any) -> Any:
+    """Return the derivatives of the means by w at the runs (run, mode, dim)."""
+    k = np.exp(w @ w.T)
+    weights = by_value[None] + np.einsum("pd,rdm->prm", w, by_slope)
+    return np.einsum("pr,prm,rd->pmd", k, weights, w) + np.einsum("pr,rdm->pmd", k, by_slope)
+
+
+def _likeliest(z: Any, values: Any, slopes: Any, told: Any) -> tuple[Any, ...]:
+    """Return what `_fitted` does of the kernel with the largest evidence, which has one maximum over the factors.
+
+    Derivatives that are `told` (run, mode, dim) weigh the inputs.
+    """
+    eigenvalues, R = np.linalg.eigh(np.einsum("rmi,rmj->ij", told, told) / len(told))
+    shares = np.maximum(eigenvalues / eigenvalues[-1], 0.0)
     best: tuple[Any, ...] | None = None
     for power in POWERS:
         tried: dict[int, float] = {}
@@ -184,6 +205,8 @@ def _fitted(z: Any, values: Any, slopes: Any, weighing: Any) -> tuple[Any, ...] 
     """Return the log evidence, the parts of a `SharedKernel`, and the weights of values and derivatives."""
     (n, dim), modes = z.shape, values.shape[1]
     w = z @ weighing
+    if slopes is None:
+        return _by_values(w, values, weighing)
     by_w = np.linalg.solve(weighing, slopes.reshape(-1, dim).T).T.reshape(n, modes, dim)
     U, sizes, _ = np.linalg.svd(w.T, full_matrices=False)
     Q = U[:, sizes > 1e-9 * sizes[0]]
@@ -214,3 +237,18 @@ def _fitted(z: Any, values: Any, slopes: Any, weighing: Any) -> tuple[Any, ...] 
     evidence = -0.5 * rows * float(np.log(size).sum()) - modes * (logs[0] + (dim - q) * logs[1] + weights)
     by_slope = np.einsum("nqm,dq->ndm", alpha[n:].reshape(n, q, modes), Q) + beta.reshape(n, modes, dim).swapaxes(1, 2)
     return evidence, (weighing, w, Q, L, L_rest), alpha, alpha[:n], by_slope, size
+
+
+def _by_values(w: Any, values: Any, weighing: Any) -> tuple[Any, ...] | None:
+    """Return what `_fitted` does, without derivatives."""
+    n, dim = w.shape
+    K = np.exp(w @ w.T) + NUGGET * np.eye(n)
+    try:
+        L, _ = cho_factor(K, lower=True, check_finite=False)
+    except (np.linalg.LinAlgError, ValueError):
+        return None
+    alpha = cho_solve((L, True), values, check_finite=False)
+    size = np.maximum((values * alpha).sum(axis=0) / n, 1e-300)
+    evidence = -0.5 * n * float(np.log(size).sum()) - values.shape[1] * float(np.log(np.diagonal(L)).sum())
+    none = np.zeros((dim, 0))
+    return evidence, (weighing, w, none, L, L), alpha, alpha, np.zeros((n, dim, values.shape[1])), size

@@ -68,7 +68,7 @@ def true_posterior():
     def density(u):
         return true_log_likelihood(normal.inputs(u)) - 0.5 * (u**2).sum(axis=1)
 
-    normal, random = Normalised(knowledge(20), SPACE), np.random.default_rng(7)
+    normal, random = Normalised(SPACE, knowledge(20)), np.random.default_rng(7)
     state = chain_state(knowledge(20), SPACE, (1,), None)
     options = {"steps": 800, "step": state.step, "leaps": state.leaps}
     found = hamiltonian(density, normal.force, normal.places(state.last), state.root, random, **options)
@@ -84,7 +84,7 @@ def off(draws, weights=None):
 
 
 def test_the_force_is_the_slope_of_the_density_of_correlated_inputs():
-    normal = Normalised(knowledge(12), SPACE, np.repeat([1.0, 0.5], 3))
+    normal = Normalised(SPACE, knowledge(12), np.repeat([1.0, 0.5], 3))
     u = 0.5 * np.random.default_rng(8).standard_normal((6, DIM))
     np.testing.assert_allclose(normal.places(normal.inputs(u)), u, atol=1e-9)
     force = normal.force(u)
@@ -113,7 +113,7 @@ def test_the_evidence_of_a_normal_density_is_exact():
         def roughly(self, x):
             return -1.5 * (self.places(x) ** 2).sum(axis=1)
 
-    normal, random = Plain(knowledge(12), SPACE), np.random.default_rng(10)
+    normal, random = Plain(SPACE, knowledge(12)), np.random.default_rng(10)
     draws = 0.5 * random.standard_normal((200, CHAINS, DIM))
     found = drawn_result(normal, Chains(draws, 1.0, 0.1), random, 4000)
     assert found.log_evidence == pytest.approx(DIM * np.log(0.5), abs=0.02)
@@ -127,7 +127,7 @@ class Tilted(Expecting):
 
 
 def test_draws_weighted_by_the_true_model_are_right_even_with_a_wrong_surrogate():
-    tilted = Tilted(knowledge(12), SPACE)
+    tilted = Tilted(SPACE, knowledge(12))
     state = chain_state(knowledge(12), SPACE, (1,), None)
     draws, believed = (ExactDraws.of(state, tilted, (3,)) for _ in range(2))
     for k in range(60):
@@ -185,7 +185,7 @@ def test_where_runs_fail_the_way_to_the_best_fit_is_halved_and_then_given_up():
         records.append(sl.RunRecord(batch.points.tobytes().hex(), records[0].inputs, "failed"))
         reached.append(batch.points[0])
     assert batch.kind == "check"
-    places = Normalised(found.state.knowledge, SPACE).places
+    places = Normalised(SPACE, found.state.knowledge).places
     away = np.linalg.norm(places(np.array(reached))[:, None] - places(x[:3]), axis=2)
     nearest = away[:, away[-1].argmin()]
     np.testing.assert_allclose(nearest[1:] / nearest[:-1], 0.5, rtol=0.1)
