@@ -15,7 +15,7 @@ from jaxtyping import Float
 from strandline import posterior as posteriors
 from strandline.calibration.misfit import Misfit
 from strandline.calibration.sampler_check import SamplerCheck
-from strandline.design import Active, BatchReport, Certificate, FieldOutcome, Refinement, Round, SetAside
+from strandline.design import FEWEST_DRAWS, Active, BatchReport, Certificate, FieldOutcome, Refinement, Round, SetAside
 from strandline.discrepancy import Discrepancy
 from strandline.foundations import html_table, is_finite, named, require, require_types
 from strandline.interface import Observation
@@ -271,6 +271,10 @@ def require_learnable(dim: int, *, active: Active | None, sensitivities: bool, c
     require((many and (sensitivities or differences)) or not exact, "exact", "true", expected + slopes, remedy)
     alone = many and not sensitivities
     require(alone or not differences, "differences", "true", expected + "no sensitivities of the model", remedy)
+    if active is not None and differences:
+        least = 3 + dim + FEWEST_DRAWS
+        words = f"at least {least}: {3 + dim} to begin with and a check of {FEWEST_DRAWS}"
+        require(active.runs >= least, "runs", active.runs, words, "Allow more runs.")
 
 
 def run_note(state: Progress) -> str:

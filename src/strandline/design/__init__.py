@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         simulator_noise,
         training_of,
     )
+    from strandline.design.active.checking import FEWEST_DRAWS
     from strandline.design.active.choice import LARGEST_BATCH
     from strandline.design.active.fidelities import Fidelities, FidelityReport, as_by_model
     from strandline.design.active.informed_design import beside

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import ndtri
 from tests.unit.models.strips import POINTS, S, Strip
 
 import strandline as sl
@@ -14,6 +15,7 @@ from strandline.likelihood import InterfaceLikelihood
 from strandline.parameters.fields import Support
 
 FIELD = sl.GaussianField(1.0, 0.5, 0.3, modes=6).on("E", Support.interval(0.0, 1.0, POINTS))
+FIELD_SPACE = sl.ParameterSpace(FIELD.parameters)
 MODEL = sl.WithFields(Strip(sensitivities=True), (FIELD,))
 
 
@@ -62,5 +64,20 @@ def test_more_inputs_than_a_design_can_learn_without_derivatives_are_refused():
     many = sl.ParameterSpace((*field.parameters, sl.Parameter("load", sl.Uniform(1.0, 3.0))))
     one = problem()
     given = sl.Problem(lambda inputs, workdir: None, many, {}, one.observations, dict(one.discrepancies))
-    with pytest.raises(InvalidInput, match="unknown inputs: got 31; expected at most 30, or sensitivities"):
+    with pytest.raises(InvalidInput, match="unknown inputs: got 31; expected at most 30, or an active"):
         sl.calibrate(given)
+
+
+def test_without_derivatives_differences_and_draws_find_the_same_posterior():
+    active = Active(runs=120, differences=True, exact=False)
+    alone = problem(model=sl.WithFields(Strip(), (FIELD,)))
+    found = sl.calibrate(alone, sl.Settings(runs=3, surrogate="field", active=active, seed=1))
+    assert found.certificate.converged
+    assert len(found.records) < 90
+    assert not any(record.sensitivities for record in found.records)
+    first, *beside = [ndtri(FIELD_SPACE.prior_shares(row))[0] for row in found.training[[0, *range(3, 9)], None]]
+    np.testing.assert_allclose(np.array(beside) - first, 0.3 * np.eye(6), atol=1e-9)
+    exact = Active(runs=60, exact=False)
+    known = sl.calibrate(problem(), sl.Settings(runs=3, surrogate="field", active=exact, seed=1)).posterior
+    assert np.abs((found.posterior.mean - known.mean) / known.sd).max() < 0.2
+    assert np.abs(found.posterior.sd / known.sd - 1).max() < 0.15

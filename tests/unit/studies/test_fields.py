@@ -117,8 +117,10 @@ model.biofilm.partition: three_parts | inputs.E: field of the biofilm model | wi
 model.biofilm.anchors: {E: [300, 500], nu: 0.3, V_in: 100} | without partition, branches and anchors
 inputs.E.field.at: {interval: [0, 1], points: 30} | points of the field E: got 30 points | at: solid
 inputs.E.field.length: 0.001 | length of the field E
-inputs.E.field.modes: 40 | unknown inputs: got 40 | at most 30, or sensitivities (`sensitivities: true`) and an active
+inputs.E.field.modes: 40 | unknown inputs: got 40 | at most 30, or an active design with sensitivities (`sensitivities:
 design: {active: {runs: 60, exact: true}} | exact: got true | `sensitivities: true`
+design: {active: {runs: 20, differences: true}} | runs: got 20 | at least 29: 23 to begin with and a check of 6
+sensitivities: true, design: {active: {runs: 60, differences: true}} | differences: got true | no sensitivities of the
 observation.synthetic.E_999: 1 | E_999 | E_1 … E_
 """
 

@@ -84,3 +84,32 @@ def test_more_runs_predict_better():
     truth = values_and_slopes(PLACES)[0]
     errors = [np.abs(mean_with_slopes(one, PLACES)[0] - truth).max() for one in (few, many)]
     assert errors[1] < 0.3 * errors[0]
+
+
+def test_from_values_alone_it_is_the_process_of_the_directions_that_they_show():
+    z, places = 0.4 * np.random.default_rng(4).standard_normal((30, DIM)), 0.4 * PLACES
+    values, _ = values_and_slopes(z)
+    processes = fit_shared([ModeData(z, values[:, m], None, True) for m in range(2)])
+    kernel = processes[0].kernel
+    w, v = kernel.weighed(z), kernel.weighed(places)
+    K, k = np.exp(w @ w.T) + NUGGET * np.eye(30), np.exp(v @ w.T)
+    for m, process in enumerate(processes):
+        expected = process.offset + k @ np.linalg.solve(K, values[:, m] - process.offset)
+        np.testing.assert_allclose(process.mean(places), expected, rtol=1e-6, atol=1e-8)
+        variance = np.exp((v**2).sum(axis=1)) - np.einsum("pr,pr->p", k, np.linalg.solve(K, k.T).T)
+        np.testing.assert_allclose(process.variance(places), process.scale * variance, rtol=1e-4, atol=1e-7)
+        inverse = np.linalg.inv(K)
+        errors = inverse @ (values[:, m] - process.offset) / np.diag(inverse)
+        np.testing.assert_allclose(process.left_out().errors, errors, rtol=1e-4, atol=1e-8)
+    _, by_inputs = mean_with_slopes(processes, places)
+    for k in range(DIM):
+        step = 1e-5 * np.eye(DIM)[k]
+        ahead, behind = (mean_with_slopes(processes, places + one)[0] for one in (step, -step))
+        for m in range(2):
+            slopes = by_inputs(np.tile(np.eye(2)[m], (len(places), 1)))[:, k]
+            np.testing.assert_allclose(slopes, (ahead - behind)[:, m] / 2e-5, rtol=1e-4, atol=1e-6)
+    directions = np.linalg.eigh(kernel.weighing @ kernel.weighing.T)[1]
+    of_two, _ = np.linalg.qr(A)
+    assert np.linalg.svd(of_two.T @ directions[:, -2:], compute_uv=False).min() > 0.999
+    found, _ = mean_with_slopes(processes, places)
+    assert np.abs(found - values_and_slopes(places)[0]).max() < 0.03
