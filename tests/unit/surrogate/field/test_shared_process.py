@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from strandline.surrogate.field import shared_process
 from strandline.surrogate.field.mode_process import ModeData
 from strandline.surrogate.field.shared_process import NUGGET, fit_shared, mean_with_slopes
 
@@ -49,7 +50,9 @@ def plainly(process, z, values, slopes, at):
     return mean, process.scale * variance
 
 
-def test_means_variances_and_left_out_runs_are_those_of_the_whole_process():
+@pytest.mark.parametrize("choosing", [3, 40])
+def test_means_variances_and_left_out_runs_are_those_of_the_whole_process(choosing, monkeypatch):
+    monkeypatch.setattr(shared_process, "CHOOSING", choosing)
     processes = fitted(Z)
     values, slopes = values_and_slopes(Z)
     for m, process in enumerate(processes):
