@@ -151,9 +151,8 @@ class Learning:
         space, scramble = self.problem.space, self.settings.scramble
         if self.settings.active is not None:
             first = design.over_prior(space, number, scramble=scramble)
-            return (
-                np.concatenate([first, design.beside(first[0], space)]) if self.settings.active.differences else first
-            )
+            steps = [design.beside(first[0], space)] if self.settings.active.differences else []
+            return np.concatenate([first, *steps])
         return space.to_physical(design.sobol(number, space.dim, scramble=scramble))
 
     def _refined(self, first: Float[np.ndarray, "run dim"], refinement: design.Refinement) -> TrainedSurrogate:

@@ -295,8 +295,8 @@ class Active:
         effective: Share of draws that must be effective, between 0 and 1.
         exact: With many inputs and sensitivities, whether to draw from the true posterior in the end, by a thousand or
             more runs beyond `runs`: yes, no, or by default only if the design has not settled and these take a minute.
-        differences: With six inputs or more and a model without sensitivities, whether further runs give each run those
-            that matter, by finite differences along the directions in which the interface moves.
+        differences: With six inputs or more and a model without sensitivities, whether to begin with a step along each
+            input, go a step along each informed direction from each best fit, and draw then, as with sensitivities.
         patience: Once half a batch is done, the next does not wait for a run longer than this many times the longest
             before it; at least 1.
 

@@ -1,9 +1,8 @@
 """Draws of the true posterior: draws of the surrogate's, each weighted by a run of the true model.
 
 The surrogate's chains sample the likelihood L̂ that it expects, which is wide where it is unsure, so hardly a weight L/L̂
-is large. Once the surrogate's chains mix, that takes a third of the runs of chains that accept or refuse the same draws
-(delayed acceptance): on a strip of 100 inputs six draws of ten are effective, of such chains 6 to 30 in a hundred,
-because they stand still where a weight is large. The surrogate no longer learns.
+is large. On strips of 100 inputs 3 to 6 draws of ten are effective; of chains that accept or refuse the same draws
+(delayed acceptance) 4 to 20 in a hundred, for they stand still where the weight is large. The surrogate learns no more.
 """
 
 from dataclasses import dataclass, field

@@ -1,9 +1,11 @@
-"""Gaussian processes of the modes of a field for many inputs: one kernel for all modes, values and all derivatives.
+"""Gaussian processes of the modes of a field for many inputs: one kernel for all modes, values with all derivatives or
+none.
 
 The covariance of two runs is exp(w · w'), with w the inputs from a centre amid the runs, weighed by how much they move
 the interface: w = Rᵀ (z - c) S, where R are eigenvectors of the mean of JᵀJ over the runs, J the derivatives, and S² a
 power of their eigenvalues times a factor. Power and factor have the largest evidence. A function of this process is
-linear in inputs that hardly move the interface, and its slope there depends on the others.
+linear in inputs that hardly move the interface, and its slope there depends on the others. Without derivatives, J is
+first that of a linear fit, then what the process predicts.
 
 Derivatives along directions that are orthogonal to all runs' w are independent of the values and of all derivatives
 along the runs' w, so the matrix to factorise has only as many rows for each run as there are runs, however many inputs
@@ -156,8 +158,8 @@ def fit_shared(observed: Sequence[ModeData]) -> tuple[SharedProcess, ...]:
     if slopes is None:
         guess = np.linalg.lstsq(z - z[nearest], changes, rcond=None)[0].T[None]
         for _ in range(ROUNDS):
-            _, (weighing, w, *_), _, by_value, by_slope, _ = _likeliest(away, changes, None, guess)
-            guess = _slopes(w, by_value, by_slope) @ weighing.T
+            _, (weighing, w, *_), alpha, *_ = _likeliest(away, changes, None, guess)
+            guess = np.einsum("pr,rm,rd->pmd", np.exp(w @ w.T), alpha, w, optimize=True) @ weighing.T
     best = _likeliest(away, changes, slopes, guess)
     _, (weighing, w, span, *factors), alpha, by_value, by_slope, size = best
     kernel = SharedKernel(centre, weighing, w, span, *(np.tril(one) for one in factors))
@@ -171,13 +173,6 @@ def fit_shared(observed: Sequence[ModeData]) -> tuple[SharedProcess, ...]:
         widening = max(1.0, (surprise + _PRIOR_RUNS) / (len(z) + _PRIOR_RUNS))
         found.append(replace(process, widening=widening))
     return tuple(found)
-
-
-def _slopes(w: Any, by_value: Any, by_slope: Any) -> Any:
-    """Return the derivatives of the means by w at the runs (run, mode, dim)."""
-    k = np.exp(w @ w.T)
-    weights = by_value[None] + np.einsum("pd,rdm->prm", w, by_slope)
-    return np.einsum("pr,prm,rd->pmd", k, weights, w) + np.einsum("pr,rdm->pmd", k, by_slope)
 
 
 def _likeliest(z: Any, values: Any, slopes: Any, told: Any) -> tuple[Any, ...]:
