@@ -128,6 +128,7 @@ def backup(study: Path, file: Path) -> None:
     click.echo(f"wrote {file}: {number} runs")
 
 
+MOST_COLUMNS = 12  # inputs in the list, such as coefficients of a field
 SHORT = 12
 """Characters of a key in the list; as few of its first characters as are unique identify a run."""
 
@@ -219,6 +220,7 @@ def _found(key: str, runs: Sequence[Run], option: str) -> Run:
 def _table(runs: Sequence[Run]) -> Iterator[str]:
     inputs = [run.inputs for run in runs]
     names = list(dict.fromkeys(name for some in inputs for name in some))
+    names, more = names[:MOST_COLUMNS], names[MOST_COLUMNS:]
     rows = [("key", "state", "kind", "seconds", *names)]
     for run, some in zip(runs, inputs, strict=True):
         seconds = "-" if run.last.seconds is None else f"{run.last.seconds:.3f}"
@@ -229,6 +231,8 @@ def _table(runs: Sequence[Run]) -> Iterator[str]:
         left, right = row[:3], row[3:]
         cells = [text.ljust(width) for text, width in zip(left, widths, strict=False)]
         yield "  ".join([*cells, *(text.rjust(width) for text, width in zip(right, widths[3:], strict=True))])
+    if more:
+        yield f"and {len(more)} more inputs, {more[0]} to {more[-1]}: --json or --export tell them"
 
 
 def _as_dict(run: Run) -> dict[str, Any]:

@@ -154,3 +154,12 @@ def test_runs_that_the_analysis_set_aside_are_invalid(folder, capsys):
     assert keys(capsys, str(folder), "--state", "failed") == ["ab3"]
     shown = printed(capsys, "runs", str(folder), "--show", "aa1")
     assert "set aside by the last analysis: not_comparable, 5 points" in shown
+
+
+def test_of_many_inputs_the_list_shows_the_first(tmp_path, capsys):
+    inputs = {f"E_{k}": float(k) for k in range(1, 81)}
+    text = printed(capsys, "runs", str(keep(tmp_path / "map", [RunRecord("aa1", inputs, "ok", {"": LINE})])))
+    heading, _, rest, last = text.splitlines()
+    assert heading.split()[-1] == "E_12"
+    assert rest == "and 68 more inputs, E_13 to E_80: --json or --export tell them"
+    assert last == "1 of 1 runs"

@@ -282,10 +282,13 @@ class Biofilm:
         return Support(points, areas)
 
     def _require_field(self, name: str) -> None:
-        several = self.partition.markers or self.branches or self.anchors
-        if name != "E" or several or not isinstance(law_named(self.material), IsotropicLaw):
+        against = {"partition": self.partition.markers, "branches": self.branches, "anchors": self.anchors}
+        against["material"] = not isinstance(law_named(self.material), IsotropicLaw)
+        beside = ", ".join(key for key, there in against.items() if there)
+        if name != "E" or beside:
             expected = "E, of a model without partition, branches and anchors, and with an isotropic law"
-            raise unfit("field of the biofilm model", name, expected, "Give this input a prior in place of a field.")
+            value = f"{name} with {beside}" if beside else name
+            raise unfit("field of the biofilm model", value, expected, "Give this input a prior in place of a field.")
 
     def with_field(self, name: str, points: np.ndarray) -> "Biofilm":
         """Return the model itself; refuse a field as `field_support`, and other points than its own."""
