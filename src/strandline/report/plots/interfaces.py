@@ -68,7 +68,7 @@ def plot_conditions(
     Each condition has simulated interfaces with the same labels, since one legend under the last panel explains all.
     """
     figure = style.new_figure(style.DOUBLE, 1.2 + 2.6 * len(observed))
-    panels = figure.subplots(len(observed), 1, sharex=True, squeeze=False)[:, 0]
+    panels = figure.subplots(len(observed), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for ax, (condition, interface) in zip(panels, observed.items(), strict=True):
         plot_interfaces(interface, reference=reference, simulated=(simulated or {}).get(condition), ax=ax)
         ax.set_title(condition)
