@@ -150,9 +150,7 @@ class Learning:
     def _first(self, number: int) -> Float[np.ndarray, "run dim"]:
         space, scramble = self.problem.space, self.settings.scramble
         if self.settings.active is not None:
-            first = design.over_prior(space, number, scramble=scramble)
-            steps = [design.beside(first[0], space)] if self.settings.active.differences else []
-            return np.concatenate([first, *steps])
+            return design.first_inputs(self.settings.active, space, number, scramble)
         return space.to_physical(design.sobol(number, space.dim, scramble=scramble))
 
     def _refined(self, first: Float[np.ndarray, "run dim"], refinement: design.Refinement) -> TrainedSurrogate:

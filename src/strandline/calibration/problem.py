@@ -15,7 +15,7 @@ from jaxtyping import Float
 from strandline import posterior as posteriors
 from strandline.calibration.misfit import Misfit
 from strandline.calibration.sampler_check import SamplerCheck
-from strandline.design import FEWEST_DRAWS, Active, BatchReport, Certificate, FieldOutcome, Refinement, Round, SetAside
+from strandline.design import SETTLING, Active, BatchReport, Certificate, FieldOutcome, Refinement, Round, SetAside
 from strandline.discrepancy import Discrepancy
 from strandline.foundations import html_table, is_finite, named, require, require_types
 from strandline.interface import Observation
@@ -266,14 +266,16 @@ def require_learnable(dim: int, *, active: Active | None, sensitivities: bool, c
     right = dim <= MANY or (active is not None and (sensitivities or differences))
     require(right, "unknown inputs", dim, expected, "Add both, or leave out inputs, such as modes of a field.")
     many, remedy = dim >= MANY_INPUTS and not cheaper, "Leave it out, or change these."
+    value = f"true with {dim} inputs{', a cheaper model' if cheaper else ''}"
+    value += f" and {'' if sensitivities else 'no '}sensitivities"
     expected = f"{MANY_INPUTS} unknown inputs or more, no cheaper model, and "
     slopes = "sensitivities (`sensitivities: true`, or `differences: true`)"
-    require((many and (sensitivities or differences)) or not exact, "exact", "true", expected + slopes, remedy)
+    require((many and (sensitivities or differences)) or not exact, "exact", value, expected + slopes, remedy)
     alone = many and not sensitivities
-    require(alone or not differences, "differences", "true", expected + "no sensitivities of the model", remedy)
+    require(alone or not differences, "differences", value, expected + "no sensitivities of the model", remedy)
     if active is not None and differences:
-        least = 3 + dim + FEWEST_DRAWS
-        words = f"at least {least}: {3 + dim} to begin with and a check of {FEWEST_DRAWS}"
+        least = 3 + dim + SETTLING
+        words = f"at least {least}: {3 + dim} to begin with and {SETTLING} draws"
         require(active.runs >= least, "runs", active.runs, words, "Allow more runs.")
 
 

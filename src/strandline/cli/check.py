@@ -66,7 +66,11 @@ def command(study: Path, plot: bool, as_json: bool, widths: bool) -> None:
     rounds = f" ({settings.runs} and {refine.rounds} rounds of {refine.runs})" if refine.rounds else ""
     active = settings.active
     most = "at most " if active is not None else ""
-    exactly = "; then a thousand or more to draw from the true posterior" if active is not None and active.exact else ""
+    exactly = ""
+    if active is not None and active.exact:
+        exactly = "; then some thousand to draw from the true posterior"
+    elif active is not None and active.exact is None and loaded.draws_by_chains:
+        exactly = "; if they do not settle it, some thousand more that take a minute at most (`exact`)"
     lines.append(f"{most}{planned} forward runs planned{rounds}, {known} of them known already{exactly}")
     click.echo("\n  ".join([f"{loaded.name}: study.yaml is sound{doubts}", *lines]))
     if picture is not None:

@@ -28,10 +28,9 @@ if TYPE_CHECKING:
         simulator_noise,
         training_of,
     )
-    from strandline.design.active.checking import FEWEST_DRAWS
     from strandline.design.active.choice import LARGEST_BATCH
     from strandline.design.active.fidelities import Fidelities, FidelityReport, as_by_model
-    from strandline.design.active.informed_design import beside
+    from strandline.design.active.informed_design import SETTLING, first_inputs
     from strandline.design.active.state import DRAFT_PARTICLES
     from strandline.design.candidates import FEWEST_POINTS, WHOLE, Candidate, Look, Setting, key_of
     from strandline.design.refinement import SAMPLING, Learnt, Refinement, Round, over_prior, refine, shifts, sobol

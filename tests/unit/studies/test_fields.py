@@ -118,9 +118,9 @@ model.biofilm.anchors: {E: [300, 500], nu: 0.3, V_in: 100} | without partition, 
 inputs.E.field.at: {interval: [0, 1], points: 30} | points of the field E: got 30 points | at: solid
 inputs.E.field.length: 0.001 | length of the field E
 inputs.E.field.modes: 40 | unknown inputs: got 40 | at most 30, or an active design with sensitivities (`sensitivities:
-design: {active: {runs: 60, exact: true}} | exact: got true | `sensitivities: true`
-design: {active: {runs: 20, differences: true}} | runs: got 20 | at least 29: 23 to begin with and a check of 6
-sensitivities: true, design: {active: {runs: 60, differences: true}} | differences: got true | no sensitivities of the
+design: {active: {runs: 60, exact: true}} | exact: got true with 20 inputs and no sensitivities | `sensitivities: true`
+design: {active: {runs: 20, differences: true}} | runs: got 20 | at least 47: 23 to begin with and 24 draws
+sensitivities: true, design: {active: {runs: 60, differences: true}} | got true with 20 inputs and sensitivities
 observation.synthetic.E_999: 1 | E_999 | E_1 … E_
 """
 

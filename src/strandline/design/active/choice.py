@@ -272,7 +272,7 @@ class Active:
             `check`, a check is smaller and settles less. Runs from an earlier ``study.yaml`` or a reused study do not
             count.
         initial: First runs, from the Sobol sequence in the prior's quantiles, at least 3; default: 4 + 2 × number of
-            inputs, but 3 with sensitivities.
+            inputs, but 3 with sensitivities, and 3 besides a step along each input with `differences`.
         batch: Runs chosen together; default: number of workers, or 5 % of the runs so far if that is more; within
             2 to 16.
         explore: Share of runs placed where least is known, whatever the posterior, 0 to 0.5.
@@ -283,7 +283,8 @@ class Active:
             stopping, at least 20; fewer if they leave no doubt.
         unseen: Share of the prior's mass, 0.02 to 1: before it stops, the design looks for modes elsewhere until a
             region of this share holds a run with 95 % probability. Half the share costs about twice the runs; with
-            1 it does not look. With six inputs or more and sensitivities, it looks only for shares below 0.1.
+            1 it does not look. With six inputs or more and sensitivities or `differences`, it looks only for shares
+            below 0.1.
         change: Largest change over the last batch for a check to begin: of a mean in standard deviations, of a standard
             deviation in natural logarithms; batches with fewer runs than inputs count together, with sensitivities
             those with fewer than half as many.
@@ -293,8 +294,9 @@ class Active:
         k_hat: Upper limit for the Pareto shape of these weights, unless 98 % of draws are effective, or 1 % of as many
             weights without a heavy tail have a larger one.
         effective: Share of draws that must be effective, between 0 and 1.
-        exact: With many inputs and sensitivities, whether to draw from the true posterior in the end, by a thousand or
-            more runs beyond `runs`: yes, no, or by default only if the design has not settled and these take a minute.
+        exact: With six inputs or more and sensitivities or `differences`, whether to draw from the true posterior in
+            the end, by some thousand runs beyond `runs`: yes, no, or by default only if the design has not settled
+            after 40 draws or all of its runs, and these take a minute at most.
         differences: With six inputs or more and a model without sensitivities, whether to begin with a step along each
             input, go a step along each informed direction from each best fit, and draw then, as with sensitivities.
         patience: Once half a batch is done, the next does not wait for a run longer than this many times the longest

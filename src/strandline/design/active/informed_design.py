@@ -25,6 +25,7 @@ from strandline.design.active.chains import WIDE, ChainState, Normalised
 from strandline.design.active.checking import MOST_FAILED, BatchCheck
 from strandline.design.active.choice import Active
 from strandline.design.active.exact_draws import EFFECTIVE, ExactDraws, Expecting
+from strandline.design.refinement import over_prior
 from strandline.parameters import NormalScores, ParameterSpace
 from strandline.runs import RunRecord
 
@@ -45,6 +46,7 @@ this estimate takes to be effective: of strips of 50 and 100 inputs, 30 to 80 in
 STEP, NARROWER = 0.3, 0.95
 """Differences along all directions, in prior sds; largest sd, in prior sds, along directions that the data inform."""
 WIDER = 2  # one draw in so many is wider: with 4, a strip with a trap was certified wrong in one of six designs
+SETTLING = FEWEST * WIDER  # fewest draws, wider ones included, with which a design can end
 SURE = 5.0  # largest sd of δ with which they begin: that of the last surrogate, which has learnt, was 1 on 100 inputs
 MIXED = 1.1  # largest R̂ of the chains whose draws can settle anything: with 1.2, a strip with a trap was off by one sd
 WITHIN = 4.0  # a draw of an earlier posterior counts if its density is less than this many sds below the draws'
@@ -89,7 +91,7 @@ class Told:
     def reasons(self) -> tuple[str, ...]:
         """Why the draws settle nothing yet, in words; none if they do."""
         if len(self.ratios) < FEWEST:
-            return (f"only {len(self.ratios)} draws so far",)
+            return (f"only {len(self.ratios)} draw{'s' * (len(self.ratios) != 1)} so far",)
         reasons = []
         if self.failed > max(1.0, MOST_FAILED * self.drawn):
             reasons.append(self.losses)
@@ -126,6 +128,14 @@ def beside(
     U, sds, _ = (np.eye(dim), STEP * np.ones(dim), None) if root is None else np.linalg.svd(root)
     steps = (U * sds)[:, sds < NARROWER]
     return scores.inputs(scores.places(x[None]) + steps.T)
+
+
+def first_inputs(
+    active: Active, space: ParameterSpace, number: int, scramble: int | None
+) -> Float[np.ndarray, "run dim"]:
+    """Return the inputs that an active design begins with: over the prior, and steps from the first for differences."""
+    first = over_prior(space, number, scramble=scramble)
+    return np.concatenate([first, beside(first[0], space)]) if active.differences else first
 
 
 class InformedDesign(ActiveDesign):

@@ -10,7 +10,7 @@ from typing import Any
 
 from strandline import models
 from strandline.calibration import Settings
-from strandline.design import Candidate, over_prior, sobol
+from strandline.design import Candidate, first_inputs, sobol
 from strandline.discrepancy import Discrepancy
 from strandline.foundations import InvalidInput, InvalidStudy, html_table, html_text, read_json, write_json
 from strandline.interface import Interface, Noise, Observation, PointErrors, UnknownErrors
@@ -19,6 +19,7 @@ from strandline.runs import ATTEMPTS, COMMON_KINDS, ENDS, EXCLUDED, Executor, Le
 from strandline.studies.keys.folder import LEDGER, REFINEMENT, Results, digest_of, results_in
 from strandline.studies.load.observed import Scanned, SyntheticNoise
 from strandline.studies.load.photographed import Photographed, Undeformed
+from strandline.surrogate import MANY_INPUTS
 
 
 @dataclass(frozen=True)
@@ -117,6 +118,13 @@ class Study:
     def sensitivities(self) -> bool:
         return models.asks_sensitivities(self.model)
 
+    @property
+    def draws_by_chains(self) -> bool:
+        """Whether an active design of many inputs draws from the posterior by chains."""
+        active, many = self.settings.active, self.space.dim >= MANY_INPUTS
+        alone = not isinstance(self.model, models.WithCheaper)
+        return active is not None and many and alone and (active.differences or self.sensitivities)
+
 
 def require_study(given: object) -> None:
     """Refuse the folder of a study, or its result, in place of the study itself."""
@@ -156,7 +164,7 @@ class StudyRuns:
         if study.settings.active is None:
             points = space.to_physical(sobol(number, space.dim, scramble=scramble))
         else:
-            points = over_prior(space, number, scramble=scramble)
+            points = first_inputs(study.settings.active, space, number, scramble)
         inputs = [{**study.fixed, **space.as_mapping(x)} for x in points]
         return models.first_runs(study.model, inputs)
 
