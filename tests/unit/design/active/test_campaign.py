@@ -34,7 +34,7 @@ def records(x):
 
 def campaign(monkeypatch, learner=None, first=FIRST):
     learner = learner or FakeLearner()
-    monkeypatch.setattr(module, "learn", lambda x, records, *others: (x, records))
+    monkeypatch.setattr(module, "learn", lambda x, records, *others, **options: (x, records))
     monkeypatch.setattr(module, "posterior_state", lambda given, *others, **options: learner(*given))
     seen, measure = (sl.Observation(fakes.interface(MEAN), 0.01),), sl.TrackedPoints()
     judge = RunFilter(seen, {"tracked_points": measure}, FailurePolicy())
