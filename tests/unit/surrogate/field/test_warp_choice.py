@@ -88,7 +88,7 @@ def test_fits_are_quick_only_where_they_are_compared(monkeypatch):
     asked, fit = [], module.fit_mode
     monkeypatch.setattr(module, "fit_mode", lambda one, quick: (asked.append(quick), fit(one, quick=quick))[1])
     z = np.random.default_rng(1).random((8, 1))
-    data = SimpleNamespace(x=z, fields=np.sin(3 * z) * np.ones((8, 4)), weights=np.full(4, 0.25), gradients=None)
+    data = module.Data(z, np.sin(3 * z) * np.ones((8, 4)), np.full(4, 0.25), None)
     warping = SimpleNamespace(standardise=lambda x: 2 * x - 1)
     for most, quick in ((None, False), (1, True)):
         module.fit_modes(data, warping, 1e-3, most)
